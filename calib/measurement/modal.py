@@ -1,0 +1,146 @@
+"""Measured modes and the sensors they were measured with."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.errors import InputError
+
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+"""Direction names; index + 1 is the direction code of the universal file format."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One measured direction at one point of the geometry.
+
+    Attributes
+    ----------
+    node : int
+        Node label of the measurement.
+    direction : str
+        One of `DIRECTIONS`; a sensor mounted the other way round has been turned on reading.
+    point : tuple of float or None
+        Nominal place (x, y, z) in metres; None while it is not known.
+    on : str or None
+        Name of the model's part that carries it; None lets the model take the nearest part.
+    """
+
+    node: int
+    direction: str
+    point: tuple[float, float, float] | None = None
+    on: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Label such as ``12y``."""
+        return f"{self.node}{self.direction}"
+
+
+@dataclass(frozen=True)
+class MeasuredModes:
+    """Modes of one structure, as the mean over repeats with the standard deviation of that mean.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Mode names, length n_modes.
+    natural_freq, damped_freq : ndarray (n_modes,)
+        Hz; ``natural = |lambda|/2pi``, ``damped = Im(lambda)/2pi``.
+    freq_std : ndarray (n_modes,)
+        Standard deviation of the mean natural frequency, Hz; NaN where unknown.
+    damping_ratio, damping_std : ndarray (n_modes,)
+        Ratio and the standard deviation of its mean; NaN where unknown.
+    sensors : tuple of Sensor
+        Length n_sensors; empty for a measurement of frequencies alone.
+    shapes : ndarray (n_sensors, n_modes), complex
+        Scaled to a largest modulus of 1; NaN where a sensor was not measured in a mode.
+    shape_std : ndarray (n_sensors, n_modes)
+        Standard deviation of the mean of the real and of the imaginary part each; NaN where unknown.
+    n_repeats : int
+    synthetic : bool
+        True when no structure was measured.
+    source : str
+        Files it was read from.
+    notes : tuple of str
+        What a reader must know, such as "damping unknown: damped frequencies taken as natural".
+    """
+
+    names: tuple[str, ...]
+    natural_freq: np.ndarray
+    damped_freq: np.ndarray
+    freq_std: np.ndarray
+    damping_ratio: np.ndarray
+    damping_std: np.ndarray
+    sensors: tuple[Sensor, ...]
+    shapes: np.ndarray
+    shape_std: np.ndarray
+    n_repeats: int = 1
+    synthetic: bool = False
+    source: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if len(set(self.names)) != n:
+            raise InputError("two measured modes share a name", place=self.source or "measurement")
+        for label in ("natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std"):
+            if getattr(self, label).shape != (n,):
+                raise InputError(f"{label} has not {n} values", place=self.source or "measurement")
+        for label in ("shapes", "shape_std"):
+            if getattr(self, label).shape != (len(self.sensors), n):
+                raise InputError(f"{label} is not {len(self.sensors)} sensors by {n} modes", place=self.source or "measurement")
+        if not (np.all(np.isfinite(self.natural_freq)) and np.all(self.natural_freq > 0)):
+            raise InputError("a frequency is not a positive number", place=self.source or "measurement")
+
+    @property
+    def n_modes(self) -> int:
+        """Number of measured modes."""
+        return len(self.names)
+
+    @property
+    def has_shapes(self) -> bool:
+        """Whether any mode shape was measured."""
+        return len(self.sensors) > 0
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash over everything an evaluation may depend on."""
+        digest = hashlib.sha256()
+        digest.update(repr((self.names, self.sensors, self.n_repeats)).encode())
+        for array in (self.natural_freq, self.damped_freq, self.freq_std, self.damping_ratio, self.damping_std):
+            digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
+        digest.update(np.ascontiguousarray(self.shapes, dtype=complex).tobytes())
+        digest.update(np.ascontiguousarray(self.shape_std, dtype=float).tobytes())
+        return digest.hexdigest()[:16]
+
+    def without(self, modes: Iterable[str] = (), sensors: Iterable[str] = ()) -> MeasuredModes:
+        """Same measurement with some modes and sensors (named like ``12y``) left out; unknown names raise InputError."""
+        drop_modes, drop_sensors = tuple(modes), tuple(sensors)
+        sensor_names = tuple(s.name for s in self.sensors)
+        for kind, given, known in (("mode", drop_modes, self.names), ("sensor", drop_sensors, sensor_names)):
+            for name in given:
+                if name not in known:
+                    raise InputError(
+                        f"withheld {kind} {name!r} was not measured",
+                        place=self.source or "measurement",
+                        remedy=f"the measured {kind}s are {', '.join(known) or 'none'}",
+                    )
+        i = [k for k, name in enumerate(self.names) if name not in drop_modes]
+        j = [k for k, name in enumerate(sensor_names) if name not in drop_sensors]
+        return replace(
+            self,
+            names=tuple(self.names[k] for k in i),
+            natural_freq=self.natural_freq[i],
+            damped_freq=self.damped_freq[i],
+            freq_std=self.freq_std[i],
+            damping_ratio=self.damping_ratio[i],
+            damping_std=self.damping_std[i],
+            sensors=tuple(self.sensors[k] for k in j),
+            shapes=self.shapes[np.ix_(j, i)],
+            shape_std=self.shape_std[np.ix_(j, i)],
+        )

@@ -1,0 +1,361 @@
+"""Parameters and the space they span: limits, units, distributions and linear constraints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import linprog
+
+from calib.errors import InputError
+
+SI_FACTORS: Mapping[str, float] = {
+    "-": 1.0,
+    "%": 0.01,
+    "m": 1.0,
+    "mm": 1e-3,
+    "kg": 1.0,
+    "t": 1e3,
+    "kg/m": 1.0,
+    "kg/m2": 1.0,
+    "kg/m3": 1.0,
+    "kgm2": 1.0,
+    "N/m": 1.0,
+    "kN/m": 1e3,
+    "MN/m": 1e6,
+    "Nm/rad": 1.0,
+    "kNm/rad": 1e3,
+    "MNm/rad": 1e6,
+    "Ns/m": 1.0,
+    "kNs/m": 1e3,
+    "Pa": 1.0,
+    "MPa": 1e6,
+    "GPa": 1e9,
+    "Hz": 1.0,
+    "rad": 1.0,
+    "s": 1.0,
+}
+"""Factor that turns a value in the named unit into SI."""
+
+Distribution = Literal["uniform", "fixed"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One named number of a model, in its own unit.
+
+    Attributes
+    ----------
+    name : str
+        Identifier used in tables and files.
+    value : float
+        Adopted (initial) value, in ``unit``.
+    lower, upper : float
+        Limits, in ``unit``.
+    unit : str
+        One of `SI_FACTORS`.
+    distribution : {"uniform", "fixed"}
+        A fixed parameter is never sampled or searched.
+    integer : bool
+        Takes whole numbers only.
+    prior_sd : float or None
+        Prior standard deviation in ``unit``; default ``(upper - lower)/sqrt(12)``, that of the uniform distribution.
+    description, symbol, source : str
+        What it is, the symbol used in the literature, and where its numbers come from.
+    assumed : str
+        Names what of it is an engineering assumption and not published; empty when nothing is.
+    """
+
+    name: str
+    value: float
+    lower: float
+    upper: float
+    unit: str = "-"
+    distribution: Distribution = "uniform"
+    integer: bool = False
+    prior_sd: float | None = None
+    description: str = ""
+    symbol: str = ""
+    source: str = ""
+    assumed: str = ""
+
+    def __post_init__(self) -> None:
+        place = f"parameter {self.name}"
+        if self.unit not in SI_FACTORS:
+            raise InputError(f"unknown unit {self.unit!r}", place=place, remedy=f"use one of {', '.join(SI_FACTORS)}")
+        for label in ("value", "lower", "upper"):
+            if not math.isfinite(getattr(self, label)):
+                raise InputError(f"{label} is {getattr(self, label)}", place=place, remedy="give a finite number")
+        if self.lower > self.upper or (self.lower == self.upper and self.distribution != "fixed"):
+            raise InputError(
+                f"lower limit {self.lower:g} is not below upper limit {self.upper:g} {self.unit}",
+                place=place,
+                remedy="write limits as [lower, upper]",
+            )
+        if self.prior_sd is not None and not (math.isfinite(self.prior_sd) and self.prior_sd > 0):
+            raise InputError(f"prior_sd is {self.prior_sd}", place=place, remedy="give a positive number")
+        if self.integer and any(v != round(v) for v in (self.value, self.lower, self.upper)):
+            raise InputError("a whole-number parameter has a fractional value or limit", place=place)
+
+    @property
+    def si_factor(self) -> float:
+        """Factor from ``unit`` to SI."""
+        return SI_FACTORS[self.unit]
+
+    @property
+    def prior_width(self) -> float:
+        """Prior standard deviation in ``unit``."""
+        return self.prior_sd if self.prior_sd is not None else (self.upper - self.lower) / math.sqrt(12.0)
+
+
+@dataclass(frozen=True)
+class LinearConstraint:
+    """``lower <= sum_k coefficients[k] * theta_k <= upper``, with every theta in its own unit."""
+
+    name: str
+    coefficients: tuple[tuple[str, float], ...]
+    lower: float
+    upper: float
+    unit: str = "-"
+
+    def __post_init__(self) -> None:
+        if not self.coefficients:
+            raise InputError("no coefficients", place=f"constraint {self.name}")
+        if math.isnan(self.lower) or math.isnan(self.upper) or self.lower > self.upper:
+            raise InputError(
+                f"lower limit {self.lower:g} is above upper limit {self.upper:g}", place=f"constraint {self.name}"
+            )
+        if not all(math.isfinite(c) for _, c in self.coefficients):
+            raise InputError("a coefficient is not finite", place=f"constraint {self.name}")
+
+
+@dataclass(frozen=True)
+class ParameterSpace:
+    """Named parameters with limits and linear constraints; every change returns a new space.
+
+    The *free* parameters (not fixed) span the arrays used by samplers and searches, in the order of `parameters`.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+    constraints : tuple of LinearConstraint
+    """
+
+    parameters: tuple[Parameter, ...]
+    constraints: tuple[LinearConstraint, ...] = ()
+    _by_name: Mapping[str, Parameter] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        by_name = {p.name: p for p in self.parameters}
+        if len(by_name) != len(self.parameters):
+            raise InputError("two parameters share a name", place="parameter space")
+        object.__setattr__(self, "_by_name", by_name)
+        for constraint in self.constraints:
+            for name, _ in constraint.coefficients:
+                self._require(name, f"constraint {constraint.name}")
+
+    def __getitem__(self, name: str) -> Parameter:
+        return self._require(name, "parameter space")
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._by_name
+
+    def _require(self, name: str, place: str) -> Parameter:
+        if name not in self._by_name:
+            known = ", ".join(self._by_name) or "none"
+            raise InputError(f"unknown parameter {name!r}", place=place, remedy=f"the model's parameters are {known}")
+        return self._by_name[name]
+
+    # -- views -------------------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        return tuple(self._by_name)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Adopted value of every parameter, each in its own unit."""
+        return {p.name: p.value for p in self.parameters}
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """Parameters that are not fixed."""
+        return tuple(p for p in self.parameters if p.distribution != "fixed")
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters; the columns of every array of points."""
+        return tuple(p.name for p in self.free)
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower limits of the free parameters, shape (n_free,)."""
+        return np.array([p.lower for p in self.free], dtype=float)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper limits of the free parameters, shape (n_free,)."""
+        return np.array([p.upper for p in self.free], dtype=float)
+
+    @property
+    def integer(self) -> np.ndarray:
+        """Which free parameters take whole numbers only, shape (n_free,), bool."""
+        return np.array([p.integer for p in self.free], dtype=bool)
+
+    def frame(self) -> pd.DataFrame:
+        """One row a parameter: value, limits, unit, distribution, prior width, description and source."""
+        return pd.DataFrame(
+            [
+                {
+                    "parameter": p.name,
+                    "symbol": p.symbol,
+                    "value": p.value,
+                    "lower": p.lower,
+                    "upper": p.upper,
+                    "unit": p.unit,
+                    "distribution": p.distribution,
+                    "integer": p.integer,
+                    "prior_sd": p.prior_width,
+                    "description": p.description,
+                    "source": p.source,
+                    "assumed": p.assumed,
+                }
+                for p in self.parameters
+            ]
+        )
+
+    # -- changes -----------------------------------------------------------------------------------------------------
+
+    def replace(self, name: str, **changes: object) -> ParameterSpace:
+        """Same space with some fields of one parameter changed; raises InputError for an unknown name."""
+        target = self[name]
+        new = replace(target, **changes)  # type: ignore[arg-type]
+        return replace_parameters(self, tuple(new if p.name == name else p for p in self.parameters))
+
+    def widen(self, limits: Mapping[str, tuple[float, float]]) -> ParameterSpace:
+        """Same space with new limits ``{name: (lower, upper)}``."""
+        space = self
+        for name, (low, high) in limits.items():
+            space = space.replace(name, lower=float(low), upper=float(high))
+        return space
+
+    def freeze(self, values: Mapping[str, float]) -> ParameterSpace:
+        """Same space with the named parameters fixed at the given values."""
+        space = self
+        for name, value in values.items():
+            space = space.replace(name, value=float(value), distribution="fixed")
+        return space
+
+    def keep(self, names: Iterable[str]) -> ParameterSpace:
+        """Same space with every parameter outside ``names`` fixed at its adopted value."""
+        kept = tuple(names)
+        for name in kept:
+            if self[name].distribution == "fixed":
+                raise InputError(
+                    f"parameter {name!r} is fixed and cannot be selected",
+                    place="selection",
+                    remedy="give it limits and distribution = 'uniform'",
+                )
+        return self.freeze({p.name: p.value for p in self.free if p.name not in kept})
+
+    # -- points ------------------------------------------------------------------------------------------------------
+
+    def complete(self, x: np.ndarray | Mapping[str, float]) -> dict[str, float]:
+        """All parameters at one point.
+
+        Parameters
+        ----------
+        x : ndarray (n_free,) or mapping
+            Values of the free parameters, or any named values; what is left out takes its adopted value.
+        """
+        given = dict(zip(self.free_names, np.asarray(x, dtype=float).tolist(), strict=True)) if isinstance(x, np.ndarray) else x
+        for name in given:
+            self._require(name, "parameter values")
+        values = {p.name: float(given.get(p.name, p.value)) for p in self.parameters}
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise InputError(f"value of {name!r} is {value}", place="parameter values")
+            if self[name].integer:
+                values[name] = float(round(value))
+        return values
+
+    def si(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values in SI; the one place where parameter units are converted."""
+        return {name: value * self[name].si_factor for name, value in values.items()}
+
+    def _constraint_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Coefficients over the free parameters (n_con, n_free) and limits (n_con,) with fixed parameters moved over."""
+        names = self.free_names
+        rows = np.zeros((len(self.constraints), len(names)))
+        low, high = np.empty(len(self.constraints)), np.empty(len(self.constraints))
+        for i, constraint in enumerate(self.constraints):
+            shift = 0.0
+            for name, c in constraint.coefficients:
+                if name in names:
+                    rows[i, names.index(name)] += c
+                else:
+                    shift += c * self[name].value
+            low[i], high[i] = constraint.lower - shift, constraint.upper - shift
+        return rows, low, high
+
+    def violation(self, points: np.ndarray) -> np.ndarray:
+        """How far each point breaks each constraint, 0 where it is kept.
+
+        Parameters
+        ----------
+        points : ndarray (n, n_free)
+
+        Returns
+        -------
+        ndarray (n, n_constraints)
+            Distance outside the limits, in the constraint's own unit.
+        """
+        rows, low, high = self._constraint_rows()
+        sums = np.atleast_2d(points) @ rows.T
+        return np.maximum(0.0, np.maximum(low - sums, sums - high))
+
+    def feasible(self, points: np.ndarray) -> np.ndarray:
+        """Which points keep limits and constraints, shape (n,), bool; rounding is forgiven to 1e-9 of the range."""
+        points = np.atleast_2d(points)
+        slack = 1e-9 * (self.upper - self.lower)
+        inside = np.all((points >= self.lower - slack) & (points <= self.upper + slack), axis=1)
+        scale = np.array([max(1.0, *(abs(v) for v in (c.lower, c.upper) if math.isfinite(v))) for c in self.constraints])
+        return inside & np.all(self.violation(points) <= 1e-9 * scale, axis=1)
+
+    def require_feasible(self) -> None:
+        """Raise InputError when no point of the space keeps all constraints (a linear programme decides)."""
+        rows, low, high = self._constraint_rows()
+        if not len(rows):
+            return
+        if not len(self.free):
+            broken = [c.name for c, a, b in zip(self.constraints, low, high, strict=True) if not a <= 0 <= b]
+            if broken:
+                raise InputError(f"the fixed values break constraint {broken[0]!r}", place="constraints")
+            return
+        upper, lower = np.isfinite(high), np.isfinite(low)
+        matrix = np.vstack([rows[upper], -rows[lower]])
+        bound = np.concatenate([high[upper], -low[lower]])
+        answer = linprog(
+            np.zeros(rows.shape[1]),
+            A_ub=matrix,
+            b_ub=bound,
+            bounds=list(zip(self.lower, self.upper, strict=True)),
+            method="highs",
+        )
+        if answer.status == 2:
+            names = ", ".join(c.name for c in self.constraints)
+            raise InputError(
+                f"no point within the limits keeps the constraints ({names})",
+                place="constraints",
+                remedy="widen the parameter limits or the constraint's tolerance",
+            )
+
+
+def replace_parameters(space: ParameterSpace, parameters: tuple[Parameter, ...]) -> ParameterSpace:
+    """A space with other parameters and the same constraints."""
+    return ParameterSpace(parameters, space.constraints)

@@ -1,0 +1,178 @@
+"""Matrices that are affine in functions of named parameters: ``K(theta) = sum_q c_q(theta) K_q``."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+
+from calib.errors import InputError
+
+
+@dataclass(frozen=True)
+class Monomial:
+    """Coefficient ``factor * prod_k theta_k**power_k`` over parameters in SI.
+
+    Attributes
+    ----------
+    factor : float
+    powers : tuple of (name, exponent)
+    """
+
+    factor: float = 1.0
+    powers: tuple[tuple[str, float], ...] = ()
+
+    def __call__(self, values: Mapping[str, float]) -> float:
+        """Value at parameters in SI."""
+        out = self.factor
+        for name, power in self.powers:
+            out *= values[name] ** power
+        return out
+
+    def derivative(self, values: Mapping[str, float], name: str) -> float:
+        """Derivative with respect to one parameter in SI."""
+        total = 0.0
+        for k, (key, power) in enumerate(self.powers):
+            if key != name:
+                continue
+            part = self.factor * power * values[key] ** (power - 1)
+            for m, (other, exponent) in enumerate(self.powers):
+                if m != k:
+                    part *= values[other] ** exponent
+            total += part
+        return total
+
+
+def parameter(name: str, factor: float = 1.0) -> Monomial:
+    """Coefficient ``factor * theta``."""
+    return Monomial(factor, ((name, 1.0),))
+
+
+@dataclass(frozen=True)
+class Term:
+    """One affine term: a coefficient times a constant symmetric matrix, shape (n_dof, n_dof)."""
+
+    name: str
+    matrix: sp.csr_array
+    coefficient: Monomial = Monomial()
+
+
+@dataclass(frozen=True)
+class SelectedTerm:
+    """A rank-one term ``c(theta) b b^T`` whose vector is picked by discrete parameters.
+
+    Attributes
+    ----------
+    name : str
+    coefficient : Monomial
+    selectors : tuple of str
+        Names of the discrete parameters.
+    vectors : mapping from tuple of int to ndarray (n_dof,)
+        One vector b for every combination of selector values.
+    """
+
+    name: str
+    coefficient: Monomial
+    selectors: tuple[str, ...]
+    vectors: Mapping[tuple[int, ...], np.ndarray]
+
+    def choice(self, values: Mapping[str, float]) -> tuple[int, ...]:
+        """The combination of selector values at a point; InputError when there is no vector for it."""
+        key = tuple(int(round(values[name])) for name in self.selectors)
+        if key not in self.vectors:
+            named = ", ".join(f"{n} = {v}" for n, v in zip(self.selectors, key, strict=True))
+            raise InputError(f"{self.name} has no position for {named}", place="model")
+        return key
+
+
+@dataclass(frozen=True)
+class AffineMatrix:
+    """A sparse symmetric matrix as the sum of terms on one common sparsity pattern.
+
+    Attributes
+    ----------
+    n_dof : int
+    terms : tuple of Term
+    selected : tuple of SelectedTerm
+    """
+
+    n_dof: int
+    terms: tuple[Term, ...]
+    selected: tuple[SelectedTerm, ...] = ()
+    _indptr: np.ndarray = field(init=False, repr=False, compare=False)
+    _indices: np.ndarray = field(init=False, repr=False, compare=False)
+    _stack: np.ndarray = field(init=False, repr=False, compare=False)
+    _picks: tuple[Mapping[tuple[int, ...], tuple[np.ndarray, np.ndarray]], ...] = field(
+        init=False, repr=False, compare=False
+    )
+
+    def __post_init__(self) -> None:
+        n = self.n_dof
+        for term in self.terms:
+            if term.matrix.shape != (n, n):
+                raise InputError(f"term {term.name!r} is {term.matrix.shape}, not ({n}, {n})", place="model matrices")
+            if not np.all(np.isfinite(term.matrix.data)):
+                raise InputError(
+                    f"term {term.name!r} holds entries that are not finite",
+                    place="model matrices",
+                    remedy="check the sections and coordinates of that group",
+                )
+        outer = [
+            {key: sp.coo_array(np.outer(b[idx], b[idx])) for key, b in s.vectors.items() for idx in [np.flatnonzero(b)]}
+            for s in self.selected
+        ]
+        place = [{key: np.flatnonzero(b) for key, b in s.vectors.items()} for s in self.selected]
+        pattern = sp.csc_array((n, n))
+        for term in self.terms:
+            pattern = pattern + sp.csc_array(abs(term.matrix))
+        for s in place:
+            for idx in s.values():
+                rows, cols = np.meshgrid(idx, idx)
+                pattern = pattern + sp.csc_array((np.ones(rows.size), (rows.ravel(), cols.ravel())), shape=(n, n))
+        pattern = sp.csc_array(pattern)
+        pattern.sort_indices()
+        columns = np.repeat(np.arange(n), np.diff(pattern.indptr))
+        keys = columns.astype(np.int64) * n + pattern.indices
+        stack = np.zeros((len(self.terms), pattern.nnz))
+        for q, term in enumerate(self.terms):
+            coo = sp.coo_array(term.matrix)
+            np.add.at(stack[q], np.searchsorted(keys, coo.col.astype(np.int64) * n + coo.row), coo.data)
+        picks = []
+        for s, where in zip(outer, place, strict=True):
+            pick = {}
+            for key, block in s.items():
+                idx = where[key]
+                pick[key] = (np.searchsorted(keys, idx[block.col].astype(np.int64) * n + idx[block.row]), block.data)
+            picks.append(pick)
+        object.__setattr__(self, "_indptr", pattern.indptr)
+        object.__setattr__(self, "_indices", pattern.indices)
+        object.__setattr__(self, "_stack", stack)
+        object.__setattr__(self, "_picks", tuple(picks))
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether there is no term at all."""
+        return not self.terms and not self.selected
+
+    def __call__(self, values: Mapping[str, float]) -> sp.csc_array:
+        """The matrix at parameters in SI, shape (n_dof, n_dof)."""
+        coefficients = np.array([t.coefficient(values) for t in self.terms])
+        data = coefficients @ self._stack if len(coefficients) else np.zeros(len(self._indices))
+        for term, pick in zip(self.selected, self._picks, strict=True):
+            where, entries = pick[term.choice(values)]
+            data[where] += term.coefficient(values) * entries
+        return sp.csc_array((data, self._indices, self._indptr), shape=(self.n_dof, self.n_dof))
+
+    def digest(self) -> bytes:
+        """Hash over every term, for the model's fingerprint."""
+        out = hashlib.sha256(repr((self.n_dof, [(t.name, t.coefficient) for t in self.terms])).encode())
+        for array in (self._indptr, self._indices, np.ascontiguousarray(self._stack)):
+            out.update(array.tobytes())
+        for term in self.selected:
+            out.update(repr((term.name, term.coefficient, term.selectors, sorted(term.vectors))).encode())
+            for key in sorted(term.vectors):
+                out.update(np.ascontiguousarray(term.vectors[key], dtype=float).tobytes())
+        return out.digest()

@@ -1,0 +1,191 @@
+"""The structural model: named parameters in, affine matrices, modes and sensor motions out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from calib.errors import InputError
+from calib.measurement.modal import DIRECTIONS, Sensor
+from calib.space import ParameterSpace
+from calib.structure.affine import AffineMatrix
+from calib.structure.modes import Modes
+from calib.structure.solve import solve_modes
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Nodes and lines of a model, for pictures and for finding places.
+
+    Attributes
+    ----------
+    points : ndarray (n_nodes, 3)
+        Coordinates in metres.
+    lines : ndarray (n_lines, 2), int
+        Node indices of each line element.
+    groups : tuple of str
+        Group name of each line.
+    """
+
+    points: np.ndarray
+    lines: np.ndarray
+    groups: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class DofMap:
+    """How nodal motions follow from the free degrees of freedom.
+
+    Attributes
+    ----------
+    expansion : csr_array (6 * n_nodes, n_dof)
+        Nodal motions (ux, uy, uz, rx, ry, rz of every node) over the free degrees of freedom; suppressed motions are
+        empty rows, shared and rigidly linked ones have several entries.
+    node, direction : ndarray (n_dof,), int
+        Node index and direction index (0..5) that name each free degree of freedom.
+    """
+
+    expansion: sp.csr_array
+    node: np.ndarray
+    direction: np.ndarray
+
+    @property
+    def n_dof(self) -> int:
+        """Number of free degrees of freedom."""
+        return self.expansion.shape[1]
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """One number of a model that is an engineering assumption and not published."""
+
+    item: str
+    value: str
+    unit: str
+    reason: str
+
+
+class Locator(Protocol):
+    """Finds points of the geometry on a model."""
+
+    def row(self, point: Sequence[float], direction: int, on: str | None = None) -> tuple[np.ndarray, float]:
+        """Motion of a point over the free degrees of freedom.
+
+        Parameters
+        ----------
+        point : (3,) coordinates in metres
+        direction : int
+            0..5 for ux, uy, uz, rx, ry, rz.
+        on : str, optional
+            Name of the part that carries the point; without it the nearest part.
+
+        Returns
+        -------
+        row : ndarray (n_dof,)
+        distance : float
+            From the point to the part, in metres.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class StructuralModel:
+    """A finite-element model that is affine in functions of named parameters.
+
+    Attributes
+    ----------
+    name : str
+    space : ParameterSpace
+        Parameters with adopted values and limits.
+    stiffness, damping, mass : AffineMatrix
+        K, C, M; damping without terms means an undamped model.
+    mesh : Mesh
+    dofs : DofMap
+    clusters : mapping from str to ndarray of int
+        Named groups of free degrees of freedom (substructure and direction, such as ``girder.y``) whose strain energy
+        is told apart.
+    locator : Locator
+    assumptions : tuple of Assumption
+    sensor_tolerance : float
+        Largest distance in metres between a sensor and the part that carries it.
+    """
+
+    name: str
+    space: ParameterSpace
+    stiffness: AffineMatrix
+    damping: AffineMatrix
+    mass: AffineMatrix
+    mesh: Mesh
+    dofs: DofMap
+    clusters: Mapping[str, np.ndarray]
+    locator: Locator
+    assumptions: tuple[Assumption, ...] = ()
+    sensor_tolerance: float = 0.25
+
+    @property
+    def n_dof(self) -> int:
+        """Number of free degrees of freedom."""
+        return self.dofs.n_dof
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash over matrices and their coefficients; changes whenever an evaluation could."""
+        digest = hashlib.sha256()
+        for matrix in (self.stiffness, self.damping, self.mass):
+            digest.update(matrix.digest())
+        for name in sorted(self.clusters):
+            digest.update(name.encode() + np.ascontiguousarray(self.clusters[name], dtype=np.int64).tobytes())
+        return digest.hexdigest()[:16]
+
+    def matrices(self, values: Mapping[str, float]) -> tuple[sp.csc_array, sp.csc_array, sp.csc_array]:
+        """K, C, M at named values, each in its parameter's unit; parameters left out take their adopted value."""
+        si = self.space.si(self.space.complete(values))
+        return self.stiffness(si), self.damping(si), self.mass(si)
+
+    def modes(self, values: Mapping[str, float], count: int) -> Modes:
+        """The ``count`` lowest vibration modes at named values.
+
+        Raises EvaluationError when the point cannot be solved.
+        """
+        k, c, m = self.matrices(values)
+        return solve_modes(k, None if self.damping.is_zero else c, m, count, rotational=self.dofs.direction >= 3)
+
+    def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
+        """Motion at the sensors over the free degrees of freedom, shape (n_sensors, n_dof).
+
+        Raises InputError for a sensor without a place, off the model, or on a motion that the model suppresses.
+        """
+        rows = np.zeros((len(sensors), self.n_dof))
+        for i, sensor in enumerate(sensors):
+            place = f"sensor {sensor.name}"
+            if sensor.point is None:
+                raise InputError(
+                    "no place is known for it", place=place, remedy="add its node to the study's sensor table"
+                )
+            row, distance = self.locator.row(sensor.point, DIRECTIONS.index(sensor.direction), sensor.on)
+            if distance > self.sensor_tolerance:
+                raise InputError(
+                    f"it lies {distance:.3f} m off the model {self.name}"
+                    + (f" (part {sensor.on!r})" if sensor.on else ""),
+                    place=place,
+                    remedy=f"correct its coordinates or its part (largest distance {self.sensor_tolerance:g} m)",
+                )
+            if not np.any(row):
+                raise InputError(
+                    "the model suppresses this motion, so it can never agree",
+                    place=place,
+                    remedy="leave it out with withheld_sensors",
+                )
+            rows[i] = row
+        return rows
+
+    def displacement(self, shapes: np.ndarray) -> np.ndarray:
+        """Translations of all nodes, shape (n_nodes, 3, n_modes), from shapes (n_dof, n_modes)."""
+        full = self.dofs.expansion @ shapes
+        return full.reshape(len(self.mesh.points), 6, -1)[:, :3, :]
+

@@ -1,0 +1,62 @@
+"""Modes of a model, real or complex, and the roots that are no oscillation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+RootKind = Literal["zero", "spin", "overdamped"]
+
+
+@dataclass(frozen=True)
+class ExcludedRoot:
+    """A root that is no vibration mode and is never paired.
+
+    Attributes
+    ----------
+    kind : {"zero", "spin", "overdamped"}
+        Rigid-body or mechanism, rotation of a part about its own axis, or real root of an overdamped pair.
+    eigenvalue : complex
+        lambda in rad/s.
+    description : str
+        Where it lives, in words.
+    """
+
+    kind: RootKind
+    eigenvalue: complex
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Vibration modes in ascending natural frequency.
+
+    Attributes
+    ----------
+    natural_freq, damped_freq : ndarray (n_modes,)
+        Hz, ``|lambda|/2pi`` and ``Im(lambda)/2pi``.
+    damping_ratio : ndarray (n_modes,)
+        ``-Re(lambda)/|lambda|``.
+    shapes : ndarray (n_dof, n_modes)
+        Real, mass-normalised, for an undamped model; complex for a damped one (displacement part of the state vector,
+        ``psi^T (2 lambda M + C) psi = 1``).
+    excluded : tuple of ExcludedRoot
+    """
+
+    natural_freq: np.ndarray
+    damped_freq: np.ndarray
+    damping_ratio: np.ndarray
+    shapes: np.ndarray
+    excluded: tuple[ExcludedRoot, ...] = ()
+
+    @property
+    def n_modes(self) -> int:
+        """Number of vibration modes."""
+        return len(self.natural_freq)
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether the shapes are complex."""
+        return np.iscomplexobj(self.shapes)

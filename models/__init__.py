@@ -1,0 +1,1 @@
+"""The structures: each function here returns a `calib.structure.model.StructuralModel`."""

@@ -1,0 +1,288 @@
+"""Frames: members cut into beam elements, tied together, with points that can be asked for their motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+
+from calib.errors import InputError
+from calib.structure.model import DofMap, Mesh
+from models.fem import beam
+from models.fem.section import Section
+
+Point = tuple[float, float, float]
+
+_MERGE = 1e-6
+"""Nodes of one body closer than this (m) are one node."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """A straight beam of one section.
+
+    Attributes
+    ----------
+    body : str
+        Members of one body share the nodes where they meet; those of different bodies never do.
+    group : str
+        Name under which its stiffness and mass are assembled.
+    section : Section
+    start, end : (3,) coordinates in m
+    size : float
+        Largest element length in m.
+    through : tuple of points
+        Places on the axis that must be nodes: attachments and crossings.
+    up : (3,) float
+        Reference direction of the local y axis.
+    arm : (3,) float
+        Rigid arm from the nodes to the beam's axis, m.
+    released_start, released_end : tuple of int
+        Local motions 0..5 (ux, uy, uz, rx, ry, rz) hinged at either end.
+    """
+
+    body: str
+    group: str
+    section: Section
+    start: Point
+    end: Point
+    size: float
+    through: tuple[Point, ...] = ()
+    up: Point = (0.0, 1.0, 0.0)
+    arm: Point = (0.0, 0.0, 0.0)
+    released_start: tuple[int, ...] = ()
+    released_end: tuple[int, ...] = ()
+
+    def stations(self) -> np.ndarray:
+        """Node places along the member, shape (n_nodes, 3)."""
+        start, end = np.array(self.start), np.array(self.end)
+        length = np.linalg.norm(end - start)
+        if not length > _MERGE:
+            raise InputError("its ends coincide", place=f"member {self.body}/{self.group}")
+        cuts = [0.0, 1.0]
+        for point in self.through:
+            t = float((np.array(point) - start) @ (end - start) / length**2)
+            if np.linalg.norm(start + t * (end - start) - point) > _MERGE or not -1e-9 <= t <= 1 + 1e-9:
+                raise InputError(f"point {point} is not on its axis", place=f"member {self.body}/{self.group}")
+            cuts.append(t)
+        cuts = sorted({round(min(max(t, 0.0), 1.0), 9) for t in cuts})
+        fine: list[float] = [cuts[0]]
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+            n = max(1, int(np.ceil((b - a) * length / self.size - 1e-9)))
+            fine.extend(a + (b - a) * np.arange(1, n + 1) / n)
+        return start + np.array(fine)[:, None] * (end - start)
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Two bodies share some motions (global directions 0..5) at a node that each of them has there."""
+
+    body: str
+    other: str
+    point: Point
+    directions: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Suppression:
+    """Some motions (global directions 0..5) are zero: at one node of a body, or at all nodes of the named groups."""
+
+    directions: tuple[int, ...]
+    groups: tuple[str, ...] = ()
+    body: str = ""
+    point: Point | None = None
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Members, ties and suppressions, cut into elements.
+
+    Attributes
+    ----------
+    members : tuple of Member
+    ties : tuple of Tie
+    suppressions : tuple of Suppression
+    """
+
+    members: tuple[Member, ...]
+    ties: tuple[Tie, ...] = ()
+    suppressions: tuple[Suppression, ...] = ()
+    points: np.ndarray = field(init=False, repr=False, compare=False)
+    bodies: tuple[str, ...] = field(init=False, repr=False, compare=False)
+    ends: np.ndarray = field(init=False, repr=False, compare=False)
+    member_of: np.ndarray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        nodes: dict[tuple[str, tuple[int, ...]], int] = {}
+        points: list[np.ndarray] = []
+        ends: list[tuple[int, int]] = []
+        owner: list[int] = []
+        for m, member in enumerate(self.members):
+            chain = []
+            for station in member.stations():
+                key = (member.body, tuple(np.round(station / _MERGE / 10).astype(int)))
+                if key not in nodes:
+                    nodes[key] = len(points)
+                    points.append(station)
+                chain.append(nodes[key])
+            ends += list(zip(chain[:-1], chain[1:], strict=True))
+            owner += [m] * (len(chain) - 1)
+        object.__setattr__(self, "points", np.array(points))
+        object.__setattr__(self, "bodies", tuple(body for body, _ in nodes))
+        object.__setattr__(self, "ends", np.array(ends))
+        object.__setattr__(self, "member_of", np.array(owner))
+
+    # -- places --------------------------------------------------------------------------------------------------------
+
+    @property
+    def n_full(self) -> int:
+        """Number of nodal motions, 6 a node."""
+        return 6 * len(self.points)
+
+    def node(self, body: str, point: Sequence[float]) -> int:
+        """Index of the node of a body at a place; InputError when there is none."""
+        own = np.array([b == body for b in self.bodies])
+        if not own.any():
+            raise InputError(f"there is no body {body!r}", place="frame")
+        distance = np.where(own, np.linalg.norm(self.points - np.asarray(point), axis=1), np.inf)
+        nearest = int(np.argmin(distance))
+        if distance[nearest] > 10 * _MERGE:
+            raise InputError(f"body {body!r} has no node at {tuple(point)}", place="frame")
+        return nearest
+
+    def group_nodes(self, groups: Iterable[str]) -> np.ndarray:
+        """Sorted indices of the nodes touched by the named groups."""
+        wanted = set(groups)
+        unknown = wanted - {m.group for m in self.members}
+        if unknown:
+            raise InputError(f"there is no group {sorted(unknown)[0]!r}", place="frame")
+        chosen = np.array([self.members[m].group in wanted for m in self.member_of])
+        return np.unique(self.ends[chosen])
+
+    def motion(self, point: Sequence[float], on: str | None = None) -> tuple[np.ndarray, float]:
+        """Six motions of a point that a rigid arm ties to the nearest place of a beam's axis.
+
+        Parameters
+        ----------
+        point : (3,) coordinates in m
+        on : str, optional
+            Body or group that carries the point; without it the nearest of all.
+
+        Returns
+        -------
+        rows : ndarray (6, n_full)
+            Over all nodal motions; interpolated with the element's own shape functions.
+        distance : float
+            Length of the rigid arm, m.
+        """
+        p = np.asarray(point, dtype=float)
+        allowed = np.array([on is None or on in (self.members[m].body, self.members[m].group) for m in self.member_of])
+        if not allowed.any():
+            parts = sorted({m.body for m in self.members} | {m.group for m in self.members})
+            raise InputError(f"the model has no part {on!r}", place="frame", remedy=f"its parts are {', '.join(parts)}")
+        arm = np.array([self.members[m].arm for m in self.member_of])
+        start, end = self.points[self.ends[:, 0]] + arm, self.points[self.ends[:, 1]] + arm
+        along = end - start
+        t = np.clip(np.einsum("ij,ij->i", p - start, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
+        foot = start + t[:, None] * along
+        distance = np.where(allowed, np.linalg.norm(foot - p, axis=1), np.inf)
+        e = int(np.argmin(distance))
+        member = self.members[self.member_of[e]]
+        length, rotation = beam.axes(start[e : e + 1], end[e : e + 1], np.array(member.up))
+        arms = np.broadcast_to(np.array(member.arm), (1, 2, 3))
+        local = beam.motion(member.section, float(length[0]), float(t[e]))
+        r6 = np.kron(np.eye(2), rotation[0])
+        at_axis = r6.T @ local @ beam.transformation(rotation, arms)[0]
+        at_axis[:3] += beam.arm_matrix(p - foot[e]) @ at_axis[3:]
+        rows = np.zeros((6, self.n_full))
+        for side in (0, 1):
+            node = self.ends[e, side]
+            rows[:, 6 * node : 6 * node + 6] += at_axis[:, 6 * side : 6 * side + 6]
+        return rows, float(distance[e])
+
+    # -- degrees of freedom and matrices ---------------------------------------------------------------------------------
+
+    def dof_map(self) -> DofMap:
+        """Free degrees of freedom after ties and suppressions."""
+        leader = np.arange(self.n_full)
+        for tie in self.ties:
+            a, b = self.node(tie.body, tie.point), self.node(tie.other, tie.point)
+            for d in tie.directions:
+                low, high = sorted((leader[6 * a + d], leader[6 * b + d]))
+                leader[leader == high] = low
+        blocked = np.zeros(self.n_full, dtype=bool)
+        for suppression in self.suppressions:
+            if suppression.point is not None:
+                nodes = np.array([self.node(suppression.body, suppression.point)])
+            else:
+                nodes = self.group_nodes(suppression.groups)
+            for d in suppression.directions:
+                blocked[leader[6 * nodes + d]] = True
+        kept = np.flatnonzero((leader == np.arange(self.n_full)) & ~blocked)
+        column = np.full(self.n_full, -1)
+        column[kept] = np.arange(len(kept))
+        target = column[leader]
+        rows = np.flatnonzero(target >= 0)
+        expansion = sp.csr_array((np.ones(len(rows)), (rows, target[rows])), shape=(self.n_full, len(kept)))
+        return DofMap(expansion, kept // 6, kept % 6)
+
+    def mesh(self) -> Mesh:
+        """Nodes and lines for pictures."""
+        return Mesh(self.points, self.ends, tuple(self.members[m].group for m in self.member_of))
+
+    def beams(self, groups: Iterable[str] | None = None) -> tuple[sp.csr_array, sp.csr_array]:
+        """Stiffness and consistent mass (n_full, n_full) of the named groups, all by default."""
+        stiff, heavy = [], []
+        for elements, member, length, rotation, arms in self._chunks(groups):
+            k, m = beam.stiffness(member.section, length), beam.mass(member.section, length)
+            for where, released in self._releases(member, len(elements)):
+                k[where], m[where] = beam.release(k[where], m[where], released)
+            stiff.append((elements, beam.to_global(k, rotation, arms)))
+            heavy.append((elements, beam.to_global(m, rotation, arms)))
+        return self._assemble(stiff), self._assemble(heavy)
+
+    def added_mass(self, groups: Iterable[str], distributed: bool) -> sp.csr_array:
+        """Mass matrix (n_full, n_full) of 1 kg/m on the named groups, distributed consistently or lumped at the nodes."""
+        parts = []
+        for elements, member, length, rotation, arms in self._chunks(groups):
+            if distributed:
+                m = beam.distributed_mass(member.section, length, 1.0)
+            else:
+                m = beam.lumped_mass(length, 1.0)
+            parts.append((elements, beam.to_global(m, rotation, arms)))
+        return self._assemble(parts)
+
+    def _chunks(self, groups: Iterable[str] | None):
+        wanted = None if groups is None else set(groups)
+        if wanted is not None:
+            self.group_nodes(wanted)
+        for m, member in enumerate(self.members):
+            if wanted is not None and member.group not in wanted:
+                continue
+            elements = np.flatnonzero(self.member_of == m)
+            arms = np.broadcast_to(np.array(member.arm), (len(elements), 2, 3))
+            length, rotation = beam.axes(
+                self.points[self.ends[elements, 0]], self.points[self.ends[elements, 1]], np.array(member.up)
+            )
+            yield elements, member, length, rotation, arms
+
+    @staticmethod
+    def _releases(member: Member, n: int):
+        for at, motions, shift in ((0, member.released_start, 0), (n - 1, member.released_end, 6)):
+            if motions:
+                released = np.zeros(12, dtype=bool)
+                released[[shift + d for d in motions]] = True
+                yield slice(at, at + 1), released
+
+    def _assemble(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> sp.csr_array:
+        n = self.n_full
+        if not parts:
+            return sp.csr_array((n, n))
+        elements = np.concatenate([e for e, _ in parts])
+        blocks = np.concatenate([b for _, b in parts])
+        dofs = (6 * self.ends[elements][:, :, None] + np.arange(6)).reshape(len(elements), 12)
+        rows = np.repeat(dofs, 12, axis=1).ravel()
+        cols = np.tile(dofs, (1, 12)).ravel()
+        return sp.csr_array(sp.coo_array((blocks.ravel(), (rows, cols)), shape=(n, n)))

@@ -1,0 +1,5 @@
+"""Railway vehicle of the Alfa Pendular case study (Ribeiro et al. 2013): the bogie on its test rig."""
+
+from models.railway.rig import bogie_on_rig
+
+__all__ = ["bogie_on_rig"]

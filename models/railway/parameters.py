@@ -1,0 +1,97 @@
+"""Parameters of the bogie and of the bogie under test (Tables 3 and 5 of the case study).
+
+Source: D. Ribeiro, R. Calcada, R. Delgado, M. Brehm, V. Zabel, "Model calibration of a railway vehicle", RDO-Journal 02
+(the case study of the same authors' Vehicle System Dynamics 51(6), 2013, 821-856). Limits not printed there follow from
+mean and standard deviation of a uniform distribution where those are printed; everything else is marked assumed.
+"""
+
+from __future__ import annotations
+
+from calib.space import Parameter
+
+_TABLE_3 = "Ribeiro et al., case study, Table 3"
+_TABLE_5 = "Ribeiro et al., case study, Table 5"
+
+BOGIE: tuple[Parameter, ...] = (
+    Parameter(
+        "K_primary", 564.0, 451.0, 677.0, "kN/m",
+        description="vertical stiffness of one primary spring", symbol="KP", source=_TABLE_3,
+        assumed="adopted value (printed mean taken) and limits (mean -/+ 20 %)",
+    ),
+    Parameter(
+        "c_primary", 18.0, 14.4, 21.6, "kNs/m",
+        description="one primary damper", symbol="cP", source=_TABLE_3,
+        assumed="adopted value (printed mean taken) and limits (mean -/+ 20 %)",
+    ),
+    Parameter(
+        "K_rod_upper", 6.5, 5.0, 8.0, "MN/m",
+        description="upper connecting rod of the axle box", symbol="Kbls", source=_TABLE_3,
+        assumed="adopted value (printed mean taken) and limits",
+    ),
+    Parameter(
+        "K_rod_lower", 25.0, 20.0, 30.0, "MN/m",
+        description="lower connecting rod of the axle box", symbol="Kbli", source=_TABLE_3,
+    ),
+    Parameter(
+        "K_rail", 1200.0, 1000.0, 1600.0, "MN/m", distribution="fixed",
+        description="wheel-rail contact, vertical", symbol="Krc", source=_TABLE_3,
+        assumed="value and limits (linearised Hertz contact is typically 1000-1600 MN/m)",
+    ),
+    Parameter(
+        "m_girder_centre", 75.0, 0.0, 150.0, "kg/m",
+        description="additional mass of the girders between the crossbars", symbol="Mlc", source=_TABLE_3,
+        assumed="adopted value (printed mean taken)",
+    ),
+    Parameter(
+        "m_girder_ends", 38.0, 0.0, 60.0, "kg/m",
+        description="additional mass of the girders outside the crossbars", symbol="Mle", source=_TABLE_3,
+    ),
+    Parameter(
+        "m_crossbar", 70.8, 0.0, 250.0, "kg/m",
+        description="additional mass of the crossbars", symbol="Mt", source=_TABLE_3,
+        assumed="adopted value (so that the added masses sum to the printed 842 kg)",
+    ),
+    Parameter(
+        "m_axle", 271.0, 0.0, 542.0, "kg/m", distribution="fixed",
+        description="additional mass of the axles", symbol="Me", source=_TABLE_3,
+        assumed="limits (deterministic in the source)",
+    ),
+)  # fmt: skip
+"""Table 3."""
+
+RIG: tuple[Parameter, ...] = (
+    Parameter(
+        "K_block", 12_000.0, 9_000.0, 15_000.0, "kN/m",
+        description="vertical stiffness of one elastic block of the secondary suspension", symbol="Kb", source=_TABLE_5,
+    ),
+    Parameter(
+        "K_contact", 25_250.0, 500.0, 50_000.0, "kN/m",
+        description="contact between elastic and distribution block, x and z", symbol="Kbtl", source=_TABLE_5,
+        assumed="adopted value (printed mean taken)",
+    ),
+    Parameter(
+        "pos_long_left", 5.0, 2.0, 8.0, integer=True,
+        description="longitudinal position of the left actuator", symbol="Pos_le", source=_TABLE_5,
+        assumed="spacing of the positions 0.07 m",
+    ),
+    Parameter(
+        "pos_long_right", 5.0, 2.0, 8.0, integer=True,
+        description="longitudinal position of the right actuator", symbol="Pos_ld", source=_TABLE_5,
+        assumed="spacing of the positions 0.07 m",
+    ),
+    Parameter(
+        "pos_lat_left", 0.0, -1.0, 1.0, integer=True,
+        description="transverse position of the left actuator", symbol="Pos_te", source=_TABLE_5,
+        assumed="spacing of the positions 0.03 m",
+    ),
+    Parameter(
+        "pos_lat_right", 0.0, -1.0, 1.0, integer=True,
+        description="transverse position of the right actuator", symbol="Pos_td", source=_TABLE_5,
+        assumed="spacing of the positions 0.03 m",
+    ),
+    Parameter(
+        "E_wood", 10.0, 4.0, 12.0, "GPa",
+        description="Young's modulus of the wooden distribution blocks", symbol="Em", source=_TABLE_5,
+    ),
+)  # fmt: skip
+"""Table 5."""
