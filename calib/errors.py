@@ -31,7 +31,8 @@ class InputError(ValueError):
         cure = f"; {self.remedy}" if self.remedy else ""
         return f"{where}{self.problem}{cure}."
 
-    def __reduce__(self):  # keyword-only arguments do not survive the default pickling between processes
+    def __reduce__(self) -> tuple[object, ...]:
+        # Keyword-only arguments do not survive the default pickling between processes.
         return _rebuild_input_error, (type(self), self.problem, self.place, self.remedy)
 
 

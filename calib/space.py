@@ -273,7 +273,11 @@ class ParameterSpace:
         x : ndarray (n_free,) or mapping
             Values of the free parameters, or any named values; what is left out takes its adopted value.
         """
-        given = dict(zip(self.free_names, np.asarray(x, dtype=float).tolist(), strict=True)) if isinstance(x, np.ndarray) else x
+        given = (
+            dict(zip(self.free_names, np.asarray(x, dtype=float).tolist(), strict=True))
+            if isinstance(x, np.ndarray)
+            else x
+        )
         for name in given:
             self._require(name, "parameter values")
         values = {p.name: float(given.get(p.name, p.value)) for p in self.parameters}
@@ -289,7 +293,7 @@ class ParameterSpace:
         return {name: value * self[name].si_factor for name, value in values.items()}
 
     def _constraint_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coefficients over the free parameters (n_con, n_free) and limits (n_con,) with fixed parameters moved over."""
+        """Coefficients over the free parameters (n_con, n_free), and limits less what the fixed ones add (n_con,)."""
         names = self.free_names
         rows = np.zeros((len(self.constraints), len(names)))
         low, high = np.empty(len(self.constraints)), np.empty(len(self.constraints))
@@ -324,7 +328,9 @@ class ParameterSpace:
         points = np.atleast_2d(points)
         slack = 1e-9 * (self.upper - self.lower)
         inside = np.all((points >= self.lower - slack) & (points <= self.upper + slack), axis=1)
-        scale = np.array([max(1.0, *(abs(v) for v in (c.lower, c.upper) if math.isfinite(v))) for c in self.constraints])
+        scale = np.array(
+            [max(1.0, *(abs(v) for v in (c.lower, c.upper) if math.isfinite(v))) for c in self.constraints]
+        )
         return inside & np.all(self.violation(points) <= 1e-9 * scale, axis=1)
 
     def require_feasible(self) -> None:

@@ -93,7 +93,8 @@ class MeasuredModes:
                 raise InputError(f"{label} has not {n} values", place=self.source or "measurement")
         for label in ("shapes", "shape_std"):
             if getattr(self, label).shape != (len(self.sensors), n):
-                raise InputError(f"{label} is not {len(self.sensors)} sensors by {n} modes", place=self.source or "measurement")
+                words = f"{label} is not {len(self.sensors)} sensors by {n} modes"
+                raise InputError(words, place=self.source or "measurement")
         if not (np.all(np.isfinite(self.natural_freq)) and np.all(self.natural_freq > 0)):
             raise InputError("a frequency is not a positive number", place=self.source or "measurement")
 
@@ -119,7 +120,7 @@ class MeasuredModes:
         return digest.hexdigest()[:16]
 
     def without(self, modes: Iterable[str] = (), sensors: Iterable[str] = ()) -> MeasuredModes:
-        """Same measurement with some modes and sensors (named like ``12y``) left out; unknown names raise InputError."""
+        """All but some modes and sensors (named like ``12y``); unknown names raise InputError."""
         drop_modes, drop_sensors = tuple(modes), tuple(sensors)
         sensor_names = tuple(s.name for s in self.sensors)
         for kind, given, known in (("mode", drop_modes, self.names), ("sensor", drop_sensors, sensor_names)):

@@ -81,7 +81,7 @@ class SelectedTerm:
 
     def choice(self, values: Mapping[str, float]) -> tuple[int, ...]:
         """The combination of selector values at a point; InputError when there is no vector for it."""
-        key = tuple(int(round(values[name])) for name in self.selectors)
+        key = tuple(round(values[name]) for name in self.selectors)
         if key not in self.vectors:
             named = ", ".join(f"{n} = {v}" for n, v in zip(self.selectors, key, strict=True))
             raise InputError(f"{self.name} has no position for {named}", place="model")
@@ -120,35 +120,22 @@ class AffineMatrix:
                     place="model matrices",
                     remedy="check the sections and coordinates of that group",
                 )
-        outer = [
-            {key: sp.coo_array(np.outer(b[idx], b[idx])) for key, b in s.vectors.items() for idx in [np.flatnonzero(b)]}
-            for s in self.selected
+        blocks = [{key: _outer(b) for key, b in s.vectors.items()} for s in self.selected]
+        coos = [sp.coo_array(term.matrix) for term in self.terms]
+        entries = [(coo.row, coo.col) for coo in coos]
+        entries += [(rows, cols) for options in blocks for rows, cols, _ in options.values()]
+        # Positions column by column: their order is that of a compressed sparse column matrix.
+        keys = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(_key(r, c, n) for r, c in entries)]))
+        stack = np.zeros((len(coos), len(keys)))
+        for q, coo in enumerate(coos):
+            np.add.at(stack[q], np.searchsorted(keys, _key(coo.row, coo.col, n)), coo.data)
+        picks = [
+            {key: (np.searchsorted(keys, _key(rows, cols, n)), data) for key, (rows, cols, data) in options.items()}
+            for options in blocks
         ]
-        place = [{key: np.flatnonzero(b) for key, b in s.vectors.items()} for s in self.selected]
-        pattern = sp.csc_array((n, n))
-        for term in self.terms:
-            pattern = pattern + sp.csc_array(abs(term.matrix))
-        for s in place:
-            for idx in s.values():
-                rows, cols = np.meshgrid(idx, idx)
-                pattern = pattern + sp.csc_array((np.ones(rows.size), (rows.ravel(), cols.ravel())), shape=(n, n))
-        pattern = sp.csc_array(pattern)
-        pattern.sort_indices()
-        columns = np.repeat(np.arange(n), np.diff(pattern.indptr))
-        keys = columns.astype(np.int64) * n + pattern.indices
-        stack = np.zeros((len(self.terms), pattern.nnz))
-        for q, term in enumerate(self.terms):
-            coo = sp.coo_array(term.matrix)
-            np.add.at(stack[q], np.searchsorted(keys, coo.col.astype(np.int64) * n + coo.row), coo.data)
-        picks = []
-        for s, where in zip(outer, place, strict=True):
-            pick = {}
-            for key, block in s.items():
-                idx = where[key]
-                pick[key] = (np.searchsorted(keys, idx[block.col].astype(np.int64) * n + idx[block.row]), block.data)
-            picks.append(pick)
-        object.__setattr__(self, "_indptr", pattern.indptr)
-        object.__setattr__(self, "_indices", pattern.indices)
+        indptr = np.searchsorted(keys, np.arange(n + 1, dtype=np.int64) * n).astype(np.int32)
+        object.__setattr__(self, "_indptr", indptr)
+        object.__setattr__(self, "_indices", (keys % n).astype(np.int32))
         object.__setattr__(self, "_stack", stack)
         object.__setattr__(self, "_picks", tuple(picks))
 
@@ -176,3 +163,14 @@ class AffineMatrix:
             for key in sorted(term.vectors):
                 out.update(np.ascontiguousarray(term.vectors[key], dtype=float).tobytes())
         return out.digest()
+
+
+def _key(rows: np.ndarray, cols: np.ndarray, n: int) -> np.ndarray:
+    return cols.astype(np.int64) * n + rows
+
+
+def _outer(b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Entries (rows, columns, values) of ``b b^T``."""
+    index = np.flatnonzero(b)
+    rows, cols = np.meshgrid(index, index, indexing="ij")
+    return rows.ravel(), cols.ravel(), np.outer(b[index], b[index]).ravel()

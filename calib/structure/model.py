@@ -188,4 +188,3 @@ class StructuralModel:
         """Translations of all nodes, shape (n_nodes, 3, n_modes), from shapes (n_dof, n_modes)."""
         full = self.dofs.expansion @ shapes
         return full.reshape(len(self.mesh.points), 6, -1)[:, :3, :]
-

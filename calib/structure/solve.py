@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
@@ -93,9 +95,7 @@ def _start_vector(n: int) -> np.ndarray:
 # -- undamped ----------------------------------------------------------------------------------------------------------
 
 
-def _real_modes(
-    stiffness: sp.csc_array, mass: sp.csc_array, count: int, shift: float, rotational: np.ndarray
-) -> Modes:
+def _real_modes(stiffness: sp.csc_array, mass: sp.csc_array, count: int, shift: float, rotational: np.ndarray) -> Modes:
     n = stiffness.shape[0]
     asked = count
     while True:
@@ -158,7 +158,7 @@ def _complex_modes(
         new = -lu.solve(c_shifted @ u + m_rows @ v)
         return np.concatenate([new, (u + shift * new) / speed])
 
-    asked = 2 * count + 6
+    asked = 2 * count + 4
     while True:
         if n <= DENSE_LIMIT or asked >= 2 * n - 2:
             matrix = np.column_stack([inverse(column) for column in np.eye(2 * n)])
@@ -167,7 +167,7 @@ def _complex_modes(
         else:
             operator = spla.LinearOperator((2 * n, 2 * n), matvec=inverse, dtype=float)
             inverses, states = spla.eigs(
-                operator, k=asked, which="LM", v0=_start_vector(2 * n), ncv=min(2 * n, 2 * asked), tol=1e-11
+                operator, k=asked, which="LM", v0=_start_vector(2 * n), ncv=min(2 * n, 3 * asked // 2), tol=1e-11
             )
             complete = False
         finite = np.abs(inverses) > 1e-14 * np.abs(inverses).max()
@@ -195,7 +195,7 @@ def _typical_speed(lu: spla.SuperLU, mass: sp.csc_array) -> float:
         x = lu.solve(mass @ x)
         x /= np.linalg.norm(x)
     grown = lu.solve(mass @ x)
-    return float(1.0 / np.sqrt(max(abs(x @ grown), 1e-300)))
+    return 1.0 / math.sqrt(max(abs(float(x @ grown)), 1e-300))
 
 
 def _excluded(
@@ -208,11 +208,15 @@ def _excluded(
         ExcludedRoot("overdamped", complex(roots[j].real), f"decays without oscillation at {-roots[j].real:.4g} 1/s")
         for j in np.flatnonzero(real)
     ]
-    return tuple(sorted(found, key=lambda root: abs(root.eigenvalue)))
+    return tuple(sorted(found, key=_size))
+
+
+def _size(root: ExcludedRoot) -> float:
+    return abs(root.eigenvalue)
 
 
 def _zero_root(root: complex, shape: np.ndarray, mass: sp.csc_array, rotational: np.ndarray) -> ExcludedRoot:
-    """Names a zero root: spin when its kinetic energy lies in rotations alone, else a rigid-body or mechanism motion."""
+    """A zero root: spin when its kinetic energy lies in rotations alone, else a rigid-body motion or mechanism."""
     turning = np.where(rotational, shape, 0.0)
     total = abs(np.vdot(shape, mass @ shape))
     share = abs(np.vdot(turning, mass @ turning)) / total if total > 0 else 0.0

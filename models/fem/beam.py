@@ -1,7 +1,7 @@
 """Timoshenko beam element in space, vectorised over elements.
 
-Bending uses the interdependent interpolation of Friedman and Kosmatka (1993), whose stiffness is exact for end loads and
-free of shear locking; the mass matrix is consistent and holds rotary inertia. Local motions of an element are
+Bending uses the interdependent interpolation of Friedman and Kosmatka (1993), whose stiffness is exact for end loads
+and free of shear locking; the mass matrix is consistent and holds rotary inertia. Local motions of an element are
 ``(ux, uy, uz, rx, ry, rz)`` at its start, then at its end.
 """
 
@@ -143,9 +143,7 @@ def distributed_mass(
     pair = np.array([[2.0, 1.0], [1.0, 2.0]]) / 6
     m[:, [[0], [6]], [0, 6]] = (per_length * length)[:, None, None] * pair
     m[:, [[3], [9]], [3, 9]] = (polar * length)[:, None, None] * pair
-    for (where, sign), rotary, phi in zip(
-        _PLANES, (rotary_z, rotary_y), shear_ratio(section, length), strict=True
-    ):
+    for (where, sign), rotary, phi in zip(_PLANES, (rotary_z, rotary_y), shear_ratio(section, length), strict=True):
         deflection, rotation = bending_shape(_XI[None, :], length[:, None], phi[:, None])
         block = per_length * np.einsum("g,egi,egj->eij", _WEIGHT, deflection, deflection)
         block = block + rotary * np.einsum("g,egi,egj->eij", _WEIGHT, rotation, rotation)

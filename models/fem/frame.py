@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -69,7 +70,7 @@ class Member:
             cuts.append(t)
         cuts = sorted({round(min(max(t, 0.0), 1.0), 9) for t in cuts})
         fine: list[float] = [cuts[0]]
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+        for a, b in pairwise(cuts):
             n = max(1, int(np.ceil((b - a) * length / self.size - 1e-9)))
             fine.extend(a + (b - a) * np.arange(1, n + 1) / n)
         return start + np.array(fine)[:, None] * (end - start)
@@ -127,7 +128,7 @@ class Frame:
                     nodes[key] = len(points)
                     points.append(station)
                 chain.append(nodes[key])
-            ends += list(zip(chain[:-1], chain[1:], strict=True))
+            ends += list(pairwise(chain))
             owner += [m] * (len(chain) - 1)
         object.__setattr__(self, "points", np.array(points))
         object.__setattr__(self, "bodies", tuple(body for body, _ in nodes))
@@ -202,7 +203,7 @@ class Frame:
             rows[:, 6 * node : 6 * node + 6] += at_axis[:, 6 * side : 6 * side + 6]
         return rows, float(distance[e])
 
-    # -- degrees of freedom and matrices ---------------------------------------------------------------------------------
+    # -- degrees of freedom and matrices -------------------------------------------------------------------------------
 
     def dof_map(self) -> DofMap:
         """Free degrees of freedom after ties and suppressions."""
@@ -244,7 +245,7 @@ class Frame:
         return self._assemble(stiff), self._assemble(heavy)
 
     def added_mass(self, groups: Iterable[str], distributed: bool) -> sp.csr_array:
-        """Mass matrix (n_full, n_full) of 1 kg/m on the named groups, distributed consistently or lumped at the nodes."""
+        """Mass matrix (n_full, n_full) of 1 kg/m on the named groups, consistently distributed or lumped at nodes."""
         parts = []
         for elements, member, length, rotation, arms in self._chunks(groups):
             if distributed:

@@ -1,7 +1,7 @@
 """The bogie on its test rig (first phase of the case study).
 
-Secondary suspension, bolsters and yaw dampers are removed; on either side a wooden distribution block stands on the elastic
-blocks of the secondary suspension and is held by a hydraulic actuator, whose place is a parameter.
+Secondary suspension, bolsters and yaw dampers are removed; on either side a wooden distribution block stands on the
+elastic blocks of the secondary suspension and is held by a hydraulic actuator, whose place is a parameter.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, Term, parameter
 from calib.structure.model import Assumption, DofMap, StructuralModel
 from models.fem.discrete import FrameLocator, Spring, mass_matrix, spring_matrix
-from models.fem.frame import Frame, Member, Suppression
+from models.fem.frame import Frame, Member
 from models.fem.section import Section
 from models.railway.bogie import ASSUMPTIONS as BOGIE_ASSUMPTIONS
 from models.railway.bogie import GIRDER_Y, SIDES, UY, bogie
@@ -145,9 +145,7 @@ def _support(frame: Frame, dofs: DofMap, side: str, s: float) -> SelectedTerm:
             )
             row = frame.motion(place, f"block_{side}")[0][UY]
             vectors[(position, lateral)] = row @ dofs.expansion
-    return SelectedTerm(
-        f"support_{side}", Monomial(K_SUPPORT), (f"pos_long_{side}", f"pos_lat_{side}"), vectors
-    )
+    return SelectedTerm(f"support_{side}", Monomial(K_SUPPORT), (f"pos_long_{side}", f"pos_lat_{side}"), vectors)
 
 
 def _clusters(frame: Frame, dofs: DofMap) -> dict[str, np.ndarray]:

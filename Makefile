@@ -1,0 +1,54 @@
+# make run   draw the two example studies      make test  run the tests (fast ones; `make test-slow` for the rest)
+# make lint  ruff and mypy                     make clean remove everything made here
+# Another interpreter: make PYTHON=python3.12 run
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip --disable-pip-version-check
+STUDIES := studies/four_storey_rig studies/bogie
+ONE_BLAS_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+
+.PHONY: run test test-slow lint venv venv-dev clean
+.DELETE_ON_ERROR:
+
+# Each stamp is written last, so an interrupted step is done again and a finished one is skipped.
+$(VENV)/.created:
+	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if (3, 11) <= v < (3, 14) else \
+	    f"calib needs Python 3.11 to 3.13 and this is {v[0]}.{v[1]}; choose one with: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv --clear $(VENV)
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.created pyproject.toml constraints.txt
+	$(PIP) install --quiet -c constraints.txt -e .
+	@touch $@
+
+# The oracles are compiled packages that not every platform has; the tests that use them are then skipped.
+$(VENV)/.installed-dev: $(VENV)/.created pyproject.toml constraints.txt
+	$(PIP) install --quiet -c constraints.txt -e '.[dev]'
+	@$(PIP) install --quiet -c constraints.txt -e '.[oracles]' \
+	    || echo 'The oracles could not be installed; the tests that compare with them will be skipped.'
+	@touch $(VENV)/.installed $@
+
+venv: $(VENV)/.installed
+
+venv-dev: $(VENV)/.installed-dev
+
+run: $(VENV)/.installed
+	@set -e; for study in $(STUDIES); do echo "calib run $$study"; $(BIN)/calib run "$$study"; done
+	@echo; echo 'Figures drawn:'; find . -path ./$(VENV) -prune -o -path '*results*' -name '*.png' -print | sort
+
+test: $(VENV)/.installed-dev
+	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-slow: $(VENV)/.installed-dev
+	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy calib
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

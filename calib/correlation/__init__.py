@@ -1,0 +1,1 @@
+"""How far model and measurement are apart: MAC, CoMAC, strain energy, pairing and where-it-fails tables."""

@@ -1,0 +1,308 @@
+"""Model against measurement at one point: tables of frequencies, MAC, CoMAC, shapes, and where it fails."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from calib.correlation.mac import align, comac, is_real, noise_mac
+from calib.correlation.pairing import Pairing
+from calib.measurement.modal import MeasuredModes
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+
+LEVEL = 0.95
+"""A single comparison with a perfect model stays within its scatter with this probability."""
+
+_ENDS = ["x1", "y1", "z1", "x2", "y2", "z2", "u1", "v1", "w1", "u2", "v2", "w2"]
+
+_Row = tuple[str, str, float, float, str]
+
+BEYOND, WITHIN, UNKNOWN, UNPAIRED = "beyond scatter", "within scatter", "scatter unknown", "not paired"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Modes of a model beside measured ones, paired.
+
+    Attributes
+    ----------
+    model : StructuralModel
+    measured : MeasuredModes
+    values : mapping from str to float
+        Parameter values of the model, each in its own unit.
+    modes : Modes
+        All model modes that were solved.
+    pairing : Pairing
+    mac, emac : ndarray (n_measured, n_model)
+        NaN without measured shapes.
+    sensor_shapes : ndarray (n_sensors, n_model)
+        Motion of every model mode at the sensors.
+    """
+
+    model: StructuralModel
+    measured: MeasuredModes
+    values: Mapping[str, float]
+    modes: Modes
+    pairing: Pairing
+    mac: np.ndarray
+    emac: np.ndarray
+    sensor_shapes: np.ndarray
+
+    # -- arrays over the measured modes ------------------------------------------------------------------------------
+
+    def paired(self, column: np.ndarray) -> np.ndarray:
+        """A quantity of the model modes (n_model,) brought to the measured modes (n_measured,), NaN where unpaired."""
+        index = self.pairing.model_index
+        return np.where(index >= 0, np.asarray(column)[index], np.nan)
+
+    @property
+    def freq_error(self) -> np.ndarray:
+        """(model - measured)/measured natural frequency, (n_measured,), a signed fraction; NaN where unpaired."""
+        return self.paired(self.modes.natural_freq) / self.measured.natural_freq - 1.0
+
+    @property
+    def factors(self) -> np.ndarray:
+        """Complex factor that lays each paired model shape over the measured one, (n_measured,); NaN where unpaired.
+
+        Least squares over the measured sensors; without any, the largest translation of the model becomes 1.
+        """
+        out = np.full(self.measured.n_modes, complex(np.nan, np.nan))
+        for i in self.pairing.paired:
+            j = self.pairing.model_index[i]
+            if self.measured.has_shapes and np.any(np.isfinite(self.measured.shapes[:, i])):
+                out[i] = align(self.measured.shapes[:, i], self.sensor_shapes[:, j])
+            else:
+                motion = self.model.displacement(self.modes.shapes[:, [j]]).ravel()
+                out[i] = align(np.ones(1), motion[[np.argmax(np.abs(motion))]])
+        return out
+
+    @property
+    def aligned_shapes(self) -> np.ndarray:
+        """Model shapes at the sensors, scaled and phase-aligned to the measured ones, (n_sensors, n_measured)."""
+        out = np.full(self.measured.shapes.shape, complex(np.nan, np.nan))
+        pairs, factors = self.pairing.paired, self.factors
+        out[:, pairs] = self.sensor_shapes[:, self.pairing.model_index[pairs]] * factors[pairs]
+        return out
+
+    def noise_mac(self) -> np.ndarray:
+        """MAC that a perfect model would reach from the measurement's noise alone, (n_measured,); NaN where unknown."""
+        return noise_mac(self.measured.shapes, self.measured.shape_std)
+
+    # -- tables ------------------------------------------------------------------------------------------------------
+
+    def comparison_table(self) -> pd.DataFrame:
+        """One row a measured mode: frequencies in Hz, damping ratios, MAC and EMAC; NaN where unpaired.
+
+        ``freq_error`` is (natural model - natural measured)/natural measured, a signed fraction.
+        """
+        return pd.DataFrame(
+            {
+                "mode": list(self.measured.names),
+                "natural_freq_measured": self.measured.natural_freq,
+                "natural_freq_model": self.paired(self.modes.natural_freq),
+                "damped_freq_measured": self.measured.damped_freq,
+                "damped_freq_model": self.paired(self.modes.damped_freq),
+                "freq_error": self.freq_error,
+                "damping_ratio_measured": self.measured.damping_ratio,
+                "damping_ratio_model": self.paired(self.modes.damping_ratio),
+                "mac": self.pairing.mac,
+                "emac": self.pairing.emac,
+                "margin": self.pairing.margin,
+            }
+        )
+
+    def mac_table(self) -> pd.DataFrame:
+        """MAC of every measured mode (rows, named in column ``mode``) with every model mode, as ``1 (10.83 Hz)``."""
+        columns = [f"{j} ({freq:.2f} Hz)" for j, freq in enumerate(self.modes.natural_freq, start=1)]
+        table = pd.DataFrame(self.mac, columns=columns)
+        table.insert(0, "mode", list(self.measured.names))
+        return table
+
+    def comac_table(self) -> pd.DataFrame:
+        """CoMAC of every sensor over the paired modes, worst first, with its place in metres."""
+        pairs = self.pairing.paired
+        value = comac(self.measured.shapes[:, pairs], self.sensor_shapes[:, self.pairing.model_index[pairs]])
+        table = self._sensor_columns().assign(comac=value)
+        return table.sort_values("comac", kind="stable", ignore_index=True)
+
+    def shapes_table(self) -> pd.DataFrame:
+        """One row a mode and sensor: measured shape and the model's, scaled and phase-aligned to it."""
+        aligned, sensors = self.aligned_shapes, self._sensor_columns()
+        parts = []
+        for i, name in enumerate(self.measured.names):
+            part = sensors.assign(
+                measured_re=self.measured.shapes[:, i].real,
+                measured_im=self.measured.shapes[:, i].imag,
+                model_re=aligned[:, i].real,
+                model_im=aligned[:, i].imag,
+            )
+            part.insert(0, "mode", name)
+            parts.append(part)
+        return pd.concat(parts, ignore_index=True)
+
+    def deflection_table(self) -> pd.DataFrame:
+        """One row a paired mode and mesh line: ends in metres and their motion, to be drawn over the measured shape.
+
+        ``u, v, w`` are the real part of the paired model shape in the scale and phase of `shapes_table`; ``line`` is
+        the index of the line in the model's mesh.
+        """
+        mesh, factors, parts = self.model.mesh, self.factors, []
+        for i in self.pairing.paired:
+            shape = self.modes.shapes[:, [self.pairing.model_index[i]]]
+            motion = np.real(self.model.displacement(shape)[:, :, 0] * factors[i])
+            first, last = mesh.lines[:, 0], mesh.lines[:, 1]
+            table = pd.DataFrame(
+                np.hstack([mesh.points[first], mesh.points[last], motion[first], motion[last]]),
+                columns=_ENDS,
+            )
+            table.insert(0, "group", list(mesh.groups))
+            table.insert(0, "line", np.arange(len(mesh.lines)))
+            table.insert(0, "mode", self.measured.names[i])
+            parts.append(table)
+        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["mode", "line", "group", *_ENDS])
+
+    def _sensor_columns(self) -> pd.DataFrame:
+        sensors = self.measured.sensors
+        place = np.array([s.point or (np.nan,) * 3 for s in sensors], dtype=float).reshape(-1, 3)
+        return pd.DataFrame(
+            {
+                "sensor": [s.name for s in sensors],
+                "node": [s.node for s in sensors],
+                "direction": [s.direction for s in sensors],
+                "x": place[:, 0],
+                "y": place[:, 1],
+                "z": place[:, 2],
+            }
+        )
+
+    # -- where it fails ----------------------------------------------------------------------------------------------
+
+    def where_it_fails(self) -> pd.DataFrame:
+        """Every comparison in units of the measured scatter, worst first.
+
+        Columns ``kind, what, value, in_scatter, verdict``. Unpaired modes lead, comparisons of unknown scatter end the
+        table. What ``value`` and ``in_scatter`` are for each kind:
+
+        - frequency: signed frequency error; its size over the standard deviation of the measured frequency.
+        - damping: logarithm of model over measured ratio; its size over the measured relative standard deviation. Left
+          out for an undamped model.
+        - shape: MAC; square root of 1 - MAC over what the noise alone would give.
+        - sensor: CoMAC; root mean square over the paired modes of the residual after alignment, over its own scatter.
+
+        A perfect model gives about 1 everywhere. The verdict compares with the 95 % quantile of that number (square
+        root of an F variate whose degrees of freedom are those of the comparison and of the repeats behind its
+        scatter), so about one comparison in twenty lies beyond by chance.
+        """
+        rows = self._unpaired_rows() + self._frequency_rows() + self._damping_rows()
+        if self.measured.has_shapes:
+            rows += self._shape_rows() + self._sensor_rows()
+        table = pd.DataFrame(rows, columns=["kind", "what", "value", "in_scatter", "verdict"])
+        rank = np.where(table["verdict"] == UNPAIRED, np.inf, table["in_scatter"])
+        order = np.lexsort((np.arange(len(table)), table["verdict"] != UNPAIRED, -rank))
+        return table.iloc[order].reset_index(drop=True)
+
+    def sentence(self) -> str:
+        """What `where_it_fails` says, in plain words."""
+        table = self.where_it_fails()
+        lost = table.loc[table["verdict"] == UNPAIRED, "what"].tolist()
+        n = self.measured.n_modes
+        words = [f"{n - len(lost)} of {n} measured modes are paired" + (f"; not {', '.join(lost)}." if lost else ".")]
+        if len(lost) < n:
+            words.append(f"The mean absolute frequency error is {100 * np.nanmean(np.abs(self.freq_error)):.1f} %.")
+        allowed, found = self.noise_mac(), self.pairing.mac
+        both = np.isfinite(allowed) & np.isfinite(found)
+        if both.any():
+            mean, limit = found[both].mean(), allowed[both].mean()
+            words.append(f"The mean MAC is {mean:.3f} where noise alone allows {limit:.3f}.")
+        judged = table[table["verdict"].isin([BEYOND, WITHIN])]
+        if judged.empty:
+            words.append("The scatter of the measurement is unknown, so nothing can be judged against it.")
+            return " ".join(words)
+        count = int((judged["verdict"] == BEYOND).sum())
+        chance = (1 - LEVEL) * len(judged)
+        words.append(f"{count} of {len(judged)} comparisons lie beyond their scatter, {chance:.1f} would by chance.")
+        worst = judged.iloc[0]
+        size = f"{worst['in_scatter']:.1f} times its scatter"
+        words.append(f"The worst is the {worst['kind']} of {worst['what']}, {size}.")
+        return " ".join(words)
+
+    def _limit(self, dof: np.ndarray | float) -> np.ndarray:
+        """Largest number in units of scatter that a perfect model gives with probability `LEVEL`."""
+        repeats = self.measured.n_repeats
+        dof = np.maximum(dof, 1e-9)
+        behind = dof * (repeats - 1) if repeats > 1 else np.full(np.shape(dof), 1e9)
+        return np.sqrt(stats.f.ppf(LEVEL, dof, behind))
+
+    def _rows(
+        self, kind: str, what: list[str], value: np.ndarray, in_scatter: np.ndarray, dof: np.ndarray | float = 1.0
+    ) -> list[_Row]:
+        limit = np.broadcast_to(self._limit(dof), in_scatter.shape)
+        verdicts = np.where(np.isnan(in_scatter), UNKNOWN, np.where(in_scatter > limit, BEYOND, WITHIN))
+        return [
+            (kind, w, float(v), float(s), str(t)) for w, v, s, t in zip(what, value, in_scatter, verdicts, strict=True)
+        ]
+
+    def _names(self, which: np.ndarray) -> list[str]:
+        return [self.measured.names[i] for i in which]
+
+    def _unpaired_rows(self) -> list[_Row]:
+        kind = "shape" if self.measured.has_shapes else "frequency"
+        return [(kind, name, math.nan, math.nan, UNPAIRED) for name in self._names(self.pairing.unpaired_measured)]
+
+    def _frequency_rows(self) -> list[_Row]:
+        i = self.pairing.paired
+        error = self.freq_error[i]
+        size = np.abs(error) * self.measured.natural_freq[i]
+        return self._rows("frequency", self._names(i), error, _over(size, self.measured.freq_std[i]))
+
+    def _damping_rows(self) -> list[_Row]:
+        i = self.pairing.paired
+        i = i[self.measured.damping_ratio[i] > 0]  # NaN is unknown, 0 a convention of undamped files
+        if not self.modes.is_complex or not len(i):
+            return []
+        measured, model = self.measured.damping_ratio[i], self.paired(self.modes.damping_ratio)[i]
+        error = np.log(np.maximum(model, 0.0) / measured, out=np.full(len(i), -np.inf), where=model > 0)
+        relative = self.measured.damping_std[i] / measured
+        return self._rows("damping", self._names(i), error, _over(np.abs(error), relative))
+
+    def _shape_rows(self) -> list[_Row]:
+        i = self.pairing.paired
+        shapes, std = self.measured.shapes[:, i], self.measured.shape_std[:, i]
+        variance = np.where(np.isnan(shapes), 0.0, std**2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            alike = np.sum(variance, axis=0) ** 2 / np.sum(variance**2, axis=0)  # sensors that share the noise evenly
+        dof = np.where(is_real(shapes), 1.0, 2.0) * (alike - 1.0)
+        found = np.sqrt(_over(1.0 - self.pairing.mac[i], 1.0 - self.noise_mac()[i]))
+        return self._rows("shape", self._names(i), self.pairing.mac[i], found, np.nan_to_num(dof, nan=1.0))
+
+    def _sensor_rows(self) -> list[_Row]:
+        i = self.pairing.paired
+        shapes, model, std = self.measured.shapes[:, i], self.aligned_shapes[:, i], self.measured.shape_std[:, i]
+        real = is_real(shapes)
+        turn = np.exp(-0.5j * np.angle(np.nansum(shapes**2, axis=0)))
+        residual = (shapes - model) * np.where(real, turn, 1.0)
+        power = np.where(real, residual.real**2, np.abs(residual) ** 2)
+        # The alignment follows the noise of a sensor in proportion to that sensor's share of the shape.
+        known = np.where(np.isnan(shapes), np.nan, np.abs(model) ** 2)
+        total = np.nansum(known, axis=0)
+        share = _over(known, np.broadcast_to(total, known.shape))
+        expected = np.where(real, 1.0, 2.0) * std**2 * (1.0 - share)
+        ratio = _over(power, np.where(expected > 1e-9 * std**2, expected, np.nan))
+        counted = np.isfinite(ratio)
+        parts = np.sum(counted, axis=1)
+        mean = _over(np.sum(np.where(counted, ratio, 0.0), axis=1), parts.astype(float))
+        dof = np.sum(counted * np.where(real, 1.0, 2.0), axis=1)
+        value = comac(shapes, self.sensor_shapes[:, self.pairing.model_index[i]])
+        names = [s.name for s in self.measured.sensors]
+        return self._rows("sensor", names, value, np.sqrt(mean), np.maximum(dof, 1))
+
+
+def _over(top: np.ndarray, bottom: np.ndarray) -> np.ndarray:
+    """Quotient with NaN where the divisor is zero or unknown."""
+    return np.divide(top, bottom, out=np.full(np.shape(top), np.nan), where=bottom > 0)

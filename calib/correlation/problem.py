@@ -1,0 +1,245 @@
+"""The question a search asks: named parameter values in, named responses out."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.correlation.compare import Comparison
+from calib.correlation.energy import emac, strain_energy_shares
+from calib.correlation.mac import mac
+from calib.correlation.pairing import check_override, in_window, pair_by_order, pair_by_shape
+from calib.errors import EvaluationError, InputError
+from calib.measurement.modal import MeasuredModes
+from calib.space import ParameterSpace
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+
+RESPONSES = ("natural_freq", "damped_freq", "damping_ratio", "mac", "emac", "margin")
+"""Responses of every measured mode; the name of one is such as ``mac_1B``."""
+
+_DEFINITION = "modal responses 1"
+"""Part of the fingerprint; to be counted up whenever the same modes would give other responses."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModalProblem:
+    """How the modes of a model answer a modal measurement.
+
+    Attributes
+    ----------
+    model : StructuralModel
+    measured : MeasuredModes
+    mode_clusters : mapping from str to tuple of str
+        The model's clusters that carry the sensors of each measured mode; a mode left out takes all strain energy, so
+        that its EMAC is its MAC.
+    mode_count : int
+        Number of model modes solved and offered to the pairing.
+    threshold : float
+        Smallest EMAC of a pair.
+    freq_window : (low, high) or None
+        Model modes whose natural frequency in Hz lies outside are not paired.
+    override : mapping from str to int
+        The user's choice of pairs: measured mode to model mode, counted from 1.
+
+    Raises
+    ------
+    InputError
+        When a name, number or window does not fit model and measurement, or a sensor has no place on the model.
+    """
+
+    model: StructuralModel
+    measured: MeasuredModes
+    mode_clusters: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    mode_count: int = 20
+    threshold: float = 0.3
+    freq_window: tuple[float, float] | None = None
+    override: Mapping[str, int] = field(default_factory=dict)
+    sensor_rows: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        known = ", ".join(self.model.clusters) or "none"
+        for mode, clusters in self.mode_clusters.items():
+            if mode not in self.measured.names:
+                raise InputError(
+                    f"clusters are given for mode {mode!r}, which was not measured",
+                    place="pairing",
+                    remedy=f"the measured modes are {', '.join(self.measured.names) or 'none'}",
+                )
+            if not clusters:
+                raise InputError(f"no cluster is named for mode {mode!r}", place="pairing", remedy="leave the mode out")
+            for cluster in clusters:
+                if cluster not in self.model.clusters:
+                    raise InputError(
+                        f"mode {mode!r} names cluster {cluster!r}, which the model {self.model.name} lacks",
+                        place="pairing",
+                        remedy=f"its clusters are {known}",
+                    )
+        if self.mode_count < max(1, self.measured.n_modes):
+            raise InputError(
+                f"mode_count is {self.mode_count}",
+                place="pairing",
+                remedy=f"solve at least as many model modes as were measured ({self.measured.n_modes})",
+            )
+        if not 0 <= self.threshold <= 1:
+            raise InputError(f"threshold is {self.threshold}", place="pairing", remedy="choose between 0 and 1")
+        if self.freq_window is not None and not 0 <= self.freq_window[0] < self.freq_window[1]:
+            raise InputError(
+                f"freq_window is {tuple(self.freq_window)}", place="pairing", remedy="give [low, high] in Hz, low first"
+            )
+        check_override(self.override, self.measured.names, self.mode_count)
+        object.__setattr__(self, "sensor_rows", self.model.sensor_rows(self.measured.sensors))
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the model."""
+        return self.model.space
+
+    @property
+    def response_names(self) -> tuple[str, ...]:
+        """Names of all responses, measured mode by measured mode."""
+        return tuple(f"{kind}_{mode}" for mode in self.measured.names for kind in RESPONSES)
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash that changes whenever the responses at the same complete set of named values could."""
+        digest = hashlib.sha256(_DEFINITION.encode())
+        digest.update((self.model.fingerprint + self.measured.fingerprint).encode())
+        digest.update(repr([(p.name, p.unit, p.integer) for p in self.space.parameters]).encode())
+        digest.update(np.ascontiguousarray(self.sensor_rows).tobytes())
+        clusters = sorted((mode, tuple(sorted(names))) for mode, names in self.mode_clusters.items())
+        window = None if self.freq_window is None else tuple(float(f) for f in self.freq_window)
+        override = sorted((mode, int(number)) for mode, number in self.override.items())
+        digest.update(repr((clusters, self.mode_count, float(self.threshold), window, override)).encode())
+        return digest.hexdigest()[:16]
+
+    def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Flat responses at named values, in the order of `response_names`.
+
+        Frequencies in Hz. NaN for an unpaired mode, and for MAC, EMAC and margin without measured shapes.
+
+        Raises
+        ------
+        EvaluationError
+            When the modes cannot be solved or there are fewer than ``mode_count``.
+        """
+        found = self.compare(values)
+        pairing, modes = found.pairing, found.modes
+        out = {}
+        for i, name in enumerate(self.measured.names):
+            j = pairing.model_index[i]
+            model = (modes.natural_freq, modes.damped_freq, modes.damping_ratio)
+            numbers = [float(column[j]) if j >= 0 else math.nan for column in model]
+            numbers += [float(column[i]) for column in (pairing.mac, pairing.emac, pairing.margin)]
+            out.update({f"{kind}_{name}": number for kind, number in zip(RESPONSES, numbers, strict=True)})
+        return out
+
+    def compare(self, values: Mapping[str, float]) -> Comparison:
+        """Everything about model and measurement at named values; raises as `evaluate`."""
+        complete = self.space.complete(values)
+        modes = self.model.modes(complete, self.mode_count)
+        if modes.n_modes < self.mode_count:
+            raise EvaluationError(
+                f"the model {self.model.name} has only {modes.n_modes} vibration modes, {self.mode_count} were asked"
+            )
+        names, shape = self.measured.names, (self.measured.n_modes, modes.n_modes)
+        sensor_shapes = self.sensor_rows @ modes.shapes
+        if self.measured.has_shapes:
+            mac_matrix = mac(self.measured.shapes, sensor_shapes)
+            emac_matrix = emac(mac_matrix, self._shares(complete, modes))
+            pairing = pair_by_shape(
+                mac_matrix,
+                emac_matrix,
+                names,
+                threshold=self.threshold,
+                candidates=in_window(modes.natural_freq, self.freq_window),
+                override=self.override,
+            )
+        else:
+            mac_matrix, emac_matrix = np.full(shape, np.nan), np.full(shape, np.nan)
+            pairing = pair_by_order(
+                self.measured.natural_freq,
+                modes.natural_freq,
+                names,
+                window=self.freq_window,
+                override=self.override,
+            )
+        return Comparison(self.model, self.measured, complete, modes, pairing, mac_matrix, emac_matrix, sensor_shapes)
+
+    def _shares(self, values: Mapping[str, float], modes: Modes) -> np.ndarray:
+        """Share of every model mode's strain energy that counts for every measured mode, (n_measured, n_modes)."""
+        stiffness = self.model.stiffness(self.space.si(values))
+        clusters = self.model.clusters
+        shares, total = strain_energy_shares(stiffness, modes.shapes, clusters)
+        rows = {name: row for name, row in zip(clusters, shares, strict=True)}
+        out = np.tile(np.where(total > 0, 1.0, 0.0), (self.measured.n_modes, 1))
+        for i, mode in enumerate(self.measured.names):
+            if mode in self.mode_clusters:
+                out[i] = sum(rows[name] for name in set(self.mode_clusters[mode]))
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionProblem:
+    """Anything else that maps named parameters to named responses: a tire, an external solver, a user's function.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+    function : callable
+        Takes the values of all parameters by name, each in its own unit, and returns named responses.
+    targets : mapping from str to (value, std or None)
+        Measured value of each response and the standard deviation of it, where known.
+    fingerprint : str
+        Given by whoever knows the function; to be changed whenever its answers could.
+    """
+
+    space: ParameterSpace
+    function: Callable[[Mapping[str, float]], Mapping[str, float]]
+    targets: Mapping[str, tuple[float, float | None]]
+    fingerprint: str
+
+    def __post_init__(self) -> None:
+        if not self.targets:
+            raise InputError("no target is given", place="targets", remedy="name at least one measured response")
+        for name, (value, std) in self.targets.items():
+            if not math.isfinite(value):
+                raise InputError(f"the target {name!r} is {value}", place="targets", remedy="give a finite number")
+            if std is not None and not (math.isfinite(std) and std > 0):
+                raise InputError(
+                    f"the standard deviation of {name!r} is {std}",
+                    place="targets",
+                    remedy="give a positive one or none",
+                )
+
+    @property
+    def response_names(self) -> tuple[str, ...]:
+        """Names of the targets."""
+        return tuple(self.targets)
+
+    def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Responses at named values; what is left out takes its adopted value.
+
+        Raises
+        ------
+        EvaluationError
+            When a target is missing from the answer or a response is not a finite number.
+        """
+        answer = self.function(self.space.complete(values))
+        missing = [name for name in self.targets if name not in answer]
+        if missing:
+            given = ", ".join(answer) or "nothing"
+            raise EvaluationError(f"the function gave no {', '.join(missing)} (it gave {given})")
+        out = {}
+        for name, value in answer.items():
+            try:
+                out[name] = float(value)
+            except (TypeError, ValueError) as fault:
+                raise EvaluationError(f"the response {name!r} is {value!r}, not a number") from fault
+            if not math.isfinite(out[name]):
+                raise EvaluationError(f"the response {name!r} is {out[name]}")
+        return out

@@ -1,0 +1,71 @@
+"""The parameter spaces of a study: what its file changes, adds and selects of the model's own parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from calib.errors import InputError
+from calib.settings import StudySettings
+from calib.space import LinearConstraint, ParameterSpace
+
+Place = Callable[..., str]
+"""Tells file and line of a key of the study, such as ``place("parameters", "K_block")``."""
+
+
+def sensitivity_space(space: ParameterSpace, settings: StudySettings, place: Place) -> ParameterSpace:
+    """The model's space with the study's values, limits and constraints; InputError with its place for any fault."""
+    for name, change in settings.parameters.items():
+        where = f"{place('parameters', name)}, [parameters.{name}]"
+        fields: dict[str, object] = {}
+        if change.value is not None:
+            fields["value"] = change.value
+        if change.limits is not None:
+            fields["lower"], fields["upper"] = change.limits
+        if change.prior_sd is not None:
+            fields["prior_sd"] = change.prior_sd
+        if change.fixed is not None:
+            fields["distribution"] = "fixed" if change.fixed else "uniform"
+        try:
+            space = space.replace(name, **fields)
+            if change.search is not None:
+                space.widen({name: change.search})
+        except InputError as fault:
+            raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
+        parameter = space[name]
+        if parameter.distribution != "fixed" and not parameter.lower <= parameter.value <= parameter.upper:
+            raise InputError(
+                f"value {parameter.value:g} {parameter.unit} is outside its limits "
+                f"[{parameter.lower:g}, {parameter.upper:g}]",
+                place=where,
+                remedy="move one of them",
+            )
+    try:
+        constraints = tuple(
+            LinearConstraint(c.name, tuple(c.coefficients.items()), *c.limits, unit=c.unit)
+            for c in settings.constraints
+        )
+        space = ParameterSpace(space.parameters, space.constraints + constraints)
+    except InputError as fault:
+        raise InputError(fault.problem, place=place("constraints"), remedy=fault.remedy) from None
+    return _feasible(space, "limits", place)
+
+
+def search_space(space: ParameterSpace, settings: StudySettings, place: Place) -> ParameterSpace:
+    """The selected parameters within the limits of the search, every other one fixed at its adopted value."""
+    if not settings.selection:
+        raise InputError("no parameter is selected", place=place("selection"), remedy="name at least one")
+    wide = {name: change.search for name, change in settings.parameters.items() if change.search is not None}
+    try:
+        chosen = space.widen(wide).keep(settings.selection)
+    except InputError as fault:
+        raise InputError(fault.problem, place=place("selection"), remedy=fault.remedy) from None
+    return _feasible(chosen, "search limits", place)
+
+
+def _feasible(space: ParameterSpace, label: str, place: Place) -> ParameterSpace:
+    try:
+        space.require_feasible()
+    except InputError as fault:
+        words = f"within the parameters' {label}: {fault.problem}"
+        raise InputError(words, place=place("constraints"), remedy=fault.remedy) from None
+    return space

@@ -1,0 +1,306 @@
+"""Sensors that were wired or labelled wrongly: turned round, exchanged or dead, told from modes paired with a model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.errors import InputError
+
+FindingKind = Literal["flipped", "swapped", "dead"]
+
+SENSORS_FEWEST = 4
+"""Fewer sensors that move cannot outvote a wrong one."""
+GAIN_LEAST = 0.002
+"""Rise of the mean MAC below which a correction is not worth a sentence."""
+EVIDENCE_LEAST = 8.0
+"""Log-likelihood ratio asked of a single hypothesis; a chance of about 3e-5 for the worst-placed sensor."""
+EVIDENCE_ELSEWHERE = 4.0
+"""Log-likelihood ratio asked of all modes but the most telling one: one odd mode is the model's affair."""
+AGAINST_MOST = 0.2
+"""Largest share of MAC lost in some modes to the MAC gained in others."""
+CORRELATION_LEAST = 0.5
+"""Correlation over the modes, measured with model, that a corrected sensor must reach."""
+RESIDUAL_LEAST = 4e-4
+"""Floor of 1 - MAC (2 % of the motion), so that exact data do not make a trifle significant."""
+DEAD_MEASURED, DEAD_MODEL = 1e-3, 0.05
+"""A sensor is dead below the first share of the largest motion in every mode while the model exceeds the second."""
+
+
+@dataclass(frozen=True)
+class SensorFinding:
+    """One suspicion about one or two sensors.
+
+    Attributes
+    ----------
+    kind : {"flipped", "swapped", "dead"}
+    sensors : tuple of str
+        One name, or two for swapped sensors.
+    mac_before, mac_after : float
+        Mean MAC over the paired modes without and with this correction, the findings listed earlier being corrected
+        already; a dead sensor is corrected by leaving it out.
+    sentence : str
+    """
+
+    kind: FindingKind
+    sensors: tuple[str, ...]
+    mac_before: float
+    mac_after: float
+    sentence: str
+
+
+def check_sensors(measured: np.ndarray, model: np.ndarray, names: Sequence[str]) -> tuple[SensorFinding, ...]:
+    """Find sensors that are turned round, exchanged or dead, before measurement and model are compared.
+
+    Corrections are added (or withdrawn) greedily while the mean MAC rises, in several orders; then the weakest is
+    withdrawn until each one that is left
+
+    - has a log-likelihood ratio of ``(n_sensors - 1) n_modes gain / (2 (1 - MAC))`` above `EVIDENCE_LEAST` plus the
+      logarithm of the number of hypotheses. With every mode scaled to ``|a|^2 = n_sensors``, the least-squares residual
+      of a mode is ``n_sensors (1 - MAC)``, so this is the ratio for normal residuals whose variance is estimated from
+      the corrected shapes: a poor model asks for more evidence;
+    - does not live on a single mode, and lowers the MAC of hardly any mode;
+    - makes the sensor's row agree with the model's.
+
+    Nothing is said of a single mode, from which neither sign nor exchange can be told, nor of fewer than four sensors.
+
+    Parameters
+    ----------
+    measured : ndarray (n_sensors, n_modes)
+        Real or complex, any scale a mode; NaN where not measured.
+    model : ndarray (n_sensors, n_modes)
+        Paired column by column; finite.
+    names : sequence of str, length n_sensors
+
+    Returns
+    -------
+    tuple of SensorFinding
+        Dead sensors first, then corrections by falling gain; empty when nothing is suspicious.
+
+    Raises
+    ------
+    InputError
+        When the arrays do not fit together or the model is not finite.
+    """
+    a, b = np.array(measured, dtype=complex), np.array(model, dtype=complex)
+    if a.ndim != 2 or a.shape != b.shape or a.shape[0] != len(names):
+        raise InputError(
+            f"measured shapes {a.shape}, model shapes {b.shape} and {len(names)} names do not fit", place="sensor check"
+        )
+    if not np.all(np.isfinite(b)):
+        raise InputError("the model's shapes are not finite", place="sensor check")
+    seen = np.isfinite(a)
+    a = np.where(seen, a, 0.0)
+    usable = np.any(a != 0, axis=0) & np.any((b != 0) & seen, axis=0)
+    if usable.sum() < 2:
+        return ()
+    a, b, seen = a[:, usable], b[:, usable], seen[:, usable]
+    # largest modulus first, then the norm, so that nothing over- or underflows
+    a, b = a / np.abs(a).max(axis=0), b / np.abs(b).max(axis=0)
+    dead, kinds = _dead(a, b, seen)
+    findings = []
+    for k, kind in zip(dead, kinds, strict=True):
+        without = seen.copy()
+        without[k] = False
+        before, after = _Shapes(a, b, seen).mean_mac, _Shapes(np.where(without, a, 0.0), b, without).mean_mac
+        sentence = (
+            f"sensor {names[k]} looks dead: it is {kind} in all {a.shape[1]} modes although the model moves there"
+        )
+        findings.append(SensorFinding("dead", (names[k],), before, after, sentence))
+        a, seen = np.where(without, a, 0.0), without
+    # a mode seen by fewer sensors is fitted, not tested, by its free factor
+    enough = (seen & (a != 0)).sum(axis=0) >= SENSORS_FEWEST
+    rows = np.flatnonzero(seen[:, enough].any(axis=1))
+    if enough.sum() < 2 or len(rows) < SENSORS_FEWEST:
+        return tuple(findings)
+    state = _Shapes(a[np.ix_(rows, enough)], b[np.ix_(rows, enough)], seen[np.ix_(rows, enough)])
+    for operation in _search(state):
+        corrected = state.after([operation])
+        named = tuple(names[rows[k]] for k in operation)
+        sentence = _sentence(state, corrected, operation, named)
+        kind_of: FindingKind = "flipped" if len(operation) == 1 else "swapped"
+        findings.append(SensorFinding(kind_of, named, state.mean_mac, corrected.mean_mac, sentence))
+        state = corrected
+    return tuple(findings)
+
+
+Operation = tuple[int, ...]
+"""Rows of a correction: one to turn round, two to exchange."""
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """Measured (zero where not seen) and model shapes (n_sensors, n_modes), and where they were seen."""
+
+    a: np.ndarray
+    b: np.ndarray
+    seen: np.ndarray
+
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Products ``a^H b``, ``a^H a`` and ``b^H b`` over the sensors seen, each (n_modes,)."""
+        return (
+            (self.a.conj() * self.b).sum(axis=0),
+            (np.abs(self.a) ** 2).sum(axis=0),
+            (np.abs(self.b) ** 2 * self.seen).sum(axis=0),
+        )
+
+    @property
+    def mac(self) -> np.ndarray:
+        """MAC of every pair, (n_modes,)."""
+        return _mac(*self.parts)
+
+    @property
+    def mean_mac(self) -> float:
+        """Mean of `mac`."""
+        return float(self.mac.mean())
+
+    def after(self, operations: Sequence[Operation]) -> _Shapes:
+        """Shapes with corrections made; no sensor takes part in two of them."""
+        a, seen = self.a.copy(), self.seen.copy()
+        for rows in operations:
+            if len(rows) == 1:
+                a[rows[0]] = -a[rows[0]]
+            else:
+                pair, turned = list(rows), list(rows[::-1])
+                a[pair], seen[pair] = a[turned], seen[turned]
+        return _Shapes(a, self.b, seen)
+
+
+def _mac(product: np.ndarray, size_a: np.ndarray, size_b: np.ndarray) -> np.ndarray:
+    size = size_a * size_b
+    return np.where(size > 0, np.abs(product) ** 2 / np.where(size > 0, size, 1.0), 0.0)
+
+
+def _dead(a: np.ndarray, b: np.ndarray, seen: np.ndarray) -> tuple[list[int], list[str]]:
+    """Rows that do not move, or show one and the same value, while the model's do; columns scaled to a modulus of 1."""
+    rows, kinds = [], []
+    for k in range(len(a)):
+        mine, theirs = a[k, seen[k]], b[k, seen[k]]
+        if len(mine) < 2 or np.abs(theirs).max() <= DEAD_MODEL:
+            continue
+        if np.abs(mine).max() < DEAD_MEASURED:
+            rows.append(k)
+            kinds.append("zero")
+        # two equal values are a coincidence, and the point to which shapes are scaled is 1 in every mode
+        elif len(mine) > 2 and np.abs(mine[0]) < 0.999 and np.abs(mine - mine[0]).max() < 1e-9 * np.abs(mine[0]):
+            if np.ptp(np.abs(theirs)) > DEAD_MODEL:
+                rows.append(k)
+                kinds.append("constant")
+    return rows, kinds
+
+
+def _search(start: _Shapes) -> list[Operation]:
+    """Corrections that stand, from the best of several orders in which they may be tried.
+
+    On a symmetric structure, exchanging mirrored sensors does half of what reversing both would, so that one order
+    alone can end in a wrong corner. Of equally good explanations the shortest is taken.
+    """
+    best: list[Operation] = []
+    best_mac = start.mean_mac
+    for stages in ((1, 2), (2, 1), (3,)):
+        chosen: list[Operation] = []
+        for stage in stages:
+            chosen = _grow(start, chosen, flips=stage != 2, swaps=stage != 1)
+        kept = _prune(start, chosen)
+        mac = start.after(kept).mean_mac
+        better = mac - best_mac
+        if better > GAIN_LEAST or (better > -GAIN_LEAST and kept and len(kept) < len(best)):
+            best, best_mac = kept, mac
+    return best
+
+
+def _grow(start: _Shapes, given: Sequence[Operation], *, flips: bool, swaps: bool) -> list[Operation]:
+    """Corrections added, or withdrawn again, one after the other as each raises the mean MAC most."""
+    chosen = list(given)
+    while True:
+        state = start.after(chosen)
+        free = np.ones(len(start.a), dtype=bool)
+        free[[row for rows in chosen for row in rows]] = False
+        best_mac, best = state.mean_mac + GAIN_LEAST, chosen
+        for candidate, mac in _additions(state, np.flatnonzero(free), flips=flips, swaps=swaps):
+            if mac > best_mac:
+                best_mac, best = mac, [*chosen, candidate]
+        for one in chosen:
+            fewer = [other for other in chosen if other != one]
+            mac = start.after(fewer).mean_mac
+            if mac > best_mac:
+                best_mac, best = mac, fewer
+        if best is chosen:
+            return chosen
+        chosen = best
+
+
+def _additions(state: _Shapes, free: np.ndarray, *, flips: bool, swaps: bool) -> Iterator[tuple[Operation, float]]:
+    """Corrections of free rows with the mean MAC they give; of the exchanges of a row only the best."""
+    product, size_a, size_b = state.parts
+    own = state.a.conj() * state.b
+    energy = np.abs(state.b) ** 2
+    for k, i in enumerate(free):
+        if flips:
+            yield (int(i),), float(_mac(product - 2 * own[i], size_a, size_b).mean())
+        others = free[k + 1 :]
+        if swaps and len(others):
+            shift = state.a[i].conj() * state.b[others] + state.a[others].conj() * state.b[i] - own[i] - own[others]
+            lost = 1.0 * state.seen[i] - state.seen[others]
+            swapped = _mac(product + shift, size_a, size_b + lost * (energy[others] - energy[i])).mean(axis=1)
+            j = int(np.argmax(swapped))
+            yield (int(i), int(others[j])), float(swapped[j])
+
+
+def _prune(start: _Shapes, operations: Sequence[Operation]) -> list[Operation]:
+    """Corrections that stand on their own, the weakest withdrawn first."""
+    kept = list(operations)
+    while kept:
+        full = start.after(kept)
+        verdicts = [_evidence(start.after([o for o in kept if o != one]), full, one) for one in kept]
+        failing = [(evidence, k) for k, (evidence, stands) in enumerate(verdicts) if not stands]
+        if not failing:
+            break
+        kept.pop(min(failing)[1])
+    return kept
+
+
+def _evidence(without: _Shapes, corrected: _Shapes, rows: Operation) -> tuple[float, bool]:
+    """Log-likelihood ratio of one correction, the others being made, and whether it stands."""
+    n_sensors = len(corrected.a)
+    gain = corrected.mac - without.mac
+    spread = max(1.0 - corrected.mean_mac, RESIDUAL_LEAST)
+    # every mode has lost one degree of freedom to its factor
+    ratios = (n_sensors - 1) * gain / (2.0 * spread)
+    evidence = float(ratios.sum())
+    hypotheses = n_sensors * (n_sensors + 1) / 2
+    lost, won = -gain[gain < 0].sum(), gain[gain > 0].sum()
+    # model scaled to the measurement, mode by mode
+    product, size_a, size_b = corrected.parts
+    factor = np.where(np.abs(product) > 0, product.conj() / np.where(size_b > 0, size_b, 1.0), 0.0)
+    norm = np.sqrt(np.where(size_a > 0, size_a, 1.0))
+    pick = list(rows)
+    mine, theirs = corrected.a[pick] / norm, corrected.b[pick] * factor * corrected.seen[pick] / norm
+    size = float(np.linalg.norm(mine) * np.linalg.norm(theirs))
+    alike = float((mine.conj() * theirs).sum().real) / size if size > 0 else 0.0
+    stands = (
+        evidence >= EVIDENCE_LEAST + math.log(hypotheses)
+        and evidence - float(ratios.max()) >= EVIDENCE_ELSEWHERE
+        and lost <= AGAINST_MOST * won
+        and alike >= CORRELATION_LEAST
+        and corrected.mean_mac - without.mean_mac >= GAIN_LEAST
+    )
+    return evidence, bool(stands)
+
+
+def _sentence(before: _Shapes, after: _Shapes, rows: Operation, names: tuple[str, ...]) -> str:
+    rise = (
+        f"raises the mean MAC over {before.a.shape[1]} paired modes from {before.mean_mac:.3f} to {after.mean_mac:.3f}"
+    )
+    if len(rows) == 1:
+        return f"sensor {names[0]} looks turned round: reversing its sign {rise}"
+    sentence = f"sensors {names[0]} and {names[1]} look exchanged: exchanging them {rise}"
+    both = before.after([(rows[0],), (rows[1],)]).mean_mac
+    if both - before.mean_mac >= 0.9 * (after.mean_mac - before.mean_mac):
+        sentence += f"; reversing both signs would explain it as well ({both:.3f})"
+    return sentence

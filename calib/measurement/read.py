@@ -1,0 +1,177 @@
+"""Measured modes from files: UFF/UNV or CSV, one file a repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.errors import InputError
+from calib.measurement.csv_format import read_modes_csv, read_sensor_table, read_shapes_csv
+from calib.measurement.modal import MeasuredModes, Sensor
+from calib.measurement.repeats import Repeat, StdOf, combine_repeats
+from calib.measurement.uff import Point, UniversalFile, drop_unmeasured, read_uff
+
+UFF_SUFFIXES = (".uff", ".unv", ".uf")
+PLACE_TOLERANCE = 1e-4
+"""Share of the geometry's size by which a node may move between repeats; universal files carry six digits."""
+
+
+def read_measurement(
+    files: Sequence[Path],
+    *,
+    shape_files: Sequence[Path] = (),
+    sensor_table: Path | None = None,
+    repeats: int | None = None,
+    std_of: StdOf = "mean",
+    mode_names: Sequence[str] | None = None,
+    synthetic: bool = False,
+) -> MeasuredModes:
+    """Read measured modes; each file is one repeat.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Universal files (``.uff``, ``.unv``, ``.uf``; see `calib.measurement.uff.read_uff`) or modes tables (``.csv``;
+        see `calib.measurement.csv_format.read_modes_csv`), one kind only.
+    shape_files : sequence of Path
+        Shape tables beside modes tables: none, a single one, or one a repeat.
+    sensor_table : Path, optional
+        Table of node places in metres; it wins over places in universal files.
+    repeats : int, optional
+        Number of repeats behind a single file, from 1.
+    std_of : {"mean", "repeat"}
+        What the standard deviations in a single file belong to; ``"repeat"`` ones are divided by ``sqrt(repeats)``.
+    mode_names : sequence of str, optional
+        Names of the modes in the order of the first file; files that name their modes are still matched by their own.
+    synthetic : bool
+        True when no structure was measured.
+
+    Raises
+    ------
+    InputError
+        With the file, and where possible line and column, for anything that is not readable as the same modes.
+    """
+    paths, shapes = [Path(f) for f in files], [Path(f) for f in shape_files]
+    is_uff = _check_arguments(paths, shapes, repeats, std_of)
+    points: Mapping[int, Point] | None = None
+    read: list[Repeat]
+    table = read_sensor_table(Path(sensor_table)) if sensor_table is not None else {}
+    if is_uff:
+        universal = [read_uff(path) for path in paths]
+        read = drop_unmeasured([u.repeat for u in universal])
+        points = _common_points(universal, table)
+    else:
+        read = [read_modes_csv(path) for path in paths]
+        # a single shapes file belongs to the mean; it rides on the first repeat
+        for k, path in enumerate(shapes):
+            read[k] = replace(read[k], shape_set=read_shapes_csv(path, read[k].names))
+    combined = combine_repeats(read, std_of=std_of, count=repeats, mode_names=mode_names)
+    sensors, notes = _sensors(combined.sensors, points, table, paths[0])
+    damping = combined.damping_ratio
+    return MeasuredModes(
+        names=combined.names,
+        natural_freq=combined.natural_freq,
+        damped_freq=combined.natural_freq * np.sqrt(1.0 - np.nan_to_num(damping) ** 2),
+        freq_std=combined.freq_std,
+        damping_ratio=damping,
+        damping_std=combined.damping_std,
+        sensors=sensors,
+        shapes=combined.shapes,
+        shape_std=combined.shape_std,
+        n_repeats=len(paths) if len(paths) > 1 else (repeats or 1),
+        synthetic=synthetic,
+        source=", ".join(map(str, (*paths, *shapes))),
+        notes=(*combined.notes, *notes),
+    )
+
+
+def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int | None, std_of: str) -> bool:
+    """Whether the files are universal files."""
+    if not paths:
+        raise InputError("no measurement file is given", place="measurement", remedy="name at least one")
+    for path in (*paths, *shapes):
+        if not path.is_file():
+            raise InputError("there is no such file", place=path, remedy="check the path")
+    given = (*paths, *shapes)
+    twice = next((path for k, path in enumerate(given) if path.resolve() in [p.resolve() for p in given[:k]]), None)
+    if twice is not None:
+        raise InputError("the file is given twice", place=twice, remedy="name every repeat once")
+    for path in paths:
+        if path.suffix.lower() not in (*UFF_SUFFIXES, ".csv"):
+            raise InputError(
+                f"unknown kind of file {path.suffix!r}", place=path, remedy=f"give {', '.join(UFF_SUFFIXES)} or .csv"
+            )
+    kinds = {path.suffix.lower() in UFF_SUFFIXES for path in paths}
+    if len(kinds) > 1:
+        raise InputError("universal files and CSV are mixed", place=paths[0], remedy="give all repeats in one format")
+    is_uff = kinds.pop()
+    if shapes and is_uff:
+        raise InputError("shape files belong to CSV only", place=shapes[0], remedy="universal files carry their shapes")
+    for path in shapes:
+        if path.suffix.lower() != ".csv":
+            raise InputError(f"unknown kind of shape file {path.suffix!r}", place=path, remedy="give .csv")
+    if len(shapes) not in (0, 1, len(paths)):
+        raise InputError(
+            f"{len(shapes)} shape files for {len(paths)} repeats", place=shapes[0], remedy="give one, or one a repeat"
+        )
+    if std_of not in ("mean", "repeat"):
+        raise InputError(f"std_of is {std_of!r}", place=paths[0], remedy="write 'mean' or 'repeat'")
+    if repeats is not None and (repeats < 1 or (len(paths) > 1 and repeats != len(paths))):
+        raise InputError(
+            f"the number of repeats is given as {repeats}, but {len(paths)} file(s) are",
+            place=paths[0],
+            remedy="leave it out, or give the number behind a single file",
+        )
+    return is_uff
+
+
+def _common_points(universal: Sequence[UniversalFile], table: Mapping[int, object]) -> Mapping[int, Point] | None:
+    """Places of the nodes, which must not differ between repeats; None when no file has any."""
+    common: dict[int, Point] = {}
+    origin: dict[int, str] = {}
+    for repeat in universal:
+        for node, point in repeat.points.items():
+            common.setdefault(node, point)
+            origin.setdefault(node, repeat.repeat.source)
+    if not common:
+        return None
+    size = float(np.max(np.ptp(np.array(list(common.values())), axis=0))) or 1.0
+    for repeat in universal:
+        for node, point in repeat.points.items():
+            moved = max(abs(a - b) for a, b in zip(common[node], point, strict=True))
+            if node not in table and moved > PLACE_TOLERANCE * size:
+                raise InputError(
+                    f"node {node} is at another place than in {origin[node]}",
+                    place=repeat.repeat.source,
+                    remedy="correct one of them, or give the node in the sensor table",
+                )
+    return common
+
+
+def _sensors(
+    measured: Sequence[tuple[int, str]],
+    points: Mapping[int, Point] | None,
+    table: Mapping[int, tuple[Point, str | None]],
+    path: Path,
+) -> tuple[tuple[Sensor, ...], list[str]]:
+    """Sensors with their places, and a note for those without."""
+    sensors = []
+    for node, direction in measured:
+        if node in table:
+            point, on = table[node]
+            sensors.append(Sensor(node, direction, point, on))
+        elif points is not None:
+            if node not in points:
+                raise InputError(
+                    f"node {node} has shape values but no coordinates (dataset 15)",
+                    place=path,
+                    remedy="add it there or to the sensor table",
+                )
+            sensors.append(Sensor(node, direction, points[node]))
+        else:
+            sensors.append(Sensor(node, direction))
+    lost = list(dict.fromkeys(str(s.node) for s in sensors if s.point is None))
+    return tuple(sensors), [f"no place is known for nodes {', '.join(lost)}"] if lost else []

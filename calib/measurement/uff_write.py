@@ -1,0 +1,153 @@
+"""Measured modes to universal files (UFF, UNV)."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyuff
+
+from calib.errors import InputError
+from calib.measurement.csv_format import FREQ_LIMIT, VALUE_LIMIT
+from calib.measurement.modal import DIRECTIONS, Sensor
+from calib.measurement.uff_blocks import Block, first_line, read_blocks
+
+Point = tuple[float, float, float]
+
+
+def write_uff(
+    path: Path,
+    *,
+    names: Sequence[str],
+    natural_freq: np.ndarray,
+    damping_ratio: np.ndarray,
+    sensors: Sequence[Sensor],
+    shapes: np.ndarray,
+    title: str = "modes",
+) -> None:
+    """Write one repeat as datasets 151, 164 (SI), 15 and 55 (complex modes with their eigenvalue).
+
+    A node that was measured in none of its directions in a mode gets no record there. Values carry six digits. The
+    file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    names : sequence of str, length n_modes
+        One word each, written as ID line ``mode NAME``.
+    natural_freq, damping_ratio : ndarray (n_modes,)
+        Hz and ratio.
+    sensors : sequence of Sensor, length n_sensors
+        All with a place in metres.
+    shapes : ndarray (n_sensors, n_modes)
+        Real or complex; NaN where not measured.
+    title : str
+        Model name in dataset 151.
+
+    Raises
+    ------
+    InputError
+        For what the format cannot hold, or a path that cannot be written.
+    """
+    values = np.asarray(shapes, dtype=complex)
+    freq, damping = np.asarray(natural_freq, dtype=float), np.asarray(damping_ratio, dtype=float)
+    points = _check_writable(path, names, freq, damping, sensors, values)
+    nodes = list(points)
+    position = {node: k for k, node in enumerate(nodes)}
+    six = any(sensor.direction.startswith("r") for sensor in sensors)
+    omega = 2 * np.pi * freq
+    eigenvalues = omega * (-damping + 1j * np.sqrt(1 - damping**2))
+    # fixed dates, so that the same modes give the same bytes
+    dates = {key: "" for key in ("date_db_created", "time_db_created", "date_db_saved", "time_db_saved")}
+    header = {"type": 151, "model_name": title[:80], "description": "measured modes", "db_app": "calib", **dates}
+    datasets: list[dict[str, Any]] = [
+        {**header, "program": "calib", "date_file_written": "", "time_file_written": ""},
+        {"type": 164, "units_code": 1, "units_description": "SI", "temp_mode": 1}
+        | {"length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 273.15},
+        {"type": 15, "node_nums": nodes} | {c: [points[n][k] for n in nodes] for k, c in enumerate("xyz")},
+    ]
+    for m, name in enumerate(names):
+        table = np.full((len(nodes), 6), complex(np.nan, np.nan))
+        for k, sensor in enumerate(sensors):
+            table[position[sensor.node], DIRECTIONS.index(sensor.direction)] = values[k, m]
+        present = np.flatnonzero(np.isfinite(table).any(axis=1))
+        table = np.nan_to_num(table[present])
+        common = {"type": 55, "id1": f"mode {name}", "model_type": 1, "analysis_type": 3, "data_ch": 2}
+        common |= {"spec_data_type": 8, "load_case": 1, "mode_n": m + 1, "eig": complex(eigenvalues[m])}
+        common["node_nums"] = [nodes[k] for k in present]
+        for first in (0, 3) if six else (0,):
+            datasets.append(common | {f"r{k + 1}": table[:, first + k] for k in range(3)})
+    temporary = path.parent / f".{path.name}.{os.getpid()}.tmp"
+    try:
+        pyuff.UFF(str(temporary)).write_sets(datasets, mode="overwrite")
+        if six:
+            lines = _with_complex_rotations(read_blocks(temporary), temporary.read_text(encoding="utf-8").splitlines())
+            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+        os.replace(temporary, path)
+    except Exception as err:
+        # pyuff wraps every failure, a full disk included, in a bare Exception
+        problem = f"it cannot be written ({first_line(err)})"
+        raise InputError(problem, place=path, remedy="check folder and disk") from None
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _with_complex_rotations(blocks: Sequence[Block], lines: Sequence[str]) -> list[str]:
+    """Join every pair of datasets 55 (translations, rotations) into one of six components, which pyuff cannot write."""
+    modes = [block for block in blocks if block.kind == 55]
+    out = list(lines[: modes[0].line - 1])
+    for one, two in zip(modes[::2], modes[1::2], strict=True):
+        head = list(one.lines[:8])
+        head[5] = head[5][:20] + f"{3:10d}" + head[5][30:50] + f"{6:10d}"
+        out += [f"{-1:6d}", f"{55:6d}", *head]
+        for k in range(8, len(one.lines), 2):
+            out += [one.lines[k], one.lines[k + 1], two.lines[k + 1]]
+        out.append(f"{-1:6d}")
+    return out
+
+
+def _check_writable(
+    path: Path,
+    names: Sequence[str],
+    freq: np.ndarray,
+    damping: np.ndarray,
+    sensors: Sequence[Sensor],
+    values: np.ndarray,
+) -> dict[int, Point]:
+    """Places of the nodes, after everything that the format cannot hold has been refused."""
+    n = len(names)
+    if freq.shape != (n,) or damping.shape != (n,) or values.shape != (len(sensors), n) or n == 0 or not len(sensors):
+        raise InputError("names, frequencies, damping, sensors and shapes do not fit together", place=path)
+    if any(name.split() != [name] or len(name) > 70 or not name.isprintable() for name in names):
+        raise InputError("a mode name is not one word", place=path, remedy="write it without blanks")
+    if len(set(names)) != n:
+        raise InputError("two modes share a name", place=path)
+    if not (np.all((freq > 0) & (freq < FREQ_LIMIT)) and np.all((damping >= 0) & (damping < 1))):
+        raise InputError(
+            "a frequency is not positive or a damping ratio is outside [0, 1)", place=path, remedy="correct it"
+        )
+    if len({sensor.name for sensor in sensors}) != len(sensors):
+        raise InputError("a sensor is given twice", place=path)
+    points: dict[int, Point] = {}
+    for sensor in sensors:
+        if sensor.point is None or points.setdefault(sensor.node, sensor.point) != sensor.point:
+            raise InputError(f"sensor {sensor.name} has no single place", place=path, remedy="give its node one point")
+        if not 0 <= sensor.node < 10**10:
+            raise InputError(f"node {sensor.node} does not fit ten digits", place=path)
+    known = np.isfinite(values)
+    if np.any(np.isinf(values)) or np.any(np.abs(values[known]) > VALUE_LIMIT):
+        raise InputError("a shape value is not a finite number", place=path)
+    for node in points:
+        rows = known[[k for k, sensor in enumerate(sensors) if sensor.node == node]]
+        if np.any(rows.any(axis=0) & ~rows.all(axis=0)):
+            raise InputError(
+                f"node {node} lacks some of its directions in a mode, which the format cannot tell from zero",
+                place=path,
+                remedy="write CSV",
+            )
+    return points

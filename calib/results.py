@@ -1,0 +1,88 @@
+"""The folder that holds a study's tables and figures; every file appears whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from calib.errors import InputError
+
+_REMEDY = "choose another place with --results DIR, or free the folder"
+
+
+@dataclass(frozen=True)
+class Results:
+    """One folder of results.
+
+    Attributes
+    ----------
+    path : Path
+    """
+
+    path: Path
+
+    @staticmethod
+    def at(root: Path, study_name: str, part: str = "") -> Results:
+        """Open (and make) ``root/study_name/part``; InputError when it cannot be written."""
+        path = root / study_name / part if part else root / study_name
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=path, prefix=".probe-"):
+                pass
+        except OSError as fault:
+            raise InputError(
+                f"results cannot be written there ({fault.strerror})", place=path, remedy=_REMEDY
+            ) from None
+        return Results(path)
+
+    def write_table(self, name: str, table: pd.DataFrame, index: bool = False) -> Path:
+        """Write ``name.csv``; floats keep ten digits."""
+        return self._write(f"{name}.csv", table.to_csv(index=index, float_format="%.10g"))
+
+    def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
+        """Write ``name.json``; missing numbers become null."""
+        return self._write(f"{name}.json", json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
+
+    def has(self, name: str) -> bool:
+        """Whether a file of that name (with suffix) exists."""
+        return (self.path / name).exists()
+
+    def remove(self, *names: str) -> None:
+        """Delete results that would no longer be true."""
+        for name in names:
+            (self.path / name).unlink(missing_ok=True)
+
+    def _write(self, name: str, text: str) -> Path:
+        target = self.path / name
+        handle = None
+        try:
+            handle, temporary = tempfile.mkstemp(dir=self.path, prefix=f".{name}-")
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                stream.write(text)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, target)
+        except OSError as fault:
+            if handle is not None:
+                Path(temporary).unlink(missing_ok=True)
+            raise InputError(f"it cannot be written ({fault.strerror})", place=target, remedy=_REMEDY) from None
+        return target
+
+
+def _plain(value: Any) -> Any:
+    """Numbers as Python's own, NaN as None."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float) and value != value:
+        return None
+    return value

@@ -1,0 +1,1 @@
+"""Which parameters matter: samples of the parameter space and rank correlations."""

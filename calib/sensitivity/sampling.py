@@ -1,0 +1,98 @@
+"""Points of a parameter space that keep its constraints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from calib.errors import InputError
+from calib.space import ParameterSpace
+
+_BATCH_MAX = 50_000
+_FEWEST = 1e-4
+"""Smallest acceptance worth continuing with."""
+_TRIES = 100_000
+"""Candidates drawn before the acceptance is judged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Accepted points of a space.
+
+    Attributes
+    ----------
+    points : ndarray (count, n_free)
+        Over the free parameters, each in its own unit.
+    asked : int
+        Candidates drawn.
+    accepted : int
+        Candidates that kept the constraints, at least ``count``.
+    """
+
+    points: np.ndarray
+    asked: int
+    accepted: int
+
+    @property
+    def acceptance(self) -> float:
+        """Part of the candidates that kept the constraints."""
+        return self.accepted / self.asked
+
+
+def sample(space: ParameterSpace, count: int, seed: int) -> Sample:
+    """Draw points by Latin hypercube, keeping those that meet the space's constraints.
+
+    Without constraints the points are one Latin hypercube (McKay, Beckman and Conover 1979). With constraints, whole
+    hypercubes are drawn until enough points are accepted; what is left is uniform over the admissible region but no
+    longer a Latin hypercube, and its parameters are correlated. Whole-number parameters take each value with equal
+    probability.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    count : int
+        Accepted points wanted.
+    seed : int
+        Same seed, same points.
+
+    Returns
+    -------
+    Sample
+
+    Raises
+    ------
+    InputError
+        When nothing is free, or the constraints accept fewer than 1 candidate in 10,000.
+    """
+    if count < 1:
+        raise InputError(f"{count} points are asked", place="sample", remedy="ask for at least 1")
+    if not space.free:
+        raise InputError("no parameter is free", place="sample", remedy="select at least one parameter")
+    space.require_feasible()
+    engine = qmc.LatinHypercube(len(space.free), rng=np.random.default_rng(seed))
+    kept: list[np.ndarray] = []
+    asked = accepted = 0
+    batch = count
+    while accepted < count:
+        points = _scale(space, engine.random(batch))
+        good = points[space.feasible(points)]
+        kept.append(good)
+        asked, accepted = asked + batch, accepted + len(good)
+        if asked >= _TRIES and accepted < _FEWEST * asked:
+            raise InputError(
+                f"the constraints accept only {accepted} of {asked} points ({100 * accepted / asked:.2g} %)",
+                place="sample",
+                remedy="widen the constraints or narrow the parameter limits to the admissible region",
+            )
+        missing = (count - accepted) * asked / max(accepted, 1)
+        batch = int(np.clip(1.1 * missing, max(count, 100), _BATCH_MAX))
+    return Sample(np.concatenate(kept)[:count], asked, accepted)
+
+
+def _scale(space: ParameterSpace, unit: np.ndarray) -> np.ndarray:
+    """Points of the unit cube brought to the limits; whole numbers own equal parts of the unit interval."""
+    lower, upper = space.lower, space.upper
+    whole = np.minimum(lower + np.floor(unit * (upper - lower + 1.0)), upper)
+    return np.where(space.integer, whole, lower + unit * (upper - lower))

@@ -1,0 +1,96 @@
+"""Spearman rank correlation of parameters and responses, and how much of it chance alone gives."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+from scipy.stats import norm, rankdata
+
+from calib.errors import InputError
+
+FEWEST_ROWS = 3
+"""Complete rows below which a pair stays blank: two points always correlate perfectly."""
+
+
+def spearman(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
+    """Rank correlation of every parameter with every response.
+
+    Each pair uses the rows where both are known, so an unpaired mode costs its own responses and no others.
+
+    Parameters
+    ----------
+    points : DataFrame (n, n_parameters)
+    responses : DataFrame (n, n_responses)
+        Row for row with ``points``; NaN where unknown.
+
+    Returns
+    -------
+    DataFrame (n_parameters, n_responses)
+        Between -1 and 1 (Spearman 1904, ties by mean rank); NaN where parameter or response is constant over the rows
+        used, or fewer than 3 rows are complete.
+
+    Raises
+    ------
+    InputError
+        When the rows of the two tables do not belong together.
+    """
+    x, y = _arrays(points, responses)
+    out = np.full((x.shape[1], y.shape[1]), np.nan)
+    for j in range(y.shape[1]):
+        for i in range(x.shape[1]):
+            both = np.isfinite(x[:, i]) & np.isfinite(y[:, j])
+            if both.sum() < FEWEST_ROWS:
+                continue
+            a, b = (rankdata(v[both]) - (both.sum() + 1) / 2 for v in (x[:, i], y[:, j]))
+            size = math.sqrt((a @ a) * (b @ b))
+            if size > 0:
+                out[i, j] = min(1.0, max(-1.0, (a @ b) / size))
+    return pd.DataFrame(out, index=pd.Index(points.columns, name="parameter"), columns=responses.columns)
+
+
+def counts(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
+    """Complete rows behind every cell of `spearman`, (n_parameters, n_responses), int."""
+    x, y = _arrays(points, responses)
+    used = np.isfinite(x).T.astype(int) @ np.isfinite(y).astype(int)
+    return pd.DataFrame(used, index=pd.Index(points.columns, name="parameter"), columns=responses.columns)
+
+
+def noise_floor(n_rows: int, n_cells: int, level: float = 0.95) -> float:
+    """Largest size of a rank correlation that chance alone gives in a whole table, with the given probability.
+
+    Under independence a rank correlation has variance 1/(n - 1) and is close to normal; for m cells taken as
+    independent (Sidak 1967) the floor is ``z((1 + level**(1/m))/2) / sqrt(n - 1)``, z being the normal quantile.
+
+    Parameters
+    ----------
+    n_rows : int
+        Complete rows of the sample.
+    n_cells : int
+        Parameters times responses.
+    level : float
+        Probability that no spurious correlation is larger.
+
+    Returns
+    -------
+    float
+        At most 1.
+    """
+    if n_rows < FEWEST_ROWS or n_cells < 1 or not 0 < level < 1:
+        raise InputError(
+            f"no noise floor for {n_rows} rows, {n_cells} cells and level {level:g}",
+            place="rank correlation",
+            remedy="give at least 3 rows, 1 cell and a level between 0 and 1",
+        )
+    cell = -math.expm1(math.log(level) / n_cells)
+    return min(1.0, float(norm.isf(0.5 * cell)) / math.sqrt(n_rows - 1))
+
+
+def _arrays(points: pd.DataFrame, responses: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    if not points.index.equals(responses.index):
+        raise InputError(
+            f"{len(points)} points and {len(responses)} rows of responses do not belong together row for row",
+            place="rank correlation",
+        )
+    return points.to_numpy(dtype=float), responses.to_numpy(dtype=float)

@@ -1,0 +1,228 @@
+"""What may stand in ``study.toml``: every key with its type, default and check."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from calib.errors import InputError
+
+Pair = tuple[float, float]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MeasurementSettings(_Section):
+    """``[measurement]``: files, relative to the study's folder."""
+
+    files: tuple[str, ...] = ()
+    shapes: tuple[str, ...] = ()
+    sensors: str | None = None
+    responses: str | None = None
+    mode_names: tuple[str, ...] | None = None
+    repeats: int | None = Field(default=None, ge=1)
+    std_of: Literal["mean", "repeat"] = "mean"
+    synthetic: bool = False
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> MeasurementSettings:
+        if bool(self.files) == bool(self.responses):
+            raise ValueError("name either measured modes (files = [...]) or plain responses (responses = '...')")
+        return self
+
+
+class WithheldSettings(_Section):
+    """``[withheld]``: measured modes and sensors that no fit ever sees."""
+
+    modes: tuple[str, ...] = ()
+    sensors: tuple[str, ...] = ()
+
+
+class PairingSettings(_Section):
+    """``[pairing]``: how measured and model modes find each other."""
+
+    mode_count: int | None = Field(default=None, ge=1)
+    threshold: Share = 0.3
+    freq_window: Pair | None = None
+    clusters: dict[str, tuple[str, ...]] = {}
+    override: dict[str, int] = {}
+
+    @field_validator("freq_window")
+    @classmethod
+    def _ordered(cls, window: Pair | None) -> Pair | None:
+        if window is not None and not 0 <= window[0] < window[1]:
+            raise ValueError(f"the window {list(window)} is not [lower, upper] in Hz")
+        return window
+
+
+class ParameterSettings(_Section):
+    """``[parameters.NAME]``: changes to one parameter of the model, in its own unit."""
+
+    value: float | None = None
+    limits: Pair | None = None
+    search: Pair | None = None
+    prior_sd: float | None = Field(default=None, gt=0)
+    fixed: bool | None = None
+
+
+class ConstraintSettings(_Section):
+    """``[[constraints]]``: limits on a weighted sum of parameters."""
+
+    name: str
+    coefficients: dict[str, float]
+    limits: Pair
+    unit: str = "-"
+
+
+class SensitivitySettings(_Section):
+    """``[sensitivity]``."""
+
+    samples: int = Field(default=500, ge=3)
+    seed: int = Field(default=1, ge=0)
+    blank_below: Share = 0.25
+
+
+class CaseSettings(_Section):
+    """``[[calibration.cases]]``: one run of the search from its own initial population."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
+    seed: int = Field(ge=0)
+
+
+class CalibrationSettings(_Section):
+    """``[calibration]``."""
+
+    weight_freq: float = Field(default=1.0, ge=0)
+    weight_mac: float = Field(default=1.0, ge=0)
+    population: int = Field(default=30, ge=4)
+    generations: int = Field(default=250, ge=2)
+    crossover: Share = 0.5
+    mutation: Share = 0.15
+    sigma_start: float = Field(default=0.10, gt=0, le=1)
+    sigma_end: float = Field(default=0.01, gt=0, le=1)
+    cases: tuple[CaseSettings, ...] = Field(min_length=1)
+
+    @field_validator("cases")
+    @classmethod
+    def _distinct(cls, cases: tuple[CaseSettings, ...]) -> tuple[CaseSettings, ...]:
+        names = [case.name for case in cases]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two cases are named {name!r}")
+        return cases
+
+
+class StudySettings(_Section):
+    """The whole file."""
+
+    title: str
+    model: str = Field(pattern=r"^[^:]+:[A-Za-z_]\w*$")
+    model_options: dict[str, Any] = {}
+    measurement: MeasurementSettings
+    withheld: WithheldSettings = WithheldSettings()
+    pairing: PairingSettings = PairingSettings()
+    parameters: dict[str, ParameterSettings] = {}
+    constraints: tuple[ConstraintSettings, ...] = ()
+    selection: tuple[str, ...]
+    sensitivity: SensitivitySettings = SensitivitySettings()
+    calibration: CalibrationSettings
+
+
+def read_settings(file: Path) -> StudySettings:
+    """Read and check a study file; InputError names file, line, key and remedy."""
+    try:
+        text = file.read_bytes().decode("utf-8")
+    except FileNotFoundError:
+        raise InputError(
+            "there is no such study file",
+            place=file,
+            remedy="name a folder that holds a study.toml, or make one with 'calib new'",
+        ) from None
+    except UnicodeDecodeError as fault:
+        raise InputError(f"it is not UTF-8 text (byte {fault.start})", place=file, remedy="save it as UTF-8") from None
+    except OSError as fault:
+        raise InputError(f"it cannot be read ({fault.strerror})", place=file) from None
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as fault:
+        raise InputError(f"it is not valid TOML: {fault}", place=file, remedy="mend that line") from None
+    try:
+        return StudySettings.model_validate(data)
+    except ValidationError as fault:
+        raise _explain(fault, file, text) from None
+    except RecursionError:
+        raise InputError("it is nested too deeply", place=file) from None
+
+
+def _explain(fault: ValidationError, file: Path, text: str) -> InputError:
+    """The first complaint in one sentence, with its line."""
+    first = fault.errors()[0]
+    keys = tuple(first["loc"])
+    label = ".".join(str(k) for k in keys) or "the file"
+    line = line_of(text, keys)
+    place = f"{file}, line {line}" if line else str(file)
+    kind, words = first["type"], first["msg"].removeprefix("Value error, ")
+    given = repr(first.get("input"))
+    given = given if len(given) < 60 else given[:57] + "..."
+    if kind == "extra_forbidden":
+        known = ", ".join(_known_keys(keys[:-1]))
+        return InputError(
+            f"unknown key {label!r}", place=place, remedy=f"the keys known there are {known}" if known else None
+        )
+    if kind == "missing":
+        return InputError(f"{label!r} is missing", place=place, remedy="add it")
+    if kind == "value_error":
+        return InputError(f"{label}: {words}", place=place)
+    return InputError(f"{label} = {given} is not allowed: {words[:1].lower() + words[1:]}", place=place)
+
+
+def _known_keys(keys: tuple[int | str, ...]) -> list[str]:
+    section: Any = StudySettings
+    for key in keys:
+        if isinstance(key, int) or not (isinstance(section, type) and issubclass(section, BaseModel)):
+            continue
+        field = section.model_fields.get(str(key))
+        section = _section_of(field.annotation) if field is not None else section
+    return list(section.model_fields) if isinstance(section, type) and issubclass(section, BaseModel) else []
+
+
+def _section_of(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for part in getattr(annotation, "__args__", ()):
+        found = _section_of(part)
+        if found is not None:
+            return found
+    return None
+
+
+def line_of(text: str, keys: tuple[int | str, ...]) -> int | None:
+    """Line (from 1) that most likely holds a key of a TOML text; None when it cannot be told."""
+    names = [str(k) for k in keys if not isinstance(k, int)]
+    index = next((k for k in keys if isinstance(k, int)), None)
+    lines = text.splitlines()
+    section, seen, best = "", -1, None
+    for number, line in enumerate(lines, start=1):
+        header = re.match(r"\s*\[\[?\s*([^\]]+?)\s*\]\]?", line)
+        if header and "=" not in line.split("#")[0]:
+            section = header.group(1).replace('"', "").replace("'", "")
+            seen = seen + 1 if line.lstrip().startswith("[[") else -1
+            if section == ".".join(names) and (index is None or seen < 0 or seen == index):
+                return number
+            continue
+        key = re.match(r"""\s*["']?([A-Za-z0-9_.-]+)["']?\s*=""", line)
+        if not key:
+            continue
+        path = [p for p in (*section.split("."), *key.group(1).split(".")) if p]
+        if path == names[: len(path)] and (index is None or seen < 0 or seen == index):
+            if len(path) == len(names):
+                return number
+            best = number
+    return best

@@ -1,0 +1,64 @@
+"""A laboratory rig of four storeys: equal masses in a chain, each storey on two clamped-clamped leaf springs.
+
+Masses and leaf-spring dimensions: open data set "Experimental Model Updating Benchmark" (L. Fritsch, MIT licence).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from calib.space import Parameter, ParameterSpace
+from calib.structure.affine import AffineMatrix, Term, parameter
+from calib.structure.model import DofMap, Mesh, StructuralModel
+from models.chain import ChainLocator
+
+STOREYS = 4
+MASS = 0.1122
+YOUNG_MODULUS = 210e9
+LEAF_LENGTH, LEAF_THICKNESS, LEAF_WIDTH = 47.5e-3, 0.45e-3, 25.5e-3
+
+_SOURCE = "Experimental Model Updating Benchmark, L. Fritsch"
+
+
+def storey_stiffness() -> float:
+    """Nominal stiffness of one storey, N/m: two clamped-clamped leaf springs of ``12 E I / L^3`` each."""
+    inertia = LEAF_WIDTH * LEAF_THICKNESS**3 / 12
+    return 2 * 12 * YOUNG_MODULUS * inertia / LEAF_LENGTH**3
+
+
+def four_storey_rig() -> StructuralModel:
+    """Chain of four masses; every storey's stiffness is a factor of its nominal value (storey 1 on the ground)."""
+    nominal = storey_stiffness()
+    parameters, terms = [], []
+    for storey in range(1, STOREYS + 1):
+        name = f"k{storey}"
+        parameters.append(
+            Parameter(
+                name, 1.0, 0.7, 1.4, description=f"stiffness of storey {storey} over its nominal {nominal:.0f} N/m",
+                source=_SOURCE,
+            )
+        )  # fmt: skip
+        elongation = np.zeros((1, STOREYS))
+        elongation[0, storey - 1] = 1.0
+        if storey > 1:
+            elongation[0, storey - 2] = -1.0
+        terms.append(Term(name, sp.csr_array(nominal * elongation.T @ elongation), parameter(name)))
+    mass = Term("masses", sp.csr_array(MASS * np.eye(STOREYS)))
+    heights = LEAF_LENGTH * np.arange(STOREYS + 1)
+    points = np.column_stack([np.zeros(STOREYS + 1), heights, np.zeros(STOREYS + 1)])
+    rows = 6 * np.arange(1, STOREYS + 1)
+    expansion = sp.csr_array((np.ones(STOREYS), (rows, np.arange(STOREYS))), shape=(6 * (STOREYS + 1), STOREYS))
+    dofs = DofMap(expansion, np.arange(1, STOREYS + 1), np.zeros(STOREYS, dtype=int))
+    lines = np.column_stack([np.arange(STOREYS), np.arange(1, STOREYS + 1)])
+    return StructuralModel(
+        name="four-storey rig",
+        space=ParameterSpace(tuple(parameters)),
+        stiffness=AffineMatrix(STOREYS, tuple(terms)),
+        damping=AffineMatrix(STOREYS, ()),
+        mass=AffineMatrix(STOREYS, (mass,)),
+        mesh=Mesh(points, lines, ("storey",) * STOREYS),
+        dofs=dofs,
+        clusters={"storeys.x": np.arange(STOREYS)},
+        locator=ChainLocator(points, expansion),
+    )

@@ -1,0 +1,218 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calib.correlation.compare import BEYOND, UNKNOWN, UNPAIRED, WITHIN
+from calib.correlation.mac import mac
+from calib.correlation.problem import ModalProblem
+
+TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0}
+OFF = {"k_along": 40.0, "k_across": 11.0, "c_end": 300.0}
+
+
+@pytest.fixture
+def found(build, twin):
+    """A model off the truth, compared with a twin whose modes come in another order."""
+    model = build()
+    return ModalProblem(model, twin(model, TRUTH, order=(2, 0, 1, 4)), mode_count=6).compare(OFF)
+
+
+def test_comparison_table_has_its_columns_and_signed_errors(found):
+    table = found.comparison_table()
+    assert list(table.columns) == [
+        "mode",
+        "natural_freq_measured",
+        "natural_freq_model",
+        "damped_freq_measured",
+        "damped_freq_model",
+        "freq_error",
+        "damping_ratio_measured",
+        "damping_ratio_model",
+        "mac",
+        "emac",
+        "margin",
+    ]
+    assert table["mode"].tolist() == ["M1", "M2", "M3", "M4"]
+    modes = found.model.modes(OFF, 6)
+    np.testing.assert_allclose(table["natural_freq_model"], modes.natural_freq[found.pairing.model_index])
+    np.testing.assert_allclose(
+        table["natural_freq_model"], table["natural_freq_measured"] * (1 + table["freq_error"]), rtol=1e-12
+    )
+    assert (table["freq_error"] > 0.05).any()
+    np.testing.assert_allclose(
+        table["damped_freq_model"], table["natural_freq_model"] * np.sqrt(1 - table["damping_ratio_model"] ** 2)
+    )
+
+
+def test_mac_table_names_modes_and_model_frequencies(found):
+    table = found.mac_table()
+    assert table["mode"].tolist() == ["M1", "M2", "M3", "M4"]
+    assert list(table.columns)[1:] == [f"{k + 1} ({f:.2f} Hz)" for k, f in enumerate(found.modes.natural_freq)]
+    np.testing.assert_array_equal(table.drop(columns="mode").to_numpy(), found.mac)
+
+
+def test_shapes_overlay_and_keep_their_mac(found):
+    table = found.shapes_table()
+    assert ",".join(table.columns) == "mode,sensor,node,direction,x,y,z,measured_re,measured_im,model_re,model_im"
+    for i, name in enumerate(found.measured.names):
+        rows = table[table["mode"] == name]
+        model = (rows["model_re"] + 1j * rows["model_im"]).to_numpy()
+        measured = (rows["measured_re"] + 1j * rows["measured_im"]).to_numpy()
+        np.testing.assert_array_equal(measured, found.measured.shapes[:, i])
+        assert mac(measured, model)[0, 0] == pytest.approx(found.pairing.mac[i])
+        # Least squares leaves a residual at right angles to the fitted shape.
+        assert abs(np.vdot(model, measured - model)) < 1e-12
+    assert table.iloc[2][["sensor", "node", "direction", "x"]].tolist() == ["2x", 2, "x", 1.0]
+
+
+def test_deflections_pass_through_the_sensors(found):
+    table = found.deflection_table()
+    assert ",".join(table.columns) == "mode,line,group,x1,y1,z1,x2,y2,z2,u1,v1,w1,u2,v2,w2"
+    assert len(table) == 4 * len(found.model.mesh.lines)
+    shapes = found.shapes_table()
+    for _, row in table.iterrows():
+        for end in "12":
+            for direction, motion in (("x", "u"), ("y", "v")):
+                seen = shapes[
+                    (shapes["mode"] == row["mode"])
+                    & (shapes["x"] == row[f"x{end}"])
+                    & (shapes["direction"] == direction)
+                ]
+                assert row[f"{motion}{end}"] == pytest.approx(seen["model_re"].item(), abs=1e-12)
+            assert row[f"w{end}"] == 0.0
+
+
+def test_comac_table_leads_with_the_wrong_sensor(build, twin):
+    model = build()
+    light = {**TRUTH, "c_end": 40.0}
+    measured = twin(model, light)
+    wrong = measured.shapes.copy()
+    wrong[3] *= -1
+    table = ModalProblem(model, dataclasses.replace(measured, shapes=wrong), mode_count=6).compare(light).comac_table()
+    assert list(table.columns) == ["sensor", "node", "direction", "x", "y", "z", "comac"]
+    assert table.loc[0, "sensor"] == "2y" and table.loc[0, "comac"] < 0.1
+    assert table["comac"].is_monotonic_increasing and table["comac"].iloc[-1] > 0.99
+
+
+def test_unpaired_modes_stay_visible(build, twin):
+    model = build()
+    measured = twin(model, TRUTH)
+    problem = ModalProblem(model, measured, mode_count=6, freq_window=(1.01 * measured.natural_freq[0], 1e3))
+    found = problem.compare(TRUTH)
+    row = found.comparison_table().iloc[0]
+    assert row["natural_freq_measured"] == measured.natural_freq[0]
+    assert row[["natural_freq_model", "freq_error", "damping_ratio_model", "mac", "margin"]].isna().all()
+    shapes = found.shapes_table()
+    assert shapes.loc[shapes["mode"] == "M1", "model_re"].isna().all()
+    assert shapes.loc[shapes["mode"] == "M1", "measured_re"].notna().all()
+    assert found.deflection_table()["mode"].unique().tolist() == ["M2", "M3", "M4"]
+    assert found.where_it_fails().iloc[0].tolist()[:2] == ["shape", "M1"]
+    assert found.where_it_fails().loc[0, "verdict"] == UNPAIRED
+    assert "3 of 4 measured modes are paired; not M1." in found.sentence()
+
+
+def test_nothing_paired_is_a_table_too(build, twin):
+    model = build()
+    found = ModalProblem(model, twin(model, TRUTH), mode_count=6, freq_window=(1e3, 2e3)).compare(TRUTH)
+    assert found.deflection_table().empty and "u1" in found.deflection_table()
+    assert found.comac_table()["comac"].isna().all()
+    assert (found.where_it_fails()["verdict"] == UNPAIRED).sum() == 4
+    assert "0 of 4" in found.sentence()
+
+
+def test_frequencies_alone_have_tables(build, twin):
+    model = build(damped=False)
+    found = ModalProblem(model, twin(model, TRUTH, shapes=False), mode_count=6).compare(TRUTH)
+    assert found.shapes_table().empty and found.comac_table().empty
+    assert found.mac_table().drop(columns="mode").isna().all(axis=None)
+    deflection = found.deflection_table()
+    assert np.abs(deflection[["u1", "v1", "u2", "v2"]]).groupby(deflection["mode"]).max().max(axis=1).tolist() == (
+        pytest.approx([1.0] * 4)
+    )
+    assert set(found.where_it_fails()["kind"]) == {"frequency"}
+    assert np.all(np.isnan(found.noise_mac()))
+
+
+@pytest.mark.parametrize("real", [False, True])
+def test_a_perfect_model_stays_in_its_scatter(build, twin, real):
+    """Over many noisy twins the scatter is 1 on average, and about one comparison in twenty lies beyond."""
+    model = build(damped=not real)
+    numbers: dict[str, list[float]] = {"frequency": [], "damping": [], "shape": [], "sensor": []}
+    beyond: dict[str, list[bool]] = {kind: [] for kind in numbers}
+    allowed, reached = [], []
+    for seed in range(150):
+        measured = twin(model, TRUTH, noise=0.025, seed=seed, real=real)
+        found = ModalProblem(model, measured, mode_count=6).compare(TRUTH)
+        allowed.append(found.noise_mac())
+        reached.append(found.pairing.mac)
+        for row in found.where_it_fails().itertuples():
+            numbers[row.kind].append(row.in_scatter)
+            beyond[row.kind].append(row.verdict == BEYOND)
+    for kind, values in numbers.items():
+        if kind == "damping" and real:
+            assert not values
+            continue
+        # Frequencies give four numbers a twin, shapes and sensors average over many parts each.
+        tolerance = 0.1 if kind in ("frequency", "damping") else 0.03
+        assert np.sqrt(np.mean(np.square(values))) == pytest.approx(1.0, abs=tolerance), kind
+        assert 0.02 < np.mean(beyond[kind]) < 0.09, kind
+    assert 1 - np.mean(reached) == pytest.approx(1 - np.mean(allowed), rel=0.05)
+
+
+def test_a_wrong_model_is_told_where(build, twin):
+    model = build()
+    measured = twin(model, TRUTH, noise=0.02, seed=3)
+    wrong = ModalProblem(model, measured, mode_count=6).compare({**TRUTH, "k_across": 10.5})
+    table = wrong.where_it_fails()
+    scatter = table["in_scatter"].to_numpy()
+    assert list(table.columns) == ["kind", "what", "value", "in_scatter", "verdict"]
+    assert np.all(np.diff(scatter) <= 0) and table.loc[0, "kind"] == "frequency" and table.loc[0, "verdict"] == BEYOND
+    error = wrong.comparison_table().set_index("mode")["freq_error"]
+    worst = table.iloc[0]
+    assert worst["value"] == pytest.approx(error[worst["what"]])
+    assert worst["in_scatter"] == pytest.approx(abs(worst["value"]) / 0.005, rel=0.02)
+    assert f"The worst is the frequency of {worst['what']}, {worst['in_scatter']:.1f} times its scatter." in (
+        wrong.sentence()
+    )
+
+
+def test_twice_the_damper_is_a_damping_failure(build, twin):
+    model = build()
+    measured = twin(model, {**TRUTH, "c_end": 20.0}, noise=0.02, seed=3)
+    table = ModalProblem(model, measured, mode_count=6).compare({**TRUTH, "c_end": 40.0}).where_it_fails()
+    assert table.loc[:3, "kind"].tolist() == ["damping"] * 4  # all four, before everything else
+    np.testing.assert_allclose(table.loc[:3, "value"], np.log(2.0), atol=0.3)
+    assert (table.loc[:3, "verdict"] == BEYOND).all()
+    np.testing.assert_allclose(table.loc[:3, "in_scatter"], np.log(2.0) / 0.07, rtol=0.4)
+
+
+def test_few_repeats_widen_what_counts_as_scatter(build, twin):
+    model = build()
+    measured = twin(model, TRUTH, noise=0.02, seed=3)
+    # 2.4 standard deviations: beyond for a known scatter, within for one estimated from 3 repeats (limit 4.3).
+    exact = model.modes(TRUTH, 4).natural_freq
+    measured = dataclasses.replace(measured, natural_freq=exact * 1.012, freq_std=0.005 * exact)
+    verdicts = []
+    for repeats in (1, 3):
+        problem = ModalProblem(model, dataclasses.replace(measured, n_repeats=repeats), mode_count=6)
+        table = problem.compare(TRUTH).where_it_fails()
+        verdicts.append(set(table.loc[table["kind"] == "frequency", "verdict"]))
+    assert verdicts == [{BEYOND}, {WITHIN}]
+
+
+def test_unknown_scatter_is_said_and_not_judged(found):
+    table = found.where_it_fails()
+    assert set(table["verdict"]) == {UNKNOWN} and table["in_scatter"].isna().all()
+    assert "scatter of the measurement is unknown" in found.sentence()
+
+
+def test_a_sensor_fault_is_found_at_its_sensor(build, twin):
+    model = build()
+    measured = twin(model, TRUTH, noise=0.02, seed=1)
+    shapes = measured.shapes.copy()
+    shapes[7] *= 0.5
+    found = ModalProblem(model, dataclasses.replace(measured, shapes=shapes), mode_count=6).compare(TRUTH)
+    table = found.where_it_fails()
+    sensors = table[table["kind"] == "sensor"]
+    assert sensors.iloc[0]["what"] == "4y" and sensors.iloc[0]["verdict"] == BEYOND

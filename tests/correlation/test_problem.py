@@ -1,0 +1,193 @@
+import dataclasses
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+from calib.correlation.problem import RESPONSES, FunctionProblem, ModalProblem
+from calib.errors import EvaluationError, InputError
+from calib.space import Parameter, ParameterSpace
+
+TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0}
+CLUSTERS = {"M1": ("across",), "M2": ("along", "across")}
+
+
+def test_a_perfect_model_answers_with_the_truth(build, twin):
+    model = build()
+    measured = twin(model, TRUTH, order=(2, 0, 1, 4))
+    problem = ModalProblem(model, measured, mode_count=6)
+    found = problem.evaluate(TRUTH)
+    assert tuple(found) == problem.response_names
+    assert len(found) == 4 * len(RESPONSES)
+    modes = model.modes(TRUTH, 6)
+    for name, j in zip(measured.names, (2, 0, 1, 4), strict=True):
+        assert found[f"natural_freq_{name}"] == pytest.approx(modes.natural_freq[j])
+        assert found[f"damped_freq_{name}"] == pytest.approx(modes.damped_freq[j])
+        assert found[f"damping_ratio_{name}"] == pytest.approx(modes.damping_ratio[j])
+        assert found[f"mac_{name}"] == pytest.approx(1.0)
+        assert found[f"emac_{name}"] == pytest.approx(1.0)  # no clusters named: EMAC is MAC
+    assert problem.evaluate({})["natural_freq_M1"] != pytest.approx(found["natural_freq_M1"], rel=1e-3)
+
+
+def test_energy_tells_apart_what_a_single_direction_cannot(build, twin):
+    """Seen across only, a mode along the chain leaks a shape that looks like a mode across it."""
+    model = build()
+    measured = twin(model, TRUTH, order=(0, 1, 2), directions="y")
+    plain = ModalProblem(model, measured, mode_count=6).compare(TRUTH)
+    energy = ModalProblem(
+        model, measured, mode_clusters={m: ("across",) for m in measured.names}, mode_count=6
+    ).compare(TRUTH)
+    share = np.divide(energy.emac, energy.mac)
+    np.testing.assert_allclose(plain.emac, plain.mac)
+    assert np.allclose(share, share[0])  # the same clusters for every measured mode
+    along = share[0] < 0.5
+    assert along.any() and not along.all()
+    assert not np.any(along[energy.pairing.model_index[energy.pairing.paired]])
+    both = ModalProblem(
+        model, measured, mode_clusters={m: ("across", "along") for m in measured.names}, mode_count=6
+    ).compare(TRUTH)
+    np.testing.assert_allclose(both.emac, both.mac)
+
+
+def test_unpaired_modes_are_nan_and_not_a_guess(build, twin):
+    model = build()
+    measured = twin(model, TRUTH, order=(0, 1, 2))
+    lost = dataclasses.replace(measured, shapes=measured.shapes * np.array([1.0, np.nan, 1.0]))
+    found = ModalProblem(model, lost, mode_count=5).evaluate(TRUTH)
+    assert all(math.isnan(found[f"{kind}_M2"]) for kind in RESPONSES)
+    assert all(math.isfinite(found[f"{kind}_M{k}"]) for kind in RESPONSES for k in (1, 3))
+
+
+def test_the_window_keeps_model_modes_out(build, twin):
+    model = build()
+    measured = twin(model, TRUTH, order=(0, 1, 2))
+    freq = measured.natural_freq
+    window = (0.5 * (freq[0] + freq[1]), 2 * freq[2])
+    found = ModalProblem(model, measured, mode_count=5, freq_window=window).compare(TRUTH).pairing
+    assert found.model_index.tolist() == [-1, 1, 2]
+
+
+def test_frequencies_alone_are_paired_in_order(build, twin):
+    model = build(damped=False)
+    measured = twin(model, TRUTH, order=(0, 1, 2), shapes=False)
+    problem = ModalProblem(model, measured, mode_count=4, override={"M3": 4})
+    assert problem.sensor_rows.shape == (0, model.n_dof)
+    found = problem.evaluate(TRUTH)
+    modes = model.modes(TRUTH, 4)
+    assert [found[f"natural_freq_M{k}"] for k in (1, 2, 3)] == pytest.approx(modes.natural_freq[[0, 1, 3]].tolist())
+    assert math.isnan(found["mac_M1"]) and math.isnan(found["emac_M1"]) and math.isnan(found["margin_M1"])
+
+
+def test_too_few_model_modes_fail_the_point(build, twin):
+    model = build(n=3)
+    measured = twin(model, {}, order=(0, 1))
+    with pytest.raises(EvaluationError, match="only 6 vibration modes, 7 were asked"):
+        ModalProblem(model, measured, mode_count=7).evaluate({})
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"mode_clusters": {"M1": ("sideways",)}}, "sideways.*its clusters are along, across"),
+        ({"mode_clusters": {"M9": ("along",)}}, "M9.*the measured modes are M1, M2"),
+        ({"mode_clusters": {"M1": ()}}, "no cluster is named"),
+        ({"mode_count": 3}, "at least as many.*4"),
+        ({"threshold": 1.5}, "between 0 and 1"),
+        ({"threshold": math.nan}, "between 0 and 1"),
+        ({"freq_window": (9.0, 3.0)}, "low first"),
+        ({"override": {"M1": 21}}, "from 1 to 20"),
+        ({"override": {"M1": 2, "M2": 2}}, "chosen for two"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused_at_once(build, twin, options, words):
+    model = build()
+    with pytest.raises(InputError, match=words):
+        ModalProblem(model, twin(model, TRUTH), **options)
+
+
+def test_a_sensor_off_the_model_is_refused_at_once(build, twin):
+    model = build()
+    measured = twin(model, TRUTH)
+    far = (dataclasses.replace(measured.sensors[0], point=(0.0, 5.0, 0.0)), *measured.sensors[1:])
+    with pytest.raises(InputError, match="off the model"):
+        ModalProblem(model, dataclasses.replace(measured, sensors=far))
+
+
+class Elsewhere:
+    """Another geometry on the same matrices."""
+
+    def row(self, point, direction, on=None):
+        return np.full(12, 1.0 + direction), 0.0
+
+
+def test_the_fingerprint_follows_everything_that_matters_and_nothing_else(build, twin):
+    model = build()
+    measured = twin(model, TRUTH)
+    plain = ModalProblem(model, measured, CLUSTERS)
+    assert (
+        plain.fingerprint == ModalProblem(build(), twin(build(), TRUTH), dict(reversed(CLUSTERS.items()))).fingerprint
+    )
+    others = [
+        ModalProblem(build(n=5), twin(build(n=5), TRUTH), CLUSTERS),
+        ModalProblem(model, twin(model, {}), CLUSTERS),
+        ModalProblem(model, measured),
+        ModalProblem(model, measured, CLUSTERS, mode_count=21),
+        ModalProblem(model, measured, CLUSTERS, threshold=0.2),
+        ModalProblem(model, measured, CLUSTERS, freq_window=(0.0, 50.0)),
+        ModalProblem(model, measured, CLUSTERS, override={"M1": 2}),
+    ]
+    shifted = tuple(dataclasses.replace(s, on="here") for s in measured.sensors)
+    moved = dataclasses.replace(model, locator=Elsewhere())
+    others.append(ModalProblem(moved, measured, CLUSTERS))
+    others.append(ModalProblem(model, dataclasses.replace(measured, sensors=shifted), CLUSTERS))
+    units = model.space.replace("k_along", unit="N/m", value=4e4, lower=2e4, upper=8e4)
+    others.append(ModalProblem(dataclasses.replace(model, space=units), measured, CLUSTERS))
+    assert len({p.fingerprint for p in [plain, *others]}) == len(others) + 1
+
+
+def test_a_problem_travels_to_other_processes(build, twin):
+    model = build()
+    problem = ModalProblem(dataclasses.replace(model, locator=None), twin(model, {}, shapes=False), mode_count=5)
+    copy = pickle.loads(pickle.dumps(problem))
+    assert copy.fingerprint == problem.fingerprint
+    assert str(copy.evaluate({})) == str(problem.evaluate({}))
+
+
+# -- functions ---------------------------------------------------------------------------------------------------------
+
+SPACE = ParameterSpace((Parameter("a", 2.0, 0.0, 5.0, "mm"), Parameter("b", 3.0, 0.0, 5.0)))
+
+
+def function_problem(function, targets=None):
+    return FunctionProblem(SPACE, function, targets or {"sum": (4.0, 0.1), "product": (5.0, None)}, "v1")
+
+
+def test_a_function_is_asked_with_complete_values_in_their_own_units():
+    problem = function_problem(lambda v: {"product": v["a"] * v["b"], "sum": v["a"] + v["b"], "more": np.float64(1)})
+    assert problem.evaluate({"b": 4.0}) == {"product": 8.0, "sum": 6.0, "more": 1.0}
+    assert problem.response_names == ("sum", "product") and problem.fingerprint == "v1"
+    with pytest.raises(InputError, match="unknown parameter 'c'"):
+        problem.evaluate({"c": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        ({"sum": 1.0}, "gave no product"),
+        ({"sum": 1.0, "product": math.inf}, "'product' is inf"),
+        ({"sum": math.nan, "product": 1.0}, "'sum' is nan"),
+        ({"sum": "fast", "product": 1.0}, "not a number"),
+    ],
+)
+def test_an_incomplete_answer_fails_the_point(answer, words):
+    with pytest.raises(EvaluationError, match=words):
+        function_problem(lambda v: answer).evaluate({})
+
+
+@pytest.mark.parametrize("targets", [{"sum": (math.nan, None)}, {"sum": (1.0, 0.0)}, {"sum": (1.0, -1.0)}])
+def test_targets_must_be_numbers_with_a_positive_scatter(targets):
+    with pytest.raises(InputError):
+        function_problem(lambda v: v, targets)
+    with pytest.raises(InputError, match="no target"):
+        FunctionProblem(SPACE, lambda v: v, {}, "")

@@ -1,0 +1,119 @@
+import numpy as np
+import pytest
+
+from calib.errors import InputError
+from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats, mac
+
+NAMES = ("a", "b", "c")
+
+
+def repeat(shapes, *, freq=(1.0, 2.0, 3.0), names=NAMES, source="r", named=True, std=None, freq_std=None):
+    shapes = np.asarray(shapes, dtype=complex)
+    sensors = tuple((k + 1, "y") for k in range(len(shapes)))
+    n = shapes.shape[1]
+    nan = np.full(n, np.nan)
+    given = ShapeSet(source, sensors, shapes, np.full(shapes.shape, np.nan) if std is None else std)
+    return Repeat(source, names, named, np.array(freq), nan if freq_std is None else freq_std, nan + 0, nan + 0, given)
+
+
+def test_repeats_that_differ_by_a_complex_factor_have_no_scatter():
+    rng = np.random.default_rng(1)
+    truth = rng.normal(size=(8, 3)) + 1j * rng.normal(size=(8, 3))
+    factors = rng.normal(size=(4, 1, 3)) + 1j * rng.normal(size=(4, 1, 3))
+    out = combine_repeats([repeat(truth * f, source=f"r{k}") for k, f in enumerate(factors)])
+    np.testing.assert_allclose(out.shape_std, 0.0, atol=1e-14)
+    np.testing.assert_allclose(np.abs(out.shapes).max(axis=0), 1.0)
+    np.testing.assert_allclose([mac(out.shapes[:, m], truth[:, m]) for m in range(3)], 1.0)
+
+
+def test_the_deviation_is_that_of_the_mean():
+    """Over many sets of four repeats, the reported deviation agrees with how far the means really scatter."""
+    rng = np.random.default_rng(2)
+    truth = np.ones((40, 3))
+    truth[0] = 3.0  # the largest, to which shapes are scaled
+    for complex_noise in (False, True):
+        means, stds = [], []
+        for _ in range(60):
+            noisy = [truth + 0.05 * rng.normal(size=truth.shape) for _ in range(4)]
+            if complex_noise:
+                noisy = [s + 0.05j * rng.normal(size=truth.shape) for s in noisy]
+            out = combine_repeats([repeat(s) for s in noisy])
+            means.append(out.shapes[1:] * np.exp(-1j * np.angle(out.shapes[:1])))
+            stds.append(out.shape_std[1:])
+        expected = 0.05 / 2 / 3  # noise over sqrt(4), over the scale
+        assert np.sqrt(np.mean(np.square(stds))) == pytest.approx(expected, rel=0.04)
+        assert np.std(np.real(means), axis=0).mean() == pytest.approx(expected, rel=0.06)
+
+
+def test_frequencies_are_averaged_with_their_scatter():
+    shapes = np.eye(3)
+    out = combine_repeats([repeat(shapes, freq=(10.0 + d, 20.0, 30.0)) for d in (-1.0, 0.0, 1.0)])
+    np.testing.assert_allclose(out.natural_freq, [10, 20, 30])
+    np.testing.assert_allclose(out.freq_std, [1 / np.sqrt(3), 0, 0])
+
+
+def test_modes_are_matched_by_name_when_every_repeat_names_them():
+    rng = np.random.default_rng(3)
+    shapes = rng.normal(size=(6, 3))
+    turned = repeat(shapes[:, ::-1], freq=(3.0, 2.0, 1.0), names=NAMES[::-1])
+    out = combine_repeats([repeat(shapes), turned])
+    np.testing.assert_allclose(out.freq_std, 0.0)
+    np.testing.assert_allclose(out.shape_std, 0.0, atol=1e-14)
+    unnamed = combine_repeats([repeat(shapes), repeat(shapes, names=("1", "2", "3"), named=False)])
+    np.testing.assert_allclose(unnamed.shape_std, 0.0, atol=1e-14)
+    assert combine_repeats([repeat(shapes), turned], mode_names=("p", "q", "r")).names == ("p", "q", "r")
+
+
+def test_real_shapes_stay_real():
+    rng = np.random.default_rng(4)
+    shapes = rng.normal(size=(6, 3))
+    out = combine_repeats([repeat(shapes + 0.01 * rng.normal(size=(6, 3))) for _ in range(3)])
+    assert out.shapes.dtype == complex
+    assert not out.shapes.imag.any()
+    assert np.all(out.shape_std > 0)
+
+
+def test_a_mode_that_is_another_one_is_noted():
+    shapes = np.eye(4)[:, :3] + 0.01
+    out = combine_repeats([repeat(shapes, source="one.uff"), repeat(shapes[:, [0, 2, 1]], source="two.uff")])
+    odd = [note for note in out.notes if "MAC" in note]
+    assert len(odd) == 2
+    assert "mode b of two.uff" in odd[0] and "mode c of two.uff" in odd[1]
+
+
+def test_a_sensor_that_failed_in_one_repeat_is_averaged_over_the_others():
+    shapes = np.arange(1.0, 10.0).reshape(3, 3)
+    failed = shapes.astype(complex)
+    failed[0] = np.nan
+    out = combine_repeats([repeat(shapes), repeat(failed), repeat(2 * shapes)])
+    np.testing.assert_allclose(out.shapes, shapes / shapes.max(axis=0))
+    only_one = combine_repeats([repeat(shapes), repeat(failed)])
+    assert np.isnan(only_one.shape_std[0]).all() and np.isfinite(only_one.shape_std[1:]).all()
+
+
+def test_deviations_of_a_single_file():
+    shapes, std, freq_std = 4 * np.eye(3), np.full((3, 3), 0.4), np.array([0.2, np.nan, 0.1])
+    one = repeat(shapes, std=std, freq_std=freq_std)
+    np.testing.assert_allclose(combine_repeats([one]).shape_std, 0.1)
+    np.testing.assert_allclose(combine_repeats([one]).freq_std, freq_std)
+    halved = combine_repeats([one], std_of="repeat", count=4)
+    np.testing.assert_allclose(halved.shape_std, 0.05)
+    np.testing.assert_allclose(halved.freq_std, freq_std / 2)
+    with pytest.raises(InputError, match="number of repeats is not given"):
+        combine_repeats([one], std_of="repeat")
+    bare = combine_repeats([repeat(shapes)], std_of="repeat")
+    assert np.isnan(bare.freq_std).all()
+    assert any("scatter of the frequencies is unknown" in note for note in bare.notes)
+    assert any("scatter of the shapes is unknown" in note for note in bare.notes)
+
+
+def test_repeats_of_different_sizes_are_refused():
+    shapes = np.eye(4)[:, :3]
+    with pytest.raises(InputError, match=r"two: it holds 2 modes, but r holds 3"):
+        combine_repeats([repeat(shapes), repeat(shapes[:, :2], names=("a", "b"), freq=(1.0, 2.0), source="two")])
+    with pytest.raises(InputError, match=r"two: mode 'c' of r is missing"):
+        combine_repeats([repeat(shapes), repeat(shapes, names=("a", "b", "d"), source="two")])
+    with pytest.raises(InputError, match=r"two: sensor 4y of r is missing"):
+        combine_repeats([repeat(shapes), repeat(shapes[:3], source="two")])
+    with pytest.raises(InputError, match="2 mode names are given for 3"):
+        combine_repeats([repeat(shapes)], mode_names=("a", "b"))

@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+
+from calib.errors import InputError
+from calib.sensitivity.sampling import sample
+from calib.space import LinearConstraint, Parameter, ParameterSpace
+
+SPACE = ParameterSpace(
+    (
+        Parameter("a", 1.0, 0.0, 10.0),
+        Parameter("held", 5.0, 0.0, 10.0, distribution="fixed"),
+        Parameter("b", 0.0, -1.0, 1.0),
+        Parameter("step", 0.0, -2.0, 2.0, integer=True),
+    )
+)
+
+
+def constrained(low: float, high: float) -> ParameterSpace:
+    return ParameterSpace(SPACE.parameters, (LinearConstraint("sum", (("a", 1.0), ("held", 1.0)), low, high),))
+
+
+def test_without_constraints_every_stratum_of_every_parameter_is_met_once():
+    found = sample(SPACE, 50, seed=1)
+    assert found.points.shape == (50, 3) and found.asked == found.accepted == 50 and found.acceptance == 1.0
+    for column, low, width in ((0, 0.0, 10.0), (1, -1.0, 2.0)):
+        strata = np.floor((found.points[:, column] - low) / width * 50).astype(int)
+        assert sorted(strata) == list(range(50))
+
+
+def test_whole_numbers_have_equal_shares_up_to_the_ends():
+    values, counts = np.unique(sample(SPACE, 500, seed=2).points[:, 2], return_counts=True)
+    assert values.tolist() == [-2, -1, 0, 1, 2] and counts.tolist() == [100] * 5
+
+
+def test_same_seed_same_points():
+    space = constrained(6.0, 8.0)
+    first, again, other = (sample(space, 40, seed=s).points for s in (7, 7, 8))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_accepted_points_keep_the_constraints_and_fill_the_region():
+    found = sample(constrained(6.0, 8.0), 400, seed=3)  # 1 <= a <= 3: a fifth of the range
+    assert found.points.shape == (400, 3)
+    assert found.acceptance == pytest.approx(0.2, abs=0.02) and found.accepted >= 400
+    a = found.points[:, 0]
+    assert a.min() >= 1.0 and a.max() <= 3.0
+    assert a.mean() == pytest.approx(2.0, abs=0.1) and a.std() == pytest.approx(2 / np.sqrt(12), abs=0.05)
+
+
+def test_a_region_of_one_in_a_thousand_is_still_sampled():
+    found = sample(constrained(6.0, 6.01), 20, seed=4)
+    assert len(found.points) == 20 and found.acceptance == pytest.approx(1e-3, rel=0.6)
+
+
+def test_constraints_that_accept_next_to_nothing_are_named_with_their_rate():
+    with pytest.raises(InputError, match=r"accept only \d+ of \d+ points \(.* %\)"):
+        sample(constrained(6.0, 6.0), 5, seed=5)
+    with pytest.raises(InputError, match="no point within the limits"):
+        sample(constrained(30.0, 40.0), 5, seed=5)
+
+
+def test_nothing_to_sample_is_refused():
+    with pytest.raises(InputError, match="no parameter is free"):
+        sample(SPACE.keep([]), 5, seed=1)
+    with pytest.raises(InputError, match="0 points"):
+        sample(SPACE, 0, seed=1)

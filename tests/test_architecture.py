@@ -1,0 +1,86 @@
+"""The arrows of ARCHITECTURE.md: which part may import which."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# From the bottom up: a part may import itself and anything of a lower rank.
+RANKS = (
+    {"errors"},
+    {"space"},
+    {"measurement"},
+    {"structure"},
+    {"function", "correlation"},
+    {"settings", "evaluate", "ledger", "results"},
+    {"limits"},
+    {"study"},
+    {"sensitivity", "updating"},
+    {"workflow"},
+    {"report"},
+    {"console", "example"},
+    {"cli"},
+)
+RANK = {name: k for k, names in enumerate(RANKS) for name in names}
+# Apart from ranks: searches know neither finite elements nor files, pictures know tables only.
+FORBIDDEN = {
+    "updating": {"structure", "measurement", "correlation", "study", "settings"},
+    "sensitivity": {"structure", "measurement", "correlation", "study", "settings"},
+    "report": set(RANK) - {"errors", "report"},
+    "structure": {"correlation", "study", "updating", "sensitivity"},
+}
+
+
+def imports(file: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def parts() -> list[tuple[str, Path]]:
+    files = sorted((ROOT / "calib").rglob("*.py"))
+    assert len(files) > 20
+    return [(f.relative_to(ROOT / "calib").parts[0].removesuffix(".py"), f) for f in files]
+
+
+def used_parts(file: Path) -> set[str]:
+    return {name.split(".")[1] for name in imports(file) if name.startswith("calib.") and name.split(".")[1] in RANK}
+
+
+def test_every_part_has_a_rank():
+    assert {part for part, _ in parts()} - {"__init__", "template"} <= set(RANK)
+
+
+def test_arrows_point_down():
+    for part, file in parts():
+        if part != "__init__":
+            for other in used_parts(file) - {part}:
+                assert RANK[other] < RANK[part], f"{file.name} ({part}) imports {other}"
+
+
+def test_forbidden_arrows():
+    for part, file in parts():
+        crossed = used_parts(file) & FORBIDDEN.get(part, set())
+        assert not crossed, f"{file} imports {crossed}"
+
+
+def test_the_method_knows_no_structure_and_models_no_study():
+    for _, file in parts():
+        assert not any(name.split(".")[0] in ("models", "studies") for name in imports(file)), file
+    for file in (ROOT / "models").rglob("*.py"):
+        for name in imports(file):
+            head = name.split(".")
+            assert head[0] != "studies", file
+            if head[0] == "calib" and len(head) > 1:
+                assert head[1] in ("structure", "space", "errors", "function"), f"{file} imports {name}"
+
+
+def test_only_pictures_import_matplotlib():
+    for part, file in parts():
+        if part != "report":
+            assert not any(name.split(".")[0] == "matplotlib" for name in imports(file)), file

@@ -1,0 +1,93 @@
+import math
+
+import numpy as np
+import pytest
+
+from calib.errors import InputError
+from calib.space import SI_FACTORS, LinearConstraint, Parameter, ParameterSpace
+
+
+def space() -> ParameterSpace:
+    return ParameterSpace(
+        (
+            Parameter("k", 500.0, 400.0, 800.0, "kN/m"),
+            Parameter("m", 20.0, 0.0, 100.0, "kg/m"),
+            Parameter("n", 5.0, 2.0, 8.0, integer=True),
+            Parameter("g", 9.0, 1.0, 10.0, "GPa", distribution="fixed"),
+        ),
+        (LinearConstraint("sum", (("m", 2.0), ("g", 1.0)), 20.0, 80.0),),
+    )
+
+
+def test_si_conversion_is_the_units_own_factor():
+    si = space().si(space().values)
+    assert si == {"k": 500e3, "m": 20.0, "n": 5.0, "g": 9e9}
+
+
+def test_fixed_parameters_span_no_axis_and_shift_the_constraint():
+    s = space()
+    assert s.free_names == ("k", "m", "n")
+    points = np.array([[500.0, 5.5, 5.0], [500.0, 5.4, 5.0], [500.0, 35.5, 5.0], [500.0, 36.0, 5.0]])
+    assert s.feasible(points).tolist() == [True, False, True, False]
+    np.testing.assert_allclose(s.violation(points)[:, 0], [0.0, 0.2, 0.0, 1.0], atol=1e-12)
+
+
+def test_points_outside_limits_are_not_feasible():
+    assert not space().feasible(np.array([[399.0, 20.0, 5.0]]))[0]
+
+
+def test_keep_freezes_the_rest_at_adopted_values():
+    kept = space().keep(["m"])
+    assert kept.free_names == ("m",)
+    assert kept.complete(np.array([30.0])) == {"k": 500.0, "m": 30.0, "n": 5.0, "g": 9.0}
+    assert space().free_names == ("k", "m", "n")  # the original is untouched
+
+
+def test_complete_rounds_whole_numbers_and_rejects_strangers():
+    assert space().complete({"n": 4.6})["n"] == 5.0
+    with pytest.raises(InputError, match="unknown parameter 'q'"):
+        space().complete({"q": 1.0})
+    with pytest.raises(InputError, match="nan"):
+        space().complete({"k": math.nan})
+
+
+def test_prior_width_defaults_to_the_uniform_distribution():
+    assert space()["k"].prior_width == pytest.approx(400 / math.sqrt(12))
+    assert Parameter("a", 0.0, -1.0, 1.0, prior_sd=0.2).prior_width == 0.2
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"lower": 2.0}, "not below upper"),
+        ({"unit": "furlong"}, "unknown unit"),
+        ({"value": math.inf}, "value is inf"),
+        ({"prior_sd": -1.0}, "prior_sd"),
+        ({"integer": True, "value": 0.5}, "fractional"),
+    ],
+)
+def test_bad_parameters_are_named(fields, words):
+    given = {"value": 0.0, "lower": -1.0, "upper": 1.0} | fields
+    with pytest.raises(InputError, match=words) as caught:
+        Parameter("a", **given)
+    assert "parameter a" in str(caught.value)
+
+
+def test_infeasible_constraints_are_found_before_anything_runs():
+    s = space()
+    tight = ParameterSpace(s.parameters, (LinearConstraint("heavy", (("m", 1.0),), 150.0, 200.0),))
+    with pytest.raises(InputError, match="heavy"):
+        tight.require_feasible()
+    s.require_feasible()
+    frozen = s.freeze({"k": 500, "m": 90, "n": 5})
+    with pytest.raises(InputError, match="sum"):
+        frozen.require_feasible()
+
+
+def test_selecting_a_fixed_parameter_is_refused():
+    with pytest.raises(InputError, match="fixed"):
+        space().keep(["g"])
+
+
+def test_units_are_multiples_of_si():
+    assert SI_FACTORS["kN/m"] == 1e3 and SI_FACTORS["MN/m"] == 1e6 and SI_FACTORS["%"] == 0.01
