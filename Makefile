@@ -1,5 +1,5 @@
 # make run   draw the two example studies      make test  run the tests (fast ones; `make test-slow` for the rest)
-# make lint  ruff and mypy                     make clean remove everything made here
+# make lint  ruff and mypy                     make clean remove the environment and caches, not the results
 # Another interpreter: make PYTHON=python3.12 run
 
 PYTHON ?= python3
@@ -35,8 +35,9 @@ venv: $(VENV)/.installed
 venv-dev: $(VENV)/.installed-dev
 
 run: $(VENV)/.installed
+	@touch $(VENV)/.run-begun
 	@set -e; for study in $(STUDIES); do echo "calib run $$study"; $(BIN)/calib run "$$study"; done
-	@echo; echo 'Figures drawn:'; find . -path ./$(VENV) -prune -o -path '*results*' -name '*.png' -print | sort
+	@echo; echo 'Figures drawn:'; find results -name '*.png' -newer $(VENV)/.run-begun | sort
 
 test: $(VENV)/.installed-dev
 	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest $(PYTEST_ARGS)

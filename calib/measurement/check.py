@@ -23,8 +23,6 @@ EVIDENCE_ELSEWHERE = 4.0
 """Log-likelihood ratio asked of all modes but the most telling one: one odd mode is the model's affair."""
 AGAINST_MOST = 0.2
 """Largest share of MAC lost in some modes to the MAC gained in others."""
-CORRELATION_LEAST = 0.5
-"""Correlation over the modes, measured with model, that a corrected sensor must reach."""
 RESIDUAL_LEAST = 4e-4
 """Floor of 1 - MAC (2 % of the motion), so that exact data do not make a trifle significant."""
 DEAD_MEASURED, DEAD_MODEL = 1e-3, 0.05
@@ -59,12 +57,11 @@ def check_sensors(measured: np.ndarray, model: np.ndarray, names: Sequence[str])
     Corrections are added (or withdrawn) greedily while the mean MAC rises, in several orders; then the weakest is
     withdrawn until each one that is left
 
-    - has a log-likelihood ratio of ``(n_sensors - 1) n_modes gain / (2 (1 - MAC))`` above `EVIDENCE_LEAST` plus the
-      logarithm of the number of hypotheses. With every mode scaled to ``|a|^2 = n_sensors``, the least-squares residual
-      of a mode is ``n_sensors (1 - MAC)``, so this is the ratio for normal residuals whose variance is estimated from
-      the corrected shapes: a poor model asks for more evidence;
-    - does not live on a single mode, and lowers the MAC of hardly any mode;
-    - makes the sensor's row agree with the model's.
+    - has a log-likelihood ratio of ``(n_sensors - 1) n_modes / 2 * log((1 - MAC_without) / (1 - MAC_with))``, of mean
+      MACs, above `EVIDENCE_LEAST` plus the logarithm of the number of hypotheses. The least-squares residual of a mode
+      is ``|a|^2 (1 - MAC)``, so this is the profile likelihood ratio for normal residuals of one unknown variance: a
+      poor model, or few sensors and modes, ask for more;
+    - does not live on a single mode, and lowers the MAC of hardly any mode.
 
     Nothing is said of a single mode, from which neither sign nor exchange can be told, nor of fewer than four sensors.
 
@@ -257,7 +254,7 @@ def _prune(start: _Shapes, operations: Sequence[Operation]) -> list[Operation]:
     kept = list(operations)
     while kept:
         full = start.after(kept)
-        verdicts = [_evidence(start.after([o for o in kept if o != one]), full, one) for one in kept]
+        verdicts = [_evidence(start.after([o for o in kept if o != one]), full) for one in kept]
         failing = [(evidence, k) for k, (evidence, stands) in enumerate(verdicts) if not stands]
         if not failing:
             break
@@ -265,29 +262,20 @@ def _prune(start: _Shapes, operations: Sequence[Operation]) -> list[Operation]:
     return kept
 
 
-def _evidence(without: _Shapes, corrected: _Shapes, rows: Operation) -> tuple[float, bool]:
+def _evidence(without: _Shapes, corrected: _Shapes) -> tuple[float, bool]:
     """Log-likelihood ratio of one correction, the others being made, and whether it stands."""
     n_sensors = len(corrected.a)
     gain = corrected.mac - without.mac
-    spread = max(1.0 - corrected.mean_mac, RESIDUAL_LEAST)
+    spread, spread_without = (max(1.0 - s.mean_mac, RESIDUAL_LEAST) for s in (corrected, without))
     # every mode has lost one degree of freedom to its factor
-    ratios = (n_sensors - 1) * gain / (2.0 * spread)
-    evidence = float(ratios.sum())
+    evidence = (n_sensors - 1) * len(gain) / 2 * math.log(spread_without / spread)
+    elsewhere = (n_sensors - 1) * (gain.sum() - gain.max()) / (2 * spread)
     hypotheses = n_sensors * (n_sensors + 1) / 2
     lost, won = -gain[gain < 0].sum(), gain[gain > 0].sum()
-    # model scaled to the measurement, mode by mode
-    product, size_a, size_b = corrected.parts
-    factor = np.where(np.abs(product) > 0, product.conj() / np.where(size_b > 0, size_b, 1.0), 0.0)
-    norm = np.sqrt(np.where(size_a > 0, size_a, 1.0))
-    pick = list(rows)
-    mine, theirs = corrected.a[pick] / norm, corrected.b[pick] * factor * corrected.seen[pick] / norm
-    size = float(np.linalg.norm(mine) * np.linalg.norm(theirs))
-    alike = float((mine.conj() * theirs).sum().real) / size if size > 0 else 0.0
     stands = (
         evidence >= EVIDENCE_LEAST + math.log(hypotheses)
-        and evidence - float(ratios.max()) >= EVIDENCE_ELSEWHERE
+        and elsewhere >= EVIDENCE_ELSEWHERE
         and lost <= AGAINST_MOST * won
-        and alike >= CORRELATION_LEAST
         and corrected.mean_mac - without.mean_mac >= GAIN_LEAST
     )
     return evidence, bool(stands)

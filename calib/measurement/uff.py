@@ -175,7 +175,9 @@ def _modes(
     given = [mode.name for mode in modes]
     named = None not in given and len(set(given)) == len(given)
     names = tuple(str(name) for name in given) if named else tuple(str(k + 1) for k in range(len(modes)))
-    sensors = list(dict.fromkeys(key for mode in modes for key in mode.values))
+    present = {key for mode in modes for key in mode.values}
+    nodes = dict.fromkeys(node for mode in modes for node, _ in mode.values)
+    sensors = [(node, direction) for node in nodes for direction in DIRECTIONS if (node, direction) in present]
     where = {key: k for k, key in enumerate(sensors)}
     shapes = np.full((len(sensors), len(modes)), complex(np.nan, np.nan))
     for m, mode in enumerate(modes):

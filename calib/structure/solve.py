@@ -15,6 +15,9 @@ from calib.structure.modes import ExcludedRoot, Modes, RootKind
 DENSE_LIMIT = 80
 """Up to this many degrees of freedom dense LAPACK is faster and safer than Arnoldi iteration."""
 
+_REAL = 1e-7
+"""Imaginary part over modulus below which a root is real: a critical pair splits by the root of machine precision."""
+
 _SHIFT = 1e-10
 """Square of the shift over the largest local eigenvalue: keeps the factor regular when rigid-body modes exist."""
 
@@ -131,8 +134,9 @@ def _dense_real(stiffness: sp.csc_array, mass: sp.csc_array, shift: float) -> tu
     """All modes of finite frequency; the roles of K and M are exchanged so that massless motions do no harm."""
     k, m = stiffness.toarray(), mass.toarray()
     inverse, shapes = la.eigh(m, k + shift**2 * m)
-    finite = inverse > 1e-14 * inverse.max()
-    return 1.0 / inverse[finite] - shift**2, shapes[:, finite]
+    shapes = shapes[:, inverse > 1e-14 * inverse.max()]
+    # Rigid-body modes make K + shift^2 M nearly singular; that costs the eigenvalues digits but not Rayleigh quotients.
+    return np.einsum("ij,ij->j", shapes, k @ shapes) / np.einsum("ij,ij->j", shapes, m @ shapes), shapes
 
 
 # -- damped ------------------------------------------------------------------------------------------------------------
@@ -174,7 +178,7 @@ def _complex_modes(
         roots = shift + 1.0 / inverses[finite]
         shapes = states[:n, finite]
         near_zero = np.abs(roots) < 0.1 * shift
-        oscillating = (roots.imag > 1e-9 * np.abs(roots)) & ~near_zero
+        oscillating = (roots.imag > _REAL * np.abs(roots)) & ~near_zero
         if complete or np.count_nonzero(oscillating) >= count:
             break
         asked = min(2 * asked, 2 * n)
@@ -202,7 +206,7 @@ def _excluded(
     roots: np.ndarray, shapes: np.ndarray, near_zero: np.ndarray, mass: sp.csc_array, rotational: np.ndarray
 ) -> tuple[ExcludedRoot, ...]:
     """Zero and overdamped roots among those found; the two members of a zero pair are listed once each."""
-    real = (np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & ~near_zero
+    real = (np.abs(roots.imag) <= _REAL * np.abs(roots)) & ~near_zero
     found = [_zero_root(complex(roots[j]), shapes[:, j], mass, rotational) for j in np.flatnonzero(near_zero)]
     found += [
         ExcludedRoot("overdamped", complex(roots[j].real), f"decays without oscillation at {-roots[j].real:.4g} 1/s")

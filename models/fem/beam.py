@@ -181,8 +181,7 @@ def to_global(matrices: np.ndarray, rotation: np.ndarray, arms: np.ndarray) -> n
     arms : ndarray (n, 2, 3)
         Rigid arms from the nodes to the beam's ends, global axes.
     """
-    t = transformation(rotation, arms)
-    return np.einsum("eki,ekl,elj->eij", t, matrices, t, optimize=True)
+    return congruent(matrices, transformation(rotation, arms))
 
 
 def transformation(rotation: np.ndarray, arms: np.ndarray) -> np.ndarray:
@@ -215,13 +214,21 @@ def release(stiffness_: np.ndarray, mass_: np.ndarray, released: np.ndarray) -> 
     released : ndarray (12,), bool
         Local motions that carry no force.
     """
+    t = released_motion(stiffness_, released)
+    return congruent(stiffness_, t), congruent(mass_, t)
+
+
+def released_motion(stiffness_: np.ndarray, released: np.ndarray) -> np.ndarray:
+    """Local end motions of a beam over those of its nodes, shape (n, 12, 12); hinged ones follow statically."""
     free, hinged = np.flatnonzero(~released), np.flatnonzero(released)
     t = np.zeros((len(stiffness_), 12, 12))
     t[:, free, free] = 1.0
     k_hh = stiffness_[:, hinged[:, None], hinged]
     # Releasing both ends of a motion leaves a rigid rotation without stiffness: the least-norm answer is meant there.
     t[:, hinged[:, None], free] = -np.linalg.pinv(k_hh) @ stiffness_[:, hinged[:, None], free]
-    return (
-        np.einsum("eki,ekl,elj->eij", t, stiffness_, t, optimize=True),
-        np.einsum("eki,ekl,elj->eij", t, mass_, t, optimize=True),
-    )
+    return t
+
+
+def congruent(matrices: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """``t^T matrix t`` of every element, shape (n, 12, 12)."""
+    return np.einsum("eki,ekl,elj->eij", t, matrices, t, optimize=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -18,6 +19,17 @@ Point = tuple[float, float, float]
 
 _MERGE = 1e-6
 """Nodes of one body closer than this (m) are one node."""
+
+
+def _cell(station: np.ndarray) -> tuple[int, ...]:
+    """Cell of a grid ten times coarser than `_MERGE`."""
+    return tuple(int(c) for c in np.round(station / (10 * _MERGE)))
+
+
+def _cells(station: np.ndarray) -> Iterator[tuple[int, ...]]:
+    """Every cell that may hold a node closer than `_MERGE`: two along an axis where the station is near a border."""
+    both = zip(_cell(station - _MERGE), _cell(station + _MERGE), strict=True)
+    return itertools.product(*(sorted({low, high}) for low, high in both))
 
 
 @dataclass(frozen=True)
@@ -62,6 +74,12 @@ class Member:
         length = np.linalg.norm(end - start)
         if not length > _MERGE:
             raise InputError("its ends coincide", place=f"member {self.body}/{self.group}")
+        if not np.linalg.norm(np.cross(end - start, self.up)) > 1e-6 * length * np.linalg.norm(self.up):
+            raise InputError(
+                f"its reference direction up = {self.up} lies along it",
+                place=f"member {self.body}/{self.group}",
+                remedy="choose one across the beam",
+            )
         cuts = [0.0, 1.0]
         for point in self.through:
             t = float((np.array(point) - start) @ (end - start) / length**2)
@@ -116,22 +134,25 @@ class Frame:
     member_of: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        nodes: dict[tuple[str, tuple[int, ...]], int] = {}
+        near: dict[tuple[str, tuple[int, ...]], list[int]] = {}
         points: list[np.ndarray] = []
+        bodies: list[str] = []
         ends: list[tuple[int, int]] = []
         owner: list[int] = []
         for m, member in enumerate(self.members):
             chain = []
             for station in member.stations():
-                key = (member.body, tuple(np.round(station / _MERGE / 10).astype(int)))
-                if key not in nodes:
-                    nodes[key] = len(points)
+                known = (k for cell in _cells(station) for k in near.get((member.body, cell), ()))
+                node = next((k for k in known if np.linalg.norm(points[k] - station) <= _MERGE), len(points))
+                if node == len(points):
+                    near.setdefault((member.body, _cell(station)), []).append(node)
                     points.append(station)
-                chain.append(nodes[key])
-            ends += list(pairwise(chain))
+                    bodies.append(member.body)
+                chain.append(node)
+            ends += list(itertools.pairwise(chain))
             owner += [m] * (len(chain) - 1)
         object.__setattr__(self, "points", np.array(points))
-        object.__setattr__(self, "bodies", tuple(body for body, _ in nodes))
+        object.__setattr__(self, "bodies", tuple(bodies))
         object.__setattr__(self, "ends", np.array(ends))
         object.__setattr__(self, "member_of", np.array(owner))
 
@@ -193,7 +214,7 @@ class Frame:
         member = self.members[self.member_of[e]]
         length, rotation = beam.axes(start[e : e + 1], end[e : e + 1], np.array(member.up))
         arms = np.broadcast_to(np.array(member.arm), (1, 2, 3))
-        local = beam.motion(member.section, float(length[0]), float(t[e]))
+        local = beam.motion(member.section, float(length[0]), float(t[e])) @ self._follow(e, length)
         r6 = np.kron(np.eye(2), rotation[0])
         at_axis = r6.T @ local @ beam.transformation(rotation, arms)[0]
         at_axis[:3] += beam.arm_matrix(p - foot[e]) @ at_axis[3:]
@@ -255,6 +276,19 @@ class Frame:
             parts.append((elements, beam.to_global(m, rotation, arms)))
         return self._assemble(parts)
 
+    def _follow(self, e: int, length: np.ndarray) -> np.ndarray:
+        """Local end motions of element ``e`` over those of its nodes: they differ at hinges; shape (12, 12)."""
+        follow = np.eye(12)
+        elements = np.flatnonzero(self.member_of == self.member_of[e])
+        member = self.members[self.member_of[e]]
+        k = beam.stiffness(member.section, length)
+        for where, released in self._releases(member, len(elements)):
+            if e in elements[where]:
+                t = beam.released_motion(k, released)
+                k = beam.congruent(k, t)
+                follow = follow @ t[0]
+        return follow
+
     def _chunks(self, groups: Iterable[str] | None):
         wanted = None if groups is None else set(groups)
         if wanted is not None:
@@ -270,7 +304,7 @@ class Frame:
             yield elements, member, length, rotation, arms
 
     @staticmethod
-    def _releases(member: Member, n: int):
+    def _releases(member: Member, n: int) -> Iterator[tuple[slice, np.ndarray]]:
         for at, motions, shift in ((0, member.released_start, 0), (n - 1, member.released_end, 6)):
             if motions:
                 released = np.zeros(12, dtype=bool)

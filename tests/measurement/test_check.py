@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import eigh
 
 from calib.errors import InputError
-from calib.measurement.check import check_sensors
+from calib.measurement.check import _additions, _Shapes, check_sensors
 from calib.measurement.repeats import mac
 
 
@@ -15,10 +15,10 @@ def chain_shapes(stiffness, n_modes):
     return eigh(k)[1][:, :n_modes]
 
 
-def ordinary(rng, n_sensors=12, n_modes=5, mac=0.9, noise=0.025):
+def ordinary(rng, n_sensors=12, n_modes=5, agreement=0.9, noise=0.025):
     """Measured and model shapes of a given MAC, sensors of very different motion, every mode in its own scale."""
     model = rng.lognormal(0.0, 0.6, (n_sensors, n_modes)) * rng.choice([-1.0, 1.0], (n_sensors, n_modes))
-    error = np.sqrt(1 / mac - 1) * np.sqrt((model**2).mean(axis=0)) * rng.normal(size=model.shape)
+    error = np.sqrt(1 / agreement - 1) * np.sqrt((model**2).mean(axis=0)) * rng.normal(size=model.shape)
     truth = model + error
     measured = truth + noise * np.abs(truth).max(axis=0) * rng.normal(size=model.shape)
     return measured * rng.normal(size=n_modes), model
@@ -30,9 +30,16 @@ def names(n):
 
 def test_no_false_alarm_under_noise_and_model_error():
     rng = np.random.default_rng(0)
-    for n_sensors, n_modes, mac in [(4, 2, 0.9), (6, 3, 0.9), (12, 2, 0.9), (12, 5, 0.9), (24, 8, 0.9), (12, 5, 0.5)]:
+    for n_sensors, n_modes, agreement in [
+        (4, 2, 0.9),
+        (6, 3, 0.9),
+        (12, 2, 0.9),
+        (12, 5, 0.9),
+        (24, 8, 0.9),
+        (12, 5, 0.5),
+    ]:
         for _ in range(60):
-            measured, model = ordinary(rng, n_sensors, n_modes, mac)
+            measured, model = ordinary(rng, n_sensors, n_modes, agreement)
             assert check_sensors(measured, model, names(n_sensors)) == ()
 
 
@@ -161,6 +168,48 @@ def test_the_point_of_scaling_and_unmeasured_sensors_are_not_dead():
     measured[4] = np.nan
     assert np.allclose(np.abs(measured[0]), np.nanmax(np.abs(measured), axis=0))
     assert check_sensors(measured, model, names(8)) == ()
+
+
+def test_a_sensor_that_disagrees_in_some_modes_only_is_the_models_affair():
+    rng = np.random.default_rng(8)
+    model = rng.normal(size=(12, 6))
+    model[4] = 2.0
+    measured = model.copy()
+    measured[4] *= [-1, -1, -1, -1, 1, 1]
+    assert check_sensors(measured, model, names(12)) == ()
+    measured[4, 4:] *= -1
+    (finding,) = check_sensors(measured, model, names(12))
+    assert finding.sensors == ("4y",)
+
+
+def test_shapes_that_have_nothing_in_common_accuse_hardly_anyone():
+    """Many sign patterns are tried, and the best of them always fits by chance to some degree."""
+    rng = np.random.default_rng(9)
+    accused = sum(
+        bool(check_sensors(rng.normal(size=(n, 12)), rng.normal(size=(n, 12)), names(n)))
+        for n in (5, 6)
+        for _ in range(100)
+    )
+    assert accused <= 1
+
+
+def test_a_constant_scaling_point_of_a_poor_model_is_not_dead():
+    model = chain_shapes(np.ones(9), 3)
+    measured = model / model[0]
+    measured /= np.abs(measured).max(axis=0)
+    measured[1] = 1.0  # the largest in every mode, and not so in the model
+    assert not [f for f in check_sensors(measured, model, names(8)) if f.kind == "dead"]
+
+
+def test_the_mac_of_every_candidate_is_that_of_the_corrected_shapes():
+    rng = np.random.default_rng(10)
+    seen = rng.random((6, 4)) > 0.2
+    a = np.where(seen, rng.normal(size=(6, 4)) + 1j * rng.normal(size=(6, 4)), 0.0)
+    state = _Shapes(a, rng.normal(size=(6, 4)) + 0j, seen)
+    tried = dict(_additions(state, np.arange(6), flips=True, swaps=True))
+    assert len(tried) == 6 + 5
+    for rows, value in tried.items():
+        assert value == pytest.approx(state.after([rows]).mean_mac, rel=1e-12)
 
 
 def test_wrong_arrays_are_refused():

@@ -124,7 +124,7 @@ def test_zeros_of_components_without_a_sensor_are_not_measurements(tmp_path):
     # 2x was dead in the first repeat
     assert np.isnan(one.shape_set.shapes[one.shape_set.sensors.index((2, "x"))]).all()
     assert any("sensor 2x is zero in every mode" in note for note in one.notes)
-    np.testing.assert_allclose(two.shape_set.shapes[two.shape_set.sensors.index((2, "x"))], 0.5)
+    np.testing.assert_allclose(two.shape_set.shapes[two.shape_set.sensors.index((2, "x"))], [0.5, 0.0])
 
 
 def test_modes_without_any_shape_are_frequencies_alone(tmp_path):
@@ -161,7 +161,7 @@ def test_eigenvalues_of_a_pair_are_one_mode(tmp_path, analysis_type):
     for repeat in (alone, pair):
         np.testing.assert_allclose(repeat.natural_freq, [10.0], rtol=1e-5)
         np.testing.assert_allclose(repeat.damping_ratio, [0.6], rtol=1e-5)
-        np.testing.assert_allclose(repeat.shape_set.shapes[2:4, 0], shape, rtol=1e-5)
+        np.testing.assert_allclose(repeat.shape_set.shapes[1::3, 0], shape, rtol=1e-5)
 
 
 def test_lengths_are_converted_and_rotations_keep_their_size(tmp_path):
@@ -281,7 +281,7 @@ def test_a_node_label_of_minus_one_does_not_end_the_dataset(tmp_path):
     path = tmp_path / "one.uff"
     records(path)
     path.write_text(path.read_text().replace("         2\n", "        -1\n"))
-    with pytest.raises(InputError, match="one.uff, line 1: the dataset 55 that starts here cannot be read"):
+    with pytest.raises(InputError, match=r"one.uff, line 1: the dataset 55 that starts here cannot be read"):
         read_uff(path)
 
 

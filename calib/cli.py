@@ -1,0 +1,202 @@
+"""The ``calib`` command: one verb a question."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib import __version__, console, workflow
+from calib.errors import InputError
+from calib.example import write_example
+from calib.report.draw import draw_all
+from calib.results import Results
+from calib.study import Study
+
+app = typer.Typer(
+    name="calib",
+    help="Calibrate structural-dynamics models against vibration measurements.\n\n"
+    "A study is a folder with a study.toml that names a model and a measurement; 'calib new' writes an example.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", help="Folder with a study.toml.")]
+ResultsPath = Annotated[Path, typer.Option("--results", metavar="DIR", help="Where <study>/ with the results goes.")]
+Quick = Annotated[
+    bool, typer.Option("--quick", help="A small search for a first look; its results go to a sub-folder quick/.")
+]
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, max=256, help="Worker processes [default: one a core where that pays]."),
+]
+CaseName = Annotated[
+    str | None, typer.Option("--case", metavar="NAME", help="Only this case; its results go to a sub-folder.")
+]
+DEFAULT_RESULTS = Path("results")
+INTERRUPTED = 130
+
+
+@app.command()
+def new(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder that does not exist yet.")]) -> None:
+    """Write an annotated example study with its own model and data."""
+    for path in write_example(folder):
+        console.say(str(path))
+    console.say(f"Run it with: calib run {folder}")
+
+
+@app.command()
+def compare(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
+    """Compare model and measurement, nothing fitted: how far apart, and where it fails."""
+    loaded = Study.load(study)
+    folder = workflow.results_of(loaded, results)
+    _compare(loaded, folder)
+    _draw(loaded, folder)
+
+
+@app.command()
+def sensitivity(
+    study: StudyPath, results: ResultsPath = DEFAULT_RESULTS, workers: Workers = None, quick: Quick = False
+) -> None:
+    """Find which parameters matter: Latin hypercube and Spearman rank correlation."""
+    loaded = Study.load(study)
+    folder = workflow.results_of(loaded, results, quick)
+    _sensitivity(loaded, folder, results, workers, quick)
+    _draw(loaded, folder)
+
+
+@app.command()
+def calibrate(
+    study: StudyPath,
+    results: ResultsPath = DEFAULT_RESULTS,
+    workers: Workers = None,
+    case: CaseName = None,
+    quick: Quick = False,
+) -> None:
+    """Search parameter values that fit, in several independent cases, and compare before with after.
+
+    Interrupt it at any time: started again, it continues where it was and ends with the same result.
+    """
+    loaded = Study.load(study)
+    workflow.chosen_cases(loaded, case)
+    folder = workflow.results_of(loaded, results, quick, case)
+    _calibrate(loaded, folder, results, workers, case, quick)
+    _draw(loaded, folder)
+
+
+@app.command()
+def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
+    """Draw every figure anew from the tables of earlier answers."""
+    loaded = Study.load(study)
+    home = results / loaded.name
+    folders = [home, *sorted(p for p in home.glob("*") if p.is_dir() and any(p.glob("*.csv")))]
+    if not any(home.glob("*.csv")) and len(folders) == 1:
+        raise InputError("there are no results to draw", place=home, remedy=f"ask first, such as 'calib run {study}'")
+    for folder in folders:
+        _draw(loaded, Results(folder))
+
+
+@app.command()
+def run(
+    study: StudyPath, results: ResultsPath = DEFAULT_RESULTS, workers: Workers = None, quick: Quick = False
+) -> None:
+    """Ask everything: compare, sensitivity, calibrate, and draw."""
+    loaded = Study.load(study)
+    folder = workflow.results_of(loaded, results, quick)
+    _compare(loaded, folder)
+    _sensitivity(loaded, folder, results, workers, quick)
+    _calibrate(loaded, folder, results, workers, None, quick)
+    _draw(loaded, folder)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        console.say(f"calib {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    pass
+
+
+# -- verbs, once the study is read -------------------------------------------------------------------------------------
+
+
+def _compare(study: Study, folder: Results) -> None:
+    console.head(study, "compare")
+    console.tell_comparison(study, workflow.compare(study, folder), folder)
+
+
+def _sensitivity(study: Study, folder: Results, root: Path, workers: int | None, quick: bool) -> None:
+    console.head(study, "sensitivity")
+    with workflow.ledger_of(study, root) as ledger, console.sample_progress() as progress:
+        console.tell_stale(workflow.stale_rows(study, ledger))
+        answer = workflow.sensitivity(study, folder, ledger, workers, quick, progress)
+    console.tell_sensitivity(study, answer, folder)
+
+
+def _calibrate(study: Study, folder: Results, root: Path, workers: int | None, case: str | None, quick: bool) -> None:
+    console.head(study, "calibrate")
+    with workflow.ledger_of(study, root) as ledger, console.search_progress() as progress:
+        console.tell_stale(workflow.stale_rows(study, ledger))
+        answer = workflow.calibrate(study, folder, ledger, workers, case, quick, progress)
+    console.tell_calibration(study, answer, folder)
+
+
+def _draw(study: Study, folder: Results) -> None:
+    console.tell_figures(draw_all(folder.path, study.settings.title, study.synthetic))
+
+
+# -- leaving -----------------------------------------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Entry point of the command."""
+    sys.exit(answer(sys.argv[1:]))
+
+
+def answer(arguments: list[str]) -> int:
+    """Run one command line and return its exit code.
+
+    Bad input is one sentence and code 2, an interrupt 130; an unexpected failure leaves its traceback in a log, code 1.
+    """
+    try:
+        app(args=arguments, prog_name="calib", standalone_mode=True)
+    except SystemExit as leaving:
+        code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
+        if code == INTERRUPTED:
+            console.complain("interrupted; the same command continues where it was")
+        return code
+    except InputError as fault:
+        console.complain(str(fault))
+        return 2
+    except Exception as fault:
+        _log_unexpected(fault, arguments)
+        return 1
+    return 0
+
+
+def _log_unexpected(fault: Exception, arguments: list[str]) -> None:
+    log = Path.cwd() / "calib-error.log"
+    stamp = datetime.now(UTC).isoformat(timespec="seconds")
+    text = f"{stamp} calib {__version__}: {' '.join(arguments)}\n{traceback.format_exc()}\n"
+    try:
+        with log.open("a", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError:
+        console.complain(text)
+    else:
+        console.complain(f"unexpected {type(fault).__name__}: {fault}; the details are in {log}")
+
+
+if __name__ == "__main__":
+    main()

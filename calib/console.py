@@ -1,0 +1,238 @@
+"""What the command says: short tables and sentences on the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pandas as pd
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from calib.results import Results
+from calib.study import Study
+from calib.workflow import Answer, Calibration, Sensitivity, is_modal
+
+_out = Console(highlight=False, markup=False, soft_wrap=True)
+_err = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+
+WORST_SHOWN = 8
+ASSUMPTIONS_SHOWN = 60
+
+
+def say(text: str = "") -> None:
+    """One line of output."""
+    _out.print(text)
+
+
+def complain(text: str) -> None:
+    """One line on the error stream."""
+    _err.print(f"calib: {text}")
+
+
+def head(study: Study, verb: str) -> None:
+    """Title line of one answer."""
+    label = "  [synthetic measurement]" if study.synthetic else ""
+    _out.print(f"\n{study.settings.title}: {verb}{label}", style="bold")
+
+
+def tell_stale(rows: int) -> None:
+    """Mention results of another state of the study."""
+    if rows:
+        say(f"{rows} earlier evaluations belong to another state of model or measurement; they are kept and not used.")
+
+
+# -- answers -----------------------------------------------------------------------------------------------------------
+
+
+def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
+    """The comparison before anything is fitted."""
+    _tell_withheld(study)
+    if study.measured is not None:
+        for note in study.measured.notes:
+            say(f"Measurement: {note}.")
+    for finding in answer.findings:
+        _out.print(f"Check this sensor: {finding.sentence}", style="yellow")
+    _print_answer(answer)
+    if answer.comparison is not None:
+        excluded = answer.comparison.modes.excluded
+        if excluded:
+            kinds = [root.kind for root in excluded]
+            parts = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds))
+            say(f"Roots of the model that are no vibration and are never paired: {parts}.")
+        if not answer.comparison.measured.has_shapes:
+            say("No mode shapes were measured: modes are paired by the order of their frequencies.")
+        say()
+        say("Where it fails: " + answer.comparison.sentence())
+        worst = answer.comparison.where_it_fails().head(WORST_SHOWN)
+        rows = [
+            (r["kind"], r["what"], _number(r["value"], 3), _number(r["in_scatter"], 1), r["verdict"])
+            for r in worst.to_dict("records")
+        ]
+        _table(("kind", "what", "value", "in units of scatter", "verdict"), rows)
+    assumed = pd.read_csv(folder.path / "assumptions.csv", keep_default_na=False)
+    if len(assumed):
+        say(f"\nAssumed, not published ({len(assumed)} items; the reasons are in {folder.path / 'assumptions.csv'}):")
+        for row in assumed.head(ASSUMPTIONS_SHOWN).to_dict("records"):
+            unit = "" if row["unit"] == "-" else f" {row['unit']}"
+            say(f"  {row['item']}: {row['value']}{unit}")
+
+
+def tell_sensitivity(study: Study, answer: Sensitivity, folder: Results) -> None:
+    """Which parameters matter."""
+    say(
+        f"{answer.samples} samples kept the constraints (acceptance {100 * answer.acceptance:.0f} %), "
+        f"{answer.failed} failed, {answer.unpaired} left a mode unpaired. "
+        f"Chance alone gives correlations up to {answer.noise_floor:.2f}."
+    )
+    blank = study.settings.sensitivity.blank_below
+    rows = []
+    for parameter, line in answer.table.iterrows():
+        strong = line[line.abs() >= blank].sort_values(key=abs, ascending=False)
+        words = ", ".join(f"{name} {value:+.2f}" for name, value in strong.head(4).items())
+        more = f" and {len(strong) - 4} more" if len(strong) > 4 else ""
+        rows.append((str(parameter), words + more if words else f"nothing above {blank:g}"))
+    _table(("parameter", "strongest rank correlations"), rows)
+    if len(study.model.space.constraints):
+        say(
+            "The constraints correlate the sampled parameters with each other, so a parameter can show a large value "
+            "that belongs to its partner."
+        )
+
+
+def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None:
+    """Cases, parameters, before and after."""
+    counts = ("asked", "solved", "reused", "infeasible", "failed")
+    cases = [
+        (r.name, f"{r.misfit:.5g}", *(str(getattr(r, name)) for name in counts), f"{r.seconds:.0f} s")
+        for r in answer.cases
+    ]
+    _table(("case", "misfit", *counts, "time"), cases)
+    rows = []
+    for name, part in answer.parameters.groupby("parameter", sort=False):
+        best = part[part["case"] == answer.best.name].iloc[0]
+        remarks = []
+        if part["on_bound"].astype(bool).any():
+            where = ", ".join(part.loc[part["on_bound"].astype(bool), "case"])
+            remarks.append(f"on a bound ({where}): consider widening 'search'")
+        if not pd.isna(best["spread"]):
+            remarks.append(("stable" if best["stable"] else "not stable") + f", spread {100 * best['spread']:.0f} %")
+        rows.append(
+            (str(name), f"{best['value']:.6g} {best['unit']}", f"{100 * best['ratio']:.0f} %", "; ".join(remarks))
+        )
+    _table(("parameter", f"value in {answer.best.name}", "of its range", "over the cases"), rows)
+    say(answer.agreement)
+    say(f"\nAfter calibration (case {answer.best.name}):")
+    _print_answer(answer.after)
+    before, after = answer.before, answer.after
+    label = "frequency error" if is_modal(study) else "error"
+    say(f"Mean {label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %.")
+    if not math.isnan(after.mean_mac):
+        allowed = "" if math.isnan(after.noise_mac) else f" (noise alone allows {after.noise_mac:.4f})"
+        say(f"Mean MAC {before.mean_mac:.4f} -> {after.mean_mac:.4f}{allowed}.")
+    _tell_withheld(study)
+
+
+def tell_figures(paths: Sequence[Path]) -> None:
+    """Where the pictures are."""
+    if paths:
+        say("\nFigures, each beside its table:")
+        for path in paths:
+            say(f"  {path}")
+
+
+def _tell_withheld(study: Study) -> None:
+    held = study.settings.withheld
+    if held.modes or held.sensors:
+        modes, sensors = (", ".join(names) or "none" for names in (held.modes, held.sensors))
+        say(f"Withheld, never fitted: modes {modes}; sensors {sensors}.")
+
+
+def _print_answer(answer: Answer) -> None:
+    if answer.comparison is None:
+        plain = [
+            (r["response"], f"{r['measured']:.6g}", f"{r['model']:.6g}", f"{100 * r['error']:+.2f} %")
+            for r in answer.table.to_dict("records")
+        ]
+        _table(("response", "measured", "model", "error"), plain)
+        return
+    rows = []
+    for r in answer.table.to_dict("records"):
+        paired = not math.isnan(r["natural_freq_model"])
+        rows.append(
+            (
+                str(r["mode"]),
+                f"{r['natural_freq_measured']:.3f}",
+                f"{r['natural_freq_model']:.3f}" if paired else "not paired",
+                f"{100 * r['freq_error']:+.2f} %" if paired else "",
+                *(_number(r[name], 4) for name in ("damping_ratio_measured", "damping_ratio_model")),
+                *(_number(r[name], 3) for name in ("mac", "emac", "margin")),
+            )
+        )
+    heads = ("mode", "measured Hz", "model Hz", "error", "damping", "model", "MAC", "EMAC", "margin")
+    _table(heads, rows)
+    paired_count = sum(1 for r in rows if r[2] != "not paired")
+    mean = f"mean error {100 * answer.mean_freq_error:.2f} % over {paired_count} of {len(rows)} modes"
+    say(f"Frequencies are natural ones (|lambda|/2pi); {mean}.")
+    if not math.isnan(answer.mean_mac):
+        say(f"Mean MAC {answer.mean_mac:.4f}; noise alone allows {_number(answer.noise_mac, 4) or 'an unknown value'}.")
+
+
+def _number(value: float, digits: int) -> str:
+    return "" if pd.isna(value) else f"{value:.{digits}f}"
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for k, name in enumerate(heads):
+        table.add_column(name, justify="left" if k == 0 else "right", no_wrap=False, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    _out.print(table)
+
+
+# -- progress ----------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def sample_progress() -> Iterator[Callable[[int, int], None]]:
+    """A bar over samples; nothing when the output is no terminal."""
+    with _bar(TextColumn("{task.completed:.0f}/{task.total:.0f} samples")) as bar:
+        task: TaskID | None = None
+
+        def step(done: int, total: int) -> None:
+            nonlocal task
+            if task is None:
+                task = bar.add_task("sampling", total=total)
+            bar.update(task, completed=done)
+
+        yield step
+
+
+@contextmanager
+def search_progress() -> Iterator[Callable[[str, int, int, float], None]]:
+    """One bar a case with generation, best misfit and time left; nothing when the output is no terminal."""
+    columns = (TextColumn("generation {task.completed:.0f}/{task.total:.0f}"), TextColumn("best {task.fields[best]}"))
+    with _bar(*columns) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def step(case: str, generation: int, generations: int, best: float) -> None:
+            if case not in tasks:
+                tasks[case] = bar.add_task(case, total=generations, best="-")
+            bar.update(tasks[case], completed=generation, best=f"{best:.5g}" if math.isfinite(best) else "-")
+
+        yield step
+
+
+def _bar(*columns: TextColumn) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        *columns,
+        TimeRemainingColumn(elapsed_when_finished=True),
+        console=_err,
+        disable=not _err.is_terminal,
+    )

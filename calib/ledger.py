@@ -1,0 +1,375 @@
+"""Every evaluation ever made, and which search asked for it when, in one SQLite file.
+
+Rows of evaluations are only ever added. A search needs no checkpoint: started again with the same seed it asks the same
+questions, and the ledger answers those that were asked before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sqlite3
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Literal
+
+import pandas as pd
+
+from calib.errors import InputError
+from calib.evaluate import BatchEvaluator, Outcome
+
+_VERSION = 1
+_BUSY_SECONDS = 30.0
+_AT_ONCE = 500
+"""Keys a query; SQLite limits the number of variables of a statement."""
+
+_SCHEMA = (
+    """CREATE TABLE evaluation (
+        id INTEGER PRIMARY KEY,
+        fingerprint TEXT NOT NULL,
+        key TEXT NOT NULL,
+        attempt INTEGER NOT NULL,
+        parameters TEXT NOT NULL,
+        responses TEXT NOT NULL,
+        status TEXT NOT NULL CHECK (status IN ('ok', 'failed')),
+        error TEXT NOT NULL,
+        seconds REAL NOT NULL,
+        created TEXT NOT NULL,
+        UNIQUE (fingerprint, key, attempt))""",
+    """CREATE TABLE history (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        run TEXT NOT NULL,
+        generation INTEGER NOT NULL,
+        individual INTEGER NOT NULL,
+        fingerprint TEXT NOT NULL,
+        key TEXT NOT NULL,
+        status TEXT NOT NULL CHECK (status IN ('solved', 'reused', 'infeasible', 'failed')),
+        misfit REAL,
+        UNIQUE (run, generation, individual))""",
+    "CREATE INDEX history_key ON history (fingerprint, key)",
+    "CREATE TRIGGER evaluation_stays BEFORE UPDATE ON evaluation BEGIN SELECT RAISE(ABORT, 'append-only'); END",
+    "CREATE TRIGGER evaluation_remains BEFORE DELETE ON evaluation BEGIN SELECT RAISE(ABORT, 'append-only'); END",
+    f"PRAGMA user_version = {_VERSION}",
+)
+
+
+def key_of(values: Mapping[str, float]) -> str:
+    """Key of a point: a 128-bit hash over all names, sorted, with their exact values."""
+    text = "\n".join(f"{name}={float(values[name])!r}" for name in sorted(values))
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One individual of a generation.
+
+    Attributes
+    ----------
+    key : str
+        From `key_of`.
+    status : {"ok", "failed", "infeasible"}
+    misfit : float
+        NaN unless ``ok``.
+    """
+
+    key: str
+    status: Literal["ok", "failed", "infeasible"]
+    misfit: float = math.nan
+
+
+class Ledger:
+    """The evaluations of one study, made with `Ledger.open`."""
+
+    def __init__(self, path: Path, database: sqlite3.Connection):
+        self.path = path
+        self._database = database
+        self._tried: set[tuple[str, str]] = set()
+
+    @staticmethod
+    def open(path: Path, busy_seconds: float = _BUSY_SECONDS) -> Ledger:
+        """Open a ledger, making file and folder where there is none.
+
+        Parameters
+        ----------
+        path : Path
+        busy_seconds : float
+            How long to wait for another process that is writing.
+
+        Raises
+        ------
+        InputError
+            When it cannot be written, is no ledger, or is locked for longer than that.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            raise InputError(
+                f"the folder cannot be made ({fault.strerror})",
+                place=path.parent,
+                remedy="choose another --results",
+            ) from None
+        try:
+            database = sqlite3.connect(path, timeout=busy_seconds, isolation_level=None)
+        except sqlite3.Error as fault:
+            raise _explained(fault, path) from None
+        ledger = Ledger(path, database)
+        try:
+            with _explaining(path):
+                _use_write_ahead_log(database, busy_seconds)
+            ledger._prepare()
+        except BaseException:
+            database.close()
+            raise
+        return ledger
+
+    def _prepare(self) -> None:
+        with self._transaction():
+            (version,) = self._database.execute("PRAGMA user_version").fetchone()
+            (tables,) = self._database.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()
+            if version == _VERSION and tables:
+                return
+            if version or tables:
+                raise InputError(
+                    "it is a database, but not a ledger of this version of calib",
+                    place=self.path,
+                    remedy="move it away; a new one is made",
+                )
+            for statement in _SCHEMA:
+                self._database.execute(statement)
+
+    def __enter__(self) -> Ledger:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    # -- evaluations ---------------------------------------------------------------------------------------------------
+
+    def lookup(self, fingerprint: str, keys: Iterable[str]) -> dict[str, Outcome]:
+        """What is known of the points with these keys; of several attempts the last one."""
+        wanted = list(dict.fromkeys(keys))
+        found: dict[str, Outcome] = {}
+        with _explaining(self.path):
+            for part in _parts(wanted):
+                rows = self._database.execute(
+                    "SELECT key, parameters, responses, status, error, seconds FROM evaluation"
+                    f" WHERE fingerprint = ? AND key IN ({_marks(part)}) ORDER BY attempt",
+                    (fingerprint, *part),
+                )
+                for key, parameters, responses, status, error, seconds in rows:
+                    found[key] = Outcome(_read(parameters), status, _read(responses), error, seconds)
+        return found
+
+    def append(self, fingerprint: str, outcomes: Sequence[Outcome]) -> None:
+        """Add evaluations in one transaction.
+
+        A point that is known already is left as it is, unless its last attempt failed by the fault of the machine: then
+        the new outcome becomes its next attempt.
+        """
+        created = datetime.now(UTC).isoformat(timespec="milliseconds")
+        with self._transaction():
+            for outcome in outcomes:
+                key = key_of(outcome.values)
+                self._tried.add((fingerprint, key))
+                last = self.lookup(fingerprint, [key]).get(key)
+                if last is not None and not last.transient:
+                    continue
+                (attempts,) = self._database.execute(
+                    "SELECT COUNT(*) FROM evaluation WHERE fingerprint = ? AND key = ?", (fingerprint, key)
+                ).fetchone()
+                self._database.execute(
+                    "INSERT INTO evaluation"
+                    " (fingerprint, key, attempt, parameters, responses, status, error, seconds, created)"
+                    " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                    (
+                        fingerprint,
+                        key,
+                        attempts + 1,
+                        _written(outcome.values),
+                        _written(outcome.responses),
+                        outcome.status,
+                        outcome.error,
+                        outcome.seconds,
+                        created,
+                    ),
+                )
+
+    def evaluate(
+        self, fingerprint: str, points: Sequence[Mapping[str, float]], evaluator: BatchEvaluator
+    ) -> list[Outcome]:
+        """Outcomes of a batch in the order of the points; what is not known is evaluated as one batch and added.
+
+        A failure is not tried again, with one exception: where a worker process died or memory ran out, the point is
+        tried once more each time the ledger is opened, if worker processes are used (in this process such a point could
+        take everything down with it).
+        """
+        keys = [key_of(values) for values in points]
+        known = self.lookup(fingerprint, keys)
+        if evaluator.workers > 1:
+            known = {k: o for k, o in known.items() if not o.transient or (fingerprint, k) in self._tried}
+        new = {key: values for key, values in zip(keys, points, strict=True) if key not in known}
+        if new:
+            outcomes = evaluator.evaluate(list(new.values()))
+            self.append(fingerprint, outcomes)
+            known |= dict(zip(new, outcomes, strict=True))
+        return [known[key] for key in keys]
+
+    def count(self, fingerprint: str) -> int:
+        """Number of points evaluated with this state of model and measurement."""
+        return self._number("SELECT COUNT(DISTINCT key) FROM evaluation WHERE fingerprint = ?", fingerprint)
+
+    def other_fingerprints(self, fingerprint: str) -> int:
+        """Number of rows that belong to other states of model and measurement."""
+        return self._number("SELECT COUNT(*) FROM evaluation WHERE fingerprint <> ?", fingerprint)
+
+    # -- history -------------------------------------------------------------------------------------------------------
+
+    def record(self, run: str, fingerprint: str, generation: int, asked: Sequence[Asked]) -> None:
+        """Write down one generation of a search.
+
+        A point that was evaluated is ``reused`` if this run asked for it earlier, or another run did before this run's
+        first generation was recorded; else it is ``solved``. That depends on questions alone, not on what the ledger
+        happens to hold, so a run that was killed and started again writes the same history as one that was not.
+
+        The history of a run always tells one search. A generation that is recorded already is left alone if the new one
+        says the same; if not (a failure of the machine was mended, say), it and all later ones are replaced.
+        """
+        with self._transaction():
+            recorded = self._database.execute(
+                "SELECT key, status, misfit FROM history WHERE run = ? AND generation = ? ORDER BY individual",
+                (run, generation),
+            ).fetchall()
+            if recorded:
+                told = [(k, s if s in ("infeasible", "failed") else "ok", m) for k, s, m in recorded]
+                if told == [(a.key, a.status, _nullable(a.misfit)) for a in asked]:
+                    return
+                self._database.execute("DELETE FROM history WHERE run = ? AND generation >= ?", (run, generation))
+            earlier = self._asked_earlier(run, fingerprint, [a.key for a in asked])
+            for individual, one in enumerate(asked):
+                status: str = one.status
+                if status == "ok":
+                    status = "reused" if one.key in earlier else "solved"
+                if status != "infeasible":
+                    earlier.add(one.key)
+                self._database.execute(
+                    "INSERT INTO history (run, generation, individual, fingerprint, key, status, misfit)"
+                    " VALUES (?, ?, ?, ?, ?, ?, ?)",
+                    (run, generation, individual, fingerprint, one.key, status, _nullable(one.misfit)),
+                )
+
+    def _asked_earlier(self, run: str, fingerprint: str, keys: Sequence[str]) -> set[str]:
+        (start,) = self._database.execute("SELECT MIN(id) FROM history WHERE run = ?", (run,)).fetchone()
+        found: set[str] = set()
+        for part in _parts(list(dict.fromkeys(keys))):
+            rows = self._database.execute(
+                f"SELECT DISTINCT key FROM history WHERE fingerprint = ? AND key IN ({_marks(part)})"
+                " AND status <> 'infeasible' AND (run = ? OR ? IS NULL OR id < ?)",
+                (fingerprint, *part, run, start, start),
+            )
+            found.update(key for (key,) in rows)
+        return found
+
+    def history(self, run: str) -> pd.DataFrame:
+        """What a run asked: ``generation, individual, key, status, misfit``, sorted by the first two."""
+        columns = ["generation", "individual", "key", "status", "misfit"]
+        with _explaining(self.path):
+            rows = self._database.execute(
+                f"SELECT {', '.join(columns)} FROM history WHERE run = ? ORDER BY generation, individual", (run,)
+            ).fetchall()
+        return pd.DataFrame(rows, columns=columns).astype({"misfit": float})
+
+    # -- transactions and faults ---------------------------------------------------------------------------------------
+
+    def _number(self, query: str, *given: str) -> int:
+        with _explaining(self.path):
+            (number,) = self._database.execute(query, given).fetchone()
+        return int(number)
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """All or nothing, whatever happens inside."""
+        with _explaining(self.path):
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:  # SQLite may have rolled back by itself, on a full disk for one
+                    self._database.execute("ROLLBACK")
+                raise
+
+
+def _use_write_ahead_log(database: sqlite3.Connection, busy_seconds: float) -> None:
+    """Let readers and one writer work at once; SQLite does not wait here for another process that does the same."""
+    until = time.monotonic() + busy_seconds
+    while True:
+        try:
+            database.execute("PRAGMA journal_mode = WAL")
+            break
+        except sqlite3.OperationalError as fault:
+            if "locked" not in str(fault) or time.monotonic() > until:
+                raise
+            time.sleep(0.02)
+    # A killed process loses nothing by this, a power cut at most the last transactions, and never the order.
+    database.execute("PRAGMA synchronous = NORMAL")
+
+
+@contextmanager
+def _explaining(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.Error as fault:
+        raise _explained(fault, path) from None
+
+
+_REMEDIES = (
+    ("locked", "another process is writing to it", "wait until that one has ended, or give this one its own --results"),
+    ("full", "the disk is full", "free some space and start again; nothing recorded is lost"),
+    ("readonly", "it cannot be written", "make file and folder writable, or choose another --results"),
+    ("unable to open", "it cannot be opened or made", "make its folder writable, or choose another --results"),
+    ("not a database", "it is not a ledger", "move it away; a new one is made"),
+    ("malformed", "it is damaged", "move it away; a new one is made"),
+    ("disk i/o", "the disk reports an error", "check disk and connection, or choose another --results"),
+)
+
+
+def _explained(fault: sqlite3.Error, path: Path) -> InputError:
+    text = str(fault)
+    for sign, problem, remedy in _REMEDIES:
+        if sign in text.lower():
+            return InputError(problem, place=path, remedy=remedy)
+    return InputError(f"the ledger cannot be used ({text})", place=path, remedy="move it away; a new one is made")
+
+
+def _written(numbers: Mapping[str, float]) -> str:
+    """JSON whose numbers read back exactly; NaN is null."""
+    return json.dumps({name: _nullable(value) for name, value in numbers.items()}, allow_nan=False)
+
+
+def _read(text: str) -> dict[str, float]:
+    return {name: math.nan if value is None else float(value) for name, value in json.loads(text).items()}
+
+
+def _nullable(value: float) -> float | None:
+    return None if math.isnan(value) else float(value)
+
+
+def _parts(keys: list[str]) -> Iterator[list[str]]:
+    for start in range(0, len(keys), _AT_ONCE):
+        yield keys[start : start + _AT_ONCE]
+
+
+def _marks(keys: Sequence[str]) -> str:
+    return ", ".join("?" * len(keys))

@@ -1,0 +1,176 @@
+"""What the calibration cases found: parameters within their limits, and the way there."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes
+
+_LINE_STYLES = ("-", "-.", ":")
+
+
+def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str | None = None) -> Axes:
+    """Draw where every case put every parameter between its limits, after Ribeiro et al. (2013), figure 8.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``case, parameter, value, unit``, ``ratio`` (place between the limits, 0 at the lower, 1 at the upper),
+        ``on_bound`` (bool), ``spread`` (of the ratio over the cases, NaN if unknown) and ``stable`` (bool, or None).
+    ax : Axes, optional
+    best_case : str, optional
+        The case whose values are written beside the bars; without it, the only case there is.
+
+    Returns
+    -------
+    Axes
+        One group of horizontal bars a parameter, lengths in percent of the range between the limits. A value on a bound
+        has a triangle; a parameter on which the cases do not agree is hatched and says so.
+    """
+    cases = list(dict.fromkeys(table["case"]))
+    names = list(dict.fromkeys(table["parameter"]))
+    if best_case is None and len(cases) == 1:
+        best_case = cases[0]
+    step = 0.095 * len(cases) + 0.1
+    ax = own_axes(ax, 1.0 + max(step, 0.34) * len(names))
+    height = 0.8 / len(cases)
+    unstable = {
+        name: any(flag is False for flag in _flags(table[table["parameter"] == name], "stable")) for name in names
+    }
+    for k, case in enumerate(cases):
+        rows = table[table["case"] == case].set_index("parameter").reindex(names)
+        y = np.arange(len(names)) + (k - (len(cases) - 1) / 2) * height
+        lengths = 100.0 * rows["ratio"].to_numpy(dtype=float)
+        bars = ax.barh(y, lengths, height * 0.92, color=CASES[k % len(CASES)], label=str(case))
+        for bar, name in zip(bars, names, strict=True):
+            if unstable[name]:
+                bar.set_hatch("/////")
+                bar.set_edgecolor("white")
+        bound = np.array([flag is True for flag in _flags(rows, "on_bound")])
+        ax.plot(
+            np.clip(lengths[bound], 0.0, 100.0) + 1.6,
+            y[bound],
+            linestyle="none",
+            marker="<",
+            markersize=4.5,
+            color="black",
+            gid=f"on_bound {case}",
+        )
+    ax.set_yticks(range(len(names)), [str(n) for n in names])
+    ax.set_ylim(len(names) - 0.45, -0.55)
+    ax.set_xlim(0.0, 104.0)
+    ax.set_xticks(range(0, 101, 20))
+    ax.axvline(100.0, color=GREY, linewidth=0.8)
+    ax.grid(axis="x")
+    for i in range(1, len(names)):
+        ax.axhline(i - 0.5, color="#E3E3E3", linewidth=0.6)
+    ax.set_xlabel("place between the lower (0) and the upper limit (100) (%)")
+    _write_values(ax, table, names, unstable, best_case)
+    _legend(ax, cases, best_case, any(unstable.values()), any(flag is True for flag in _flags(table, "on_bound")))
+    return ax
+
+
+def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:
+    """Truth values of a column, None where unknown."""
+    return [None if pd.isna(flag) else bool(flag) for flag in table[column]]
+
+
+def _write_values(
+    ax: Axes, table: pd.DataFrame, names: list[str], unstable: dict[str, bool], best_case: str | None
+) -> None:
+    """Values of the best case at the right, and under them which parameters the cases disagree on."""
+    best = table[table["case"] == best_case]
+    values = dict(zip(best["parameter"], best["value"], strict=True))
+    units = dict(zip(best["parameter"], best["unit"], strict=True))
+    for i, name in enumerate(names):
+        known = name in values and not math.isnan(values[name])
+        if known:
+            unit = "" if units[name] == "-" else units[name]
+            text = _plain(values[name]).replace("-", "−") + f" {unit}"
+            _beside(ax, i, text.rstrip(), 6 if unstable[name] else 0, "black")
+        if unstable[name]:
+            spread = table.loc[table["parameter"] == name, "spread"].max()
+            text = "not stable" if math.isnan(spread) else f"not stable, spread {100.0 * spread:.0f} %"
+            _beside(ax, i, text, -6 if known else 0, VERMILLION)
+
+
+def _beside(ax: Axes, row: int, text: str, shift: float, colour: str) -> None:
+    ax.annotate(
+        text,
+        (1.01, row),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, shift),
+        textcoords="offset points",
+        va="center",
+        fontsize=8,
+        color=colour,
+        annotation_clip=False,
+    )
+
+
+def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: bool, any_bound: bool) -> None:
+    note = " (best; values at the right)" if len(cases) > 1 else " (values at the right)"
+    handles: list[Artist] = [
+        Patch(color=CASES[k % len(CASES)], label=f"{case}{note if case == best_case else ''}")
+        for k, case in enumerate(cases)
+    ]
+    if any_unstable:
+        handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="/////", label="not stable: the cases disagree"))
+    if any_bound:
+        handles.append(Line2D([], [], linestyle="none", marker="<", color="black", markersize=4.5, label="on a bound"))
+    legend_above(ax, handles)
+
+
+def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """Draw the misfit over the generations of the search, one line a case.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``case, generation``, ``best`` (smallest misfit so far) and ``mean`` (over the generation); values that
+        are not finite, such as those of a generation without any feasible point, are gaps.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        ``best`` as thick lines, ``mean`` as thin dashed ones; logarithmic when every value is positive.
+    """
+    ax = own_axes(ax, 3.6)
+    cases = list(dict.fromkeys(table["case"]))
+    finite = table[["best", "mean"]].astype(float).where(np.isfinite(table[["best", "mean"]].astype(float)))
+    has_mean = bool(finite["mean"].notna().any())
+    for k, case in enumerate(cases):
+        rows = table[table["case"] == case].sort_values("generation", kind="stable")
+        colour = CASES[k % len(CASES)]
+        generation = rows["generation"].to_numpy(dtype=float)
+        best, mean = (finite.loc[rows.index, column].to_numpy() for column in ("best", "mean"))
+        line_style = _LINE_STYLES[k // len(CASES) % len(_LINE_STYLES)]
+        last = best[np.isfinite(best)]
+        label = f"{case} (ends at {last[-1]:.3g})" if len(last) else f"{case} (nothing feasible)"
+        marker = "o" if len(best) == 1 else ""
+        ax.plot(generation, best, line_style, color=colour, linewidth=1.9, marker=marker, label=label, zorder=3)
+        if has_mean:
+            ax.plot(generation, mean, "--", color=colour, linewidth=0.8, alpha=0.8, marker=marker, markersize=3)
+    if has_mean:
+        ax.plot([], [], "--", color=GREY, linewidth=0.9, label="mean of the generation")
+    if finite.notna().to_numpy().any() and not (finite <= 0.0).to_numpy().any():
+        ax.set_yscale("log")
+    ax.grid(which="both")
+    ax.margins(x=0.02)
+    ax.set_xlabel("generation")
+    ax.set_ylabel("misfit (–)")
+    legend_above(ax)
+    return ax
+
+
+def _plain(value: float) -> str:
+    """Four significant digits without an exponent, where that stays readable."""
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"

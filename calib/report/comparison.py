@@ -1,0 +1,232 @@
+"""Model against measurement: frequency errors, MAC, CoMAC."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from calib.report.style import (
+    AFTER,
+    BEFORE,
+    GREY,
+    legend_above,
+    matrix_height,
+    new_figure,
+    own_axes,
+    separate_cells,
+)
+
+_LOOKS = {"before": {"color": BEFORE, "hatch": "////", "edgecolor": "white"}, "after": {"color": AFTER}}
+_MAX_SENSORS = 40
+_LABEL_ROOM = 105
+"""Letters that fit side by side under the bars."""
+
+
+def has_mac(*tables: pd.DataFrame | None) -> bool:
+    """Whether any of the comparison tables holds a MAC value (there is none where no shapes were measured)."""
+    return any(t is not None and bool(t["mac"].notna().any()) for t in tables)
+
+
+def draw_frequency_error(
+    before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw the signed frequency error of every mode as bars, after Ribeiro et al. (2013), figure 9.
+
+    Parameters
+    ----------
+    before, after : DataFrame or None
+        Columns ``mode, natural_freq_measured`` (Hz) and ``freq_error`` (signed fraction, NaN for an unpaired mode).
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        Bar heights in percent; the legend holds the mean of the moduli over the paired modes.
+    """
+    ax = own_axes(ax, 3.2)
+    series = _series(before, after)
+    values = {name: 100.0 * table["freq_error"] for name, table in series.items()}
+    labels = {
+        name: f"{name}: mean |error| {_mean(errors.abs(), '{:.1f} %')}{_paired(errors)}"
+        for name, errors in values.items()
+    }
+    ax.axhline(0.0, color="black", linewidth=0.8)
+    _bars(ax, values, labels, "{:+.1f}")
+    modes = next(iter(values.values())).index
+    frequencies = pd.concat([t["natural_freq_measured"] for t in series.values()]).groupby(level=0, sort=False).first()
+    names = [f"{mode}\n{frequencies[mode]:.2f} Hz" for mode in modes]
+    ax.set_xticks(range(len(modes)), names)
+    _crowded(ax, names)
+    ax.set_xlabel("mode, measured natural frequency")
+    ax.set_ylabel("frequency error, model − measured (%)")
+    ax.margins(y=0.14)
+    return ax
+
+
+def draw_mac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None) -> Axes:
+    """Draw the MAC of every mode with its model mode as bars, after Ribeiro et al. (2013), figure 9.
+
+    Parameters
+    ----------
+    before, after : DataFrame or None
+        Columns ``mode`` and ``mac`` (0 to 1, NaN for an unpaired mode).
+    ax : Axes, optional
+    """
+    ax = own_axes(ax, 2.6)
+    values = {name: table["mac"] for name, table in _series(before, after).items()}
+    labels = {name: f"{name}: mean MAC {_mean(mac, '{:.3f}')}{_paired(mac)}" for name, mac in values.items()}
+    _bars(ax, values, labels, "{:.2f}")
+    modes = next(iter(values.values())).index
+    ax.set_xticks(range(len(modes)), list(modes))
+    _crowded(ax, [str(mode) for mode in modes])
+    ax.set_ylim(0.0, 1.1)
+    ax.set_yticks(np.linspace(0.0, 1.0, 6))
+    ax.set_xlabel("mode")
+    ax.set_ylabel("MAC (–)")
+    return ax
+
+
+def comparison_figure(before: pd.DataFrame | None, after: pd.DataFrame | None = None) -> Figure:
+    """Frequency errors over MAC; the second panel is left out when no shapes were measured."""
+    if not has_mac(before, after):
+        figure = new_figure(3.6)
+        draw_frequency_error(before, after, figure.add_subplot())
+        return figure
+    figure = new_figure(6.2)
+    upper, lower = figure.subplots(2, 1, height_ratios=(1.25, 1.0))
+    draw_frequency_error(before, after, upper)
+    draw_mac(before, after, lower)
+    upper.text(-0.08, 1.06, "(a)", transform=upper.transAxes, fontweight="bold")
+    lower.text(-0.08, 1.06, "(b)", transform=lower.transAxes, fontweight="bold")
+    return figure
+
+
+def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """Draw MAC of every measured with every model mode as a matrix with the values in the cells.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Column ``mode`` and one column for every model mode, headed like ``1 (10.83 Hz)``; cells 0 to 1.
+    ax : Axes, optional
+    """
+    values = table.drop(columns="mode").to_numpy(dtype=float)
+    rows, columns = values.shape
+    ax = own_axes(ax, matrix_height(rows, columns))
+    image = ax.imshow(values, cmap="Blues", norm=Normalize(0.0, 1.0), aspect="auto")
+    size = 8.0 if columns <= 14 else max(4.5, 8.0 * 14 / columns)
+    for i, j in np.argwhere(np.isfinite(values)):
+        value = values[i, j]
+        shade = "white" if value > 0.6 else "black" if value >= 0.2 else GREY
+        ax.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=size, color=shade)
+    ax.set_xticks(range(columns), [str(c) for c in table.columns if c != "mode"], rotation=90 if columns > 6 else 0)
+    ax.set_yticks(range(rows), table["mode"].astype(str))
+    ax.set_xlabel("model mode")
+    ax.set_ylabel("measured mode")
+    separate_cells(ax, rows, columns)
+    ax.figure.colorbar(image, ax=ax, label="MAC (–)", fraction=0.04, pad=0.02, aspect=40)
+    return ax
+
+
+def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None) -> Axes:
+    """Draw CoMAC of the sensors, the worst of the newest table first: where the model fails.
+
+    Parameters
+    ----------
+    before, after : DataFrame or None
+        Columns ``sensor`` and ``comac`` (0 to 1, NaN for a sensor without value).
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        One dot a sensor and table; at most the 40 worst sensors, which the axis then says.
+    """
+    ax = own_axes(ax, 3.6)
+    values = {name: t["comac"] for name, t in _series(before, after, key="sensor").items()}
+    newest = list(values.values())[-1]
+    order = newest.sort_values(kind="stable", na_position="last").index
+    shown = order[:_MAX_SENSORS]
+    x = np.arange(len(shown))
+    heights = {name: v[shown].to_numpy(dtype=float) for name, v in values.items()}
+    if len(heights) == 2:
+        ax.vlines(x, heights["before"], heights["after"], color="#B5B5B5", linewidth=1.2, zorder=1)
+    dots = {"before": {"marker": "o", "markerfacecolor": "white"}, "after": {"marker": "o"}}
+    for name, height in heights.items():
+        colour = BEFORE if name == "before" else AFTER
+        ax.plot(
+            x,
+            height,
+            linestyle="none",
+            markersize=5.5,
+            markeredgewidth=1.4,
+            color=colour,
+            label=f"{name}: mean CoMAC {_mean(values[name], '{:.3f}')}",
+            **dots[name],  # type: ignore[arg-type]
+        )
+    lowest = min((float(np.nanmin(h)) for h in heights.values() if np.isfinite(h).any()), default=0.0)
+    ax.set_ylim(max(0.0, np.floor(10.0 * lowest - 0.5) / 10.0), 1.03)
+    ax.set_xlim(-0.7, len(shown) - 0.3)
+    ax.set_xticks(x, list(shown), rotation=90 if len(shown) > 12 else 0)
+    ax.grid(axis="both")
+    note = f"sensor (node and direction), the {_MAX_SENSORS} worst of {len(order)}" if len(order) > _MAX_SENSORS else ""
+    ax.set_xlabel(note or "sensor (node and direction), worst first")
+    ax.set_ylabel("CoMAC (–)")
+    legend_above(ax)
+    return ax
+
+
+def _series(before: pd.DataFrame | None, after: pd.DataFrame | None, key: str = "mode") -> dict[str, pd.DataFrame]:
+    """Tables by name, on one common index: the rows of the first, then those that only the second has."""
+    given = {name: t.set_index(key) for name, t in (("before", before), ("after", after)) if t is not None}
+    index = list(dict.fromkeys(label for t in given.values() for label in t.index))
+    return {name: t.reindex(index) for name, t in given.items()}
+
+
+def _bars(ax: Axes, values: dict[str, pd.Series], labels: dict[str, str], number: str) -> None:
+    """Grouped bars with their values; a missing value is marked in words."""
+    width = 0.8 / len(values)
+    for k, (name, series) in enumerate(values.items()):
+        x = np.arange(len(series)) + (k - (len(values) - 1) / 2) * width
+        heights = series.to_numpy(dtype=float)
+        missing = np.isnan(heights)
+        bars = ax.bar(x, heights, width * 0.94, label=labels[name], **_LOOKS[name])  # type: ignore[arg-type]
+        if len(series) * len(values) <= 20:
+            texts = [
+                "" if gone else number.format(h).replace("-", "−") for h, gone in zip(heights, missing, strict=True)
+            ]
+            ax.bar_label(bars, texts, fontsize=7, padding=2)
+        for position in x[missing]:
+            ax.annotate(
+                "not paired",
+                (position, 0.0),
+                xytext=(0, 4),
+                textcoords="offset points",
+                rotation=90,
+                ha="center",
+                va="bottom",
+                fontsize=7.5,
+                color=GREY,
+            )
+    ax.set_xlim(-0.6, len(next(iter(values.values()))) - 0.4)
+    ax.grid(axis="y")
+    legend_above(ax)
+
+
+def _crowded(ax: Axes, labels: list[str]) -> None:
+    """Turn the labels under the bars upright when they would touch."""
+    longest = max(len(line) for label in labels for line in label.split("\n"))
+    if (longest + 2) * len(labels) > _LABEL_ROOM:
+        ax.tick_params(axis="x", rotation=90)
+
+
+def _mean(values: pd.Series, number: str) -> str:
+    return number.format(values.mean()) if values.notna().any() else "unknown"
+
+
+def _paired(values: pd.Series) -> str:
+    paired = int(values.notna().sum())
+    return "" if paired == len(values) else f", {paired} of {len(values)} paired"

@@ -1,0 +1,137 @@
+"""How every figure looks: colours, sizes, heading, and saving without leaving half a file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILLION, PURPLE = (
+    "#000000",
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#F0E442",
+    "#0072B2",
+    "#D55E00",
+    "#CC79A7",
+)
+"""Palette that colour-blind readers can tell apart (Okabe and Ito, 2008)."""
+
+BEFORE, AFTER, MEASURED = ORANGE, BLUE, VERMILLION
+CASES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, BLACK, YELLOW)
+GREY, REST = "#767676", "#BDBDBD"
+WIDTH = 8.0
+"""Width of a figure in inches: 1200 pixels at `DPI`, so that text is seen at the size chosen here."""
+DPI = 150
+SYNTHETIC = "synthetic measurement"
+
+SETTINGS: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.6,
+    "hatch.linewidth": 0.6,
+    "axes.unicode_minus": True,
+}
+
+
+@contextlib.contextmanager
+def style() -> Iterator[None]:
+    """Apply the settings of the figures, starting from the library's defaults and not from the user's own file."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(SETTINGS)
+        yield
+
+
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    """Return an empty figure, sizes in inches, that belongs to no window."""
+    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+
+
+def own_axes(ax: Axes | None, height: float) -> Axes:
+    """Return the given Axes, or the only one of a new figure of that height in inches."""
+    return new_figure(height).add_subplot() if ax is None else ax
+
+
+def legend_above(ax: Axes, handles: list[Artist] | None = None) -> None:
+    """Put the legend over the Axes, outside the data, from the left, in as many columns as its words allow."""
+    shown = ax.get_legend_handles_labels()[0] if handles is None else handles
+    longest = max((len(str(h.get_label())) for h in shown), default=1)
+    columns = max(1, min(len(shown), int(105 / (longest + 9))))
+    ax.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=columns)
+
+
+def matrix_height(rows: int, columns: int) -> float:
+    """Height in inches of a matrix figure whose cells must hold a number and whose column labels stand upright."""
+    return float(np.clip(0.34 * rows, 1.2, 9.0)) + (1.4 if columns > 6 else 0.9)
+
+
+def separate_cells(ax: Axes, rows: int, columns: int) -> None:
+    """Draw white lines between the cells of a matrix and take its frame away."""
+    ax.set_xticks(np.arange(columns + 1) - 0.5, minor=True)
+    ax.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
+    ax.grid(which="minor", color="white", linewidth=1.2)
+    ax.tick_params(which="both", length=0)
+    ax.spines[:].set_visible(False)
+
+
+def add_heading(figure: Figure, title: str, synthetic: bool) -> None:
+    """Write the title over the figure and, for invented measurements, the words `SYNTHETIC` under it.
+
+    The figure grows by the height of the heading, so that it covers nothing.
+    """
+    width, height = figure.get_size_inches()
+    lines = textwrap.wrap(title, max(10, int(width * 10.5))) or [""]
+    text, mark = 0.22 * len(lines) + 0.08, 0.3 if synthetic else 0.0
+    total = height + text + mark
+    figure.set_size_inches(width, total)
+    top = 1.0 - (text + mark) / total
+    left = 0.1 / width
+    figure.text(left, 1.0 - 0.07 / total, "\n".join(lines), ha="left", va="top", fontsize=11, fontweight="bold")
+    if synthetic:
+        figure.text(
+            left + 0.05 / width,
+            1.0 - (text + 0.07) / total,
+            SYNTHETIC,
+            ha="left",
+            va="top",
+            fontsize=8.5,
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "#FFF4E5", "edgecolor": VERMILLION, "linewidth": 0.8},
+        )
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.set(rect=(0.0, 0.0, 1.0, top), w_pad=0.07, h_pad=0.06)  # type: ignore[call-arg]
+    else:
+        figure.subplots_adjust(top=top)
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Save as PNG under a temporary name first, so that a stop in between leaves the old picture or none."""
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part")
+    try:
+        figure.savefig(temporary, format="png", dpi=DPI, facecolor="white")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path

@@ -1,0 +1,340 @@
+"""Cases: independent runs of one search, and what their agreement says about the parameters."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from calib.errors import EvaluationError
+from calib.evaluate import BatchEvaluator, Outcome
+from calib.ledger import Asked, Ledger, key_of
+from calib.space import ParameterSpace
+from calib.updating.genetic import GeneticSearch, GeneticSettings
+from calib.updating.objective import Objective
+
+FAILED = 1e12
+"""Violation of a point that could not be evaluated: behind every point that merely breaks a constraint."""
+STABLE = 0.10
+"""Largest difference between cases, over the range between the limits, of a stable parameter (Ribeiro et al. 2013)."""
+AT_BOUND = 0.01
+"""Distance to a limit, over the range, below which a value sits on it."""
+NEARLY_EQUAL = 0.05
+"""Relative difference up to which misfits count as equal."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run of the search, told apart by its seed."""
+
+    name: str
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class CaseResult:
+    """What one case found.
+
+    Attributes
+    ----------
+    name : str
+    values : dict
+        All parameters at the best point, each in its own unit.
+    misfit : float
+    responses : dict
+        At the best point.
+    convergence : DataFrame
+        ``generation``, ``best`` (misfit so far), ``mean`` (over the generation) and ``feasible`` (number of individuals
+        that kept the constraints and could be evaluated; the mean is over them); NaN where there is nothing to tell.
+    asked, solved, reused, infeasible, failed : int
+        Individuals; ``asked`` is the sum of the others. They are the same after an interruption.
+    seconds : float
+        Duration of this call.
+    """
+
+    name: str
+    values: dict[str, float]
+    misfit: float
+    responses: dict[str, float]
+    convergence: pd.DataFrame
+    asked: int
+    solved: int
+    reused: int
+    infeasible: int
+    failed: int
+    seconds: float
+
+
+def run_id(
+    case: Case,
+    space: ParameterSpace,
+    objective: Objective,
+    settings: GeneticSettings,
+    fingerprint: str,
+    initial: np.ndarray,
+) -> str:
+    """Name of a run in the history: case, seed, and a hash over everything else that determines it."""
+    numbers = [(p.name, p.value, p.lower, p.upper, p.distribution, p.integer) for p in space.parameters]
+    digest = hashlib.sha256(repr((numbers, space.constraints, objective.identity, settings, fingerprint)).encode())
+    digest.update(np.ascontiguousarray(initial, dtype=float).tobytes())
+    return f"{case.name}:{case.seed}:{digest.hexdigest()[:16]}"
+
+
+def run_case(
+    case: Case,
+    space: ParameterSpace,
+    objective: Objective,
+    settings: GeneticSettings,
+    evaluator: BatchEvaluator,
+    ledger: Ledger,
+    fingerprint: str,
+    initial: np.ndarray,
+    progress: Callable[[int, int, float], None] = lambda generation, generations, best: None,
+) -> CaseResult:
+    """Search one case; started again after an interruption it continues, and ends as if there had been none.
+
+    Individuals that break a limit or constraint are never evaluated. All others of a generation are looked up in the
+    ledger, the new ones evaluated as one batch and added before the generation is recorded.
+
+    Parameters
+    ----------
+    case : Case
+    space : ParameterSpace
+        Its free parameters are searched.
+    objective : Objective
+    settings : GeneticSettings
+    evaluator : BatchEvaluator
+    ledger : Ledger
+    fingerprint : str
+        Of model and measurement.
+    initial : ndarray (population, n_free)
+        Initial population.
+    progress : callable
+        Called with generation, number of generations and best misfit so far (infinite before there is one).
+
+    Raises
+    ------
+    EvaluationError
+        When no individual could be evaluated; with the last error.
+    InputError
+        From ledger, evaluator or objective.
+    """
+    started = time.perf_counter()
+    run = run_id(case, space, objective, settings, fingerprint, initial)
+    search = GeneticSearch(space, settings, initial, case.seed)
+    best: Outcome | None = None
+    best_misfit = math.inf
+    last_error, evaluated = "every individual broke a limit or constraint", 0
+    convergence = []
+    while not search.done:
+        generation = search.generation
+        points = search.ask()
+        violation = scaled_violation(space, points)
+        values = [space.complete(x) for x in points]
+        feasible = np.flatnonzero(violation == 0)
+        outcomes = ledger.evaluate(fingerprint, [values[k] for k in feasible], evaluator)
+        misfit = np.full(len(points), np.nan)
+        for k, outcome in zip(feasible.tolist(), outcomes, strict=True):
+            number = objective(outcome.responses) if outcome.status == "ok" else math.nan
+            if math.isfinite(number):
+                misfit[k] = number
+                if number < best_misfit:
+                    best, best_misfit = outcome, number
+            else:
+                violation[k] = FAILED
+                last_error = outcome.error or "the misfit is not finite"
+        asked = []
+        for k in range(len(points)):
+            broken: Literal["failed", "infeasible"] = "failed" if violation[k] == FAILED else "infeasible"
+            asked.append(Asked(key_of(values[k]), "ok" if violation[k] == 0 else broken, float(misfit[k])))
+        ledger.record(run, fingerprint, generation, asked)
+        evaluated += len(feasible)
+        if best is None and evaluated >= settings.population:
+            break  # a whole population failed: the model is broken, and time would only be lost
+        search.tell(misfit, violation)
+        good = misfit[violation == 0]
+        mean = float(good.mean()) if len(good) else math.nan
+        convergence.append((generation, best_misfit if best is not None else math.nan, mean, len(good)))
+        progress(generation, settings.generations, best_misfit)
+    if best is None:
+        raise EvaluationError(f"case {case.name}: no individual could be evaluated ({last_error})")
+    status = ledger.history(run)["status"].value_counts()
+    return CaseResult(
+        name=case.name,
+        values=best.values,
+        misfit=best_misfit,
+        responses=best.responses,
+        convergence=pd.DataFrame(convergence, columns=["generation", "best", "mean", "feasible"]),
+        asked=int(status.sum()),
+        solved=int(status.get("solved", 0)),
+        reused=int(status.get("reused", 0)),
+        infeasible=int(status.get("infeasible", 0)),
+        failed=int(status.get("failed", 0)),
+        seconds=time.perf_counter() - started,
+    )
+
+
+def scaled_violation(space: ParameterSpace, points: np.ndarray) -> np.ndarray:
+    """How far points are from keeping all constraints, comparable between constraints of different units.
+
+    Parameters
+    ----------
+    points : ndarray (n, n_free)
+
+    Returns
+    -------
+    ndarray (n,)
+        Sum of the violations, each over the span that its weighted sum has between the parameters' limits; exactly 0
+        for a feasible point and positive for every other.
+    """
+    reach = dict(zip(space.free_names, (space.upper - space.lower).tolist(), strict=True))
+    spans = [sum(abs(c) * reach.get(name, 0.0) for name, c in con.coefficients) or 1.0 for con in space.constraints]
+    total = (space.violation(points) / np.array(spans)).sum(axis=1) if spans else np.zeros(len(points))
+    return np.where(space.feasible(points), 0.0, np.maximum(total, np.finfo(float).tiny))
+
+
+# -- tables ------------------------------------------------------------------------------------------------------------
+
+
+def _ratios(results: Sequence[CaseResult], space: ParameterSpace) -> np.ndarray:
+    """Place between the limits, shape (n_cases, n_free)."""
+    values = np.array([[r.values[name] for name in space.free_names] for r in results]).reshape(len(results), -1)
+    return (values - space.lower) / (space.upper - space.lower)
+
+
+def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd.DataFrame:
+    """Where every case put every free parameter.
+
+    Returns
+    -------
+    DataFrame
+        ``case, parameter, value, unit, lower, upper``; ``ratio`` (place between the limits, 0 to 1); ``on_bound``
+        (within 1 % of a limit); ``spread`` (largest minus smallest ratio over the cases) and ``stable`` (spread of at
+        most 0.10; Ribeiro et al. 2013). One case says nothing about stability: both are then missing.
+    """
+    ratios = _ratios(results, space)
+    spread = np.ptp(ratios, axis=0) if len(results) > 1 else np.full(len(space.free), np.nan)
+    rows = []
+    for result, row in zip(results, ratios.tolist(), strict=True):
+        for parameter, ratio, width in zip(space.free, row, spread.tolist(), strict=True):
+            rows.append(
+                {
+                    "case": result.name,
+                    "parameter": parameter.name,
+                    "value": result.values[parameter.name],
+                    "unit": parameter.unit,
+                    "lower": parameter.lower,
+                    "upper": parameter.upper,
+                    "ratio": ratio,
+                    "on_bound": ratio < AT_BOUND or ratio > 1 - AT_BOUND,
+                    "spread": width,
+                    "stable": None if math.isnan(width) else width <= STABLE,
+                }
+            )
+    columns = ["case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def convergence_table(results: Sequence[CaseResult]) -> pd.DataFrame:
+    """Misfit over the generations of every case: ``case, generation, best, mean, feasible``."""
+    columns = ["case", "generation", "best", "mean", "feasible"]
+    tables = [r.convergence.assign(case=r.name)[columns] for r in results]
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=columns)
+
+
+# -- agreement ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Whether the cases found one solution.
+
+    Attributes
+    ----------
+    verdict : {"one case", "one solution", "several solutions", "not settled"}
+    solutions : tuple of tuple of str
+        Cases that fit as well as the best one, grouped by solution, best first.
+    worse : tuple of str
+        Cases that fit less well and therefore say nothing about uniqueness.
+    differing : tuple of str
+        Parameters by which the solutions differ.
+    sentence : str
+    """
+
+    verdict: Literal["one case", "one solution", "several solutions", "not settled"]
+    solutions: tuple[tuple[str, ...], ...]
+    worse: tuple[str, ...]
+    differing: tuple[str, ...]
+    sentence: str
+
+
+def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float = 0.0) -> Agreement:
+    """Tell whether cases that fit equally well agree on the parameters; if not, the data do not determine them.
+
+    Two cases fit equally well when both misfits are below the level that the measurement's scatter allows, or within
+    5 % of the best one. They are different solutions when a parameter differs by more than 10 % of its range.
+
+    Parameters
+    ----------
+    results : sequence of CaseResult
+        At least one.
+    space : ParameterSpace
+    level : float
+        Misfit that the measurement's scatter alone would allow; 0 where unknown.
+    """
+    order = sorted(range(len(results)), key=lambda k: results[k].misfit)
+    limit = max(level, results[order[0]].misfit * (1 + NEARLY_EQUAL))
+    good = [k for k in order if results[k].misfit <= limit]
+    worse = tuple(results[k].name for k in order if k not in good)
+    ratios = _ratios(results, space)
+    groups: list[list[int]] = []
+    for k in good:
+        for group in groups:
+            if np.all(np.abs(ratios[group] - ratios[k]) <= STABLE):
+                group.append(k)
+                break
+        else:
+            groups.append([k])
+    solutions = tuple(tuple(results[k].name for k in group) for group in groups)
+    spread = np.ptp(ratios[good], axis=0)
+    apart = sorted(np.flatnonzero(spread > STABLE).tolist(), key=lambda j: -spread[j])
+    differing = tuple(space.free_names[j] for j in apart) if len(groups) > 1 else ()
+
+    def told(group: Sequence[int]) -> str:
+        names = ", ".join(results[k].name for k in group)
+        misfits = [results[k].misfit for k in group]
+        low, high = f"{min(misfits):.4g}", f"{max(misfits):.4g}"
+        return f"{names} (misfit {low if low == high else f'{low} to {high}'})"
+
+    verdict: Literal["one case", "one solution", "several solutions", "not settled"]
+    left = f" {told([k for k in order if k not in good])} ended higher and did not get there." if worse else ""
+    if len(results) == 1:
+        verdict = "one case"
+        sentence = "Only one case was run, which says nothing about whether its solution is the only one."
+    elif len(groups) > 1:
+        verdict = "several solutions"
+        ways = "; ".join(f"{i}) {told(group)}" for i, group in enumerate(groups, start=1))
+        widths = ", ".join(f"{space.free_names[j]} by {100 * spread[j]:.0f} %" for j in apart)
+        sentence = (
+            f"The solution is not unique: {len(groups)} sets of parameters fit equally well, {ways}. Of their "
+            f"range they differ in {widths}; these data do not determine them.{left}"
+        )
+    elif len(good) > 1:
+        verdict = "one solution"
+        sentence = (
+            f"The cases {told(good)} agree on one solution: no parameter differs by more than "
+            f"{100 * float(spread.max()):.1f} % of its range.{left}"
+        )
+    else:
+        verdict = "not settled"
+        sentence = (
+            f"Only {told(good)} reaches the lowest misfit.{left} The search is not settled: give it more generations "
+            "or more cases."
+        )
+    return Agreement(verdict, solutions, worse, differing, sentence)

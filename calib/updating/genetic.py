@@ -1,0 +1,263 @@
+"""A genetic algorithm with generational replacement and one elite, by asking and telling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pymoo.algorithms.base.genetic import GeneticAlgorithm
+from pymoo.algorithms.soo.nonconvex.ga import comp_by_cv_and_fitness
+from pymoo.core.duplicate import DuplicateElimination, NoDuplicateElimination
+from pymoo.core.mating import Mating
+from pymoo.core.mutation import Mutation
+from pymoo.core.population import Population
+from pymoo.core.problem import Problem
+from pymoo.operators.crossover.ux import UniformCrossover
+from pymoo.operators.selection.tournament import TournamentSelection
+
+from calib.errors import InputError
+from calib.space import ParameterSpace
+
+
+@dataclass(frozen=True)
+class GeneticSettings:
+    """Settings of the search; the defaults are those of Ribeiro et al. (2013), where they are known.
+
+    Attributes
+    ----------
+    population, generations : int
+        ``population * generations`` points are asked, the initial population included.
+    elites, substitutes : int
+        The best individuals of a generation, and the worst children of the next whose places they take; equal numbers.
+    crossover : float
+        Probability, per pair of parents, of a uniform crossover (assumed meaning); other pairs are copied.
+    mutation : float
+        Probability per gene.
+    sigma_start, sigma_end : float
+        Standard deviation of the Gaussian mutation over the range between the limits; it falls linearly from the first
+        to the last generation of children. The end is assumed.
+
+    Raises
+    ------
+    InputError
+        For a value outside its range.
+    """
+
+    population: int = 30
+    generations: int = 250
+    elites: int = 1
+    substitutes: int = 1
+    crossover: float = 0.5
+    mutation: float = 0.15
+    sigma_start: float = 0.10
+    sigma_end: float = 0.01
+
+    def __post_init__(self) -> None:
+        checks = (
+            ("population", self.population >= 4, "at least 4"),
+            ("generations", self.generations >= 1, "at least 1"),
+            ("elites", 1 <= self.elites < self.population, "at least 1 and fewer than the population"),
+            ("substitutes", self.substitutes == self.elites, "as many as elites, since each takes one place"),
+            ("crossover", 0 <= self.crossover <= 1, "from 0 to 1"),
+            ("mutation", 0 <= self.mutation <= 1, "from 0 to 1"),
+            ("sigma_start", 0 < self.sigma_start <= 1, "above 0 and at most 1"),
+            ("sigma_end", 0 < self.sigma_end <= 1, "above 0 and at most 1"),
+        )
+        for label, good, allowed in checks:
+            if not good:
+                raise InputError(
+                    f"{label} is {getattr(self, label)}", place="genetic algorithm", remedy=f"allowed is {allowed}"
+                )
+
+    def sigma(self, generation: int) -> float:
+        """Standard deviation of the mutation that makes a generation, counted from 1 (the initial population)."""
+        if self.generations < 3:
+            return self.sigma_start
+        share = (generation - 2) / (self.generations - 2)
+        return self.sigma_start + (self.sigma_end - self.sigma_start) * min(max(share, 0.0), 1.0)
+
+
+class GeneticSearch:
+    """Asks for populations and is told how good they are; minimises.
+
+    Infeasible individuals lose every tournament against feasible ones and are ranked among themselves by their
+    violation (Deb 2000). Same settings, initial population, seed and misfits: same populations.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        Limits and whole-number flags of the free parameters.
+    settings : GeneticSettings
+    initial : ndarray (population, n_free)
+        First population.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        When the initial population has another shape, leaves the limits, or has fractions in a whole-number parameter.
+    """
+
+    def __init__(self, space: ParameterSpace, settings: GeneticSettings, initial: np.ndarray, seed: int):
+        start = np.array(initial, dtype=float)
+        expected = (settings.population, len(space.free))
+        if start.shape != expected:
+            raise InputError(f"the initial population is {start.shape}, not {expected}", place="genetic algorithm")
+        if not np.all((start >= space.lower) & (start <= space.upper)):
+            raise InputError("an initial individual is outside the limits", place="genetic algorithm")
+        if np.any(start[:, space.integer] != np.round(start[:, space.integer])):
+            raise InputError("a whole-number parameter starts at a fraction", place="genetic algorithm")
+        self.settings = settings
+        # Limits only: pymoo never evaluates anything here.
+        problem = Problem(n_var=len(space.free), n_obj=1, n_ieq_constr=1, xl=space.lower, xu=space.upper)
+        # Another stream than that of a sampler given the same seed, whose numbers would otherwise come again here.
+        stream = np.random.SeedSequence(seed, spawn_key=(1,))
+        self._algorithm = _Generational(settings, start, space.integer, seed=stream)
+        self._algorithm.setup(problem)
+        self._asked: Population | None = None
+
+    @property
+    def generation(self) -> int:
+        """Number of the generation asked or to be asked next, from 1; the last one when done."""
+        return min(self._algorithm.n_iter or 1, self.settings.generations)
+
+    @property
+    def done(self) -> bool:
+        """Whether all generations have been told."""
+        return not self._algorithm.has_next()
+
+    def ask(self) -> np.ndarray:
+        """The individuals of this generation, shape (population, n_free); the same until they are told."""
+        if self.done:
+            raise RuntimeError("the search is done")
+        if self._asked is None:
+            self._asked = self._algorithm.ask()
+        return self._asked.get("X").astype(float)
+
+    def tell(self, misfit: np.ndarray, violation: np.ndarray) -> None:
+        """Tell how good the individuals asked are.
+
+        Parameters
+        ----------
+        misfit : ndarray (population,)
+            Finite where the violation is 0; ignored elsewhere.
+        violation : ndarray (population,)
+            0 for a feasible individual, else how far it is from being one.
+        """
+        if self._asked is None:
+            raise RuntimeError("nothing was asked")
+        n = len(self._asked)
+        misfit, violation = np.asarray(misfit, dtype=float), np.asarray(violation, dtype=float)
+        if misfit.shape != (n,) or violation.shape != (n,):
+            raise ValueError(f"misfit {misfit.shape} and violation {violation.shape} are not ({n},)")
+        feasible = violation == 0
+        if not (np.all(violation >= 0) and np.all(np.isfinite(misfit[feasible]))):
+            raise ValueError("a violation is negative or NaN, or the misfit of a feasible individual is not finite")
+        # NaN would tie at random in a tournament.
+        self._asked.set("F", np.where(feasible, misfit, np.inf)[:, None])
+        self._asked.set("G", violation[:, None])
+        self._algorithm.tell(infills=self._asked)
+        self._asked = None
+
+
+class _Generational(GeneticAlgorithm):
+    """pymoo's loop of tournament, crossover and mutation, with replacement of the whole generation but its elite."""
+
+    pop: Any
+
+    def __init__(self, settings: GeneticSettings, initial: np.ndarray, integer: np.ndarray, **kwargs: Any):
+        selection = TournamentSelection(func_comp=comp_by_cv_and_fitness)
+        crossover = UniformCrossover(prob=settings.crossover)
+        mutation = _ShrinkingGaussian(settings, integer)
+        self.initial = initial
+        self.elites = settings.elites
+        self.repeating = Mating(selection, crossover, mutation, eliminate_duplicates=NoDuplicateElimination())
+        super().__init__(
+            pop_size=settings.population,
+            sampling=initial,
+            mating=Mating(selection, crossover, mutation, eliminate_duplicates=_AmongChildren(), n_max_iterations=20),
+            termination=("n_gen", settings.generations),
+            **kwargs,
+        )
+
+    def _initialize_infill(self) -> Population:
+        # As given: pymoo would drop individuals that occur twice.
+        return Population.new("X", self.initial)
+
+    def _infill(self) -> Population:
+        given = {"algorithm": self, "random_state": self.random_state}
+        children = self.mating.do(self.problem, self.pop, self.pop_size, **given)
+        missing = self.pop_size - len(children)
+        if missing > 0:  # a small space of whole numbers has not enough different children
+            children = Population.merge(children, self.repeating.do(self.problem, self.pop, missing, **given))
+        return children
+
+    def _advance(self, infills: Population | None = None, **kwargs: Any) -> None:
+        assert infills is not None
+        best = self.pop[_ranking(self.pop)[: self.elites]]
+        children = infills[_ranking(infills)[: len(infills) - self.elites]]
+        self.pop = Population.merge(best, children)
+
+
+def _ranking(pop: Population) -> np.ndarray:
+    """Indices from best to worst: by violation, then by misfit; the first asked wins a tie."""
+    misfit, violation = pop.get("F", "CV")
+    return np.lexsort([misfit[:, 0], violation[:, 0]])
+
+
+class _AmongChildren(DuplicateElimination):
+    """Drops children equal to an earlier child; one equal to a parent may live, as it costs no evaluation."""
+
+    def do(self, pop: Population, *others: Population, **kwargs: Any) -> Population:
+        earlier = others[1] if len(others) > 1 else ()
+        seen = {individual.X.tobytes() for individual in earlier}
+        keep = []
+        for k, individual in enumerate(pop):
+            key = individual.X.tobytes()
+            if key not in seen:
+                seen.add(key)
+                keep.append(k)
+        return pop[keep]
+
+
+class _ShrinkingGaussian(Mutation):
+    """Gaussian mutation, gene by gene, whose deviation falls over the generations; reflected at the limits.
+
+    pymoo's own draws anew out of bounds without regard to the seed, and keeps its deviation.
+    """
+
+    def __init__(self, settings: GeneticSettings, integer: np.ndarray):
+        super().__init__(prob=1.0)
+        self.settings = settings
+        self.integer = integer
+
+    def _do(
+        self,
+        problem: Problem,
+        x: np.ndarray,
+        *args: Any,
+        algorithm: Any,
+        random_state: np.random.Generator,
+        **kwargs: Any,
+    ) -> np.ndarray:
+        sigma = self.settings.sigma(algorithm.n_iter)
+        chosen = random_state.random(x.shape) < self.settings.mutation
+        step = sigma * (problem.xu - problem.xl) * random_state.standard_normal(x.shape)
+        moved = reflect(x + step, problem.xl, problem.xu)
+        moved = np.where(self.integer, np.round(moved), moved)
+        return np.where(chosen, moved, x)
+
+
+def reflect(x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Points folded back into their limits as by mirrors there; what is inside stays as it is.
+
+    Parameters
+    ----------
+    x : ndarray (n, n_free)
+    lower, upper : ndarray (n_free,)
+    """
+    width = upper - lower
+    turn = np.mod((x - lower) / width, 2.0)
+    folded = np.clip(lower + width * np.where(turn > 1.0, 2.0 - turn, turn), lower, upper)
+    return np.where((x >= lower) & (x <= upper), x, folded)

@@ -1,0 +1,142 @@
+"""What a search makes small: one number from named responses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from calib.errors import InputError
+
+
+class Objective(Protocol):
+    """Named responses in, a misfit to be minimised out."""
+
+    @property
+    def identity(self) -> str:
+        """Text that differs whenever the misfit of some responses could."""
+        ...
+
+    def __call__(self, responses: Mapping[str, float]) -> float:
+        """Misfit, 0 for full agreement; not finite when it cannot be told."""
+        ...
+
+
+def _response(responses: Mapping[str, float], name: str) -> float:
+    if name not in responses:
+        given = ", ".join(responses) or "nothing"
+        raise InputError(f"the model gives no response {name!r}", place="objective", remedy=f"it gives {given}")
+    return float(responses[name])
+
+
+@dataclass(frozen=True)
+class FrequencyMacObjective:
+    """Relative frequency errors and MAC deficits, summed over the measured modes.
+
+    ``a * sum |f_model - f_meas| / f_meas + b * sum |1 - MAC|``, the form consistent with the words of Ribeiro et al.
+    (2013), who take a = b = 1. A mode without a partner (its frequency is NaN) counts as a frequency error of 1
+    (100 %) and a MAC of 0; a paired mode whose MAC is NaN counts as a MAC of 0.
+
+    Attributes
+    ----------
+    modes : tuple of str
+        The responses used are ``natural_freq_<mode>`` and ``mac_<mode>``.
+    natural_freq : mapping from mode to float
+        Measured natural frequencies, Hz.
+    weight_freq, weight_mac : float
+        a and b.
+    use_mac : bool
+        False for a measurement without shapes.
+
+    Raises
+    ------
+    InputError
+        For no modes, a frequency that is missing or not positive, a negative weight, or nothing with weight.
+    """
+
+    modes: tuple[str, ...]
+    natural_freq: Mapping[str, float]
+    weight_freq: float = 1.0
+    weight_mac: float = 1.0
+    use_mac: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.modes:
+            raise InputError("there is no mode to compare", place="objective", remedy="measure or keep at least one")
+        for mode in self.modes:
+            freq = self.natural_freq.get(mode)
+            if freq is None or not (math.isfinite(freq) and freq > 0):
+                raise InputError(
+                    f"the measured frequency of mode {mode!r} is {freq}", place="objective", remedy="give it in Hz"
+                )
+        for label, weight in (("weight_freq", self.weight_freq), ("weight_mac", self.weight_mac)):
+            if not (math.isfinite(weight) and weight >= 0):
+                raise InputError(f"{label} is {weight}", place="objective", remedy="give a number of at least 0")
+        if self.weight_freq + (self.weight_mac if self.use_mac else 0.0) == 0:
+            without = "" if self.use_mac else " and no shapes were measured"
+            raise InputError(
+                f"the weight of frequencies is 0{without}", place="objective", remedy="give frequencies or MAC a weight"
+            )
+
+    @property
+    def identity(self) -> str:
+        """Text that differs whenever the misfit of some responses could."""
+        freq = ",".join(f"{mode}={float(self.natural_freq[mode])!r}" for mode in self.modes)
+        weight_mac = float(self.weight_mac) if self.use_mac else 0.0
+        return f"frequency-mac a={float(self.weight_freq)!r} b={weight_mac!r} {freq}"
+
+    def __call__(self, responses: Mapping[str, float]) -> float:
+        """Misfit of named responses; InputError when one is missing."""
+        total = 0.0
+        for mode in self.modes:
+            measured = float(self.natural_freq[mode])
+            model = _response(responses, f"natural_freq_{mode}")
+            paired = not math.isnan(model)
+            total += self.weight_freq * (abs(model - measured) / measured if paired else 1.0)
+            if self.use_mac:
+                mac = _response(responses, f"mac_{mode}")
+                total += self.weight_mac * (abs(1.0 - mac) if paired and not math.isnan(mac) else 1.0)
+        return total
+
+
+@dataclass(frozen=True)
+class ResponseObjective:
+    """Relative errors of plain responses, ``sum |r - t| / |t|``; infinite when a response is NaN.
+
+    Attributes
+    ----------
+    targets : mapping from response name to float
+        Measured values.
+
+    Raises
+    ------
+    InputError
+        For no target, or one that is 0 or not finite: a relative error needs something to relate to.
+    """
+
+    targets: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        if not self.targets:
+            raise InputError("there is no target to compare", place="objective", remedy="measure at least one response")
+        for name, target in self.targets.items():
+            if not math.isfinite(target) or target == 0:
+                raise InputError(
+                    f"the target of {name!r} is {target}, so a relative error is undefined",
+                    place="objective",
+                    remedy="withhold it, or measure it from another zero",
+                )
+
+    @property
+    def identity(self) -> str:
+        """Text that differs whenever the misfit of some responses could."""
+        return "responses " + ",".join(f"{name}={float(self.targets[name])!r}" for name in sorted(self.targets))
+
+    def __call__(self, responses: Mapping[str, float]) -> float:
+        """Misfit of named responses; InputError when one is missing."""
+        total = 0.0
+        for name, target in self.targets.items():
+            response = _response(responses, name)
+            total += math.inf if math.isnan(response) else abs(response - target) / abs(target)
+        return total

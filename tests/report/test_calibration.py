@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+
+from calib.report.calibration import draw_convergence, draw_parameters
+
+
+def words(ax):
+    return [t.get_text() for t in ax.texts]
+
+
+def legend(ax):
+    return [t.get_text() for t in ax.get_legend().get_texts()]
+
+
+def test_bar_lengths_are_the_ratios_in_percent(parameters):
+    ax = draw_parameters(parameters)
+    for bars, case in zip(ax.containers, ["GB1", "GB2"], strict=True):
+        rows = parameters[parameters["case"] == case]
+        np.testing.assert_allclose([bar.get_width() for bar in bars], 100 * rows["ratio"])
+        assert bars.get_label() == case
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["K_primary", "position"]
+
+
+def test_bars_of_a_case_stand_in_the_row_of_their_parameter(parameters):
+    ax = draw_parameters(parameters)
+    for bars in ax.containers:
+        assert [round(bar.get_y() + bar.get_height() / 2) for bar in bars] == [0, 1]
+
+
+def test_cases_may_lack_parameters(parameters):
+    ax = draw_parameters(parameters.drop(index=2))
+    np.testing.assert_allclose([bar.get_width() for bar in ax.containers[1]], [np.nan, 100.0])
+
+
+def test_a_value_on_a_bound_has_a_mark_beside_its_bar(parameters):
+    ax = draw_parameters(parameters)
+    marks = {line.get_gid(): line for line in ax.lines if (line.get_gid() or "").startswith("on_bound")}
+    assert len(marks["on_bound GB1"].get_xdata()) == 0
+    bar = ax.containers[1][1]
+    assert marks["on_bound GB2"].get_ydata() == pytest.approx([bar.get_y() + bar.get_height() / 2])
+    assert marks["on_bound GB2"].get_xdata()[0] > 100.0
+    assert "on a bound" in legend(ax)
+
+
+def test_an_unstable_parameter_is_hatched_and_said(parameters):
+    ax = draw_parameters(parameters)
+    assert [[bool(bar.get_hatch()) for bar in bars] for bars in ax.containers] == [[False, True], [False, True]]
+    assert words(ax) == ["not stable, spread 62 %"]
+
+
+def test_without_doubts_there_are_no_marks(parameters):
+    ax = draw_parameters(parameters.assign(stable=True, on_bound=False))
+    assert words(ax) == [] and legend(ax) == ["GB1", "GB2"]
+
+
+def test_unknown_stability_is_no_verdict(parameters):
+    ax = draw_parameters(parameters.assign(stable=None, spread=np.nan))
+    assert words(ax) == [] and not any(bar.get_hatch() for bars in ax.containers for bar in bars)
+
+
+def test_values_of_the_best_case(parameters):
+    ax = draw_parameters(parameters.assign(stable=True), best_case="GB1")
+    assert words(ax) == ["1.5 MN/m", "−0.25"]
+    assert "GB1 (best; values at the right)" in legend(ax)
+
+
+def test_one_case_writes_its_values_unasked(parameters):
+    ax = draw_parameters(parameters[parameters["case"] == "GB2"].assign(stable=None, spread=np.nan))
+    assert len(ax.containers) == 1 and words(ax) == ["1.6 MN/m", "1"]
+
+
+def test_lines_are_the_misfits(convergence):
+    ax = draw_convergence(convergence)
+    best = {line.get_label().split(" ")[0]: line for line in ax.lines if line.get_label().startswith("GB")}
+    np.testing.assert_array_equal(best["GB1"].get_xdata(), [0, 1, 2])
+    np.testing.assert_array_equal(best["GB1"].get_ydata(), [1.0, 0.5, 0.25])
+    # rows in any order are drawn by generation; a generation without feasible point is a gap
+    np.testing.assert_array_equal(best["GB2"].get_xdata(), [0, 1, 2])
+    np.testing.assert_array_equal(best["GB2"].get_ydata(), [np.nan, 0.6, 0.3])
+    assert legend(ax) == ["GB1 (ends at 0.25)", "GB2 (ends at 0.3)", "mean of the generation"]
+    means = [line.get_ydata() for line in ax.lines if line.get_linestyle() == "--" and len(line.get_xdata())]
+    np.testing.assert_array_equal(means, [[2.0, 1.0, 0.5], [np.nan, 1.2, 0.6]])
+
+
+def test_logarithmic_only_when_all_is_positive(convergence):
+    assert draw_convergence(convergence).get_yscale() == "log"
+    assert draw_convergence(convergence.assign(best=0.0)).get_yscale() == "linear"
+
+
+def test_one_case_and_one_generation(convergence):
+    ax = draw_convergence(convergence.iloc[:1])
+    assert ax.lines[0].get_marker() == "o" and list(ax.lines[0].get_ydata()) == [1.0]
+
+
+def test_a_case_without_feasible_point(convergence):
+    ax = draw_convergence(convergence.assign(best=np.nan, mean=np.nan))
+    assert legend(ax) == ["GB1 (nothing feasible)", "GB2 (nothing feasible)"]

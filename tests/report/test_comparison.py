@@ -1,0 +1,115 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.report.comparison import comparison_figure, draw_comac, draw_frequency_error, draw_mac, draw_mac_matrix
+from calib.report.style import new_figure
+
+
+def heights(container):
+    return [bar.get_height() for bar in container]
+
+
+def words(ax):
+    return [t.get_text() for t in ax.texts]
+
+
+def legend(ax):
+    return [t.get_text() for t in ax.get_legend().get_texts()]
+
+
+def test_bars_are_the_errors_in_percent(before, after):
+    ax = draw_frequency_error(before, after)
+    first, second = ax.containers
+    np.testing.assert_allclose(heights(first), 100 * before["freq_error"])
+    np.testing.assert_allclose(heights(second), 100 * after["freq_error"])
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["1BT\n6.95 Hz", "2BT\n10.83 Hz", "3BT\n13.20 Hz"]
+    assert legend(ax) == ["before: mean |error| 10.0 %, 2 of 3 paired", "after: mean |error| 1.0 %"]
+
+
+def test_an_unpaired_mode_is_marked_where_its_bar_would_stand(before, after):
+    ax = draw_frequency_error(before, after)
+    marks = [t for t in ax.texts if t.get_text() == "not paired"]
+    assert len(marks) == 1
+    bar = ax.containers[0][2]
+    assert marks[0].xy[0] == pytest.approx(bar.get_x() + bar.get_width() / 2)
+
+
+def test_bars_are_written_with_their_value(before):
+    assert {"−12.0", "+8.0", "not paired"} <= set(words(draw_frequency_error(before)))
+
+
+def test_before_alone(before):
+    ax = draw_frequency_error(before)
+    assert len(ax.containers) == 1 and len(legend(ax)) == 1
+
+
+def test_modes_are_matched_by_name_and_not_by_row(before, after):
+    ax = draw_frequency_error(before, after.iloc[::-1])
+    np.testing.assert_allclose(heights(ax.containers[1]), 100 * after["freq_error"])
+
+
+def test_mac_bars(before, after):
+    ax = draw_mac(before, after)
+    np.testing.assert_allclose(heights(ax.containers[0]), before["mac"])
+    np.testing.assert_allclose(heights(ax.containers[1]), after["mac"])
+    assert legend(ax) == ["before: mean MAC 0.740, 2 of 3 paired", "after: mean MAC 0.943"]
+
+
+def test_the_mac_panel_is_left_out_when_no_shapes_were_measured(before, after):
+    assert len(comparison_figure(before, after).axes) == 2
+    silent = [table.assign(mac=np.nan) for table in (before, after)]
+    assert len(comparison_figure(*silent).axes) == 1
+    assert len(comparison_figure(silent[0]).axes) == 1
+
+
+def test_all_modes_unpaired(before):
+    ax = draw_frequency_error(before.assign(freq_error=np.nan))
+    assert words(ax).count("not paired") == 3
+    assert legend(ax) == ["before: mean |error| unknown, 0 of 3 paired"]
+
+
+def test_matrix_cells_hold_the_values(mac):
+    ax = draw_mac_matrix(mac)
+    cells = {(round(t.get_position()[1]), round(t.get_position()[0])): t.get_text() for t in ax.texts}
+    assert cells == {(0, 0): "0.93", (0, 1): "0.02", (0, 2): "0.30", (1, 0): "0.11", (1, 1): "0.55"}
+    np.testing.assert_allclose(ax.images[0].get_array().filled(np.nan), mac.drop(columns="mode").to_numpy())
+    assert [t.get_text() for t in ax.get_xticklabels()] == list(mac.columns[1:])
+    assert [t.get_text() for t in ax.get_yticklabels()] == list(mac["mode"])
+
+
+def dots(ax):
+    return {line.get_label().split(":")[0]: line.get_ydata() for line in ax.lines}
+
+
+def test_comac_is_sorted_by_the_newest_table(comac):
+    later = comac.assign(comac=[0.95, 0.97, 0.99, 0.96])
+    ax = draw_comac(comac, later)
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["1y", "3y", "2y", "2z"]
+    np.testing.assert_allclose(dots(ax)["before"], [0.9, 0.7, 0.4, 0.99])
+    np.testing.assert_allclose(dots(ax)["after"], [0.95, 0.96, 0.97, 0.99])
+    assert ax.get_ylim()[0] < 0.4
+
+
+def test_comac_before_alone(comac):
+    ax = draw_comac(comac)
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["2y", "3y", "1y", "2z"]
+    np.testing.assert_allclose(dots(ax)["before"], [0.4, 0.7, 0.9, 0.99])
+
+
+def test_of_many_sensors_the_worst_are_shown_and_the_axis_says_so():
+    table = pd.DataFrame({"sensor": [f"{i}y" for i in range(60)], "comac": np.linspace(1.0, 0.2, 60)})
+    ax = draw_comac(table)
+    assert len(dots(ax)["before"]) == 40 and dots(ax)["before"][0] == pytest.approx(0.2)
+    assert "40 worst of 60" in ax.get_xlabel()
+
+
+def test_a_given_axes_is_drawn_on_and_returned(before, mac, comac):
+    for draw, table in (
+        (draw_frequency_error, before),
+        (draw_mac, before),
+        (draw_mac_matrix, mac),
+        (draw_comac, comac),
+    ):
+        ax = new_figure(3.0).add_subplot()
+        assert draw(table, ax=ax) is ax

@@ -1,0 +1,209 @@
+import json
+import os
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from calib.errors import InputError
+from calib.report import draw
+from calib.report.draw import draw_all, read_table
+from calib.report.style import SYNTHETIC, add_heading, new_figure
+
+ALL = [
+    "comparison",
+    "mac_before",
+    "mac_after",
+    "comac",
+    "mode_shapes_after",
+    "sensitivity",
+    "parameters",
+    "convergence",
+]
+
+
+@pytest.fixture
+def folder(tmp_path, before, after, mac, comac, shapes, deflection, sensitivity, parameters, convergence):
+    tables = {
+        "comparison_before": before,
+        "comparison_after": after,
+        "mac_before": mac,
+        "mac_after": mac,
+        "comac_before": comac,
+        "comac_after": comac,
+        "shapes_after": shapes,
+        "deflection_after": deflection,
+        "sensitivity": sensitivity,
+        "parameters": parameters,
+        "convergence": convergence,
+    }
+    for name, table in tables.items():
+        table.to_csv(tmp_path / f"{name}.csv", index=False)
+    (tmp_path / "summary.json").write_text(json.dumps({"best_case": "GB2"}))
+    return tmp_path
+
+
+@pytest.fixture
+def saved(monkeypatch):
+    """Figures by name, kept instead of being written."""
+    figures: dict[str, Figure] = {}
+
+    def keep(figure, path):
+        figures[path.stem] = figure
+        return path
+
+    monkeypatch.setattr(draw, "save", keep)
+    return figures
+
+
+def test_every_figure_is_written_beside_its_table(folder):
+    written = draw_all(folder, "Bogie", False)
+    assert [p.stem for p in written] == ALL
+    assert all(p.parent == folder and p.read_bytes().startswith(b"\x89PNG") for p in written)
+    assert not [p for p in folder.iterdir() if p.name.startswith(".")]
+
+
+def all_words(figure):
+    return [t.get_text() for t in figure.texts]
+
+
+def test_synthetic_measurements_are_said_on_every_figure(folder, saved):
+    draw_all(folder, "Bogie", True)
+    assert list(saved) == ALL
+    assert all(SYNTHETIC in all_words(figure) for figure in saved.values())
+    draw_all(folder, "Bogie", False)
+    assert not any(SYNTHETIC in all_words(figure) for figure in saved.values())
+
+
+def test_the_heading_covers_no_data(folder, saved):
+    draw_all(folder, "A bogie with a title so long that it needs more than one line over a figure of this width", True)
+    for figure in saved.values():
+        figure.savefig(os.devnull, format="png")
+        lowest = min(t.get_window_extent().y0 for t in figure.texts if t.get_position()[1] > 0.5)
+        for ax in figure.axes:
+            assert ax.get_tightbbox().y1 <= lowest, figure.texts[0].get_text()
+
+
+@pytest.mark.parametrize("synthetic", [False, True])
+def test_the_heading_takes_no_room_from_the_data(synthetic):
+    figure = new_figure(3.0)
+    add_heading(figure, "Bogie", synthetic)
+    layout = figure.get_layout_engine().get()
+    assert layout["rect"][3] * figure.get_size_inches()[1] == pytest.approx(3.0)
+
+
+def test_figures_show_the_tables(folder, saved, before, convergence):
+    draw_all(folder, "Bogie", False)
+    np.testing.assert_allclose(
+        [bar.get_height() for bar in saved["comparison"].axes[0].containers[0]], 100 * before["freq_error"]
+    )
+    np.testing.assert_array_equal(saved["convergence"].axes[0].lines[0].get_ydata(), convergence["best"][:3])
+    assert "GB2 (best; values at the right)" in [
+        t.get_text() for t in saved["parameters"].axes[0].get_legend().get_texts()
+    ]
+
+
+def test_missing_tables_leave_their_figures_out(folder):
+    for name in ("comparison_after", "mac_before", "deflection_after", "sensitivity", "parameters"):
+        (folder / f"{name}.csv").unlink()
+    assert [p.stem for p in draw_all(folder, "Bogie", False)] == ["comparison", "mac_after", "comac", "convergence"]
+
+
+def test_an_empty_folder_has_no_figures(tmp_path):
+    assert draw_all(tmp_path, "Bogie", False) == []
+
+
+def test_a_missing_folder(tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        draw_all(tmp_path / "nowhere", "Bogie", False)
+
+
+def damage(folder, name, old, new):
+    path = folder / f"{name}.csv"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "column", "line"),
+    [
+        ("comparison_before", "0.93", "o.93", "mac", "line 2"),
+        ("comparison_after", "freq_error", "frequency_error", "freq_error", ""),
+        ("comparison_after", "2BT", "1BT", "mode", "line 3"),
+        ("mac_after", "0.11", "a lot", "1 (6.12 Hz)", "line 3"),
+        ("comac_before", "0.4", "inf", "comac", "line 3"),
+        ("deflection_after", "-1.0", "", "z1", "line 3"),
+        ("sensitivity", "c_primary", "", "parameter", "line 3"),
+        ("parameters", "0.375", "nan", "ratio", "line 3"),
+        ("parameters", "True\n", "maybe\n", "stable", "line 2"),
+        ("convergence", "GB1,1,", "GB1,one,", "generation", "line 3"),
+    ],
+)
+def test_a_damaged_table_is_named_and_nothing_is_drawn(folder, name, old, new, column, line):
+    damage(folder, name, old, new)
+    with pytest.raises(InputError) as problem:
+        draw_all(folder, "Bogie", False)
+    text = str(problem.value)
+    assert f"{name}.csv" in text and repr(column) in text and line in text
+    assert not list(folder.glob("*.png"))
+
+
+@pytest.mark.parametrize("content", ["", "mode,mac\n", '"'])
+def test_a_table_without_rows(folder, content):
+    (folder / "mac_before.csv").write_text(content)
+    with pytest.raises(InputError, match=r"mac_before\.csv"):
+        draw_all(folder, "Bogie", False)
+
+
+def test_a_row_with_too_few_or_too_many_cells(tmp_path):
+    path = tmp_path / "comac_before.csv"
+    path.write_text("sensor,comac\n1y,0.9\n2y,0.8,0.7\n")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_table(path, ["sensor"], ["comac"])
+    path.write_text("sensor,comac\n1y,0.9\n2y\n")
+    assert np.isnan(read_table(path, ["sensor"], ["comac"])["comac"][1])
+
+
+def test_names_that_look_like_numbers_or_gaps_stay_names(tmp_path):
+    path = tmp_path / "mac_before.csv"
+    path.write_text("mode,1\n01,0.5\nNA,0.25\n")
+    table = read_table(path, ["mode"], others_are_numbers=True)
+    assert list(table["mode"]) == ["01", "NA"] and list(table["1"]) == [0.5, 0.25]
+
+
+@pytest.mark.parametrize("content", ['{"best_case": "GB7"}', "{"])
+def test_a_damaged_summary(folder, content):
+    (folder / "summary.json").write_text(content)
+    with pytest.raises(InputError, match=r"summary\.json"):
+        draw_all(folder, "Bogie", False)
+
+
+def test_without_summary_no_case_is_best(folder, saved):
+    (folder / "summary.json").write_text("{}")
+    draw_all(folder, "Bogie", False)
+    assert "best" not in saved["parameters"].axes[0].get_legend().get_texts()[1].get_text()
+
+
+def test_a_stop_while_saving_leaves_the_old_picture(folder, monkeypatch):
+    (picture,) = [p for p in draw_all(folder, "Bogie", False) if p.stem == "convergence"]
+    old = picture.read_bytes()
+
+    def stop(self, path, **options):
+        path.write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Figure, "savefig", stop)
+    with pytest.raises(KeyboardInterrupt):
+        draw_all(folder, "Another title", False)
+    assert picture.read_bytes() == old
+    assert not [p for p in folder.iterdir() if p.name.startswith(".")]
+
+
+def test_the_users_own_settings_do_not_matter_and_are_kept(folder, saved):
+    import matplotlib
+
+    with matplotlib.rc_context({"font.size": 30.0}):
+        draw_all(folder, "Bogie", False)
+        assert matplotlib.rcParams["font.size"] == 30.0
+    assert saved["convergence"].axes[0].xaxis.label.get_fontsize() == 9

@@ -1,0 +1,43 @@
+import numpy as np
+
+from calib.report.sensitivity import draw_sensitivity
+
+
+def cells(ax):
+    return {
+        (round(t.get_position()[1]), round(t.get_position()[0])): t.get_text()
+        for t in ax.texts
+        if t.get_transform() == ax.transData
+    }
+
+
+def test_cells_are_grouped_and_small_ones_blank(sensitivity):
+    ax = draw_sensitivity(sensitivity)
+    # columns: natural frequency of 1BT and 2BT, then MAC of 1BT; 0.25 itself is shown
+    assert cells(ax) == {(0, 0): "0.90", (0, 1): "−0.30", (0, 2): "0.25", (1, 2): "−0.70", (2, 1): "0.50"}
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["1BT", "2BT", "1BT"]
+    assert [t.get_text() for t in ax.get_yticklabels()] == list(sensitivity["parameter"])
+    assert {"natural frequency", "MAC"} <= {t.get_text() for t in ax.texts}
+
+
+def test_colours_follow_the_shown_values_alone(sensitivity):
+    image = draw_sensitivity(sensitivity).images[-1]
+    shown = np.ma.filled(image.get_array().astype(float), np.nan)
+    np.testing.assert_array_equal(shown, [[0.9, -0.3, 0.25], [np.nan, np.nan, -0.7], [np.nan, 0.5, np.nan]])
+    assert (image.norm.vmin, image.norm.vmax) == (-1.0, 1.0)
+
+
+def test_threshold_is_an_argument(sensitivity):
+    assert set(cells(draw_sensitivity(sensitivity, threshold=0.6)).values()) == {"0.90", "−0.70"}
+    assert len(cells(draw_sensitivity(sensitivity, threshold=0.0))) == 8
+
+
+def test_a_response_of_no_known_kind_keeps_its_name(sensitivity):
+    ax = draw_sensitivity(sensitivity.rename(columns={"mac_1BT": "camber"}))
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["1BT", "2BT", "camber"]
+    assert "other" in {t.get_text() for t in ax.texts}
+
+
+def test_a_response_without_value_is_named_in_the_axis(sensitivity):
+    assert "grey: no value" in draw_sensitivity(sensitivity).get_xlabel()
+    assert "grey" not in draw_sensitivity(sensitivity.fillna(0.0)).get_xlabel()

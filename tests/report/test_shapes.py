@@ -1,0 +1,129 @@
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+from calib.report.shapes import (
+    draw_mode_shape,
+    measured_motions,
+    mode_shapes_figure,
+    motion_scale,
+    plot_coordinates,
+    view_directions,
+)
+
+
+def drawn(ax, gid):
+    """Points (n, 3) of a line, gaps left out, back in the coordinates of the data."""
+    (line,) = [line for line in ax.lines if line.get_gid() == gid]
+    x, y, z = (np.asarray(v, dtype=float) for v in line.get_data_3d())
+    points = np.column_stack([x, z, -y])
+    return points[~np.isnan(points).any(axis=1)]
+
+
+numbers = st.tuples(*[st.floats(-10, 10)] * 3)
+
+
+@given(numbers, numbers)
+def test_plot_coordinates_keep_right_handedness_and_show_y_upwards(a, b):
+    a, b = np.array(a), np.array(b)
+    np.testing.assert_allclose(
+        np.cross(plot_coordinates(a), plot_coordinates(b)), plot_coordinates(np.cross(a, b)), atol=1e-12
+    )
+    np.testing.assert_array_equal(plot_coordinates(np.array([0.0, 1.0, 0.0])), [0.0, 0.0, 1.0])
+
+
+def test_mesh_and_sensors_are_drawn_where_the_tables_say(shapes, deflection):
+    ax = draw_mode_shape(shapes[shapes["mode"] == "1BT"], deflection)
+    rest = np.array([[0, 0.5, 1], [2, 0.5, 1], [0, 0, -1], [2, 0, -1]], dtype=float)
+    motion = np.array([[0, 1, 0], [0, 1, 0], [0, 1, 0], [0.1, 0.5, 0.2]])
+    scale = 0.1 * np.sqrt(2.0**2 + 0.5**2 + 2.0**2)
+    np.testing.assert_allclose(drawn(ax, "undeformed"), rest, atol=1e-12)
+    np.testing.assert_allclose(drawn(ax, "deformed"), rest + scale * motion, atol=1e-12)
+    np.testing.assert_allclose(drawn(ax, "measured"), [[0, 0.5 + scale, 1], [2, 0.5 + scale, 1]], atol=1e-12)
+    np.testing.assert_allclose(
+        drawn(ax, "motion"), [[0, 0.5, 1], [0, 0.5 + scale, 1], [2, 0.5, 1], [2, 0.5 + scale, 1]], atol=1e-12
+    )
+
+
+def test_a_measurement_equal_to_the_model_lies_on_the_deformed_mesh(shapes, deflection):
+    one = shapes[shapes["mode"] == "1BT"].copy()
+    one.loc[one["sensor"] == "2z", "measured_re"] = -0.4
+    tilted = deflection.copy()
+    tilted.loc[0, "w2"] = -0.4
+    ax = draw_mode_shape(one, tilted)
+    np.testing.assert_allclose(drawn(ax, "measured"), drawn(ax, "deformed")[:2], atol=1e-12)
+
+
+def test_sensors_at_one_place_make_one_vector_and_rotations_none(shapes):
+    one = shapes[shapes["mode"] == "2BT"].copy()
+    one.loc[one["sensor"] == "1y", "direction"] = "rx"
+    places, motions = measured_motions(one)
+    np.testing.assert_array_equal(places, [[2.0, 0.5, 1.0]])
+    np.testing.assert_array_equal(motions, [[0.0, 0.0, 0.5]])
+
+
+@given(st.floats(0.01, 100.0), st.floats(1e-6, 1e6))
+def test_the_largest_motion_is_a_tenth_of_the_model_whatever_the_units(size, amplitude):
+    corners = size * np.array([[0, 0, 0], [3.0, 4.0, 12.0]])
+    scale = motion_scale(corners, amplitude * np.array([[0.0, 0.6, 0.8], [0.1, 0.0, 0.0]]))
+    assert scale * amplitude == pytest.approx(1.3 * size)
+
+
+def test_no_motion_at_all_is_drawn_at_rest(shapes, deflection):
+    still = deflection.assign(**dict.fromkeys(["u1", "v1", "w1", "u2", "v2", "w2"], 0.0))
+    ax = draw_mode_shape(shapes.assign(measured_re=0.0), still)
+    np.testing.assert_allclose(drawn(ax, "deformed"), drawn(ax, "undeformed"))
+
+
+def texts(ax):
+    return [t.get_text() for t in ax.texts]
+
+
+def test_grid_has_one_titled_panel_a_mode(shapes, deflection, before):
+    facts = before.assign(natural_freq_model=[6.12, np.nan, 1.0], mac=[0.93, np.nan, 0.5])
+    figure = mode_shapes_figure(shapes, deflection, facts)
+    first, second, _ = figure.axes  # the last one shows the directions of the axes
+    assert texts(first) == ["1BT   6.95/6.12 Hz   MAC 0.93"]
+    assert texts(second) == ["2BT   10.83 Hz   not paired"]
+
+
+def test_an_unpaired_mode_shows_the_mesh_at_rest_and_the_measurement(shapes, deflection):
+    figure = mode_shapes_figure(shapes, deflection)
+    second = figure.axes[1]
+    assert texts(second) == ["2BT"]
+    assert {line.get_gid() for line in second.lines} == {"undeformed", "motion", "measured"}
+    np.testing.assert_allclose(drawn(second, "undeformed"), drawn(figure.axes[0], "undeformed"))
+    assert not np.isclose(drawn(second, "measured")[1, 2], 1.0)
+
+
+@pytest.mark.parametrize("tallness", [1.0, 30.0])
+def test_everything_lies_inside_its_panel_below_the_title(shapes, deflection, tallness):
+    shapes["y"] *= tallness
+    deflection[["y1", "y2"]] *= tallness
+    figure = mode_shapes_figure(shapes, deflection)
+    figure.savefig(os.devnull, format="png")
+    for ax in figure.axes[:2]:
+        panel = ax.get_position(original=True).transformed(figure.transFigure)
+        title = ax.texts[0].get_window_extent()
+        for line in ax.lines:
+            points = np.array(line.get_data_3d(), dtype=float)
+            x, y, _ = proj_transform(*points[:, ~np.isnan(points[0])], ax.get_proj())
+            seen = ax.transData.transform(np.column_stack([x, y]))
+            assert seen[:, 0].min() > panel.x0 and seen[:, 0].max() < panel.x1
+            assert seen[:, 1].min() > panel.y0 and seen[:, 1].max() < title.y0
+
+
+def test_a_metre_is_equally_long_in_every_direction_of_the_picture(shapes, deflection):
+    figure = mode_shapes_figure(shapes, deflection)
+    figure.savefig(os.devnull, format="png")
+    for ax in figure.axes:
+        points = np.vstack([np.zeros(3), np.eye(3)])
+        x, y, _ = proj_transform(*points.T, ax.get_proj())
+        pixels = ax.transData.transform(np.column_stack([x, y]))
+        metres = (pixels[1:] - pixels[0]).T
+        scale = metres[1, 2] / view_directions()[1, 2]
+        np.testing.assert_allclose(metres, scale * view_directions(), atol=1e-6 * scale)

@@ -1,0 +1,258 @@
+"""Modal solvers against dense state-space solutions and closed forms."""
+
+import numpy as np
+import pytest
+import scipy.linalg as la
+import scipy.sparse as sp
+
+from calib.errors import EvaluationError
+from calib.structure import solve
+from calib.structure.solve import solve_modes
+
+
+def sparse(matrix):
+    return sp.csc_array(matrix)
+
+
+def random_system(n, seed, rank=3, strength=60.0, massless=0):
+    """K, C, M with stiff and light parts mixed, heavy damping of low rank and optional massless motions."""
+    rng = np.random.default_rng(seed)
+    scale = 10 ** rng.uniform(-1, 1, n)
+    a, b = rng.standard_normal((2, n, n))
+    k = 1e4 * (a @ a.T / n + np.eye(n)) * np.outer(scale, scale)
+    m = (b @ b.T / n + np.eye(n)) * np.outer(scale, scale)
+    d = rng.standard_normal((n, rank)) * scale[:, None]
+    idle = rng.permutation(n)[:massless]
+    m[idle], m[:, idle], d[idle] = 0.0, 0.0, 0.0
+    return k, strength * d @ d.T, m
+
+
+def state_space(k, c, m):
+    """All roots of ``lambda^2 M + lambda C + K`` by LAPACK, massless motions condensed out first."""
+    heavy = np.flatnonzero(np.diag(m) > 0)
+    light = np.flatnonzero(np.diag(m) == 0)
+    if len(light):
+        k = k[np.ix_(heavy, heavy)] - k[np.ix_(heavy, light)] @ np.linalg.solve(
+            k[np.ix_(light, light)], k[np.ix_(light, heavy)]
+        )
+    n = len(heavy)
+    mass, damping = m[np.ix_(heavy, heavy)], c[np.ix_(heavy, heavy)]
+    zero = np.zeros((n, n))
+    return la.eigvals(np.block([[zero, np.eye(n)], [-k, -damping]]), np.block([[np.eye(n), zero], [zero, mass]]))
+
+
+def roots_of(modes):
+    return 2 * np.pi * (-modes.damping_ratio * modes.natural_freq + 1j * modes.damped_freq)
+
+
+def oscillating(roots):
+    found = roots[roots.imag > 1e-9 * np.abs(roots)]
+    return found[np.argsort(np.abs(found))]
+
+
+CASES = [(6, 0), (40, 0), (40, 9), (110, 0), (110, 25)]
+
+
+@pytest.mark.parametrize(("n", "massless"), CASES)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_damped_roots_are_those_of_the_dense_state_space(n, massless, seed):
+    k, c, m = random_system(n, seed, massless=massless)
+    count = 12
+    truth = oscillating(state_space(k, c, m))[:count]
+    modes = solve_modes(sparse(k), sparse(c), sparse(m), count)
+    assert modes.is_complex and modes.n_modes == min(count, len(truth))
+    np.testing.assert_allclose(roots_of(modes), truth, rtol=1e-7)
+    assert np.all(np.diff(modes.natural_freq) >= 0)
+    assert np.all((modes.damping_ratio > -1e-12) & (modes.damping_ratio < 1))
+
+
+@pytest.mark.parametrize(("n", "massless"), CASES)
+def test_damped_shapes_solve_the_problem_and_are_normalised(n, massless):
+    k, c, m = random_system(n, 2, massless=massless)
+    modes = solve_modes(sparse(k), sparse(c), sparse(m), 10)
+    for root, shape in zip(roots_of(modes), modes.shapes.T, strict=True):
+        residual = (root**2 * m + root * c + k) @ shape
+        assert np.linalg.norm(residual) < 1e-8 * np.linalg.norm(k @ shape)
+        assert shape @ ((2 * root * m + c) @ shape) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("n", "massless"), CASES)
+def test_undamped_modes_are_those_of_lapack(n, massless):
+    k, _, m = random_system(n, 3, massless=massless)
+    truth = np.sort(state_space(k, 0 * k, m).imag)
+    truth = truth[truth > 0] / (2 * np.pi)
+    for damping in (None, sparse(np.zeros((n, n)))):
+        modes = solve_modes(sparse(k), damping, sparse(m), 10)
+        count = min(10, n - massless)
+        assert not modes.is_complex and modes.n_modes == count
+        np.testing.assert_allclose(modes.natural_freq, truth[:count], rtol=1e-9)
+        np.testing.assert_array_equal(modes.damped_freq, modes.natural_freq)
+        assert not modes.damping_ratio.any()
+        np.testing.assert_allclose(modes.shapes.T @ m @ modes.shapes, np.eye(count), atol=1e-8)
+        squares = (2 * np.pi * modes.natural_freq) ** 2
+        np.testing.assert_allclose(modes.shapes.T @ k @ modes.shapes, np.diag(squares), atol=1e-7 * squares.max())
+
+
+@pytest.mark.parametrize("massless", [0, 7])
+@pytest.mark.parametrize("n", [30, 100])
+def test_more_modes_than_there_are_gives_all_of_them(n, massless):
+    k, c, m = random_system(n, 4, massless=massless)
+    roots = state_space(k, c, m)
+    modes = solve_modes(sparse(k), sparse(c), sparse(m), 10 * n)
+    np.testing.assert_allclose(roots_of(modes), oscillating(roots), rtol=1e-6)
+    overdamped = [r for r in modes.excluded if r.kind == "overdamped"]
+    real = roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real
+    assert len(overdamped) == len(real) == len(modes.excluded) > 0
+    np.testing.assert_allclose(sorted(r.eigenvalue.real for r in overdamped), np.sort(real), rtol=1e-6)
+    assert solve_modes(sparse(k), None, sparse(m), 10 * n).n_modes == n - massless
+
+
+@pytest.mark.parametrize("damped", [True, False])
+def test_dense_and_iterative_paths_agree(monkeypatch, damped):
+    k, c, m = random_system(60, 5, massless=11)
+    answers = []
+    for limit in (10, 1000):
+        monkeypatch.setattr(solve, "DENSE_LIMIT", limit)
+        answers.append(solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 9))
+    one, other = answers
+    for name in ("natural_freq", "damped_freq", "damping_ratio"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-8, atol=1e-10)
+    # shapes are defined up to their sign
+    sign = np.sign(np.real(np.einsum("ij,ij->j", one.shapes.conj(), other.shapes)))
+    np.testing.assert_allclose(one.shapes * sign, other.shapes, atol=1e-6 * np.abs(one.shapes).max())
+
+
+@pytest.mark.parametrize("n", [30, 120])
+@pytest.mark.parametrize("damped", [True, False])
+def test_the_same_point_gives_the_same_digits(n, damped):
+    k, c, m = (sparse(x) for x in random_system(n, 6))
+    one, other = (solve_modes(k, c if damped else None, m, 8) for _ in range(2))
+    for name in ("natural_freq", "damped_freq", "damping_ratio", "shapes"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("n", [20, 120])
+@pytest.mark.parametrize("damped", [True, False])
+def test_repeated_roots_are_all_found(n, damped):
+    # Four equal oscillators at each of n/4 frequencies, hidden by a rotation.
+    omega = 100.0 * (1 + np.arange(n // 4)).repeat(4) ** 0.5
+    turn = np.linalg.qr(np.random.default_rng(7).standard_normal((n, n)))[0]
+    k = turn @ np.diag(omega**2) @ turn.T
+    modes = solve_modes(sparse(k), sparse(2e-4 * k) if damped else None, sparse(np.eye(n)), 10)
+    np.testing.assert_allclose(2 * np.pi * modes.natural_freq, omega[:10], rtol=1e-8)
+    assert np.linalg.matrix_rank(modes.shapes, tol=1e-6 * np.abs(modes.shapes).max()) == 10
+
+
+@pytest.mark.parametrize("ratio", [1e-6, 0.03, 0.6, 0.999])
+def test_one_oscillator(ratio):
+    mass, stiffness = 3.0, 5e4
+    omega = np.sqrt(stiffness / mass)
+    modes = solve_modes(sparse([[stiffness]]), sparse([[2 * ratio * mass * omega]]), sparse([[mass]]), 3)
+    assert modes.n_modes == 1 and not modes.excluded
+    assert modes.natural_freq[0] == pytest.approx(omega / (2 * np.pi), rel=1e-10)
+    assert modes.damping_ratio[0] == pytest.approx(ratio, rel=1e-7)
+    assert modes.damped_freq[0] == pytest.approx(modes.natural_freq[0] * np.sqrt(1 - ratio**2), rel=1e-8)
+
+
+def test_an_overdamped_oscillator_is_no_mode():
+    omega, ratio = 40.0, 1.7
+    modes = solve_modes(sparse([[omega**2]]), sparse([[2 * ratio * omega]]), sparse([[1.0]]), 3)
+    assert modes.n_modes == 0
+    assert [r.kind for r in modes.excluded] == ["overdamped", "overdamped"]
+    expected = -omega * (ratio + np.array([-1, 1]) * np.sqrt(ratio**2 - 1))
+    np.testing.assert_allclose([r.eigenvalue for r in modes.excluded], expected, rtol=1e-9)
+    assert "decays without oscillation" in modes.excluded[0].description
+
+
+@pytest.mark.parametrize("omega", [2.0, 7.0, 40.0, 700.0])
+def test_a_critically_damped_oscillator_is_no_mode(omega):
+    # Its two real roots coincide, and rounding splits them by the root of the machine precision.
+    k, c = np.diag([omega**2, omega**2, 9.0]), np.diag([2 * omega, 2 * omega, 0.1])
+    modes = solve_modes(sparse(k), sparse(c), sparse(np.eye(3)), 3)
+    assert modes.n_modes == 1
+    assert modes.natural_freq[0] == pytest.approx(3 / (2 * np.pi), rel=1e-9)
+    assert len(modes.excluded) == 4
+
+
+def chain(n, grounded=False):
+    k = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    k[-1, -1] = 1.0
+    if not grounded:
+        k[0, 0] = 1.0
+    return 1e5 * k
+
+
+@pytest.mark.parametrize("n", [12, 120])
+@pytest.mark.parametrize("damped", [True, False])
+def test_rigid_body_motion_is_named_and_does_not_count(n, damped):
+    k, m = chain(n), np.eye(n)
+    pair = np.zeros(n)
+    pair[2], pair[3] = 1.0, -1.0
+    c = sparse(40.0 * np.outer(pair, pair)) if damped else None
+    modes = solve_modes(sparse(k), c, sparse(m), 5, rotational=np.zeros(n, dtype=bool))
+    truth = 2 * np.sqrt(1e5) * np.sin(np.arange(1, 6) * np.pi / (2 * n)) / (2 * np.pi)
+    np.testing.assert_allclose(modes.natural_freq, truth, rtol=2e-2 if damped else 1e-8)
+    zeros = [r for r in modes.excluded if r.kind == "zero"]
+    assert len(zeros) == (2 if damped else 1)
+    assert all("rigid-body" in r.description for r in zeros)
+    assert all(abs(r.eigenvalue) < 1e-3 * 2 * np.pi * truth[0] for r in zeros)
+
+
+@pytest.mark.parametrize("n", [12, 120])
+@pytest.mark.parametrize("damped", [True, False])
+def test_a_part_that_turns_freely_is_named_spin(n, damped):
+    # A grounded chain, and a wheel that nothing holds.
+    k, m = la.block_diag(chain(n, grounded=True), 0.0), np.diag([*np.ones(n), 48.0])
+    c = np.zeros((n + 1, n + 1))
+    c[1, 1] = 5.0
+    turning = np.zeros(n + 1, dtype=bool)
+    turning[-1] = True
+    modes = solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 4, rotational=turning)
+    assert modes.n_modes == 4 and modes.natural_freq[0] > 0.5
+    assert {r.kind for r in modes.excluded} == {"spin"}
+    assert "axis" in modes.excluded[0].description
+    unnamed = solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 4)
+    assert {r.kind for r in unnamed.excluded} == {"zero"}
+    np.testing.assert_array_equal(unnamed.natural_freq, modes.natural_freq)
+
+
+@pytest.mark.parametrize("n", [10, 120])
+def test_a_soft_mode_among_stiff_ones_is_kept(n):
+    # Five decades below the stiffest local frequency a mode is still a mode.
+    k, m = np.diag(np.linspace(0.5, 1.0, n) * 1e10), np.eye(n)
+    k[0, 0] = 1.0
+    for c in (None, sparse(0.001 * np.eye(n))):
+        modes = solve_modes(sparse(k), c, sparse(m), 2)
+        assert modes.natural_freq[0] == pytest.approx(1 / (2 * np.pi), rel=1e-4)
+
+
+@pytest.mark.parametrize("n", [10, 120])
+@pytest.mark.parametrize("broken", ["stiffness", "damping", "mass"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_matrices_that_are_not_finite_are_told(n, broken, value):
+    matrices = dict(zip(("stiffness", "damping", "mass"), map(sparse, random_system(n, 8)), strict=True))
+    matrices[broken].data[3] = value
+    with pytest.raises(EvaluationError, match=f"the {broken} matrix"):
+        solve_modes(matrices["stiffness"], matrices["damping"], matrices["mass"], 3)
+
+
+@pytest.mark.parametrize("n", [10, 120])
+@pytest.mark.parametrize("damped", [True, False])
+def test_motion_without_mass_and_stiffness_cannot_be_solved(n, damped):
+    k, c, m = random_system(n, 9)
+    for matrix in (k, c, m):
+        matrix[2], matrix[:, 2] = 0.0, 0.0
+    with pytest.raises(EvaluationError):
+        solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 3)
+    with pytest.raises(EvaluationError, match="no mass"):
+        solve_modes(sparse(k), None, sparse(0 * m), 3)
+
+
+def test_free_body_of_few_motions_is_as_precise_as_lapack():
+    # Rigid-body motion makes the shifted stiffness nearly singular; frequencies must not suffer from it.
+    for n in (5, 40):
+        k = chain(n)
+        k[-2:, -2:] += 1e9 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        truth = np.sqrt(la.eigvalsh(k)[1:]) / (2 * np.pi)
+        modes = solve_modes(sparse(k), None, sparse(np.eye(n)), n)
+        np.testing.assert_allclose(modes.natural_freq, truth, rtol=1e-8)

@@ -1,0 +1,231 @@
+"""The command as a user meets it: exit codes, sentences, files."""
+
+import json
+import shutil
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib import cli
+from calib.example import write_example
+from calib.study import Study
+
+ROOT = Path(__file__).resolve().parent.parent
+COMPARISON = [
+    "mode", "natural_freq_measured", "natural_freq_model", "damped_freq_measured", "damped_freq_model", "freq_error",
+    "damping_ratio_measured", "damping_ratio_model", "mac", "emac", "margin",
+]  # fmt: skip
+PARAMETERS = ["case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable"]
+SUMMARY = {
+    "study", "synthetic", "best_case", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before",
+    "mean_mac_after", "evaluations", "solved", "reused", "infeasible", "failed", "seconds", "cases",
+}  # fmt: skip
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def mast(here):
+    assert cli.answer(["new", "mast"]) == 0
+    text = Path("mast/study.toml").read_text()
+    small = text.replace("generations = 60", "generations = 20").replace("samples = 200", "samples = 40")
+    Path("mast/study.toml").write_text(small)
+    return Path("mast")
+
+
+def read(folder: str, name: str) -> pd.DataFrame:
+    return pd.read_csv(Path(folder) / name)
+
+
+def test_run_answers_everything_with_the_documented_files(mast, capsys):
+    assert cli.answer(["run", "mast", "--workers", "1"]) == 0
+    out = capsys.readouterr().out
+    folder = Path("results/mast")
+    for stage in ("before", "after"):
+        assert list(read(folder, f"comparison_{stage}.csv")) == COMPARISON
+    assert list(read(folder, "parameters.csv")) == PARAMETERS
+    assert read(folder, "sensitivity.csv").columns[0] == "parameter"
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary.keys() >= SUMMARY
+    assert summary["synthetic"] and summary["study"] == "mast"
+    assert set(summary["cases"]) == {"A1", "A2"}
+    assert summary["evaluations"] == 2 * 30 * 20
+    assert summary["evaluations"] == sum(summary[k] for k in ("solved", "reused", "infeasible", "failed"))
+    for case in summary["cases"].values():
+        assert case.keys() >= SUMMARY - {"study", "synthetic", "best_case", "cases"}
+    figures = [
+        "comparison",
+        "mac_before",
+        "mac_after",
+        "comac",
+        "mode_shapes_after",
+        "sensitivity",
+        "parameters",
+        "convergence",
+    ]
+    for name in figures:
+        assert (folder / f"{name}.png").stat().st_size > 5000
+        assert f"{name}.png" in out
+    assert "synthetic" in out
+    assert summary["mean_freq_error_after"] < 0.5 * summary["mean_freq_error_before"]
+    after = read(folder, "comparison_after.csv")
+    assert after["freq_error"].abs().mean() == pytest.approx(summary["mean_freq_error_after"], rel=1e-6)
+
+
+def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
+    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+    whole = {p.name: p.read_bytes() for p in Path("results/mast").glob("*.csv")}
+    assert cli.answer(["calibrate", "mast", "--quick", "--workers", "1"]) == 0
+    assert cli.answer(["calibrate", "mast", "--case", "A2", "--workers", "1"]) == 0
+    assert {p.name: p.read_bytes() for p in Path("results/mast").glob("*.csv")} == whole
+    one = read("results/mast/case_A2", "parameters.csv")
+    assert set(one["case"]) == {"A2"} and one["spread"].isna().all()
+    both = read("results/mast", "parameters.csv")
+    pd.testing.assert_series_equal(
+        one["value"].reset_index(drop=True), both.loc[both["case"] == "A2", "value"].reset_index(drop=True)
+    )
+    again = json.loads(Path("results/mast/case_A2/summary.json").read_text())
+    assert again["evaluations"] == 600
+    assert Path("results/mast/quick/summary.json").exists()
+
+
+def test_asked_again_nothing_is_solved_twice_and_the_answer_is_the_same(mast):
+    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+    first = {
+        n: Path("results/mast", n).read_bytes() for n in ("parameters.csv", "comparison_after.csv", "convergence.csv")
+    }
+    rows = sqlite3.connect("results/mast/ledger.sqlite").execute("select count(*) from evaluation").fetchone()
+    assert cli.answer(["calibrate", "mast", "--workers", "2"]) == 0
+    assert first == {n: Path("results/mast", n).read_bytes() for n in first}
+    assert rows == sqlite3.connect("results/mast/ledger.sqlite").execute("select count(*) from evaluation").fetchone()
+
+
+def test_a_changed_measurement_makes_old_rows_stale_and_says_so(mast, capsys):
+    assert cli.answer(["sensitivity", "mast", "--workers", "1"]) == 0
+    modes = Path("mast/modes.csv").read_text().replace("1.7117", "1.7217")
+    Path("mast/modes.csv").write_text(modes)
+    capsys.readouterr()
+    assert cli.answer(["sensitivity", "mast", "--workers", "1"]) == 0
+    assert "another state of model or measurement" in capsys.readouterr().out
+
+
+def test_report_draws_from_tables_alone(mast, monkeypatch):
+    assert cli.answer(["run", "mast", "--workers", "1"]) == 0
+    for figure in Path("results/mast").glob("*.png"):
+        figure.unlink()
+    monkeypatch.setattr("calib.correlation.problem.ModalProblem.evaluate", lambda *a: pytest.fail("it solved"))
+    assert cli.answer(["report", "mast"]) == 0
+    assert len(list(Path("results/mast").glob("*.png"))) >= 8
+
+
+def test_results_go_where_they_are_told(mast):
+    assert cli.answer(["compare", "mast", "--results", "out/here"]) == 0
+    assert Path("out/here/mast/comparison_before.csv").exists() and not Path("results").exists()
+
+
+def test_the_measured_rig_without_shapes(here, capsys):
+    shutil.copytree(ROOT / "studies/four_storey_rig", "rig")
+    text = (
+        Path("rig/study.toml").read_text().replace("[calibration]", "[calibration]\ngenerations = 60\npopulation = 20")
+    )
+    Path("rig/study.toml").write_text(text)
+    assert cli.answer(["run", "rig", "--workers", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "paired by the order" in out and "synthetic" not in out
+    assert read("results/rig", "comparison_after.csv")["mac"].isna().all()
+    assert json.loads(Path("results/rig/summary.json").read_text())["mean_mac_after"] is None
+
+
+@pytest.mark.parametrize("verb", ["compare", "sensitivity", "calibrate", "report", "run"])
+def test_every_verb_reads_and_checks_every_file(mast, verb, capsys):
+    assert cli.answer(["compare", "mast"]) == 0
+    before = {p: p.read_bytes() for p in Path("results/mast").iterdir()}
+    Path("mast/sensors.csv").write_bytes(b"\x00\xff\xfe rubbish \x80")
+    capsys.readouterr()
+    assert cli.answer([verb, "mast"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "sensors.csv" in said and "Traceback" not in said
+    assert {p: p.read_bytes() for p in Path("results/mast").iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["compare", "nowhere"], "no such study file"),
+        (["calibrate", "mast", "--case", "A9"], "the cases are A1, A2"),
+        (["report", "mast"], "no results"),
+        (["calibrate", "mast", "--workers", "0"], "--workers"),
+        (["frobnicate"], "frobnicate"),
+        (["new", "mast"], "not an empty folder"),
+    ],
+)
+def test_bad_questions_end_with_code_2_and_one_sentence(mast, arguments, words, capsys):
+    assert cli.answer(arguments) == 2
+    said = capsys.readouterr().err
+    assert words in said and "Traceback" not in said
+    assert not Path("calib-error.log").exists()
+
+
+def test_unwritable_results_are_told(mast, capsys):
+    Path("taken").write_text("a file, not a folder")
+    assert cli.answer(["compare", "mast", "--results", "taken"]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_unexpected_failures_leave_their_traceback_in_a_log(mast, capsys, monkeypatch):
+    monkeypatch.setattr("calib.workflow.compare", lambda *a: 1 / 0)
+    assert cli.answer(["compare", "mast"]) == 1
+    said = capsys.readouterr().err
+    assert "Traceback" not in said and "ZeroDivisionError" in said
+    assert "Traceback" in Path("calib-error.log").read_text()
+
+
+def test_help_texts_read_well(capsys):
+    for verb in ("new", "compare", "sensitivity", "calibrate", "report", "run"):
+        assert cli.answer([verb, "--help"]) == 0
+        assert "Usage: calib" in capsys.readouterr().out
+
+
+def test_a_suspicious_sensor_is_named_before_comparing(here, capsys, monkeypatch):
+    load = Study.load
+
+    def tampered(path):
+        study = load(path)
+        measured = study.problem.measured
+        shapes = measured.shapes.copy()
+        names = [s.name for s in measured.sensors]
+        shapes[names.index("104y")] *= -1
+        one, two = names.index("101y"), names.index("116x")
+        shapes[[one, two]] = shapes[[two, one]]
+        return replace(study, problem=replace(study.problem, measured=replace(measured, shapes=shapes)))
+
+    monkeypatch.setattr("calib.study.Study.load", staticmethod(tampered))
+    assert cli.answer(["compare", str(ROOT / "studies/bogie")]) == 0
+    warnings = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Check this sensor")]
+    assert len(warnings) == 2
+    assert any("104y" in line and "revers" in line for line in warnings)
+    assert any("101y" in line and "116x" in line for line in warnings)
+    assert set(read("results/bogie", "sensor_check.csv")["kind"]) == {"flipped", "swapped"}
+
+
+def test_a_model_that_always_fails_is_told(mast, capsys):
+    text = Path("mast/study.toml").read_text().replace("mode_count = 6", "mode_count = 500")
+    Path("mast/study.toml").write_text(text)
+    assert cli.answer(["compare", "mast"]) == 2
+    assert "500" in capsys.readouterr().err
+
+
+def test_example_writes_nothing_half(here, monkeypatch):
+    monkeypatch.setattr(
+        "pathlib.Path.write_bytes", lambda *a: (_ for _ in ()).throw(OSError(28, "No space left on device"))
+    )
+    with pytest.raises(Exception, match="No space left"):
+        write_example(Path("mast"))
+    assert not Path("mast").exists() and not list(Path().glob(".calib-new-*"))

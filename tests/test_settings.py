@@ -1,0 +1,107 @@
+import shutil
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from calib.errors import InputError
+from calib.example import write_example
+from calib.settings import line_of, read_settings
+from calib.study import Study
+
+TEXT = """\
+title = "t"
+[parameters.K]
+value = 1
+[parameters]
+M = { limits = [1, 2] }
+[[constraints]]
+name = "a"
+[[constraints]]
+name = "b"
+limits = [2, 1]
+[calibration]
+cases = [{ name = "x", seed = 1 }]
+"""
+
+
+@pytest.mark.parametrize(
+    ("keys", "line"),
+    [
+        (("title",), 1),
+        (("parameters", "K"), 2),
+        (("parameters", "K", "value"), 3),
+        (("parameters", "M"), 5),
+        (("parameters", "M", "limits"), 5),
+        (("constraints", 1, "limits"), 10),
+        (("constraints", 1), 8),
+        (("calibration", "cases", 0, "seed"), 12),
+        (("nothing",), None),
+    ],
+)
+def test_lines_of_keys(keys, line):
+    assert line_of(TEXT, keys) == line
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fuzz") / "mast"
+    write_example(folder)
+    return folder
+
+
+def damaged(data, text: str) -> str:
+    kind = data.draw(st.sampled_from(["cut", "drop", "swap", "insert", "number"]))
+    lines = text.splitlines()
+    code = [k for k, line in enumerate(lines) if line.split("#")[0].strip()]
+    if kind == "cut":
+        return text[: data.draw(st.integers(0, len(text)))]
+    where = data.draw(st.sampled_from(code))
+    if kind == "drop":
+        return "\n".join(lines[:where] + lines[where + 1 :])
+    if kind == "swap":
+        other = data.draw(st.sampled_from(code))
+        lines[where], lines[other] = lines[other], lines[where]
+        return "\n".join(lines)
+    if kind == "insert":
+        at = data.draw(st.integers(0, len(text)))
+        return text[:at] + data.draw(st.text(max_size=5)) + text[at:]
+    digits = [k for k, c in enumerate(lines[where]) if c.isdigit()]
+    if digits:
+        at = data.draw(st.sampled_from(digits))
+        new = data.draw(st.sampled_from(["nan", "-1", "1e400", "true", '"a"', "[]", "{}", "0"]))
+        lines[where] = lines[where][:at] + new + lines[where][at + 1 :]
+    return "\n".join(lines)
+
+
+@settings(
+    max_examples=150, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.data())
+def test_a_damaged_study_is_read_or_refused_in_one_sentence(example, data):
+    original = (example / "study.toml").read_text("utf-8")
+    copy = example.parent / "copy"
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(example, copy)
+    (copy / "study.toml").write_text(damaged(data, original), "utf-8")
+    try:
+        Study.load(copy)
+    except InputError as fault:
+        assert str(copy) in str(fault)
+
+
+@settings(max_examples=60, derandomize=True, deadline=None)
+@given(st.binary(max_size=400))
+def test_random_bytes_are_refused(tmp_path_factory, content):
+    file = tmp_path_factory.mktemp("bytes") / "study.toml"
+    file.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_settings(file)
+    assert str(file) in str(caught.value)
+
+
+def test_a_folder_instead_of_a_file_is_told(tmp_path):
+    (tmp_path / "study.toml").mkdir()
+    with pytest.raises(InputError, match="cannot be read"):
+        Study.load(Path(tmp_path))

@@ -1,0 +1,310 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.errors import InputError
+from calib.sensitivity.sampling import sample
+from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.updating.genetic import GeneticSearch, GeneticSettings, reflect
+
+
+def box(n, lower=0.0, upper=1.0, integer=False):
+    return ParameterSpace(tuple(Parameter(f"p{k}", lower, lower, upper, integer=integer) for k in range(n)))
+
+
+def bowl(x):
+    return np.sum((x - 0.3) ** 2, axis=1)
+
+
+def play(space, settings, seed=1, misfit=bowl, violation=lambda x: np.zeros(len(x)), initial=None):
+    """All populations asked, (generations, population, n_free), with their misfits."""
+    if initial is None:
+        initial = sample(space, settings.population, seed).points
+    search = GeneticSearch(space, settings, initial, seed)
+    asked, told = [], []
+    while not search.done:
+        assert search.generation == len(asked) + 1
+        x = search.ask()
+        np.testing.assert_array_equal(x, search.ask())
+        asked.append(x)
+        told.append(misfit(x))
+        search.tell(told[-1], violation(x))
+    assert search.generation == settings.generations
+    with pytest.raises(RuntimeError):
+        search.ask()
+    return np.array(asked), np.array(told)
+
+
+def copied(children, parents):
+    """Which genes of children occur in the same column of their generation's parents."""
+    return np.array([[np.any(parents[:, j] == child[j]) for j in range(len(child))] for child in children])
+
+
+# -- the whole ---------------------------------------------------------------------------------------------------------
+
+
+def test_every_generation_is_asked_whole_starting_with_the_initial_population():
+    space, settings = box(3), GeneticSettings(population=11, generations=7)
+    initial = sample(space, 11, 5).points
+    asked, _ = play(space, settings, initial=initial)
+    assert asked.shape == (7, 11, 3)
+    np.testing.assert_array_equal(asked[0], initial)
+    assert GeneticSettings().population * GeneticSettings().generations == 7500
+
+
+def test_same_seed_same_table_whatever_the_global_state():
+    space, settings = box(4), GeneticSettings(population=10, generations=15)
+    initial = sample(space, 10, 1).points
+    np.random.seed(1)  # noqa: NPY002
+    first, _ = play(space, settings, 3, initial=initial)
+    np.random.seed(2)  # noqa: NPY002
+    second, _ = play(space, settings, 3, initial=initial)
+    other, _ = play(space, settings, 4, initial=initial)
+    np.testing.assert_array_equal(first, second)
+    assert not np.array_equal(first[1], other[1])
+
+
+def test_finds_the_bottom_of_a_bowl_in_ten_parameters():
+    space = box(10, -5.0, 15.0)
+    for seed in (1, 2):
+        asked, told = play(space, GeneticSettings(), seed, lambda x: np.sum((x - 2.0) ** 2, axis=1))
+        found = asked.reshape(-1, 10)[np.argmin(told)]
+        assert np.max(np.abs(found - 2.0)) < 0.02 * 20.0
+
+
+def test_the_elite_is_never_lost():
+    # Crossover and mutation at full strength destroy whatever they touch; only the elite can keep the best.
+    settings = GeneticSettings(
+        population=8, generations=40, crossover=1.0, mutation=1.0, sigma_start=1.0, sigma_end=1.0
+    )
+    space, rng = box(5), np.random.default_rng(1)
+    search = GeneticSearch(space, settings, rng.random((8, 5)), 1)
+    best, pool = np.inf, []
+    while not search.done:
+        x = search.ask()
+        search.tell(bowl(x), np.zeros(8))
+        best = min(best, bowl(x).min())
+        pool.append(search._algorithm.pop.get("F").min())
+        assert pool[-1] == best
+    assert len(set(pool)) > 1
+
+
+def test_only_the_elite_survives():
+    settings = GeneticSettings(population=10, generations=6)
+    search = GeneticSearch(box(3), settings, np.random.default_rng(1).random((10, 3)), 1)
+    before = None
+    while not search.done:
+        x = search.ask()
+        search.tell(bowl(x), np.zeros(10))
+        now = search._algorithm.pop.get("X")
+        if before is not None:
+            elite = before[np.argmin(bowl(before))]
+            expected = np.vstack([elite, x[np.argsort(bowl(x), kind="stable")[:-1]]])
+            np.testing.assert_array_equal(np.sort(now, axis=0), np.sort(expected, axis=0))
+        before = now
+
+
+# -- mutation ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_deviation_falls_linearly():
+    settings = GeneticSettings()
+    assert settings.sigma(2) == 0.10 and settings.sigma(250) == pytest.approx(0.01)
+    assert settings.sigma(126) == pytest.approx(0.055)
+    steps = np.diff([settings.sigma(g) for g in range(2, 251)])
+    np.testing.assert_allclose(steps, -0.09 / 248)
+    assert GeneticSettings(generations=2).sigma(2) == 0.10
+
+
+def test_mutations_measured():
+    # Every parent in the middle: whatever differs has mutated, far from the limits.
+    n, settings = 40, GeneticSettings(population=200, generations=4, sigma_start=0.08, sigma_end=0.02)
+    space = box(n, -3.0, 5.0)
+    asked, _ = play(space, settings, initial=np.full((200, n), 1.0), misfit=lambda x: np.zeros(len(x)))
+    moved = asked[1][asked[1] != 1.0]
+    assert len(moved) / (200 * n) == pytest.approx(0.15, abs=5 * np.sqrt(0.15 * 0.85 / (200 * n)))
+    assert moved.mean() == pytest.approx(1.0, abs=0.08)
+    for generation, sigma in ((1, 0.08), (2, 0.05), (3, 0.02)):
+        fresh = ~copied(asked[generation], asked[generation - 1])
+        parents = np.unique(asked[generation - 1].ravel())
+        gaps = asked[generation][fresh]
+        if generation == 1:
+            assert np.std(gaps - 1.0) / 8.0 == pytest.approx(sigma, rel=0.1)
+        else:
+            assert len(parents) > 1
+            nearest = np.abs(gaps - 1.0) / 8.0  # three quarters of the parents' genes are still in the middle
+            assert np.median(nearest) == pytest.approx(0.6745 * sigma, rel=0.35)
+
+
+@given(st.integers(0, 2**32), st.floats(0.01, 50.0))
+def test_reflection_stays_inside_and_is_a_mirror(seed, reach):
+    rng = np.random.default_rng(seed)
+    lower, upper = np.array([-2.0, 0.0, 1e6]), np.array([1.0, 1e-3, 3e6])
+    inside = lower + (upper - lower) * rng.random((20, 3))
+    np.testing.assert_array_equal(reflect(inside, lower, upper), inside)
+    far = inside + reach * (upper - lower) * rng.standard_normal((20, 3))
+    folded = reflect(far, lower, upper)
+    assert np.all((folded >= lower) & (folded <= upper))
+    step = 0.3 * (upper - lower) * rng.random((20, 3))
+    np.testing.assert_allclose(reflect(lower - step, lower, upper), lower + step)
+    np.testing.assert_allclose(reflect(upper + step, lower, upper), upper - step)
+
+
+def test_limits_are_kept_and_do_not_collect_individuals():
+    settings = GeneticSettings(population=20, generations=30, mutation=0.5, sigma_start=0.8, sigma_end=0.5)
+    asked, _ = play(box(4), settings)
+    assert np.all((asked >= 0) & (asked <= 1))
+    assert not np.any((asked[1:] == 0) | (asked[1:] == 1))
+
+
+def test_whole_numbers_stay_whole():
+    mixed = ParameterSpace((Parameter("n", 1, 1, 5, integer=True), Parameter("x", 0.5, 0.0, 1.0)))
+    settings = GeneticSettings(population=12, generations=20, sigma_start=0.3, sigma_end=0.3)
+    asked, _ = play(mixed, settings, misfit=lambda x: (x[:, 0] - 4) ** 2 + x[:, 1])
+    assert set(np.unique(asked[..., 0])) <= {1.0, 2.0, 3.0, 4.0, 5.0}
+    assert len(np.unique(asked[1:, :, 0])) == 5
+    assert np.mean(asked[-1][:, 0] == 4.0) > 0.5
+    assert np.all((asked[..., 1] >= 0) & (asked[..., 1] <= 1))
+
+
+def test_a_space_with_fewer_points_than_individuals():
+    asked, _ = play(box(1, 0.0, 2.0, integer=True), GeneticSettings(population=10, generations=5))
+    assert asked.shape == (5, 10, 1)
+
+
+# -- mating ------------------------------------------------------------------------------------------------------------
+
+
+def test_crossover_measured():
+    # Individual k has k in every gene: a child of a crossed pair holds two numbers, a copy holds one. A mutation too
+    # small to hide that makes all children different, so that none is replaced.
+    n, count, pairs = 30, 100, 50
+    initial = np.repeat(np.linspace(0, 1, count)[:, None], n, axis=1)
+    for rate in (0.0, 0.5, 0.8):
+        settings = GeneticSettings(count, 2, crossover=rate, mutation=1.0, sigma_start=1e-6, sigma_end=1e-6)
+        crossed, matings = 0, 0
+        for seed in range(8):
+            asked, _ = play(box(n), settings, seed, lambda x: np.zeros(len(x)), initial=initial)
+            numbers = np.array([len(np.unique(np.round(child * (count - 1)))) for child in asked[1]])
+            assert set(numbers.tolist()) <= {1, 2}
+            crossed += np.sum(numbers == 2) / 2
+            matings += pairs
+        # One pair in a hundred consists of one individual twice.
+        assert crossed / matings == pytest.approx(rate, abs=0.02 + 3 * np.sqrt(rate * (1 - rate) / matings))
+
+
+def test_crossover_takes_half_of_the_genes_from_each_parent():
+    n = 40
+    initial = np.repeat(np.linspace(0, 1, 50)[:, None], n, axis=1)
+    asked, _ = play(box(n), GeneticSettings(50, 2, crossover=1.0, mutation=0.0), initial=initial)
+    shares = [np.mean(child == child.max()) for child in asked[1] if len(np.unique(child)) == 2]
+    assert len(shares) > 30 and np.mean(shares) == pytest.approx(0.5, abs=0.05)
+    assert np.std(shares) == pytest.approx(np.sqrt(0.25 / n), rel=0.4)
+
+
+def test_children_differ_from_each_other():
+    asked, _ = play(box(2), GeneticSettings(population=20, generations=20, mutation=0.05))
+    for children in asked[1:]:
+        assert len(np.unique(children, axis=0)) == 20
+
+
+def test_better_parents_have_more_children():
+    initial = np.linspace(0.01, 0.99, 60)[:, None] * np.ones(6)
+    asked, _ = play(box(6), GeneticSettings(60, 2, mutation=0.0), misfit=lambda x: x[:, 0], initial=initial)
+    # In a tournament of two the better half wins three of four times.
+    assert np.mean(asked[1] < 0.5) == pytest.approx(0.75, abs=0.1)
+
+
+# -- feasibility -------------------------------------------------------------------------------------------------------
+
+
+def test_constraints_are_kept():
+    space = ParameterSpace(
+        tuple(Parameter(f"p{k}", 0.5, 0.0, 1.0) for k in range(4)),
+        (LinearConstraint("sum", tuple((f"p{k}", 1.0) for k in range(4)), 2.0, 2.4),),
+    )
+    asked, told = play(
+        space,
+        GeneticSettings(generations=60),
+        misfit=lambda x: x.sum(axis=1),  # pulls over the lower limit
+        violation=lambda x: space.violation(x).sum(axis=1),
+    )
+    feasible = space.feasible(asked.reshape(-1, 4)).reshape(asked.shape[:2])
+    assert feasible[0].all() and feasible[-20:].mean() > 0.3
+    assert told[feasible].min() < 2.02
+
+
+def test_infeasible_individuals_come_last_and_the_least_infeasible_first():
+    def violation(x):
+        return np.where(x[:, 0] < 0.8, 0.8 - x[:, 0], 0.0)
+
+    settings = GeneticSettings(population=20, generations=40)
+    initial = np.random.default_rng(1).random((20, 3)) * [0.3, 1.0, 1.0]
+    asked, _ = play(box(3), settings, misfit=lambda x: x[:, 0], violation=violation, initial=initial)
+    assert not np.any(violation(asked[0]) == 0)
+    assert np.mean(violation(asked[-1]) == 0) > 0.5
+    assert asked[-1][:, 0][violation(asked[-1]) == 0].min() < 0.85
+
+
+def test_misfits_of_infeasible_individuals_do_not_matter():
+    def violation(x):
+        return np.where(x[:, 0] > 0.02, 1.0, 0.0)  # equal, as of points that could not be evaluated
+
+    def noisy(x):
+        return np.where(violation(x) > 0, np.nan, bowl(x))
+
+    settings = GeneticSettings(population=10, generations=10)
+    np.testing.assert_array_equal(
+        play(box(3), settings, violation=violation)[0], play(box(3), settings, misfit=noisy, violation=violation)[0]
+    )
+
+
+# -- misuse ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "label"),
+    [
+        ({"population": 3}, "population is 3"),
+        ({"generations": 0}, "generations is 0"),
+        ({"elites": 0, "substitutes": 0}, "elites is 0"),
+        ({"elites": 30, "substitutes": 30}, "elites is 30"),
+        ({"elites": 2}, "substitutes is 1"),
+        ({"crossover": 1.1}, "crossover is 1.1"),
+        ({"mutation": -0.1}, "mutation is -0.1"),
+        ({"sigma_start": 0.0}, "sigma_start is 0.0"),
+        ({"sigma_end": float("nan")}, "sigma_end is nan"),
+    ],
+)
+def test_settings_out_of_range(changes, label):
+    with pytest.raises(InputError, match=label):
+        GeneticSettings(**changes)
+
+
+def test_a_wrong_initial_population():
+    settings = GeneticSettings(population=4, generations=2)
+    with pytest.raises(InputError, match="not \\(4, 2\\)"):
+        GeneticSearch(box(2), settings, np.zeros((5, 2)), 1)
+    with pytest.raises(InputError, match="outside"):
+        GeneticSearch(box(2), settings, np.full((4, 2), 1.5), 1)
+    with pytest.raises(InputError, match="outside"):
+        GeneticSearch(box(2), settings, np.full((4, 2), np.nan), 1)
+    with pytest.raises(InputError, match="fraction"):
+        GeneticSearch(box(2, 0, 3, integer=True), settings, np.full((4, 2), 0.5), 1)
+
+
+def test_wrong_answers():
+    search = GeneticSearch(box(2), GeneticSettings(population=4, generations=2), np.full((4, 2), 0.5), 1)
+    with pytest.raises(RuntimeError):
+        search.tell(np.zeros(4), np.zeros(4))
+    search.ask()
+    for misfit, violation in (
+        (np.zeros(3), np.zeros(3)),
+        (np.full(4, np.nan), np.zeros(4)),
+        (np.zeros(4), -np.ones(4)),
+        (np.zeros(4), np.full(4, np.nan)),
+    ):
+        with pytest.raises(ValueError):
+            search.tell(misfit, violation)
+    search.tell(np.zeros(4), np.ones(4))
