@@ -78,7 +78,7 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
 
 
 def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:
-    """Truth values of a column, None where unknown."""
+    """Flags of a column, None where unknown."""
     return [None if pd.isna(flag) else bool(flag) for flag in table[column]]
 
 

@@ -1,10 +1,10 @@
 """The whole bogie on its rig against OpenSees: nodes and sections are shared, everything else is written here again.
 
-Beams are its ElasticTimoshenkoBeam with consistent mass. Springs, masses, constraints and rigid arms come from the tables
-below and not from the model's own lists. Two things differ. OpenSees takes the polar inertia of a beam from its torsion
-constant (rho J) and this model from its section (rho (Iy + Iz)); and the guidance spring, which sits between two nodes of
-an axle-box arm, hangs here on the nearer one by a rigid arm. The first moves frequencies by up to 0.15 %; with its polar
-inertia given to this model as well, 6e-6 is left, for the second.
+Beams are its ElasticTimoshenkoBeam with consistent mass. Springs, masses, constraints and rigid arms come from the
+tables below and not from the model's own lists. Two things differ. OpenSees takes the polar inertia of a beam from its
+torsion constant (rho J) and this model from its section (rho (Iy + Iz)); and the guidance spring, which sits between
+two nodes of an axle-box arm, hangs here on the nearer one by a rigid arm. The first moves frequencies by up to 0.15 %;
+with that polar inertia given to this model as well, 6e-6 is left, for the second.
 """
 
 from collections import defaultdict
@@ -16,6 +16,7 @@ import pytest
 
 from calib.structure.solve import solve_modes
 from models.fem import beam
+from models.fem.discrete import FrameLocator
 from models.fem.frame import Frame
 from models.fem.section import Section
 from models.railway import bogie_on_rig
@@ -187,6 +188,7 @@ def test_bogie_on_its_rig(opensees, monkeypatch, positions):
     for mass, allowed, least_mac in ((beam.mass, 3e-3, 0.998), (torsion_as_polar, 1e-5, 0.999999)):
         monkeypatch.setattr(beam, "mass", mass)
         model = bogie_on_rig()
+        assert isinstance(model.locator, FrameLocator)
         frame = model.locator.frame
         values = {**model.space.values, **positions}
         freq, shapes = opensees_modes(opensees, frame, values, count)

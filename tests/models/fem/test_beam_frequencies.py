@@ -97,7 +97,7 @@ def test_error_of_the_element_is_the_energy_its_shapes_leave_out(section, line, 
     # Ritz: the error of omega^2 is the strain energy of elements with both ends held under the inertia forces
     # q = rho A omega^2 w and moments m = rho I omega^2 theta, over the modal mass:
     # q^2 h^5 / (720 E I) + q^2 h^3 / (12 k G A) + m^2 h / (k G A (1 + phi)).
-    omega, k, tilt = pinned_shape(section, length, 1)
+    omega, _, tilt = pinned_shape(section, length, 1)
     h = length / n
     flexural = section.young_modulus * section.i_z
     shear = section.shear_coefficient * section.shear_modulus * section.area

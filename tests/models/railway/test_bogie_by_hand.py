@@ -67,7 +67,7 @@ def test_added_masses_act_on_the_printed_lengths(rig):
 
 
 def test_wheelset_yaw_inertia(rig):
-    # About the vertical axis: wheels 24 kg m2 each and 330 kg at 0.87 m, boxes 1.5 and 80 kg at 1.05 m, the axle itself.
+    # About the vertical axis: wheels 24 kg m2 and 330 kg at 0.87 m, boxes 1.5 kg m2 and 80 kg at 1.05 m, the axle.
     _, _, m = rig.matrices({})
     q = moved(rig, ["axle_rear", "box_rear"], rotation=(0, 1, 0), centre=(-1.45, 0, 0))
     axle = (STEEL * 2.01e-2 + 271) * 2.1**3 / 12 + STEEL * 3.22e-5 * 2.1

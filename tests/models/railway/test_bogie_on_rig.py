@@ -136,7 +136,7 @@ def test_damper_acts_on_damping(rig, adopted):
     modes = rig.modes({"c_primary": 0.9 * rig.space["c_primary"].value}, 4)
     ratio = modes.damping_ratio / adopted.damping_ratio[:4]
     np.testing.assert_allclose(ratio, 0.9, atol=0.03)
-    k, c, m = rig.matrices({"c_primary": 0.0})
+    _, c, _ = rig.matrices({"c_primary": 0.0})
     assert not np.any(rig.modes({"c_primary": 0.0}, 4).damping_ratio)
     assert abs(c).max() == 0 and not rig.damping.is_zero
 
@@ -196,9 +196,9 @@ def test_distributed_masses_are_a_small_change_but_one(adopted):
 
 
 def test_iteration_finds_what_lapack_finds(monkeypatch):
-    # Massless arms, stiff rail springs, dampers and four nearly equal axle modes, on the coarsest mesh there is.
+    # Massless arms, stiff rail springs and dampers, on the coarsest mesh there is.
     coarse = bogie_on_rig(element_size=5.0)
-    count = 16
+    count = 10
     answers = []
     for limit in (80, 10_000):
         monkeypatch.setattr(solve, "DENSE_LIMIT", limit)

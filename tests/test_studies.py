@@ -1,0 +1,124 @@
+"""Every study of the repository is a test, and none of them sees what its measurement was made from."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib import cli
+from calib.study import Study
+
+ROOT = Path(__file__).resolve().parent.parent
+TRUTH = json.loads((ROOT / "tests/truth/bogie.json").read_text("utf-8"))
+
+
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text("utf-8"))
+
+
+def test_four_frequencies_of_the_measured_rig_are_met_within_their_scatter(tmp_path):
+    assert cli.answer(["calibrate", str(ROOT / "studies/four_storey_rig"), "--results", str(tmp_path)]) == 0
+    table = pd.read_csv(tmp_path / "four_storey_rig/comparison_after.csv")
+    scatter_of_the_mean = np.array([0.032, 0.115, 0.169, 0.228]) / 10
+    assert np.all(np.abs(table["natural_freq_model"] - table["natural_freq_measured"]) < scatter_of_the_mean)
+    parameters = pd.read_csv(tmp_path / "four_storey_rig/parameters.csv")
+    assert parameters["stable"].all() and not parameters["on_bound"].any()
+
+
+def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path, capsys):
+    assert cli.answer(["calibrate", str(ROOT / "studies/four_storey_rig_wide"), "--results", str(tmp_path)]) == 0
+    assert "not unique" in capsys.readouterr().out
+    results = summary(tmp_path / "four_storey_rig_wide")
+    met = [c for c, r in results["cases"].items() if r["mean_freq_error_after"] < 0.0005]
+    parameters = pd.read_csv(tmp_path / "four_storey_rig_wide/parameters.csv").set_index(["case", "parameter"])["value"]
+    first = [parameters[case, "k1"] for case in met]
+    assert max(first) - min(first) > 0.3  # equal frequencies from clearly different storeys
+
+
+def test_the_bogies_initial_error_is_near_that_of_the_case_study():
+    study = Study.load(ROOT / "studies/bogie")
+    comparison = study.problem.compare(study.model.space.values)
+    assert len(comparison.pairing.paired) == 8
+    assert 0.09 < np.abs(comparison.freq_error).mean() < 0.12  # 10.6 % there; the scatter of the test adds to it
+    assert TRUTH["initial_mean_freq_error"] == pytest.approx(0.106, abs=0.003)
+
+
+def test_the_twin_scatters_as_stated():
+    """Five repeats of eight modes against the noise-free twin: their means lie within the stated deviations."""
+    measured = Study.load(ROOT / "studies/bogie").measured
+    freq = np.array([TRUTH["natural_freq"][m] for m in measured.names])
+    damping = np.array([TRUTH["damping_ratio"][m] for m in measured.names])
+    z_freq = np.log(measured.natural_freq / freq) / 0.005
+    z_damping = np.log(measured.damping_ratio / damping) / 0.07
+    for z in (z_freq, z_damping):
+        assert np.abs(z).max() < 3.5
+        assert 2.2 < (z**2).sum() < 20.1  # 98 % of chi-square with 8 degrees of freedom, 0.5 % left out at the lower end
+    spread = measured.freq_std / measured.natural_freq
+    assert 0.003 < np.sqrt((spread**2).mean()) < 0.007
+    assert 0.022 < np.sqrt((measured.shape_std**2).mean()) < 0.028
+
+
+def test_nothing_that_answers_names_the_truth():
+    for folder in ("calib", "models", "studies"):
+        for file in (ROOT / folder).rglob("*"):
+            if file.suffix in (".py", ".toml", ".txt", ".csv") and file.name != "make_twin.py":
+                assert "truth" not in file.read_text("utf-8").lower(), file
+
+
+AUDIT = """
+import sys
+def refuse(event, args):
+    if event == "open" and "truth/bogie" in str(args[0]):
+        raise SystemExit(f"the truth was opened: {args[0]}")
+sys.addaudithook(refuse)
+from calib import cli
+assert cli.__file__.startswith(sys.argv[1].removesuffix("studies/bogie")), cli.__file__
+for question in (["compare"], ["calibrate", "--quick", "--case", "GB1", "--workers", "1"]):
+    code = cli.answer([question[0], sys.argv[1], "--results", sys.argv[2], *question[1:]])
+    if code:
+        raise SystemExit(code)
+"""
+
+
+def test_without_the_truth_every_result_is_the_same(tmp_path):
+    """The same questions asked of a copy that has no tests folder give the same bytes."""
+    tables = {}
+    for name, source in (("here", ROOT), ("copy", tmp_path / "copy")):
+        if name == "copy":
+            for part in ("calib", "models", "studies"):
+                shutil.copytree(ROOT / part, source / part, ignore=shutil.ignore_patterns("__pycache__"))
+        environment = os.environ | {"PYTHONPATH": str(source), "PYTHONSAFEPATH": "1"}
+        done = subprocess.run(
+            [sys.executable, "-c", AUDIT, str(source / "studies/bogie"), str(tmp_path / f"results_{name}")],
+            env=environment, cwd=tmp_path, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        folder = tmp_path / f"results_{name}"
+        files = sorted(folder.rglob("*.csv"))
+        tables[name] = {f.relative_to(folder): f.read_bytes() for f in files}
+    assert len(tables["here"]) > 10
+    assert tables["here"] == tables["copy"]
+
+
+@pytest.mark.slow
+def test_the_bogie_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
+    """GB1-GB4 whole, four times 7,500 individuals."""
+    assert cli.answer(["run", str(ROOT / "studies/bogie"), "--results", str(tmp_path)]) == 0
+    results = summary(tmp_path / "bogie")
+    assert results["evaluations"] == 4 * 7500 and set(results["cases"]) == {"GB1", "GB2", "GB3", "GB4"}
+    assert 0.09 < results["mean_freq_error_before"] < 0.12
+    assert results["mean_freq_error_after"] <= 0.008  # the article reached 0.8 %
+    assert results["mean_mac_after"] >= min(0.98, results["noise_mac"] - 0.005)
+    table = pd.read_csv(tmp_path / "bogie/parameters.csv")
+    best = table[table["case"] == results["best_case"]].set_index("parameter")
+    for name in ("pos_long_left", "pos_long_right"):
+        assert best.loc[name, "value"] == TRUTH["parameters"][name]
+    width = best["upper"] - best["lower"]
+    for name in ("K_primary", "K_block"):
+        assert abs(best.loc[name, "value"] - TRUTH["parameters"][name]) < 0.15 * width[name]
