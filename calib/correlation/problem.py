@@ -179,7 +179,7 @@ class ModalProblem:
         out = np.tile(np.where(total > 0, 1.0, 0.0), (self.measured.n_modes, 1))
         for i, mode in enumerate(self.measured.names):
             if mode in self.mode_clusters:
-                out[i] = sum(rows[name] for name in set(self.mode_clusters[mode]))
+                out[i] = sum(rows[name] for name in dict.fromkeys(self.mode_clusters[mode]))
         return out
 
 
