@@ -153,6 +153,20 @@ class AffineMatrix:
             data[where] += term.coefficient(values) * entries
         return sp.csc_array((data, self._indices, self._indptr), shape=(self.n_dof, self.n_dof))
 
+    def derivative(self, values: Mapping[str, float], name: str) -> sp.csc_array:
+        """Derivative of the matrix with respect to one parameter in SI, shape (n_dof, n_dof).
+
+        A discrete parameter that selects a vector has none: it counts as fixed.
+        """
+        slopes = np.array([t.coefficient.derivative(values, name) for t in self.terms])
+        data = slopes @ self._stack if len(slopes) else np.zeros(len(self._indices))
+        for term, pick in zip(self.selected, self._picks, strict=True):
+            slope = term.coefficient.derivative(values, name)
+            if slope:
+                where, entries = pick[term.choice(values)]
+                data[where] += slope * entries
+        return sp.csc_array((data, self._indices, self._indptr), shape=(self.n_dof, self.n_dof))
+
     def digest(self) -> bytes:
         """Hash over every term, for the model's fingerprint."""
         out = hashlib.sha256(repr((self.n_dof, [(t.name, t.coefficient) for t in self.terms])).encode())

@@ -147,6 +147,15 @@ class StructuralModel:
         si = self.space.si(self.space.complete(values))
         return self.stiffness(si), self.damping(si), self.mass(si)
 
+    def matrix_derivatives(
+        self, values: Mapping[str, float], name: str
+    ) -> tuple[sp.csc_array, sp.csc_array, sp.csc_array]:
+        """dK, dC, dM with respect to one parameter, per one of its own unit; whole-number parameters count as fixed."""
+        si = self.space.si(self.space.complete(values))
+        factor = self.space[name].si_factor
+        stiffness, damping, mass = (m.derivative(si, name) * factor for m in (self.stiffness, self.damping, self.mass))
+        return stiffness, damping, mass
+
     def modes(self, values: Mapping[str, float], count: int) -> Modes:
         """The ``count`` lowest vibration modes at named values.
 

@@ -183,7 +183,7 @@ class Frame:
         chosen = np.array([self.members[m].group in wanted for m in self.member_of])
         return np.unique(self.ends[chosen])
 
-    def motion(self, point: Sequence[float], on: str | None = None) -> tuple[np.ndarray, float]:
+    def motion(self, point: Sequence[float] | np.ndarray, on: str | None = None) -> tuple[np.ndarray, float]:
         """Six motions of a point that a rigid arm ties to the nearest place of a beam's axis.
 
         Parameters
@@ -289,7 +289,9 @@ class Frame:
                 follow = follow @ t[0]
         return follow
 
-    def _chunks(self, groups: Iterable[str] | None):
+    def _chunks(
+        self, groups: Iterable[str] | None
+    ) -> Iterator[tuple[np.ndarray, Member, np.ndarray, np.ndarray, np.ndarray]]:
         wanted = None if groups is None else set(groups)
         if wanted is not None:
             self.group_nodes(wanted)

@@ -135,7 +135,7 @@ def _rig_springs() -> tuple[tuple[Spring, ...], tuple[Spring, ...], tuple[Spring
 
 def _support(frame: Frame, dofs: DofMap, side: str, s: float) -> SelectedTerm:
     """The actuator's vertical support, at one of 7 x 3 places."""
-    vectors = {}
+    vectors: dict[tuple[int, ...], np.ndarray] = {}
     for position in range(2, 9):
         for lateral in (-1, 0, 1):
             place = (
