@@ -139,7 +139,7 @@ def write_answer(results: Results, answer: Answer, stage: str) -> None:
     results.write_table(f"where_it_fails_{stage}", answer.comparison.where_it_fails())
     results.write_table(f"deflection_{stage}", answer.comparison.deflection_table())
     if answer.comparison.measured.has_shapes:
-        results.write_table(f"mac_{stage}", answer.comparison.mac_table(), index=True)
+        results.write_table(f"mac_{stage}", answer.comparison.mac_table())
         results.write_table(f"comac_{stage}", answer.comparison.comac_table())
         results.write_table(f"shapes_{stage}", answer.comparison.shapes_table())
 

@@ -52,6 +52,7 @@ def test_run_answers_everything_with_the_documented_files(mast, capsys):
         assert list(read(folder, f"comparison_{stage}.csv")) == COMPARISON
     assert list(read(folder, "parameters.csv")) == PARAMETERS
     assert read(folder, "sensitivity.csv").columns[0] == "parameter"
+    assert read(folder, "mac_before.csv").columns[0] == "mode" and len(read(folder, "mac_before.csv").columns) == 1 + 6
     summary = json.loads((folder / "summary.json").read_text())
     assert summary.keys() >= SUMMARY
     assert summary["synthetic"] and summary["study"] == "mast"

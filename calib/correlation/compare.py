@@ -13,7 +13,7 @@ from scipy import stats
 from calib.correlation.mac import align, comac, is_real, noise_mac
 from calib.correlation.pairing import Pairing
 from calib.measurement.modal import MeasuredModes
-from calib.structure.model import StructuralModel
+from calib.structure.model import ModalModel
 from calib.structure.modes import Modes
 
 LEVEL = 0.95
@@ -32,7 +32,7 @@ class Comparison:
 
     Attributes
     ----------
-    model : StructuralModel
+    model : ModalModel
     measured : MeasuredModes
     values : mapping from str to float
         Parameter values of the model, each in its own unit.
@@ -45,7 +45,7 @@ class Comparison:
         Motion of every model mode at the sensors.
     """
 
-    model: StructuralModel
+    model: ModalModel
     measured: MeasuredModes
     values: Mapping[str, float]
     modes: Modes

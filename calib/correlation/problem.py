@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.correlation.compare import Comparison
-from calib.correlation.energy import emac, strain_energy_shares
+from calib.correlation.energy import emac
 from calib.correlation.mac import mac
 from calib.correlation.pairing import check_override, in_window, pair_by_order, pair_by_shape
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import MeasuredModes
 from calib.space import ParameterSpace
-from calib.structure.model import StructuralModel
+from calib.structure.model import ModalModel
 from calib.structure.modes import Modes
 
 RESPONSES = ("natural_freq", "damped_freq", "damping_ratio", "mac", "emac", "margin")
@@ -32,7 +32,7 @@ class ModalProblem:
 
     Attributes
     ----------
-    model : StructuralModel
+    model : ModalModel
     measured : MeasuredModes
     mode_clusters : mapping from str to tuple of str
         The model's clusters that carry the sensors of each measured mode; a mode left out takes all strain energy, so
@@ -52,7 +52,7 @@ class ModalProblem:
         When a name, number or window does not fit model and measurement, or a sensor has no place on the model.
     """
 
-    model: StructuralModel
+    model: ModalModel
     measured: MeasuredModes
     mode_clusters: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     mode_count: int = 20
@@ -172,14 +172,14 @@ class ModalProblem:
 
     def _shares(self, values: Mapping[str, float], modes: Modes) -> np.ndarray:
         """Share of every model mode's strain energy that counts for every measured mode, (n_measured, n_modes)."""
-        stiffness = self.model.stiffness(self.space.si(values))
-        clusters = self.model.clusters
-        shares, total = strain_energy_shares(stiffness, modes.shapes, clusters)
-        rows = {name: row for name, row in zip(clusters, shares, strict=True)}
-        out = np.tile(np.where(total > 0, 1.0, 0.0), (self.measured.n_modes, 1))
+        named = tuple(dict.fromkeys(name for clusters in self.mode_clusters.values() for name in clusters))
+        shares = self.model.energy_shares(values, modes.shapes, named)
+        strained = self.model.strain_energy(values, modes.shapes) > 0
+        out = np.tile(np.where(strained, 1.0, 0.0), (self.measured.n_modes, 1))
         for i, mode in enumerate(self.measured.names):
             if mode in self.mode_clusters:
-                out[i] = sum(rows[name] for name in dict.fromkeys(self.mode_clusters[mode]))
+                # In the order the clusters are named: sums of floating-point numbers depend on it.
+                out[i] = sum(shares[named.index(name)] for name in dict.fromkeys(self.mode_clusters[mode]))
         return out
 
 

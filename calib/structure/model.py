@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,6 +14,7 @@ from calib.errors import InputError
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix
+from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.modes import Modes
 from calib.structure.solve import solve_modes
 
@@ -70,6 +71,10 @@ class Assumption:
     reason: str
 
 
+Matrix = sp.csc_array | np.ndarray
+"""A square matrix of a model, sparse or dense."""
+
+
 class Locator(Protocol):
     """Finds points of the geometry on a model."""
 
@@ -90,6 +95,83 @@ class Locator(Protocol):
         distance : float
             From the point to the part, in metres.
         """
+        ...
+
+
+class ModalModel(Protocol):
+    """What a comparison asks of a model: modes over its own degrees of freedom and what follows from them.
+
+    A finite-element model has many degrees of freedom and sparse matrices, a reduced one few and dense matrices; whoever
+    asks need not know which. Values are named, each in its parameter's unit; parameters left out take their adopted
+    value. Shapes are (n_dof, n_modes), real or complex.
+    """
+
+    @property
+    def name(self) -> str:
+        """How messages call the model."""
+        ...
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters with adopted values and limits."""
+        ...
+
+    @property
+    def n_dof(self) -> int:
+        """Number of its degrees of freedom."""
+        ...
+
+    @property
+    def clusters(self) -> Collection[str]:
+        """Names of the groups of degrees of freedom whose strain energy is told apart."""
+        ...
+
+    @property
+    def mesh(self) -> Mesh:
+        """Nodes and lines, for pictures."""
+        ...
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """Numbers of the model that are engineering assumptions."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash that changes whenever an evaluation could."""
+        ...
+
+    @property
+    def is_damped(self) -> bool:
+        """Whether modes are complex."""
+        ...
+
+    def matrices(self, values: Mapping[str, float]) -> tuple[Matrix, Matrix, Matrix]:
+        """K, C, M, each (n_dof, n_dof), sparse or dense."""
+        ...
+
+    def matrix_derivatives(self, values: Mapping[str, float], name: str) -> tuple[Matrix, Matrix, Matrix]:
+        """dK, dC, dM with respect to one parameter, per one of its own unit; whole-number parameters count as fixed."""
+        ...
+
+    def modes(self, values: Mapping[str, float], count: int) -> Modes:
+        """The ``count`` lowest vibration modes; EvaluationError when the point cannot be solved."""
+        ...
+
+    def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
+        """Motion at the sensors over its degrees of freedom, (n_sensors, n_dof); InputError for one without a place."""
+        ...
+
+    def energy_shares(self, values: Mapping[str, float], shapes: np.ndarray, names: Sequence[str]) -> np.ndarray:
+        """Share of each mode's strain energy in each named cluster, (n_names, n_modes); 0 without strain energy."""
+        ...
+
+    def strain_energy(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
+        """Strain energy of each mode in the scale of its shape, (n_modes,); exactly 0 for a rigid-body motion."""
+        ...
+
+    def displacement(self, shapes: np.ndarray) -> np.ndarray:
+        """Translations of all nodes, (n_nodes, 3, n_modes)."""
         ...
 
 
@@ -133,6 +215,11 @@ class StructuralModel:
         return self.dofs.n_dof
 
     @property
+    def is_damped(self) -> bool:
+        """Whether the model has damping, so that its modes are complex."""
+        return not self.damping.is_zero
+
+    @property
     def fingerprint(self) -> str:
         """Hash over matrices and their coefficients; changes whenever an evaluation could."""
         digest = hashlib.sha256()
@@ -162,7 +249,7 @@ class StructuralModel:
         Raises EvaluationError when the point cannot be solved.
         """
         k, c, m = self.matrices(values)
-        return solve_modes(k, None if self.damping.is_zero else c, m, count, rotational=self.dofs.direction >= 3)
+        return solve_modes(k, c if self.is_damped else None, m, count, rotational=self.dofs.direction >= 3)
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
         """Motion at the sensors over the free degrees of freedom, shape (n_sensors, n_dof).
@@ -192,6 +279,17 @@ class StructuralModel:
                 )
             rows[i] = row
         return rows
+
+    def energy_shares(self, values: Mapping[str, float], shapes: np.ndarray, names: Sequence[str]) -> np.ndarray:
+        """Share of each mode's strain energy in each named cluster, (n_names, n_modes); see `strain_energy_shares`."""
+        named = {name: self.clusters[name] for name in names}
+        si = self.space.si(self.space.complete(values))
+        return strain_energy_shares(self.stiffness(si), shapes, named)[0]
+
+    def strain_energy(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
+        """Strain energy ``phi^H K phi / 2`` of each mode in the scale of its shape, (n_modes,); 0 for a rigid motion."""
+        si = self.space.si(self.space.complete(values))
+        return strain_energy(self.stiffness(si), shapes)
 
     def displacement(self, shapes: np.ndarray) -> np.ndarray:
         """Translations of all nodes, shape (n_nodes, 3, n_modes), from shapes (n_dof, n_modes)."""
