@@ -10,9 +10,13 @@ from typing import Annotated
 
 import typer
 
-from calib import __version__, console, workflow
+from calib import __version__, console
 from calib.errors import InputError
 from calib.example import write_example
+from calib.questions import calibrate as calibration
+from calib.questions import compare as comparison
+from calib.questions import places
+from calib.questions import sensitivity as influence
 from calib.report.draw import draw_all
 from calib.results import Results
 from calib.study import Study
@@ -55,7 +59,7 @@ def new(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder 
 def compare(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     """Compare model and measurement, nothing fitted: how far apart, and where it fails."""
     loaded = Study.load(study)
-    folder = workflow.results_of(loaded, results)
+    folder = places.results_of(loaded, results)
     _compare(loaded, folder)
     _draw(loaded, folder)
 
@@ -66,7 +70,7 @@ def sensitivity(
 ) -> None:
     """Find which parameters matter: Latin hypercube and Spearman rank correlation."""
     loaded = Study.load(study)
-    folder = workflow.results_of(loaded, results, quick)
+    folder = places.results_of(loaded, results, quick)
     _sensitivity(loaded, folder, results, workers, quick)
     _draw(loaded, folder)
 
@@ -84,8 +88,8 @@ def calibrate(
     Interrupt it at any time: started again, it continues where it was and ends with the same result.
     """
     loaded = Study.load(study)
-    workflow.chosen_cases(loaded, case)
-    folder = workflow.results_of(loaded, results, quick, case)
+    calibration.chosen_cases(loaded, case)
+    folder = places.results_of(loaded, results, quick, case)
     _calibrate(loaded, folder, results, workers, case, quick)
     _draw(loaded, folder)
 
@@ -108,7 +112,7 @@ def run(
 ) -> None:
     """Ask everything: compare, sensitivity, calibrate, and draw."""
     loaded = Study.load(study)
-    folder = workflow.results_of(loaded, results, quick)
+    folder = places.results_of(loaded, results, quick)
     _compare(loaded, folder)
     _sensitivity(loaded, folder, results, workers, quick)
     _calibrate(loaded, folder, results, workers, None, quick)
@@ -133,22 +137,22 @@ def _main(
 
 def _compare(study: Study, folder: Results) -> None:
     console.head(study, "compare")
-    console.tell_comparison(study, workflow.compare(study, folder), folder)
+    console.tell_comparison(study, comparison.compare(study, folder), folder)
 
 
 def _sensitivity(study: Study, folder: Results, root: Path, workers: int | None, quick: bool) -> None:
     console.head(study, "sensitivity")
-    with workflow.ledger_of(study, root) as ledger, console.sample_progress() as progress:
-        console.tell_stale(workflow.stale_rows(study, ledger))
-        answer = workflow.sensitivity(study, folder, ledger, workers, quick, progress)
+    with places.ledger_of(study, root) as ledger, console.sample_progress() as progress:
+        console.tell_stale(places.stale_rows(study, ledger))
+        answer = influence.sensitivity(study, folder, ledger, workers, quick, progress)
     console.tell_sensitivity(study, answer, folder)
 
 
 def _calibrate(study: Study, folder: Results, root: Path, workers: int | None, case: str | None, quick: bool) -> None:
     console.head(study, "calibrate")
-    with workflow.ledger_of(study, root) as ledger, console.search_progress() as progress:
-        console.tell_stale(workflow.stale_rows(study, ledger))
-        answer = workflow.calibrate(study, folder, ledger, workers, case, quick, progress)
+    with places.ledger_of(study, root) as ledger, console.search_progress() as progress:
+        console.tell_stale(places.stale_rows(study, ledger))
+        answer = calibration.calibrate(study, folder, ledger, workers, case, quick, progress)
     console.tell_calibration(study, answer, folder)
 
 

@@ -12,9 +12,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from calib.questions.calibrate import Calibration
+from calib.questions.compare import Answer
+from calib.questions.places import is_modal
+from calib.questions.sensitivity import Sensitivity
 from calib.results import Results
 from calib.study import Study
-from calib.workflow import Answer, Calibration, Sensitivity, is_modal
 
 _out = Console(highlight=False, markup=False, soft_wrap=True)
 _err = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)

@@ -16,7 +16,7 @@ RANKS = (
     {"limits", "ledger"},
     {"study"},
     {"sensitivity", "updating"},
-    {"workflow"},
+    {"questions"},
     {"report"},
     {"console", "example"},
     {"cli"},

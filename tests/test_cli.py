@@ -181,7 +181,7 @@ def test_unwritable_results_are_told(mast, capsys):
 
 
 def test_unexpected_failures_leave_their_traceback_in_a_log(mast, capsys, monkeypatch):
-    monkeypatch.setattr("calib.workflow.compare", lambda *a: 1 / 0)
+    monkeypatch.setattr("calib.questions.compare.compare", lambda *a: 1 / 0)
     assert cli.answer(["compare", "mast"]) == 1
     said = capsys.readouterr().err
     assert "Traceback" not in said and "ZeroDivisionError" in said

@@ -1,0 +1,125 @@
+"""How far apart model and measurement are at one point, and where the model fails."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from calib.correlation.compare import Comparison
+from calib.correlation.problem import FunctionProblem
+from calib.errors import EvaluationError, InputError
+from calib.measurement.check import SensorFinding, check_sensors
+from calib.results import Results
+from calib.study import Study
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Model against measurement at one point.
+
+    Attributes
+    ----------
+    table : DataFrame
+        ``comparison_*.csv``.
+    mean_freq_error : float
+        Mean absolute frequency error over the paired modes (of a plain-response study: mean absolute relative error).
+    mean_mac : float
+        Over the paired modes; NaN without shapes.
+    noise_mac : float
+        Mean MAC that noise alone would allow a perfect model; NaN where unknown.
+    comparison : Comparison or None
+        None for plain responses.
+    findings : tuple of SensorFinding
+        Suspicious sensors.
+    """
+
+    table: pd.DataFrame
+    mean_freq_error: float
+    mean_mac: float
+    noise_mac: float
+    comparison: Comparison | None
+    findings: tuple[SensorFinding, ...] = ()
+
+
+def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
+    """Compare model and measurement at named values; raises EvaluationError when the model cannot be solved there."""
+    if isinstance(study.problem, FunctionProblem):
+        return _plain_answer(study.problem, values)
+    comparison = study.problem.compare(values)
+    table = comparison.comparison_table()
+    paired = comparison.pairing.paired
+    findings: tuple[SensorFinding, ...] = ()
+    if comparison.measured.has_shapes:
+        model_shapes = comparison.sensor_shapes[:, comparison.pairing.model_index[paired]]
+        names = [s.name for s in comparison.measured.sensors]
+        findings = check_sensors(comparison.measured.shapes[:, paired], model_shapes, names)
+    return Answer(
+        table=table,
+        mean_freq_error=_mean(table["freq_error"].abs()),
+        mean_mac=_mean(table["mac"]),
+        noise_mac=_mean(pd.Series(comparison.noise_mac())),
+        comparison=comparison,
+        findings=findings,
+    )
+
+
+def _plain_answer(problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
+    responses = problem.evaluate(values)
+    rows = []
+    for name, (value, std) in problem.targets.items():
+        error = (responses[name] - value) / abs(value) if value else np.nan
+        rows.append(
+            {
+                "response": name,
+                "measured": value,
+                "model": responses[name],
+                "error": error,
+                "error_in_std": (responses[name] - value) / std if std else np.nan,
+            }
+        )
+    table = pd.DataFrame(rows)
+    return Answer(table, _mean(table["error"].abs()), np.nan, np.nan, None)
+
+
+def compare(study: Study, results: Results) -> Answer:
+    """Model at its adopted values against the measurement, nothing fitted; writes the ``*_before`` tables."""
+    try:
+        answer = answer_at(study, study.model.space.values)
+    except EvaluationError as fault:
+        raise InputError(
+            f"the model cannot be evaluated at its adopted values: {fault}",
+            place=study.file,
+            remedy="check parameter values, supports and mode_count",
+        ) from None
+    write_answer(results, answer, "before")
+    assumptions = pd.DataFrame(
+        [(a.item, a.value, a.unit, a.reason) for a in study.model.assumptions]
+        + [(p.name, f"{p.value:g}", p.unit, p.assumed) for p in study.model.space.parameters if p.assumed],
+        columns=["item", "value", "unit", "reason"],
+    )
+    results.write_table("assumptions", assumptions)
+    results.write_table("parameter_space", study.model.space.frame())
+    findings = [(f.kind, " ".join(f.sensors), f.mac_before, f.mac_after, f.sentence) for f in answer.findings]
+    columns = ["kind", "sensors", "mac_before", "mac_after", "sentence"]
+    results.write_table("sensor_check", pd.DataFrame(findings, columns=columns))
+    return answer
+
+
+def write_answer(results: Results, answer: Answer, stage: str) -> None:
+    """Write every table of one comparison, named ``*_before`` or ``*_after``."""
+    results.write_table(f"comparison_{stage}", answer.table)
+    if answer.comparison is None:
+        return
+    results.write_table(f"where_it_fails_{stage}", answer.comparison.where_it_fails())
+    results.write_table(f"deflection_{stage}", answer.comparison.deflection_table())
+    if answer.comparison.measured.has_shapes:
+        results.write_table(f"mac_{stage}", answer.comparison.mac_table())
+        results.write_table(f"comac_{stage}", answer.comparison.comac_table())
+        results.write_table(f"shapes_{stage}", answer.comparison.shapes_table())
+
+
+def _mean(values: pd.Series) -> float:
+    return float(values.mean()) if values.notna().any() else float("nan")
