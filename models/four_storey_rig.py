@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.space import Parameter, ParameterSpace
-from calib.structure.affine import AffineMatrix, Term, parameter
+from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.model import DofMap, Mesh, StructuralModel
 from models.chain import ChainLocator
 
@@ -27,8 +27,14 @@ def storey_stiffness() -> float:
     return 2 * 12 * YOUNG_MODULUS * inertia / LEAF_LENGTH**3
 
 
-def four_storey_rig() -> StructuralModel:
-    """Chain of four masses; every storey's stiffness is a factor of its nominal value (storey 1 on the ground)."""
+def four_storey_rig(masses_known: bool = True) -> StructuralModel:
+    """Chain of four masses; every storey's stiffness is a factor of its nominal value (storey 1 on the ground).
+
+    Parameters
+    ----------
+    masses_known : bool
+        False makes every mass a factor of its nominal value too.
+    """
     nominal = storey_stiffness()
     parameters, terms = [], []
     for storey in range(1, STOREYS + 1):
@@ -44,7 +50,15 @@ def four_storey_rig() -> StructuralModel:
         if storey > 1:
             elongation[0, storey - 2] = -1.0
         terms.append(Term(name, sp.csr_array(nominal * elongation.T @ elongation), parameter(name)))
-    mass = Term("masses", sp.csr_array(MASS * np.eye(STOREYS)))
+    masses = []
+    for storey in range(1, STOREYS + 1):
+        here = sp.csr_array(([MASS], ([storey - 1], [storey - 1])), shape=(STOREYS, STOREYS))
+        name = f"m{storey}"
+        masses.append(Term(name, here, Monomial() if masses_known else parameter(name)))
+        if not masses_known:
+            parameters.append(
+                Parameter(name, 1.0, 0.7, 1.4, description=f"mass of storey {storey} over its weighed {MASS} kg")
+            )
     heights = LEAF_LENGTH * np.arange(STOREYS + 1)
     points = np.column_stack([np.zeros(STOREYS + 1), heights, np.zeros(STOREYS + 1)])
     rows = 6 * np.arange(1, STOREYS + 1)
@@ -56,7 +70,7 @@ def four_storey_rig() -> StructuralModel:
         space=ParameterSpace(tuple(parameters)),
         stiffness=AffineMatrix(STOREYS, tuple(terms)),
         damping=AffineMatrix(STOREYS, ()),
-        mass=AffineMatrix(STOREYS, (mass,)),
+        mass=AffineMatrix(STOREYS, tuple(masses)),
         mesh=Mesh(points, lines, ("storey",) * STOREYS),
         dofs=dofs,
         clusters={"storeys.x": np.arange(STOREYS)},
