@@ -134,6 +134,7 @@ def run_case(
     search = GeneticSearch(space, settings, initial, case.seed)
     best: Outcome | None = None
     best_misfit = math.inf
+    certified: dict[str, Outcome] = {}
     last_error, evaluated = "every individual broke a limit or constraint", 0
     convergence = []
     while not search.done:
@@ -144,17 +145,16 @@ def run_case(
         feasible = np.flatnonzero(violation == 0)
         outcomes = ledger.evaluate(fingerprint, [values[k] for k in feasible], evaluator)
         misfit = np.full(len(points), np.nan)
-        known = dict(zip(feasible.tolist(), outcomes, strict=True))
+        keys = [key_of(v) for v in values]
+        known = {k: certified.get(keys[k], o) for k, o in zip(feasible.tolist(), outcomes, strict=True)}
         for k, outcome in known.items():
             misfit[k] = _misfit(objective, outcome)
-        certified: set[int] = set()
         while np.any(misfit < best_misfit):
             k = int(np.nanargmin(misfit))
-            if k in certified:
+            if keys[k] in certified:
                 best, best_misfit = known[k], float(misfit[k])
             else:
-                certified.add(k)
-                known[k] = certify(known[k])
+                certified[keys[k]] = known[k] = certify(known[k])
                 misfit[k] = _misfit(objective, known[k])
         for k, outcome in known.items():
             if math.isnan(misfit[k]):
@@ -163,7 +163,7 @@ def run_case(
         asked = []
         for k in range(len(points)):
             broken: Literal["failed", "infeasible"] = "failed" if violation[k] == FAILED else "infeasible"
-            asked.append(Asked(key_of(values[k]), "ok" if violation[k] == 0 else broken, float(misfit[k])))
+            asked.append(Asked(keys[k], "ok" if violation[k] == 0 else broken, float(misfit[k])))
         ledger.record(run, fingerprint, generation, asked)
         evaluated += len(feasible)
         if best is None and evaluated >= settings.population:
