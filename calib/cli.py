@@ -5,8 +5,9 @@ from __future__ import annotations
 import sys
 import traceback
 from datetime import UTC, datetime
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -47,6 +48,21 @@ DEFAULT_RESULTS = Path("results")
 INTERRUPTED = 130
 
 
+class SensitivityMethod(StrEnum):
+    """Ways to measure sensitivity."""
+
+    ranks = "ranks"
+    morris = "morris"
+    sobol = "sobol"
+
+
+class CalibrationMethod(StrEnum):
+    """Ways to calibrate."""
+
+    genetic = "genetic"
+    gauss_newton = "gauss-newton"
+
+
 @app.command()
 def new(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder that does not exist yet.")]) -> None:
     """Write an annotated example study with its own model and data."""
@@ -66,12 +82,24 @@ def compare(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
 
 @app.command()
 def sensitivity(
-    study: StudyPath, results: ResultsPath = DEFAULT_RESULTS, workers: Workers = None, quick: Quick = False
+    study: StudyPath,
+    results: ResultsPath = DEFAULT_RESULTS,
+    workers: Workers = None,
+    quick: Quick = False,
+    method: Annotated[
+        SensitivityMethod, typer.Option("--method", help="How; morris and sobol vary inputs freely between limits.")
+    ] = SensitivityMethod.ranks,
+    ignore_constraints: Annotated[
+        bool, typer.Option("--ignore-constraints", help="Let morris and sobol leave constraints out of account.")
+    ] = False,
 ) -> None:
-    """Find which parameters matter: Latin hypercube and Spearman rank correlation."""
+    """Find which parameters matter: Latin hypercube, rank correlations, influence, and a selection with reasons."""
     loaded = Study.load(study)
     folder = places.results_of(loaded, results, quick)
-    _sensitivity(loaded, folder, results, workers, quick)
+    if method is SensitivityMethod.ranks:
+        _sensitivity(loaded, folder, results, workers, quick)
+    else:
+        _screen(loaded, folder, results, workers, quick, method, ignore_constraints)
     _draw(loaded, folder)
 
 
@@ -82,6 +110,9 @@ def calibrate(
     workers: Workers = None,
     case: CaseName = None,
     quick: Quick = False,
+    method: Annotated[
+        CalibrationMethod | None, typer.Option("--method", help="How [default: the study's choice].")
+    ] = None,
 ) -> None:
     """Search parameter values that fit, in several independent cases, and compare before with after.
 
@@ -89,8 +120,8 @@ def calibrate(
     """
     loaded = Study.load(study)
     calibration.chosen_cases(loaded, case)
-    folder = places.results_of(loaded, results, quick, case)
-    _calibrate(loaded, folder, results, workers, case, quick)
+    folder = places.results_of(loaded, results, quick, case, method.value if method else None)
+    _calibrate(loaded, folder, results, workers, case, quick, method.value if method else None)
     _draw(loaded, folder)
 
 
@@ -115,7 +146,7 @@ def run(
     folder = places.results_of(loaded, results, quick)
     _compare(loaded, folder)
     _sensitivity(loaded, folder, results, workers, quick)
-    _calibrate(loaded, folder, results, workers, None, quick)
+    _calibrate(loaded, folder, results, workers, None, quick, None)
     _draw(loaded, folder)
 
 
@@ -148,16 +179,50 @@ def _sensitivity(study: Study, folder: Results, root: Path, workers: int | None,
     console.tell_sensitivity(study, answer, folder)
 
 
-def _calibrate(study: Study, folder: Results, root: Path, workers: int | None, case: str | None, quick: bool) -> None:
+def _screen(
+    study: Study,
+    folder: Results,
+    root: Path,
+    workers: int | None,
+    quick: bool,
+    method: SensitivityMethod,
+    ignore_constraints: bool,
+) -> None:
+    console.head(study, f"sensitivity, {method.value.capitalize()}")
+    name: Literal["morris", "sobol"] = "morris" if method is SensitivityMethod.morris else "sobol"
+    with places.ledger_of(study, root) as ledger, console.sample_progress() as progress:
+        answer = influence.screen(study, folder, ledger, name, workers, quick, ignore_constraints, progress)
+    console.tell_screening(answer, folder)
+
+
+def _calibrate(
+    study: Study,
+    folder: Results,
+    root: Path,
+    workers: int | None,
+    case: str | None,
+    quick: bool,
+    method: calibration.Method | None,
+) -> None:
+    study = influence.selected_by_measures(study, places.results_of(study, root, quick))
     console.head(study, "calibrate")
     with places.ledger_of(study, root) as ledger, console.search_progress() as progress:
         console.tell_stale(places.stale_rows(study, ledger))
-        answer = calibration.calibrate(study, folder, ledger, workers, case, quick, progress)
+        home = places.results_of(study, root)
+        answer = calibration.calibrate(study, folder, ledger, workers, case, quick, method, progress, home)
     console.tell_calibration(study, answer, folder)
 
 
 def _draw(study: Study, folder: Results) -> None:
-    console.tell_figures(draw_all(folder.path, study.settings.title, study.synthetic))
+    try:
+        figures = draw_all(folder.path, study.settings.title, study.synthetic)
+    except OSError as fault:
+        raise InputError(
+            f"a figure cannot be written ({fault.strerror})",
+            place=folder.path,
+            remedy="free some space and draw again with 'calib report', or choose another --results",
+        ) from None
+    console.tell_figures(figures)
 
 
 # -- leaving -----------------------------------------------------------------------------------------------------------

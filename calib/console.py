@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,11 +16,14 @@ from rich.table import Table
 from calib.questions.calibrate import Calibration
 from calib.questions.compare import Answer
 from calib.questions.places import is_modal
-from calib.questions.sensitivity import Sensitivity
+from calib.questions.sensitivity import Screening, Sensitivity
 from calib.results import Results
 from calib.study import Study
 
-_out = Console(highlight=False, markup=False, soft_wrap=True)
+WIDTH = 120
+"""Columns of output that goes to no terminal."""
+
+_out = Console(highlight=False, markup=False, soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
 _err = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
 
 WORST_SHOWN = 8
@@ -89,48 +93,68 @@ def tell_sensitivity(study: Study, answer: Sensitivity, folder: Results) -> None
     say(
         f"{answer.samples} samples kept the constraints (acceptance {100 * answer.acceptance:.0f} %), "
         f"{answer.failed} failed, {answer.unpaired} left a mode unpaired. "
-        f"Chance alone gives correlations up to {answer.noise_floor:.2f}."
+        f"Chance alone gives rank correlations up to {answer.noise_floor:.2f}."
     )
-    blank = study.settings.sensitivity.blank_below
-    rows = []
-    for parameter, line in answer.table.iterrows():
-        strong = line[line.abs() >= blank].sort_values(key=abs, ascending=False)
-        words = ", ".join(f"{name} {value:+.2f}" for name, value in strong.head(4).items())
-        more = f" and {len(strong) - 4} more" if len(strong) > 4 else ""
-        rows.append((str(parameter), words + more if words else f"nothing above {blank:g}"))
-    _table(("parameter", "strongest rank correlations"), rows)
-    if len(study.model.space.constraints):
-        say(
-            "The constraints correlate the sampled parameters with each other, so a parameter can show a large value "
-            "that belongs to its partner."
+    rows = [
+        (
+            r["parameter"],
+            *(_number(r[name], 2) for name in ("max_spearman", "max_partial", "max_influence")),
+            "yes" if r["selected"] else "no",
+            r["why"],
         )
+        for r in answer.assessment.selection.to_dict("records")
+    ]
+    _table(("parameter", "Spearman", "partial", "influence", "selected", "why"), rows, left=("why",))
+    say(answer.assessment.sentence)
+    if study.model.space.constraints:
+        say("Constraints correlate the sampled parameters with each other; Spearman's values alone may mislead.")
+
+
+def tell_screening(answer: Screening, folder: Results) -> None:
+    """Elementary effects or variance shares."""
+    size = "mu_star" if answer.method == "morris" else "ST"
+    largest = answer.table.loc[answer.table.groupby("parameter", sort=False)[size].idxmax()]
+    rows = [(r["parameter"], f"{r[size]:.3g}", r["response"]) for r in largest.to_dict("records")]
+    say(f"{answer.points} points. {answer.note}".rstrip())
+    _table(("parameter", f"largest {size}", "on"), rows)
+    say(f"All of them are in {folder.path / (answer.method + '.csv')}.")
 
 
 def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None:
     """Cases, parameters, before and after."""
     counts = ("asked", "solved", "reused", "infeasible", "failed")
     cases = [
-        (r.name, f"{r.misfit:.5g}", *(str(getattr(r, name)) for name in counts), f"{r.seconds:.0f} s")
-        for r in answer.cases
-    ]
-    _table(("case", "misfit", *counts, "time"), cases)
-    rows = []
-    for name, part in answer.parameters.groupby("parameter", sort=False):
-        best = part[part["case"] == answer.best.name].iloc[0]
-        remarks = []
-        if part["on_bound"].astype(bool).any():
-            where = ", ".join(part.loc[part["on_bound"].astype(bool), "case"])
-            remarks.append(f"on a bound ({where}): consider widening 'search'")
-        if not pd.isna(best["spread"]):
-            remarks.append(("stable" if best["stable"] else "not stable") + f", spread {100 * best['spread']:.0f} %")
-        rows.append(
-            (str(name), f"{best['value']:.6g} {best['unit']}", f"{100 * best['ratio']:.0f} %", "; ".join(remarks))
+        (
+            c.name,
+            "" if c.search is None else f"{c.search.misfit:.5g}",
+            f"{c.result.misfit:.5g}",
+            *(str(getattr(c.result, name)) for name in counts),
+            f"{c.result.seconds:.0f} s",
         )
-    _table(("parameter", f"value in {answer.best.name}", "of its range", "over the cases"), rows)
-    say(answer.agreement)
-    say(f"\nAfter calibration (case {answer.best.name}):")
-    _print_answer(answer.after)
-    before, after = answer.before, answer.after
+        for c in answer.cases
+    ]
+    _table(("case", "search", "reported", *counts, "time"), cases)
+    best = answer.best
+    rows = []
+    for r in answer.verdicts.to_dict("records"):
+        spread = "" if pd.isna(r["spread"]) else f"{100 * r['spread']:.0f} %"
+        std = "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
+        unit = "" if r["unit"] == "-" else f" {r['unit']}"
+        rows.append(
+            (r["parameter"], f"{r['value']:.5g}{unit}", std, f"{100 * r['ratio']:.0f} %", spread, r["sentence"])
+        )
+    heads = ("parameter", f"value in {best.name}", "std", "of range", "spread", "verdict")
+    _table(heads, rows, left=("verdict",))
+    whole = list(best.judgement.whole)
+    for sentence in best.judgement.identification.sentences():
+        say(sentence)
+    if whole:
+        say(f"Whole numbers, judged by how much worse their neighbours fit: {', '.join(whole)}.")
+    say(best.judgement.sentence)
+    say(answer.agreement.sentence)
+    say(f"\nAfter calibration (case {best.name}):")
+    _print_answer(best.answer)
+    before, after = answer.before, best.answer
     label = "frequency error" if is_modal(study) else "error"
     say(f"Mean {label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %.")
     if not math.isnan(after.mean_mac):
@@ -188,10 +212,10 @@ def _number(value: float, digits: int) -> str:
     return "" if pd.isna(value) else f"{value:.{digits}f}"
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[str] = ()) -> None:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for k, name in enumerate(heads):
-        table.add_column(name, justify="left" if k == 0 else "right", no_wrap=False, overflow="fold")
+        table.add_column(name, justify="left" if k == 0 or name in left else "right", no_wrap=False, overflow="fold")
     for row in rows:
         table.add_row(*row)
     _out.print(table)

@@ -12,9 +12,11 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from multiprocessing.context import SpawnContext
 from types import TracebackType
 from typing import Literal, Protocol
 
@@ -27,6 +29,7 @@ Source = Callable[[], Function]
 
 WORKER_DIED = "the worker process died"
 OUT_OF_MEMORY = "there was not enough memory"
+TOOK_TOO_LONG = "it took longer than"
 
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -63,7 +66,7 @@ class Outcome:
     @property
     def transient(self) -> bool:
         """Whether the failure is one of the machine, so that another try may succeed."""
-        return self.error in (WORKER_DIED, OUT_OF_MEMORY)
+        return self.error in (WORKER_DIED, OUT_OF_MEMORY) or self.error.startswith(TOOK_TOO_LONG)
 
 
 class BatchEvaluator(Protocol):
@@ -98,20 +101,37 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
     error = ""
     started = time.perf_counter()
     try:
-        responses = {str(name): float(value) for name, value in function(dict(given)).items()}
+        with _directory_kept():
+            answer = function(dict(given))
+        responses = {str(name): float(value) for name, value in answer.items()}
         error = next((f"the response {n!r} is {v}" for n, v in responses.items() if math.isinf(v)), "")
-    except InputError:
+    except (InputError, KeyboardInterrupt):
         raise
     except MemoryError:
         error = OUT_OF_MEMORY
     except EvaluationError as fault:
         error = _one_line(str(fault)) or "it cannot be evaluated"
-    except (Exception, SystemExit) as fault:  # a model that calls sys.exit must not end the study
+    except BaseException as fault:  # sys.exit, or a panic in foreign code, must not end the study
         error = _one_line(f"{type(fault).__name__}: {fault}")
     seconds = time.perf_counter() - started
     if error:
         return Outcome(given, "failed", {}, error, seconds)
     return Outcome(given, "ok", responses, "", seconds)
+
+
+@contextlib.contextmanager
+def _directory_kept() -> Iterator[None]:
+    """A model may leave for another directory, where nothing relative would be found."""
+    try:
+        before = os.getcwd()
+    except OSError:  # somebody removed it
+        yield
+        return
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            os.chdir(before)
 
 
 def _one_line(text: str) -> str:
@@ -131,20 +151,29 @@ class Evaluator:
         for which it must be picklable.
     workers : int
         1 evaluates in this process. A point that kills its process is survived only with more.
+    time_limit : float, optional
+        Seconds after which a point is given up and its process ended; such a failure is the machine's (another time it
+        may be less busy). Only worker processes can be ended: with one worker nothing is limited.
 
     Raises
     ------
     InputError
-        When ``workers`` is below 1.
+        When ``workers`` is below 1 or the limit is not positive.
     """
 
-    def __init__(self, source: Source, workers: int = 1):
+    def __init__(self, source: Source, workers: int = 1, time_limit: float | None = None):
         if workers < 1:
             raise InputError(f"{workers} workers are asked", place="workers", remedy="ask for at least 1")
+        if time_limit is not None and not 0 < time_limit < math.inf:
+            raise InputError(
+                f"a point is allowed {time_limit:g} s", place="time limit", remedy="give a positive number, or none"
+            )
         self.source = source
         self.workers = workers
+        self.time_limit = time_limit
         self._function: Function | None = None
         self._pool: ProcessPoolExecutor | None = None
+        self._board: _Board | None = None
 
     def __enter__(self) -> Evaluator:
         return self
@@ -170,7 +199,7 @@ class Evaluator:
         -------
         list of Outcome
             In the order given. When a worker process dies, the points without an answer are tried again one by one;
-            one that kills again has failed.
+            one that kills again has failed. One that takes too long has failed, too.
 
         Raises
         ------
@@ -200,23 +229,43 @@ class Evaluator:
     # -- in worker processes -------------------------------------------------------------------------------------------
 
     def _parallel(self, points: Sequence[Mapping[str, float]]) -> list[Outcome]:
-        futures: list[Future[Outcome | Exception]] = []
-        with contextlib.suppress(BrokenProcessPool):
-            for values in points:
-                futures.append(self._submit(_work, values))
         outcomes: list[Outcome | None] = [None] * len(points)
-        for k, future in enumerate(futures):
-            with contextlib.suppress(BrokenProcessPool):
-                outcomes[k] = _opened(future.result())
-        if any(outcome is None for outcome in outcomes):
-            self._stop(at_once=True)
+        while self._round(points, outcomes):
+            pass
         return [self._alone(v) if o is None else o for v, o in zip(points, outcomes, strict=True)]
+
+    def _round(self, points: Sequence[Mapping[str, float]], outcomes: list[Outcome | None]) -> bool:
+        """Fill in the missing outcomes; True when that was cut short by a point that took too long."""
+        futures: dict[int, Future[Outcome | Exception]] = {}
+        late: dict[int, float] = {}
+        with contextlib.suppress(BrokenProcessPool):
+            for k in [k for k, outcome in enumerate(outcomes) if outcome is None]:
+                futures[k] = self._submit(_work, k, points[k])
+        for k, future in futures.items():
+            while not late and not wait_for([future], timeout=self._patience()).done:
+                late = self._late()
+                if late:
+                    self._stop(at_once=True)
+            with contextlib.suppress(BrokenProcessPool, CancelledError):
+                outcomes[k] = _opened(future.result())
+        for k in [k for k in late if outcomes[k] is None]:
+            outcomes[k] = _failed(points[k], f"{TOOK_TOO_LONG} {self.time_limit:g} s", late[k])
+        if not late and any(outcome is None for outcome in outcomes):
+            self._stop(at_once=True)
+        return bool(late)
+
+    def _patience(self) -> float | None:
+        """Seconds between two looks at what takes too long."""
+        return None if self.time_limit is None else min(1.0, self.time_limit / 4)
+
+    def _late(self) -> dict[int, float]:
+        return {} if self._board is None or self.time_limit is None else self._board.late(self.time_limit)
 
     def _alone(self, values: Mapping[str, float]) -> Outcome:
         """Evaluate one point with nothing else under way, so that a dying process is this point's doing."""
         if self._pool is None:
             try:
-                self._submit(_ready, {}).result()
+                self._submit(_ready, 0, {}).result()
             except BrokenProcessPool:
                 raise InputError(
                     "the worker processes end while they start",
@@ -224,23 +273,24 @@ class Evaluator:
                     remedy="use one worker to see why; a script of your own must guard its main part",
                 ) from None
         started = time.perf_counter()
-        try:
-            return _opened(self._submit(_work, values).result())
-        except BrokenProcessPool:
-            self._stop(at_once=True)
-            given = {str(name): float(value) for name, value in values.items()}
-            return Outcome(given, "failed", {}, WORKER_DIED, time.perf_counter() - started)
+        outcome: list[Outcome | None] = [None]
+        self._round([values], outcome)
+        return outcome[0] or _failed(values, WORKER_DIED, time.perf_counter() - started)
 
     def _submit(
-        self, task: Callable[[dict[str, float]], Outcome | Exception], values: Mapping[str, float]
+        self,
+        task: Callable[[int, dict[str, float]], Outcome | Exception],
+        number: int,
+        values: Mapping[str, float],
     ) -> Future[Outcome | Exception]:
         if self._pool is None:
             pickle.dumps(self.source)  # fails here in plain words, and not in a half-started process
             context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self.workers, context, _start_worker, (self.source,))
+            self._board = _Board(context, self.workers)
+            self._pool = ProcessPoolExecutor(self.workers, context, _start_worker, (self.source, self._board))
         # Processes are started on demand, while a task is handed over.
         with _environment_of_workers():
-            return self._pool.submit(task, dict(values))
+            return self._pool.submit(task, number, dict(values))
 
     def _stop(self, at_once: bool) -> None:
         pool, self._pool = self._pool, None
@@ -273,6 +323,39 @@ def _environment_of_workers() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
+class _Board:
+    """Shared memory in which every worker process notes what it is working on and since when."""
+
+    def __init__(self, context: SpawnContext, workers: int):
+        self._places = context.Value("i", 0)
+        self._notes = context.Array("d", 2 * workers, lock=False)  # pairs of number and start; nothing under way: 0
+
+    def take_place(self) -> int:
+        """A place of its own for a worker process."""
+        with self._places.get_lock():
+            self._places.value += 1
+            return self._places.value - 1
+
+    def note(self, place: int, number: int) -> None:
+        """Work on the point of that number begins."""
+        self._notes[2 * place] = number
+        self._notes[2 * place + 1] = time.monotonic()
+
+    def clear(self, place: int) -> None:
+        """Work has ended."""
+        self._notes[2 * place + 1] = 0.0
+
+    def late(self, limit: float) -> dict[int, float]:
+        """Points under way for longer than the limit, with how long."""
+        now = time.monotonic()
+        pairs = list(zip(self._notes[::2], self._notes[1::2], strict=True))
+        return {int(number): now - start for number, start in pairs if start and now - start > limit}
+
+
+def _failed(values: Mapping[str, float], error: str, seconds: float) -> Outcome:
+    return Outcome({str(name): float(value) for name, value in values.items()}, "failed", {}, error, seconds)
+
+
 def _opened(answer: Outcome | Exception) -> Outcome:
     if isinstance(answer, Exception):
         raise answer
@@ -288,9 +371,11 @@ class _Worker:
     function: Function | None = None
     fault: Exception | None = None
     limits: object = None
+    board: _Board
+    place: int
 
 
-def _start_worker(source: Source) -> None:
+def _start_worker(source: Source, board: _Board) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     try:
@@ -302,6 +387,7 @@ def _start_worker(source: Source) -> None:
         _Worker.fault = RuntimeError(f"the model cannot be built in a worker: {type(fault).__name__}: {fault}")
         _Worker.fault.add_note(traceback.format_exc())
     _Worker.limits = threadpool_limits(1)
+    _Worker.board, _Worker.place = board, board.take_place()
 
 
 def _leave_with_parent() -> None:
@@ -312,15 +398,18 @@ def _leave_with_parent() -> None:
         os._exit(1)
 
 
-def _ready(values: Mapping[str, float]) -> Outcome:
+def _ready(number: int, values: Mapping[str, float]) -> Outcome:
     return Outcome(dict(values), "ok", {})
 
 
-def _work(values: Mapping[str, float]) -> Outcome | Exception:
+def _work(number: int, values: Mapping[str, float]) -> Outcome | Exception:
     if _Worker.fault is not None:
         return _Worker.fault
     assert _Worker.function is not None
+    _Worker.board.note(_Worker.place, number)
     try:
         return attempt(_Worker.function, values)
     except InputError as fault:
         return fault
+    finally:
+        _Worker.board.clear(_Worker.place)

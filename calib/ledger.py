@@ -9,10 +9,12 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
+import shutil
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,6 +28,8 @@ from calib.evaluate import BatchEvaluator, Outcome
 
 _VERSION = 1
 _BUSY_SECONDS = 30.0
+_COMPANIONS = 2**17
+"""Bytes below which a disk counts as full."""
 _AT_ONCE = 500
 """Keys a query; SQLite limits the number of variables of a statement."""
 
@@ -114,12 +118,16 @@ class Ledger:
                 place=path.parent,
                 remedy="choose another --results",
             ) from None
+        # SQLite would leave companion files behind that cannot be written either, even once the ledger can.
+        if path.is_file() and not os.access(path, os.W_OK):
+            raise _explained(sqlite3.OperationalError("readonly"), path)
         try:
             database = sqlite3.connect(path, timeout=busy_seconds, isolation_level=None)
         except sqlite3.Error as fault:
             raise _explained(fault, path) from None
         ledger = Ledger(path, database)
         try:
+            ledger._is_new()  # what is no ledger stays as it is, its journal mode too
             with _explaining(path):
                 _use_write_ahead_log(database, busy_seconds)
             ledger._prepare()
@@ -130,18 +138,24 @@ class Ledger:
 
     def _prepare(self) -> None:
         with self._transaction():
-            (version,) = self._database.execute("PRAGMA user_version").fetchone()
-            (tables,) = self._database.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()
-            if version == _VERSION and tables:
-                return
-            if version or tables:
-                raise InputError(
-                    "it is a database, but not a ledger of this version of calib",
-                    place=self.path,
-                    remedy="move it away; a new one is made",
-                )
-            for statement in _SCHEMA:
-                self._database.execute(statement)
+            if self._is_new():
+                for statement in _SCHEMA:
+                    self._database.execute(statement)
+
+    def _is_new(self) -> bool:
+        """Whether there is nothing in the file yet; InputError for anything else than a ledger of this version."""
+        with _explaining(self.path):
+            # One statement sees one state, even while another process makes the ledger.
+            version, tables = self._database.execute(
+                "SELECT user_version, (SELECT COUNT(*) FROM sqlite_master) FROM pragma_user_version"
+            ).fetchone()
+        if (version or tables) and not (version == _VERSION and tables):
+            raise InputError(
+                "it is a database, but not a ledger of this version of calib",
+                place=self.path,
+                remedy="move it away; a new one is made",
+            )
+        return not tables
 
     def __enter__(self) -> Ledger:
         return self
@@ -169,7 +183,10 @@ class Ledger:
                     (fingerprint, *part),
                 )
                 for key, parameters, responses, status, error, seconds in rows:
-                    found[key] = Outcome(_read(parameters), status, _read(responses), error, seconds)
+                    try:
+                        found[key] = Outcome(_read(parameters), status, _read(responses), error, seconds)
+                    except (ValueError, TypeError, AttributeError):  # no JSON object of numbers
+                        raise _explained(sqlite3.DatabaseError("malformed"), self.path) from None
         return found
 
     def append(self, fingerprint: str, outcomes: Sequence[Outcome]) -> None:
@@ -347,6 +364,10 @@ _REMEDIES = (
 
 def _explained(fault: sqlite3.Error, path: Path) -> InputError:
     text = str(fault)
+    with suppress(OSError):
+        # Without room for its companion files SQLite reports an error of the disk.
+        if "disk i/o" in text.lower() and shutil.disk_usage(path.parent).free < _COMPANIONS:
+            text = "full"
     for sign, problem, remedy in _REMEDIES:
         if sign in text.lower():
             return InputError(problem, place=path, remedy=remedy)

@@ -50,13 +50,23 @@ def sensitivity_space(space: ParameterSpace, settings: StudySettings, place: Pla
     return _feasible(space, "limits", place)
 
 
-def search_space(space: ParameterSpace, settings: StudySettings, place: Place) -> ParameterSpace:
-    """The selected parameters within the limits of the search, every other one fixed at its adopted value."""
-    if not settings.selection:
+def search_space(
+    space: ParameterSpace, settings: StudySettings, place: Place, selection: tuple[str, ...] | None = None
+) -> ParameterSpace:
+    """The selected parameters within the limits of the search, every other one fixed at its adopted value.
+
+    The selection is the study's own, or the one given when the study leaves it to the sensitivity analysis; until then
+    every free parameter counts as selected.
+    """
+    if isinstance(settings.selection, str):
+        names = space.free_names if selection is None else selection
+    else:
+        names = settings.selection
+    if not names:
         raise InputError("no parameter is selected", place=place("selection"), remedy="name at least one")
     wide = {name: change.search for name, change in settings.parameters.items() if change.search is not None}
     try:
-        chosen = space.widen(wide).keep(settings.selection)
+        chosen = space.widen(wide).keep(names)
     except InputError as fault:
         raise InputError(fault.problem, place=place("selection"), remedy=fault.remedy) from None
     return _feasible(chosen, "search limits", place)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import tempfile
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +17,10 @@ import pandas as pd
 from calib.errors import InputError
 
 _REMEDY = "choose another place with --results DIR, or free the folder"
+_DRAFT = ".part"
+"""End of the name of every file, figures too, that is being written."""
+_ABANDONED = 600.0
+"""Seconds after which nobody is writing a draft any more."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,8 @@ class Results:
         path = root / study_name / part if part else root / study_name
         try:
             path.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=path, prefix=".probe-"):
+            _clear_drafts(path)
+            with tempfile.NamedTemporaryFile(dir=path, prefix=".probe-", suffix=_DRAFT):
                 pass
         except OSError as fault:
             raise InputError(
@@ -60,19 +67,24 @@ class Results:
             (self.path / name).unlink(missing_ok=True)
 
     def _write(self, name: str, text: str) -> Path:
-        target = self.path / name
-        handle = None
+        target, draft = self.path / name, self.path / f".{name}.{os.getpid()}{_DRAFT}"
         try:
-            handle, temporary = tempfile.mkstemp(dir=self.path, prefix=f".{name}-")
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(text)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, target)
+            draft.write_text(text, encoding="utf-8")
+            os.replace(draft, target)
         except OSError as fault:
-            if handle is not None:
-                Path(temporary).unlink(missing_ok=True)
             raise InputError(f"it cannot be written ({fault.strerror})", place=target, remedy=_REMEDY) from None
+        finally:  # also when interrupted
+            with contextlib.suppress(OSError):
+                draft.unlink(missing_ok=True)
         return target
+
+
+def _clear_drafts(folder: Path) -> None:
+    """Delete what killed processes left half-written; a process at work needs no draft for that long."""
+    for draft in folder.glob(f".*{_DRAFT}"):
+        with contextlib.suppress(OSError):
+            if time.time() - draft.stat().st_mtime > _ABANDONED:
+                draft.unlink()
 
 
 def _plain(value: Any) -> Any:

@@ -96,9 +96,20 @@ class CaseSettings(_Section):
     seed: int = Field(ge=0)
 
 
+class ReductionSettings(_Section):
+    """``[reduction]``: search on a reduced basis of the model; what is reported is always solved at full order."""
+
+    use: bool = True
+    tolerance: float = Field(default=1e-4, gt=0, lt=0.1)
+    seed: int = Field(default=1, ge=0)
+
+
 class CalibrationSettings(_Section):
     """``[calibration]``."""
 
+    method: Literal["genetic", "gauss-newton"] = "genetic"
+    polish: bool = True
+    starts: int = Field(default=6, ge=1)
     weight_freq: float = Field(default=1.0, ge=0)
     weight_mac: float = Field(default=1.0, ge=0)
     population: int = Field(default=30, ge=4)
@@ -130,7 +141,8 @@ class StudySettings(_Section):
     pairing: PairingSettings = PairingSettings()
     parameters: dict[str, ParameterSettings] = {}
     constraints: tuple[ConstraintSettings, ...] = ()
-    selection: tuple[str, ...]
+    selection: tuple[str, ...] | Literal["from sensitivity"]
+    reduction: ReductionSettings = ReductionSettings()
     sensitivity: SensitivitySettings = SensitivitySettings()
     calibration: CalibrationSettings
 

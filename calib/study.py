@@ -22,6 +22,7 @@ from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_measurement
 from calib.settings import StudySettings, line_of, read_settings
 from calib.space import ParameterSpace
+from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
 
 Problem = ModalProblem | FunctionProblem
@@ -66,6 +67,11 @@ class Study:
         """Whether the measurement was made by a computer."""
         return self.settings.measurement.synthetic
 
+    def selecting(self, names: tuple[str, ...]) -> Study:
+        """The same study whose search is over the named parameters; only for one that leaves it to the sensitivity."""
+        reader = _Reader(self.file, self.settings)
+        return replace(self, search_space=search_space(self.sensitivity_space, self.settings, reader.place, names))
+
     @staticmethod
     def load(path: Path) -> Study:
         """Read a study folder (or its TOML file) with everything it names; InputError for anything wrong in it."""
@@ -84,14 +90,19 @@ class EvaluationSource:
         The study file.
     fingerprint : str
         Of the problem at the start; a study edited meanwhile is refused.
+    basis : str
+        File of a reduced basis to work on; empty for full order.
     """
 
     path: str
     fingerprint: str
+    basis: str = ""
 
     def __call__(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
         """The function from named values to named responses."""
         problem = Study.load(Path(self.path)).problem
+        if self.basis and isinstance(problem, ModalProblem):
+            problem = problem.reduced(Basis.load(Path(self.basis)))
         if problem.fingerprint != self.fingerprint:
             raise InputError(
                 "the study or its model changed while it was running", place=self.path, remedy="start the command again"

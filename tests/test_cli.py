@@ -18,7 +18,10 @@ COMPARISON = [
     "mode", "natural_freq_measured", "natural_freq_model", "damped_freq_measured", "damped_freq_model", "freq_error",
     "damping_ratio_measured", "damping_ratio_model", "mac", "emac", "margin",
 ]  # fmt: skip
-PARAMETERS = ["case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable"]
+PARAMETERS = [
+    "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable", "std", "identified",
+    "search_value",
+]  # fmt: skip
 SUMMARY = {
     "study", "synthetic", "best_case", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before",
     "mean_mac_after", "evaluations", "solved", "reused", "infeasible", "failed", "seconds", "cases",

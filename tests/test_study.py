@@ -37,7 +37,7 @@ def complaint(folder: Path) -> str:
 def test_the_studies_of_the_repository_load():
     bogie, rig = Study.load(BOGIE), Study.load(RIG)
     assert bogie.measured.names == tuple(f"{k}BT" for k in range(1, 9))
-    assert len(bogie.measured.sensors) == 26 and bogie.measured.n_repeats == 5 and bogie.synthetic
+    assert len(bogie.measured.sensors) == 30 and bogie.measured.n_repeats == 5 and bogie.synthetic
     assert not rig.synthetic and not rig.measured.has_shapes and rig.measured.n_repeats == 100
     assert len(bogie.search_space.free) == 10 and len(bogie.sensitivity_space.free) == 14
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,8 +16,10 @@ from calib.correlation.pairing import check_override, in_window, pair_by_order, 
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import MeasuredModes
 from calib.space import ParameterSpace
-from calib.structure.model import ModalModel
+from calib.structure.basis import Basis
+from calib.structure.model import ModalModel, StructuralModel
 from calib.structure.modes import Modes
+from calib.structure.reduced import ReducedModel
 
 RESPONSES = ("natural_freq", "damped_freq", "damping_ratio", "mac", "emac", "margin")
 """Responses of every measured mode; the name of one is such as ``mac_1B``."""
@@ -117,6 +119,12 @@ class ModalProblem:
         digest.update(repr((clusters, self.mode_count, float(self.threshold), window, override)).encode())
         return digest.hexdigest()[:16]
 
+    def reduced(self, basis: Basis) -> ModalProblem:
+        """The same question asked of the model on a reduced basis; InputError when the basis is of another model."""
+        if not isinstance(self.model, StructuralModel):
+            raise InputError("the model is reduced already", place=self.model.name)
+        return replace(self, model=ReducedModel(self.model, basis))
+
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """Flat responses at named values, in the order of `response_names`.
 
@@ -127,7 +135,10 @@ class ModalProblem:
         EvaluationError
             When the modes cannot be solved or there are fewer than ``mode_count``.
         """
-        found = self.compare(values)
+        return self.responses(self.compare(values))
+
+    def responses(self, found: Comparison) -> dict[str, float]:
+        """Flat responses of a comparison already made."""
         pairing, modes = found.pairing, found.modes
         out = {}
         for i, name in enumerate(self.measured.names):

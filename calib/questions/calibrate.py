@@ -3,27 +3,65 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
+from calib.evaluate import Outcome
 from calib.ledger import Ledger
 from calib.questions.compare import Answer, answer_at, compare, write_answer
+from calib.questions.judge import Judgement, RecordedResidual, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
+from calib.questions.reduction import Reduction, reduction_of
 from calib.results import Results
 from calib.sensitivity.sampling import sample
 from calib.study import Study
-from calib.updating.cases import Case, CaseResult, agreement, convergence_table, parameters_table, run_case
+from calib.updating.cases import Agreement, Case, CaseResult, agreement, convergence_table, parameters_table, run_case
 from calib.updating.genetic import GeneticSettings
 from calib.updating.objective import FrequencyMacObjective, ResponseObjective
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
+Method: TypeAlias = Literal["genetic", "gauss-newton"]
+SearchProgress = Callable[[str, int, int, float], None]
+
+QUICK_STARTS = 2
+
+POLISH_REFITS = 12
+"""Fits after a search: its whole numbers and their nearest neighbours."""
+
+
+@dataclass(frozen=True, eq=False)
+class CaseFound:
+    """One case from its search to what is reported of it.
+
+    Attributes
+    ----------
+    result : CaseResult
+        Reported values, with the misfit of the objective there; counts and time of the whole case.
+    search : CaseResult or None
+        Where the genetic algorithm ended; None without one.
+    judgement : Judgement
+        What is known about the parameters at the reported values.
+    answer : Answer
+        Model against measurement there.
+    """
+
+    result: CaseResult
+    search: CaseResult | None
+    judgement: Judgement
+    answer: Answer
+
+    @property
+    def name(self) -> str:
+        """Name of the case."""
+        return self.result.name
 
 
 @dataclass(frozen=True)
@@ -32,23 +70,25 @@ class Calibration:
 
     Attributes
     ----------
-    cases : tuple of CaseResult
-    best : CaseResult
+    cases : tuple of CaseFound
+    best : CaseFound
         Of the lowest misfit.
-    before, after : Answer
-        At the adopted values and at the best case's.
-    parameters : DataFrame
-        ``parameters.csv``.
-    agreement : str
-        Whether the cases agree on one solution, in a sentence.
+    before : Answer
+        At the adopted values.
+    parameters, verdicts : DataFrame
+        ``parameters.csv``, ``verdicts.csv``.
+    agreement : Agreement
+        Whether the cases agree on one solution.
+    method : {"genetic", "gauss-newton"}
     """
 
-    cases: tuple[CaseResult, ...]
-    best: CaseResult
+    cases: tuple[CaseFound, ...]
+    best: CaseFound
     before: Answer
-    after: Answer
     parameters: pd.DataFrame
-    agreement: str
+    verdicts: pd.DataFrame
+    agreement: Agreement
+    method: Method
 
 
 def objective_of(study: Study) -> Objective:
@@ -99,37 +139,174 @@ def calibrate(
     workers: int | None = None,
     only: str | None = None,
     quick: bool = False,
-    progress: Callable[[str, int, int, float], None] = lambda case, generation, generations, best: None,
+    method: Method | None = None,
+    progress: SearchProgress = lambda case, generation, generations, best: None,
+    home: Results | None = None,
 ) -> Calibration:
-    """Search every case, compare before and after, write all tables and ``summary.json``."""
+    """Search every case, judge its parameters, compare before and after; write all tables and ``summary.json``.
+
+    ``home`` holds the reduced basis, which whole, quick and single-case runs share; by default it is ``results``.
+    """
     started = time.perf_counter()
-    settings, objective, space = genetic_settings(study, quick), objective_of(study), study.search_space
+    chosen: Method = method or study.settings.calibration.method
     cases = chosen_cases(study, only)
     before = compare(study, results)
-    found = []
-    with open_evaluator(study, workers, settings.population * settings.generations) as evaluator:
-        for case in cases:
-            initial = sample(space, settings.population, case.seed).points
-            try:
-                result = run_case(
-                    case, space, objective, settings, evaluator, ledger, study.problem.fingerprint, initial,
-                    progress=partial(progress, case.name),
-                )  # fmt: skip
-            except EvaluationError as fault:
-                raise InputError(
-                    str(fault), place=study.file, remedy="check the model over the search limits"
-                ) from None
-            found.append(result)
-    best = min(found, key=lambda r: r.misfit)
-    after = answer_at(study, best.values)
-    parameters = parameters_table(found, space)
-    verdict = agreement(found, space, expected_misfit(study, before))
-    write_answer(results, after, "after")
+    home = home or results
+    find = _by_search if chosen == "genetic" else _by_least_squares
+    found = tuple(find(study, home, ledger, cases, workers, quick, progress))
+    best = min(found, key=lambda case: case.result.misfit)
+    reported = [case.result for case in found]
+    searched = [case.search for case in found if case.search is not None]
+    parameters = _parameters(study, found, searched)
+    spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
+    verdicts = best.judgement.verdicts(study.search_space, spread)
+    verdict = agreement(reported, study.search_space, expected_misfit(study, before))
+    write_answer(results, best.answer, "after")
     results.write_table("parameters", parameters)
-    results.write_table("convergence", convergence_table(found))
-    seconds = time.perf_counter() - started
-    results.write_json("summary", _summary(study, found, best, before, after, seconds))
-    return Calibration(tuple(found), best, before, after, parameters, verdict.sentence)
+    results.write_table("verdicts", verdicts)
+    results.write_table("confounded", best.judgement.identification.confounded)
+    results.write_table("unseen_directions", best.judgement.identification.directions)
+    results.write_table("predictions", best.judgement.predictions)
+    results.write_table("convergence", convergence_table(reported))
+    summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
+    results.write_json("summary", summary)
+    return Calibration(found, best, before, parameters, verdicts, verdict, chosen)
+
+
+def _by_search(
+    study: Study,
+    home: Results,
+    ledger: Ledger,
+    cases: Sequence[Case],
+    workers: int | None,
+    quick: bool,
+    progress: SearchProgress,
+) -> Iterator[CaseFound]:
+    """Genetic algorithm, then least squares from its best point unless the study does without."""
+    settings, objective, space = genetic_settings(study, quick), objective_of(study), study.search_space
+    reduction = reduction_of(study, home)
+    remaining = list(cases)
+    while remaining:
+        problem = study.problem if reduction is None else reduction.problem
+        basis = None if reduction is None else reduction.path
+        certify = _as_it_is if reduction is None else reduction.certifier(ledger)
+        count = settings.population * settings.generations
+        with open_evaluator(study, workers, count, problem, basis) as evaluator, _told(study):
+            while remaining:
+                case = remaining.pop(0)
+                initial = sample(space, settings.population, case.seed).points
+                search = run_case(
+                    case, space, objective, settings, evaluator, ledger, problem.fingerprint, initial,
+                    progress=partial(progress, case.name), certify=certify,
+                )  # fmt: skip
+                yield _reported(study, objective, search, search, _polished(study, ledger, reduction, search.values))
+                before = reduction
+                reduction = None if reduction is None else reduction.after_case(search.values, home)
+                if reduction is not before:
+                    break  # the next cases work on the next version of the basis
+
+
+def _as_it_is(outcome: Outcome) -> Outcome:
+    return outcome
+
+
+def _polished(study: Study, ledger: Ledger, reduction: Reduction | None, values: dict[str, float]) -> Judgement:
+    """Least squares from where a search ended; neighbouring whole numbers are tried on the reduced basis."""
+    exact = RecordedResidual(study.problem, ledger)
+    if not study.settings.calibration.polish:
+        return judged(study, exact, values)
+    if reduction is None:
+        return fitted(study, exact, [values], POLISH_REFITS)
+    near = fitted(study, RecordedResidual(reduction.problem, ledger), [values], POLISH_REFITS)
+    return fitted(study, exact, [near.values], 1, whole=near.whole)
+
+
+def _by_least_squares(
+    study: Study,
+    home: Results,
+    ledger: Ledger,
+    cases: Sequence[Case],
+    workers: int | None,
+    quick: bool,
+    progress: SearchProgress,
+) -> Iterator[CaseFound]:
+    """Least squares from several starting points, the cases' own."""
+    objective, space = objective_of(study), study.search_space
+    exact = RecordedResidual(study.problem, ledger)
+    reduction = reduction_of(study, home)
+    coarse = exact if reduction is None else RecordedResidual(reduction.problem, ledger)
+    count = min(study.settings.calibration.starts, QUICK_STARTS) if quick else study.settings.calibration.starts
+    for case in cases:
+        started = time.perf_counter()
+        starts = [space.complete(x) for x in sample(space, count, case.seed).points]
+        steps = _Steps(case.name, count, progress)
+        with _told(study):
+            near = fitted(study, coarse, starts, progress=steps)
+            judgement = near if reduction is None else fitted(study, exact, [near.values], 1, whole=near.whole)
+            progress(case.name, count, count, judgement.misfit)
+        asked = len(steps.lowest)
+        here = CaseResult(
+            name=case.name, values=judgement.values, misfit=np.nan, responses={}, convergence=steps.table(),
+            asked=asked, solved=asked, reused=0, infeasible=0, failed=0, seconds=time.perf_counter() - started,
+        )  # fmt: skip
+        yield _reported(study, objective, here, None, judgement)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Writes down the lowest misfit after every fit of a case, and passes it on as progress."""
+
+    name: str
+    starts: int
+    progress: SearchProgress
+    lowest: list[float] = field(default_factory=list)
+
+    def __call__(self, start: int, fits: int, misfit: float) -> None:
+        self.lowest.append(misfit)
+        self.progress(self.name, start, self.starts, misfit)
+
+    def table(self) -> pd.DataFrame:
+        """As the convergence of a search: fits instead of generations."""
+        numbers = range(1, len(self.lowest) + 1)
+        return pd.DataFrame({"generation": numbers, "best": self.lowest, "mean": np.nan, "feasible": 1})
+
+
+@contextmanager
+def _told(study: Study) -> Iterator[None]:
+    """A case in which no point at all can be evaluated is the user's to mend."""
+    try:
+        yield
+    except EvaluationError as fault:
+        raise InputError(str(fault), place=study.file, remedy="check the model over the search limits") from None
+
+
+def _reported(
+    study: Study, objective: Objective, result: CaseResult, search: CaseResult | None, judgement: Judgement
+) -> CaseFound:
+    """The case at its final values, solved at full order whatever the search worked on."""
+    answer = answer_at(study, judgement.values)
+    responses = study.problem.evaluate(judgement.values)
+    final = replace(result, values=judgement.values, misfit=objective(responses), responses=responses)
+    return CaseFound(final, search, judgement, answer)
+
+
+def _parameters(study: Study, found: Sequence[CaseFound], searched: Sequence[CaseResult]) -> pd.DataFrame:
+    """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
+
+    ``spread`` and ``stable`` are those of the genetic searches before any least squares, or of the fits without one.
+    """
+    space = study.search_space
+    table = parameters_table([case.result for case in found], space)
+    if searched:
+        raw = parameters_table(searched, space)
+        table["spread"], table["stable"], table["search_value"] = raw["spread"], raw["stable"], raw["value"]
+    else:
+        table["search_value"] = np.nan
+    known = pd.concat([case.judgement.verdicts(space, {}).assign(case=case.name) for case in found])
+    columns = ["case", "parameter", "std", "identified"]
+    table = table.merge(known[columns], on=columns[:2], how="left")
+    order = ["value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable", "std", "identified"]
+    return table[["case", "parameter", *order, "search_value"]]
 
 
 def expected_misfit(study: Study, answer: Answer) -> float:
@@ -150,50 +327,37 @@ _MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))
 
 
 def _summary(
-    study: Study,
-    cases: Sequence[CaseResult],
-    best: CaseResult,
-    before: Answer,
-    after: Answer,
-    seconds: float,
+    study: Study, method: Method, found: Sequence[CaseFound], best: CaseFound, before: Answer, seconds: float
 ) -> dict[str, object]:
-    def figures(result: CaseResult, answer: Answer) -> dict[str, object]:
+    counts = {"evaluations": "asked", **{name: name for name in ("solved", "reused", "infeasible", "failed")}}
+
+    def figures(case: CaseFound) -> dict[str, object]:
         return {
-            "misfit": result.misfit,
+            "misfit": case.result.misfit,
+            "search_misfit": None if case.search is None else case.search.misfit,
             "mean_freq_error_before": before.mean_freq_error,
-            "mean_freq_error_after": answer.mean_freq_error,
+            "mean_freq_error_after": case.answer.mean_freq_error,
             "mean_mac_before": before.mean_mac,
-            "mean_mac_after": answer.mean_mac,
-            "evaluations": result.asked,
-            "solved": result.solved,
-            "reused": result.reused,
-            "infeasible": result.infeasible,
-            "failed": result.failed,
-            "seconds": result.seconds,
+            "mean_mac_after": case.answer.mean_mac,
+            **{key: getattr(case.result, name) for key, name in counts.items()},
+            "seconds": case.result.seconds,
         }
 
-    counts = {
-        key: sum(getattr(r, name) for r in cases)
-        for key, name in (
-            ("evaluations", "asked"),
-            ("solved", "solved"),
-            ("reused", "reused"),
-            ("infeasible", "infeasible"),
-            ("failed", "failed"),
-        )
-    }
     return {
         "study": study.name,
         "synthetic": study.synthetic,
+        "method": method,
         "best_case": best.name,
         "mean_freq_error_before": before.mean_freq_error,
-        "mean_freq_error_after": after.mean_freq_error,
+        "mean_freq_error_after": best.answer.mean_freq_error,
         "mean_mac_before": before.mean_mac,
-        "mean_mac_after": after.mean_mac,
-        "noise_mac": after.noise_mac,
-        **counts,
+        "mean_mac_after": best.answer.mean_mac,
+        "noise_mac": best.answer.noise_mac,
+        "whitened_misfit": best.judgement.misfit,
+        "degrees_of_freedom": best.judgement.freedom,
+        **{key: sum(getattr(case.result, name) for case in found) for key, name in counts.items()},
         "seconds": seconds,
         "withheld_modes": list(study.settings.withheld.modes),
         "withheld_sensors": list(study.settings.withheld.sensors),
-        "cases": {r.name: figures(r, after if r is best else answer_at(study, r.values)) for r in cases},
+        "cases": {case.name: figures(case) for case in found},
     }

@@ -11,6 +11,7 @@ import pandas as pd
 from calib.correlation.compare import Comparison
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
+from calib.evaluate import attempt
 from calib.measurement.check import SensorFinding, check_sensors
 from calib.results import Results
 from calib.study import Study
@@ -67,7 +68,10 @@ def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
 
 
 def _plain_answer(problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
-    responses = problem.evaluate(values)
+    outcome = attempt(problem.evaluate, values)  # the function is the user's own: whatever it does is told
+    if outcome.status == "failed":
+        raise EvaluationError(outcome.error)
+    responses = outcome.responses
     rows = []
     for name, (value, std) in problem.targets.items():
         error = (responses[name] - value) / abs(value) if value else np.nan

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 
 from calib.correlation.problem import ModalProblem
-from calib.errors import EvaluationError
-from calib.evaluate import Evaluator
+from calib.evaluate import Evaluator, attempt
 from calib.ledger import Ledger
 from calib.results import Results
-from calib.study import EvaluationSource, Study
+from calib.study import EvaluationSource, Problem, Study
 
 QUICK = "quick"
 """Sub-folder of results made with ``--quick``."""
@@ -21,10 +19,13 @@ QUICK_SAMPLES, QUICK_POPULATION, QUICK_GENERATIONS = 60, 20, 15
 LEDGER = "ledger.sqlite"
 
 
-def results_of(study: Study, root: Path, quick: bool = False, only: str | None = None) -> Results:
-    """Where the answers go: a whole run's folder, or a sub-folder for a quick look or a single case."""
-    part = "-".join(([QUICK] if quick else []) + ([f"case_{only}"] if only else []))
-    return Results.at(root, study.name, part)
+def results_of(
+    study: Study, root: Path, quick: bool = False, only: str | None = None, method: str | None = None
+) -> Results:
+    """Where the answers go: a whole run's folder, or a sub-folder for a quick look, a single case or another method."""
+    other = method if method and method != study.settings.calibration.method else None
+    parts = [part for part in (QUICK * quick, f"case_{only}" if only else "", other or "") if part]
+    return Results.at(root, study.name, "-".join(parts))
 
 
 def ledger_of(study: Study, root: Path) -> Ledger:
@@ -42,23 +43,26 @@ def is_modal(study: Study) -> bool:
     return isinstance(study.problem, ModalProblem)
 
 
-def open_evaluator(study: Study, workers: int | None, count: int) -> Evaluator:
-    """An evaluator for a study; workers are only started when they can pay for their start."""
+def open_evaluator(
+    study: Study, workers: int | None, count: int, problem: Problem | None = None, basis: Path | None = None
+) -> Evaluator:
+    """An evaluator for a study, or for its reduced problem; workers are only started when they pay for their start."""
+    asked = problem or study.problem
     chosen = workers
     if chosen is None:
-        started = time.perf_counter()
-        try:
-            study.problem.evaluate(study.model.space.values)
-        except EvaluationError:
-            pass
-        worthwhile = (time.perf_counter() - started) * count > _WORTHWHILE
+        worthwhile = attempt(asked.evaluate, study.model.space.values).seconds * count > _WORTHWHILE
         chosen = available_cores() if worthwhile else 1
-    source = EvaluationSource(str(study.file.resolve()), study.problem.fingerprint)
-    return Evaluator(source, chosen)
+    source = EvaluationSource(
+        str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve())
+    )
+    return Evaluator(source, chosen, PATIENCE)
 
 
 _WORTHWHILE = 20.0
 """Seconds of work from which on a process pool is started."""
+
+PATIENCE = 3600.0
+"""Seconds after which a worker process gives a point up: it hangs, or a search would have no end anyway."""
 
 
 def available_cores() -> int:

@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.errors import InputError
+from calib.evaluate import Outcome
 from calib.ledger import Ledger
 from calib.questions.places import QUICK_SAMPLES, open_evaluator
 from calib.results import Results
 from calib.sensitivity.sampling import sample
-from calib.sensitivity.spearman import noise_floor, spearman
+from calib.sensitivity.selection import Assessment, assess
+from calib.sensitivity.spearman import noise_floor
+from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
 from calib.study import Study
+
+SampleProgress = Callable[[int, int], None]
+
+_BATCH = 50
+"""Points evaluated, and added to the ledger, at once."""
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Rank correlations and what is behind them.
+    """Measures of influence and what is behind them.
 
     Attributes
     ----------
-    table : DataFrame (n_parameters, n_responses)
+    assessment : Assessment
+        Spearman, partial rank correlation, influence, and the selection that follows.
     samples : int
         Accepted points.
     failed : int
@@ -34,10 +45,10 @@ class Sensitivity:
     acceptance : float
         Part of the drawn points that kept the constraints.
     noise_floor : float
-        Largest correlation that chance alone would give in the whole table, 95 %.
+        Largest rank correlation that chance alone would give in the whole table, 95 %.
     """
 
-    table: pd.DataFrame
+    assessment: Assessment
     samples: int
     failed: int
     unpaired: int
@@ -51,33 +62,123 @@ def sensitivity(
     ledger: Ledger,
     workers: int | None = None,
     quick: bool = False,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: SampleProgress = lambda done, total: None,
 ) -> Sensitivity:
-    """Latin hypercube over all free parameters and Spearman's rank correlation with every frequency and MAC."""
+    """Latin hypercube over all free parameters under the constraints; rank correlations, influence, selection."""
     settings = study.settings.sensitivity
     space = study.sensitivity_space
     count = min(settings.samples, QUICK_SAMPLES) if quick else settings.samples
     drawn = sample(space, count, settings.seed)
-    points = [space.complete(x) for x in drawn.points]
-    outcomes = []
-    with open_evaluator(study, workers, count) as evaluator:
-        for start in range(0, count, 50):
-            outcomes += ledger.evaluate(study.problem.fingerprint, points[start : start + 50], evaluator)
-            progress(len(outcomes), count)
-    names = _sensitivity_responses(study)
+    outcomes = _evaluate(study, ledger, [space.complete(x) for x in drawn.points], workers, progress)
     x = pd.DataFrame(drawn.points, columns=list(space.free_names))
-    y = pd.DataFrame([{n: o.responses.get(n, np.nan) for n in names} for o in outcomes], columns=names)
-    y = y.astype(float)
+    y = _table_of(study, outcomes)
     failed = sum(o.status != "ok" for o in outcomes)
-    unpaired = int(y.isna().any(axis=1).sum()) - failed
-    if failed == count:
-        raise InputError(f"all {count} samples failed: {outcomes[0].error}", place=study.file)
-    table = spearman(x, y)
-    complete = int((~y.isna().any(axis=1)).sum())
-    results.write_table("sensitivity", table, index=True)
+    forced = None if isinstance(study.settings.selection, str) else study.settings.selection
+    assessment = assess(x, y, forced)
+    results.write_table("sensitivity", assessment.spearman, index=True)
+    results.write_table("partial", assessment.partial, index=True)
+    results.write_table("influence", assessment.influence.table, index=True)
+    results.write_table("selection", assessment.selection)
     results.write_table("sensitivity_samples", pd.concat([x, y], axis=1))
-    floor = noise_floor(max(complete, 3), max(int(table.notna().sum().sum()), 1))
-    return Sensitivity(table, count, failed, unpaired, drawn.acceptance, floor)
+    if space.constraints:
+        results.write_table("input_correlation", assessment.input_correlation, index=True)
+    complete = int((~y.isna().any(axis=1)).sum())
+    floor = noise_floor(max(complete, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
+    unpaired = int(y.isna().any(axis=1).sum()) - failed
+    return Sensitivity(assessment, count, failed, unpaired, drawn.acceptance, floor)
+
+
+def selected_by_measures(study: Study, home: Results) -> Study:
+    """The study with the parameters that its sensitivity analysis selected, if it leaves the choice to it."""
+    if not isinstance(study.settings.selection, str):
+        return study
+    path: Path = home.path / "selection.csv"
+    if not path.is_file():
+        raise InputError(
+            "the study selects its parameters from the sensitivity analysis, which was not made yet",
+            place=study.file,
+            remedy=f"run 'calib sensitivity {study.file.parent}' first",
+        )
+    table = pd.read_csv(path)
+    names = tuple(table.loc[table["selected"].astype(bool), "parameter"])
+    if not names:
+        raise InputError(
+            "the sensitivity analysis selected no parameter", place=path, remedy="name them in 'selection'"
+        )
+    return study.selecting(names)
+
+
+# -- on request --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Elementary effects or variance shares.
+
+    Attributes
+    ----------
+    method : {"morris", "sobol"}
+    table : DataFrame
+        One row a parameter and response.
+    points : int
+        Points evaluated.
+    note : str
+        What the points leave out of account.
+    """
+
+    method: str
+    table: pd.DataFrame
+    points: int
+    note: str
+
+
+def screen(
+    study: Study,
+    results: Results,
+    ledger: Ledger,
+    method: Literal["morris", "sobol"],
+    workers: int | None = None,
+    quick: bool = False,
+    ignore_constraints: bool = False,
+    progress: SampleProgress = lambda done, total: None,
+) -> Screening:
+    """Morris' elementary effects or Sobol's variance shares, for inputs that vary freely between their limits."""
+    space, seed = study.sensitivity_space, study.settings.sensitivity.seed
+    design: Design
+    if method == "morris":
+        design = morris_design(space, 5 if quick else 20, seed, ignore_constraints=ignore_constraints)
+    else:
+        design = sobol_design(space, 16 if quick else 128, seed, ignore_constraints)
+    outcomes = _evaluate(study, ledger, [space.complete(x) for x in design.points], workers, progress)
+    responses = _table_of(study, outcomes)
+    table = morris_effects(design, responses) if method == "morris" else sobol_shares(design, responses)
+    results.write_table(method, table)
+    return Screening(method, table, len(design.points), design.note)
+
+
+# -- evaluations -------------------------------------------------------------------------------------------------------
+
+
+def _evaluate(
+    study: Study,
+    ledger: Ledger,
+    points: Sequence[Mapping[str, float]],
+    workers: int | None,
+    progress: SampleProgress,
+) -> list[Outcome]:
+    outcomes: list[Outcome] = []
+    with open_evaluator(study, workers, len(points)) as evaluator:
+        for start in range(0, len(points), _BATCH):
+            outcomes += ledger.evaluate(study.problem.fingerprint, points[start : start + _BATCH], evaluator)
+            progress(len(outcomes), len(points))
+    if all(o.status != "ok" for o in outcomes):
+        raise InputError(f"all {len(points)} samples failed: {outcomes[0].error}", place=study.file)
+    return outcomes
+
+
+def _table_of(study: Study, outcomes: Sequence[Outcome]) -> pd.DataFrame:
+    names = _sensitivity_responses(study)
+    return pd.DataFrame([{n: o.responses.get(n, np.nan) for n in names} for o in outcomes], columns=names).astype(float)
 
 
 def _sensitivity_responses(study: Study) -> list[str]:

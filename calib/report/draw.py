@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from calib.errors import InputError
 from calib.report.calibration import draw_convergence, draw_parameters
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
-from calib.report.sensitivity import draw_sensitivity
+from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.style import add_heading, save, style
 
@@ -165,6 +165,27 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
     if path.exists():
         rank = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
         add("sensitivity", "sensitivity of the responses", lambda: _owner(draw_sensitivity(rank)))
+    path = folder / "partial.csv"
+    if path.exists():
+        held = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
+        label = "partial rank correlation (–)"
+        add("partial", "sensitivity, all other parameters held", lambda: _owner(draw_sensitivity(held, label=label)))
+    path = folder / "influence.csv"
+    if path.exists():
+        own = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
+        share = "root of the share of variance (–)"
+        add("influence", "influence of each parameter alone", lambda: _owner(draw_sensitivity(own, None, 0.1, share)))
+    path = folder / "input_correlation.csv"
+    if path.exists():
+        inputs = _square(path)
+        if len(inputs) > 1:
+            add("input_correlation", "what constraints tie together", lambda: _owner(draw_input_correlation(inputs)))
+    path = folder / "selection.csv"
+    if path.exists():
+        numbers = [name for measure in MEASURES for name in (f"max_{measure}", f"{measure}_floor")]
+        flags = ["measured", "selected"]
+        chosen = read_table(path, ["parameter"], numbers, flags=flags, unique="parameter")
+        add("selection", "which parameters matter", lambda: _owner(draw_selection(chosen)))
     path = folder / "parameters.csv"
     if path.exists():
         found = read_table(
@@ -189,6 +210,17 @@ def _comparison(path: Path) -> pd.DataFrame | None:
         return None
     numbers = ["natural_freq_measured", "natural_freq_model", "freq_error", "mac"]
     return read_table(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
+
+
+def _square(path: Path) -> pd.DataFrame:
+    table = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
+    if table["parameter"].tolist() != [c for c in table.columns if c != "parameter"]:
+        raise InputError(
+            "rows and columns do not name the same parameters",
+            place=path,
+            remedy="run the study again to write it anew",
+        )
+    return table
 
 
 def _comac(path: Path) -> pd.DataFrame | None:

@@ -8,9 +8,22 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.transforms import blended_transform_factory
 
-from calib.report.style import matrix_height, own_axes, separate_cells
+from calib.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    SKY,
+    legend_above,
+    matrix_height,
+    new_figure,
+    own_axes,
+    separate_cells,
+)
 
 RESPONSE_KINDS = {
     "natural_freq_": "natural frequency",
@@ -61,6 +74,97 @@ def draw_sensitivity(
     blank = f"blank: |value| < {threshold:g}" + ("; grey: no value" if np.isnan(values).any() else "")
     ax.set_xlabel(f"response of mode ({blank})")
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
+    return ax
+
+
+MEASURES = {
+    "spearman": ("Spearman, as it is in the sample", SKY),
+    "partial": ("partial rank correlation, others held", ORANGE),
+    "influence": ("influence of its own, even effects too", BLUE),
+}
+"""Measure, what it is called in the legend, and its colour."""
+
+
+def draw_selection(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """Draw the largest value of each measure for every parameter, its noise floor, and what was selected.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``parameter``, ``max_spearman``, ``max_partial``, ``max_influence`` (sizes count, signs do not), the
+        floor of each (``spearman_floor`` and so on), and the flags ``measured`` and ``selected``. A value below its
+        floor is drawn hollow, an unknown one left out.
+    ax : Axes, optional
+    """
+    count, height = len(table), 0.26
+    ax = own_axes(ax, 0.42 * count + 1.0)
+    rows = np.arange(count)
+    for k, (measure, (_, colour)) in enumerate(MEASURES.items()):
+        size = np.abs(table[f"max_{measure}"].to_numpy(dtype=float))
+        floor = table[f"{measure}_floor"].to_numpy(dtype=float)
+        at = rows + (k - 1) * height
+        passed = size >= floor
+        ax.barh(at, size, 0.86 * height, color=[colour if p else "white" for p in passed], edgecolor=colour, lw=0.9)
+        at, floor = at[np.isfinite(floor)], floor[np.isfinite(floor)]
+        ax.vlines(floor, at - 0.5 * height, at + 0.5 * height, color=BLACK, linewidth=1.3)
+    for row, (measured, selected) in enumerate(zip(table["measured"], table["selected"], strict=True)):
+        words = ("selected" if measured else "kept by the study") if selected else ""
+        words = words or ("left out by the study" if measured else "–")
+        ax.text(1.02, row, words, va="center", fontsize=8.5, color=BLACK if selected else GREY)
+        if row:
+            ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
+    ax.set_yticks(rows, table["parameter"].astype(str))
+    ax.tick_params(axis="y", length=0)
+    ax.set(ylim=(count - 0.5, -0.5), xlim=(0.0, 1.0), xlabel="largest size over all responses (–)")
+    ax.grid(axis="x")
+    handles = [Patch(facecolor=colour, edgecolor=colour, label=label) for label, colour in MEASURES.values()]
+    floor_mark = Line2D(
+        [], [], color=BLACK, marker="|", linestyle="", markersize=9, label="least that counts (hollow below)"
+    )
+    legend_above(ax, [*handles, floor_mark])
+    return ax
+
+
+def draw_input_correlation(table: pd.DataFrame, ax: Axes | None = None, threshold: float = 0.25) -> Axes:
+    """Draw the rank correlation between parameters that a constraint has induced, as the lower half of a matrix.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Column ``parameter`` and one column of every parameter, in the same order; NaN where unknown.
+    ax : Axes, optional
+    threshold : float
+        Cells whose modulus is below it stay blank.
+
+    Raises
+    ------
+    ValueError
+        When rows and columns do not name the same parameters.
+    """
+    names = table["parameter"].astype(str).tolist()
+    if [c for c in table.columns if c != "parameter"] != names:
+        raise ValueError("rows and columns do not name the same parameters")
+    count = len(names)
+    below = np.tril(np.ones((count, count), dtype=bool), -1)[1:, :-1]
+    values = table[names].to_numpy(dtype=float)[1:, :-1]
+    if ax is None:
+        ax = new_figure(float(np.clip(0.36 * count, 1.2, 9.0)) + 1.4).add_subplot()
+    shown = np.where(below & (np.abs(values) >= threshold), values, np.nan)
+    ax.imshow(np.where(below & np.isnan(values), 1.0, 0.0), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
+    image = ax.imshow(shown, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
+    for i, j in np.argwhere(np.isfinite(shown)):
+        colour = "white" if abs(shown[i, j]) > 0.65 else "black"
+        text = f"{shown[i, j]:.2f}".replace("-", "−")
+        ax.text(j, i, text, ha="center", va="center", fontsize=8.0, color=colour)
+    for i, j in np.argwhere(below):
+        ax.plot([j - 0.5, j + 0.5, j + 0.5, j - 0.5, j - 0.5], [i - 0.5, i - 0.5, i + 0.5, i + 0.5, i - 0.5],
+                color="#D0D0D0", linewidth=0.6, clip_on=False)  # fmt: skip
+    ax.set_xticks(range(count - 1), names[:-1], rotation=90)
+    ax.set_yticks(range(count - 1), names[1:])
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    ax.set_xlabel(f"parameter (blank: |value| < {threshold:g}; 0 is expected without constraints)")
+    ax.figure.colorbar(image, ax=ax, label="rank correlation of inputs (–)", fraction=0.04, pad=0.02, aspect=40)
     return ax
 
 

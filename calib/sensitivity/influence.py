@@ -9,11 +9,10 @@ from itertools import combinations
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import qr
 from scipy.stats import f as fisher
 from scipy.stats import norm, rankdata
 
-from calib.errors import InputError
+from calib.sensitivity.partial import orthonormal, orthonormal_beyond, same_rows, table_arrays
 
 RELEVANT = 0.1
 """Influence below which a certain effect is still not worth a parameter: 1 % of the response's variance."""
@@ -21,8 +20,6 @@ RELEVANT = 0.1
 _OWN_DEGREE, _OTHERS_DEGREE = 3, 4
 _ROWS_A_TERM = 1.5
 """Rows needed for every term of the model."""
-_OWN_PART = 1e-6
-"""Part of a term's length outside the span of the others below which rounding alone could make it."""
 
 Unit = tuple[str, ...]
 
@@ -39,14 +36,15 @@ class Influence:
         its own (an equality constraint), a constant response, or too few rows.
     floor : DataFrame (n_units, n_responses)
         What chance alone would reach in the whole table with the given probability.
-    even : DataFrame (n_units, n_responses)
-        Part of ``table`` squared that no straight line in the unit's ranks gives, 0 to 1: near 1 for an influence that
-        acts alike up and down or only together with other parameters; NaN like ``table``.
+    straight, curved : DataFrame (n_units, n_responses)
+        Parts of the unit's own sum of squares that straight lines and then parabolas and cubics in its ranks take; the
+        rest, up to 1, acts only together with other parameters. An influence alike up and down is almost all curved.
     """
 
     table: pd.DataFrame
     floor: pd.DataFrame
-    even: pd.DataFrame
+    straight: pd.DataFrame
+    curved: pd.DataFrame
 
 
 def influence(points: pd.DataFrame, responses: pd.DataFrame, level: float = 0.95) -> Influence:
@@ -97,25 +95,21 @@ def joint_influence(
         The rows of the tables returned, named by the members joined with ``+``.
     level : float
     """
-    x, y = _checked(points, responses)
+    x, y = table_arrays(points, responses)
     names = [str(c) for c in points.columns]
     members = [frozenset(names.index(m) for m in unit) for unit in units]
     shape = (len(units), y.shape[1])
-    value, floor, even = (np.full(shape, np.nan) for _ in range(3))
+    tables = np.full((4, *shape), np.nan)
     tail = -math.expm1(math.log(level) / max(1, shape[0] * shape[1]))
-    known = np.isfinite(y)
-    for pattern in np.unique(known, axis=1).T if y.size else ():
-        columns = np.flatnonzero((known == pattern[:, None]).all(axis=0))
-        scores = _normal_scores(y[np.ix_(pattern, columns)])
-        terms = _Terms.of(x[pattern])
+    for rows, columns in same_rows(y):
+        terms = _Terms.of(x[rows])
         if terms is None:
             continue
+        scores = _normal_scores(y[np.ix_(rows, columns)])
         for i, unit in enumerate(members):
-            cells = _cells(terms, unit, scores, tail)
-            if cells is not None:
-                value[i, columns], floor[i, columns], even[i, columns] = cells
+            tables[:, i, columns] = _cells(terms, unit, scores, tail)
     index = pd.Index(["+".join(unit) for unit in units], name="parameter")
-    return Influence(*(pd.DataFrame(a, index=index, columns=responses.columns) for a in (value, floor, even)))
+    return Influence(*(pd.DataFrame(a, index=index, columns=responses.columns) for a in tables))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,49 +144,32 @@ class _Terms:
         return _Terms(np.stack(values, axis=1), tuple(owners), tuple(degrees))
 
 
-def _cells(
-    terms: _Terms, unit: frozenset[int], scores: np.ndarray, tail: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Influence, floor and even part of one unit on some responses (n, n_responses); None where it has no own part."""
+def _cells(terms: _Terms, unit: frozenset[int], scores: np.ndarray, tail: float) -> np.ndarray:
+    """Influence, floor, straight and curved part of one unit, (4, n_responses); NaN where it has no part of its own."""
     n = len(scores)
     others = [k for k, owner in enumerate(terms.owners) if not owner & unit]
     own = [k for k, owner in enumerate(terms.owners) if owner & unit and terms.degrees[k] <= _OWN_DEGREE]
-    straight = [k for k in own if terms.degrees[k] == 1]
-    frame = _orthonormal(np.column_stack([np.ones(n), terms.values[:, others]]))
-    line = _orthonormal_beyond(frame, terms.values[:, straight])
-    bend = _orthonormal_beyond(np.column_stack([frame, line]), terms.values[:, own])
-    q = line.shape[1] + bend.shape[1]
-    left = n - frame.shape[1] - q
+    kinds = (
+        [k for k in own if terms.degrees[k] == 1],
+        [k for k in own if len(terms.owners[k]) == 1 and terms.degrees[k] > 1],
+        [k for k in own if len(terms.owners[k]) == 2],
+    )
+    frame = orthonormal(np.column_stack([np.ones(n), terms.values[:, others]]))
+    rest = scores - frame @ (frame.T @ scores)
+    taken, q = [], 0
+    for kind in kinds:
+        added = orthonormal_beyond(frame, terms.values[:, kind])
+        taken.append(((added.T @ rest) ** 2).sum(axis=0))
+        frame, q = np.column_stack([frame, added]), q + added.shape[1]
+    left = n - frame.shape[1]
     if q == 0 or left < 2:
-        return None
-    before = scores - frame @ (frame.T @ scores)
-    by_line, by_bend = ((line.T @ before) ** 2).sum(axis=0), ((bend.T @ before) ** 2).sum(axis=0)
-    total = (scores**2).sum(axis=0)
+        return np.full((4, scores.shape[1]), np.nan)
+    total, gain = (scores**2).sum(axis=0), np.sum(taken, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        spread = np.maximum((before**2).sum(axis=0) - by_line - by_bend, 0.0) / left
-        share = np.clip((by_line + by_bend - q * spread) / total, 0.0, 1.0)
-        limit = q * spread * (float(fisher.isf(tail, q, left)) - 1.0) / total
-        even = by_bend / (by_line + by_bend)
-    return np.sqrt(share), np.sqrt(np.minimum(limit, 1.0)), even
-
-
-def _orthonormal(a: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that span the columns of ``a``, however nearly they depend on each other."""
-    size = np.linalg.norm(a, axis=0)
-    q, r, _ = qr(a[:, size > 0] / size[size > 0], mode="economic", pivoting=True)
-    return q[:, : int((np.abs(np.diag(r)) > _OWN_PART).sum())]
-
-
-def _orthonormal_beyond(frame: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Orthonormal columns for the part of ``a`` outside the span of ``frame``; parts of rounding only are left out."""
-    size = np.linalg.norm(a, axis=0)
-    a = a[:, size > 0] / size[size > 0]
-    for _ in range(2):  # once more, since one projection of nearly dependent columns leaves rounding behind
-        a = a - frame @ (frame.T @ a)
-    if a.shape[1] == 0:
-        return a
-    q, r, _ = qr(a, mode="economic", pivoting=True)
-    return q[:, : int((np.abs(np.diag(r)) > _OWN_PART).sum())]
+        spread = np.maximum((rest**2).sum(axis=0) - gain, 0.0) / left
+        share = np.clip((gain - q * spread) / total, 0.0, 1.0)
+        limit = np.minimum(q * spread * (float(fisher.isf(tail, q, left)) - 1.0) / total, 1.0)
+        return np.stack([np.sqrt(share), np.sqrt(limit), taken[0] / gain, taken[1] / gain])
 
 
 def _normal_scores(y: np.ndarray) -> np.ndarray:
@@ -200,15 +177,3 @@ def _normal_scores(y: np.ndarray) -> np.ndarray:
     scores = norm.ppf(np.stack([rankdata(column) / (len(column) + 1) for column in y.T], axis=1))
     scores = scores - scores.mean(axis=0)
     return np.where(np.ptp(y, axis=0) > 0, scores, 0.0)
-
-
-def _checked(points: pd.DataFrame, responses: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    if not points.index.equals(responses.index):
-        raise InputError(
-            f"{len(points)} points and {len(responses)} rows of responses do not belong together row for row",
-            place="influence",
-        )
-    x = points.to_numpy(dtype=float)
-    if not np.isfinite(x).all():
-        raise InputError("a parameter is unknown at some point", place="influence", remedy="leave that point out")
-    return x, responses.to_numpy(dtype=float)

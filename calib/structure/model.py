@@ -101,9 +101,9 @@ class Locator(Protocol):
 class ModalModel(Protocol):
     """What a comparison asks of a model: modes over its own degrees of freedom and what follows from them.
 
-    A finite-element model has many degrees of freedom and sparse matrices, a reduced one few and dense matrices; whoever
-    asks need not know which. Values are named, each in its parameter's unit; parameters left out take their adopted
-    value. Shapes are (n_dof, n_modes), real or complex.
+    A finite-element model has many degrees of freedom and sparse matrices, a reduced one few and dense matrices; it is
+    not for the asker to know which. Values are named, each in its parameter's unit; parameters left out take their
+    adopted value. Shapes are (n_dof, n_modes), real or complex.
     """
 
     @property
@@ -287,7 +287,7 @@ class StructuralModel:
         return strain_energy_shares(self.stiffness(si), shapes, named)[0]
 
     def strain_energy(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """Strain energy ``phi^H K phi / 2`` of each mode in the scale of its shape, (n_modes,); 0 for a rigid motion."""
+        """Strain energy ``phi^H K phi / 2`` of each mode in the scale of its shape, (n_modes,)."""
         si = self.space.si(self.space.complete(values))
         return strain_energy(self.stiffness(si), shapes)
 

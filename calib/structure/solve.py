@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg as la
@@ -10,13 +12,16 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from calib.errors import EvaluationError
-from calib.structure.modes import ExcludedRoot, Modes, RootKind
+from calib.structure.inertia import count_below, symmetric_factor
+from calib.structure.missed import missed_vectors, real_span
+from calib.structure.modes import Modes
+from calib.structure.roots import TurningShare, damped_modes, is_zero, real_modes, vibrates
 
 DENSE_LIMIT = 80
 """Up to this many degrees of freedom dense LAPACK is faster and safer than Arnoldi iteration."""
 
-_REAL = 1e-7
-"""Imaginary part over modulus below which a root is real: a critical pair splits by the root of machine precision."""
+_COPY = 1e-6
+"""Relative distance of squared frequencies below which modes count as copies of one another."""
 
 _SHIFT = 1e-10
 """Square of the shift over the largest local eigenvalue: keeps the factor regular when rigid-body modes exist."""
@@ -34,6 +39,10 @@ def solve_modes(
     Zero, spin and overdamped roots are listed in `Modes.excluded` and do not count. The damped problem is solved in
     state space (Foss 1958) by inverse Arnoldi iteration about a small real shift, so that only one real symmetric
     matrix is factorised.
+
+    An iteration from one vector may leave out copies of a repeated root. Undamped modes are therefore counted by
+    Sylvester's law of inertia, and damped ones sought once more with all that were found projected out: the first is
+    a proof to within rounding, the second is not.
 
     Parameters
     ----------
@@ -53,15 +62,15 @@ def solve_modes(
     Raises
     ------
     EvaluationError
-        When matrices are not finite, the factor is singular or the iteration does not converge.
+        When matrices are not finite, the factor is singular, the iteration does not converge, or undamped modes are
+        known to be missing.
     """
-    n = stiffness.shape[0]
     for label, matrix in (("stiffness", stiffness), ("damping", damping), ("mass", mass)):
         if matrix is not None and not np.all(np.isfinite(matrix.data)):
             raise EvaluationError(f"the {label} matrix holds entries that are not finite")
     if not mass.diagonal().max(initial=0.0) > 0:
         raise EvaluationError("the model has no mass")
-    turning = np.zeros(n, dtype=bool) if rotational is None else rotational
+    turning = _turning_share(mass, rotational)
     shift = _shift(stiffness, mass)
     try:
         if damping is None or not np.any(damping.data):
@@ -80,14 +89,15 @@ def _shift(stiffness: sp.csc_array, mass: sp.csc_array) -> float:
     return float(np.sqrt(_SHIFT * max(np.max(np.abs(k[heavy]) / m[heavy]), 1e-300)))
 
 
-def _factor(matrix: sp.csc_array) -> spla.SuperLU:
-    """LU of a symmetric positive definite matrix; the ordering is 5-7 times faster here than SuperLU's default."""
-    return spla.splu(
-        sp.csc_matrix(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+def _turning_share(mass: sp.csc_array, rotational: np.ndarray | None) -> TurningShare:
+    turning = np.zeros(mass.shape[0], dtype=bool) if rotational is None else rotational
+
+    def share(shape: np.ndarray) -> float:
+        part = np.where(turning, shape, 0.0)
+        total = abs(np.vdot(shape, mass @ shape))
+        return float(abs(np.vdot(part, mass @ part)) / total) if total > 0 else 0.0
+
+    return share
 
 
 def _start_vector(n: int) -> np.ndarray:
@@ -98,7 +108,7 @@ def _start_vector(n: int) -> np.ndarray:
 # -- undamped ----------------------------------------------------------------------------------------------------------
 
 
-def _real_modes(stiffness: sp.csc_array, mass: sp.csc_array, count: int, shift: float, rotational: np.ndarray) -> Modes:
+def _real_modes(stiffness: sp.csc_array, mass: sp.csc_array, count: int, shift: float, turning: TurningShare) -> Modes:
     n = stiffness.shape[0]
     asked = count
     while True:
@@ -106,7 +116,7 @@ def _real_modes(stiffness: sp.csc_array, mass: sp.csc_array, count: int, shift: 
             squares, shapes = _dense_real(stiffness, mass, shift)
             complete = True
         else:
-            lu = _factor(sp.csc_array(stiffness + shift**2 * mass))
+            lu = symmetric_factor(sp.csc_array(stiffness + shift**2 * mass))
             squares, shapes = spla.eigsh(
                 sp.csr_matrix(stiffness),
                 k=asked,
@@ -115,19 +125,48 @@ def _real_modes(stiffness: sp.csc_array, mass: sp.csc_array, count: int, shift: 
                 OPinv=spla.LinearOperator((n, n), matvec=lu.solve, dtype=float),
                 v0=_start_vector(n),
             )
+            squares, shapes = _with_missed_real(squares, shapes, lu, stiffness, mass, count, shift)
             complete = False
-        order = np.argsort(squares)
-        squares, shapes = squares[order], shapes[:, order]
-        zero = squares < (0.1 * shift) ** 2
-        if complete or np.count_nonzero(~zero) >= count:
-            break
+        if complete or np.count_nonzero(~is_zero(squares, shift)) >= count:
+            return real_modes(squares, shapes, mass, count, shift, turning)
         asked = min(2 * asked, n)
-    shapes = shapes / np.sqrt(np.einsum("ij,ij->j", shapes, mass @ shapes))
-    keep = np.flatnonzero(~zero)[:count]
-    omega = np.sqrt(squares[keep])
-    excluded = tuple(_zero_root(0.0, shapes[:, j], mass, rotational) for j in np.flatnonzero(zero))
-    freq = omega / (2 * np.pi)
-    return Modes(freq, freq.copy(), np.zeros(len(freq)), shapes[:, keep], excluded)
+
+
+def _with_missed_real(
+    squares: np.ndarray,
+    shapes: np.ndarray,
+    lu: spla.SuperLU,
+    stiffness: sp.csc_array,
+    mass: sp.csc_array,
+    count: int,
+    shift: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The modes found and those that the iteration left out below the last one wanted."""
+
+    def operate(block: np.ndarray) -> np.ndarray:
+        return lu.solve(mass @ block)
+
+    while True:
+        zero = int(np.count_nonzero(is_zero(squares, shift)))
+        if zero == len(squares):
+            return squares, shapes  # rigid-body motions only: more will be asked
+        last = float(np.sort(squares)[min(zero + count, len(squares)) - 1])
+        edge = last * (1 - _COPY)
+        freq = math.sqrt(edge) / (2 * np.pi)
+        missing: int | None = None
+        with contextlib.suppress(EvaluationError):  # then only the second search tells
+            missing = count_below(stiffness, mass, freq) - int(np.count_nonzero(squares < edge))
+        if missing is not None and missing <= 0:
+            return squares, shapes
+        basis = la.qr(shapes, mode="economic")[0]
+        more, _ = missed_vectors(operate, basis, 1.0 / (edge + shift**2))
+        if not more.shape[1]:
+            if missing:
+                raise EvaluationError(f"{missing} modes below {freq:.6g} Hz were not found")
+            return squares, shapes
+        basis = np.hstack([basis, more])
+        squares, weights = la.eigh(basis.T @ (stiffness @ basis), basis.T @ (mass @ basis))
+        shapes = basis @ weights
 
 
 def _dense_real(stiffness: sp.csc_array, mass: sp.csc_array, shift: float) -> tuple[np.ndarray, np.ndarray]:
@@ -148,82 +187,82 @@ def _complex_modes(
     mass: sp.csc_array,
     count: int,
     shift: float,
-    rotational: np.ndarray,
+    turning: TurningShare,
 ) -> Modes:
     n = stiffness.shape[0]
-    lu = _factor(sp.csc_array(stiffness + shift * damping + shift**2 * mass))
+    lu = symmetric_factor(sp.csc_array(stiffness + shift * damping + shift**2 * mass))
     speed = _typical_speed(lu, mass)
-    c_shifted = sp.csr_array(damping + shift * mass)
-    m_rows = sp.csr_array(mass)
+    # Motions without mass and damper follow the others statically, so they are no part of the state.
+    carried = np.zeros(n, dtype=bool)
+    carried[mass.indices[mass.data != 0]] = True
+    carried[damping.indices[damping.data != 0]] = True
+    carried = np.flatnonzero(carried)
+    h = len(carried)
+    momentum = sp.csr_array(sp.hstack([damping[:, carried] + shift * mass[:, carried], speed * mass[:, carried]]))
 
     def inverse(state: np.ndarray) -> np.ndarray:
-        """(A - shift)^-1 of the state (u, v/speed) with A: u' = v, M v' = -K u - C v."""
-        u, v = state[:n], speed * state[n:]
-        new = -lu.solve(c_shifted @ u + m_rows @ v)
-        return np.concatenate([new, (u + shift * new) / speed])
+        """(A - shift)^-1 of states (u, v/speed), one or a block, with A: u' = v, M v' = -K u - C v."""
+        out = np.empty_like(state)
+        out[:h] = -lu.solve(momentum @ state)[carried]
+        out[h:] = (state[:h] + shift * out[:h]) / speed
+        return out
 
-    asked = 2 * count + 4
+    asked = 2 * count + 2
     while True:
-        if n <= DENSE_LIMIT or asked >= 2 * n - 2:
-            matrix = np.column_stack([inverse(column) for column in np.eye(2 * n)])
-            inverses, states = la.eig(matrix)
+        if n <= DENSE_LIMIT or asked >= 2 * h - 2:
+            inverses, states = la.eig(inverse(np.eye(2 * h)))
             complete = True
         else:
-            operator = spla.LinearOperator((2 * n, 2 * n), matvec=inverse, dtype=float)
+            operator = spla.LinearOperator((2 * h, 2 * h), matvec=inverse, dtype=float)
             inverses, states = spla.eigs(
-                operator, k=asked, which="LM", v0=_start_vector(2 * n), ncv=min(2 * n, 3 * asked // 2), tol=1e-11
+                operator, k=asked, which="LM", v0=_start_vector(2 * h), ncv=min(2 * h, 2 * asked + 4), tol=1e-11
             )
+            inverses, states = _with_missed_damped(inverses, states, inverse, count, shift)
             complete = False
         finite = np.abs(inverses) > 1e-14 * np.abs(inverses).max()
-        roots = shift + 1.0 / inverses[finite]
-        shapes = states[:n, finite]
-        near_zero = np.abs(roots) < 0.1 * shift
-        oscillating = (roots.imag > _REAL * np.abs(roots)) & ~near_zero
-        if complete or np.count_nonzero(oscillating) >= count:
+        inverses, states = inverses[finite], states[:, finite]
+        roots = shift + 1.0 / inverses
+        if complete or np.count_nonzero(vibrates(roots, shift)) >= count:
             break
-        asked = min(2 * asked, 2 * n)
-    excluded = _excluded(roots, shapes, near_zero, mass, rotational)
-    roots, shapes = roots[oscillating], shapes[:, oscillating]
-    order = np.argsort(np.abs(roots), kind="stable")[:count]
-    roots, shapes = roots[order], shapes[:, order]
-    scale = 2 * roots * np.einsum("ij,ij->j", shapes, mass @ shapes) + np.einsum("ij,ij->j", shapes, damping @ shapes)
-    shapes = shapes / np.sqrt(scale)
-    size = np.abs(roots)
-    return Modes(size / (2 * np.pi), roots.imag / (2 * np.pi), -roots.real / size, shapes, excluded)
+        asked = min(2 * asked, 2 * h)
+
+    def displacement(which: np.ndarray) -> np.ndarray:
+        """Displacements of all motions in some of the eigenvectors, (n, len(which))."""
+        forces = momentum @ (states[:, which] / inverses[which])
+        parts = -lu.solve(np.hstack([forces.real, forces.imag]))
+        return parts[:, : len(which)] + 1j * parts[:, len(which) :]
+
+    return damped_modes(roots, displacement, damping, mass, count, shift, turning)
+
+
+def _with_missed_damped(
+    inverses: np.ndarray,
+    states: np.ndarray,
+    inverse: Callable[[np.ndarray], np.ndarray],
+    count: int,
+    shift: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenpairs of the inverse found and those that the iteration left out below the last mode wanted."""
+    while True:
+        roots = shift + 1.0 / inverses
+        wanted = np.flatnonzero(vibrates(roots, shift))
+        if len(wanted) < count:
+            return inverses, states  # more will be asked
+        last = wanted[np.argsort(np.abs(roots[wanted]))[count - 1]]
+        found = real_span(inverses, states)
+        more, _ = missed_vectors(inverse, found, float(np.abs(inverses[last])))
+        if not more.shape[1]:
+            return inverses, states
+        basis = np.hstack([found, more])
+        inverses, weights = la.eig(basis.T @ inverse(basis))
+        states = basis @ weights
 
 
 def _typical_speed(lu: spla.SuperLU, mass: sp.csc_array) -> float:
     """A frequency in rad/s that balances displacements and velocities in the state vector."""
     x = _start_vector(mass.shape[0])
-    for _ in range(3):
+    for _ in range(2):
         x = lu.solve(mass @ x)
         x /= np.linalg.norm(x)
     grown = lu.solve(mass @ x)
     return 1.0 / math.sqrt(max(abs(float(x @ grown)), 1e-300))
-
-
-def _excluded(
-    roots: np.ndarray, shapes: np.ndarray, near_zero: np.ndarray, mass: sp.csc_array, rotational: np.ndarray
-) -> tuple[ExcludedRoot, ...]:
-    """Zero and overdamped roots among those found; the two members of a zero pair are listed once each."""
-    real = (np.abs(roots.imag) <= _REAL * np.abs(roots)) & ~near_zero
-    found = [_zero_root(complex(roots[j]), shapes[:, j], mass, rotational) for j in np.flatnonzero(near_zero)]
-    found += [
-        ExcludedRoot("overdamped", complex(roots[j].real), f"decays without oscillation at {-roots[j].real:.4g} 1/s")
-        for j in np.flatnonzero(real)
-    ]
-    return tuple(sorted(found, key=_size))
-
-
-def _size(root: ExcludedRoot) -> float:
-    return abs(root.eigenvalue)
-
-
-def _zero_root(root: complex, shape: np.ndarray, mass: sp.csc_array, rotational: np.ndarray) -> ExcludedRoot:
-    """A zero root: spin when its kinetic energy lies in rotations alone, else a rigid-body motion or mechanism."""
-    turning = np.where(rotational, shape, 0.0)
-    total = abs(np.vdot(shape, mass @ shape))
-    share = abs(np.vdot(turning, mass @ turning)) / total if total > 0 else 0.0
-    kind: RootKind = "spin" if share > 0.99 else "zero"
-    words = "rotation of a part about its own axis" if kind == "spin" else "rigid-body motion or mechanism"
-    return ExcludedRoot(kind, root, words)

@@ -42,7 +42,11 @@ INITIAL_ERROR = (0.103, 0.109)
 
 
 def sensors() -> tuple[Sensor, ...]:
-    """The 26 measured directions with their nominal places (m) and the parts that carry them."""
+    """The 30 measured directions with their nominal places (m) and the parts that carry them.
+
+    Four of them sit on the outer arms of the axle boxes: only the boxes' own rotation tells the upper from the lower
+    connecting rods, which act on all wheelset frequencies in nearly the same proportion.
+    """
     places: list[tuple[str, tuple[float, float, float], str]] = []
     for z in (1.05, -1.05):
         places += [("y", (x, 0.62, z), "frame") for x in (-2.005, -1.115, 0.0, 1.115, 2.005)]
@@ -53,6 +57,8 @@ def sensors() -> tuple[Sensor, ...]:
         places += [("x", (x, 0.43, z), f"axle_{end}") for z in (0.87, -0.87)]
     for side, z in (("left", 1.17), ("right", -1.17)):
         places += [("y", (x, 1.05, z), f"block_{side}") for x in (-0.28, 0.28)]
+    for end, x in (("front", 1.73), ("rear", -1.73)):
+        places += [("y", (x, 0.43, z), f"box_{end}_{side}") for side, z in (("left", 1.05), ("right", -1.05))]
     return tuple(Sensor(101 + k, d, point, on) for k, (d, point, on) in enumerate(places))
 
 

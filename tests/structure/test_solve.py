@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from calib.errors import EvaluationError
 from calib.structure import solve
+from calib.structure.missed import missed_vectors
 from calib.structure.solve import solve_modes
+from models.railway import bogie_on_rig
 
 
 def sparse(matrix):
@@ -143,14 +147,16 @@ def test_repeated_roots_are_all_found(n, damped):
     assert np.linalg.matrix_rank(modes.shapes, tol=1e-6 * np.abs(modes.shapes).max()) == 10
 
 
-@pytest.mark.xfail(strict=True, reason="Krylov iteration from one vector misses copies of a root of high multiplicity")
-def test_many_copies_of_a_damped_root_are_all_found():
+@pytest.mark.parametrize("damped", [True, False])
+def test_many_copies_of_a_root_are_all_found(damped):
     # Thirty equal oscillators among others, such as the seats of a car.
     omega = np.concatenate([np.full(30, 100.0), np.linspace(120.0, 500.0, 90)])
     turn = np.linalg.qr(np.random.default_rng(7).standard_normal((120, 120)))[0]
     k = turn @ np.diag(omega**2) @ turn.T
-    modes = solve_modes(sparse(k), sparse(2e-4 * k), sparse(np.eye(120)), 20)
-    np.testing.assert_allclose(2 * np.pi * modes.natural_freq, 100.0, rtol=1e-8)
+    for count in (20, 34):
+        modes = solve_modes(sparse(k), sparse(2e-4 * k) if damped else None, sparse(np.eye(120)), count)
+        np.testing.assert_allclose(2 * np.pi * modes.natural_freq, omega[:count], rtol=1e-8)
+        assert np.linalg.matrix_rank(modes.shapes, tol=1e-6 * np.abs(modes.shapes).max()) == count
 
 
 @pytest.mark.parametrize("ratio", [1e-6, 0.03, 0.6, 0.999])
@@ -266,3 +272,36 @@ def test_free_body_of_few_motions_is_as_precise_as_lapack():
         truth = np.sqrt(la.eigvalsh(k)[1:]) / (2 * np.pi)
         modes = solve_modes(sparse(k), None, sparse(np.eye(n)), n)
         np.testing.assert_allclose(modes.natural_freq, truth, rtol=1e-8)
+
+
+def test_the_four_equal_axle_torsions_of_the_bogie_are_all_found():
+    model = bogie_on_rig()
+    stiffness, damping, mass = model.matrices({})
+    undamped = solve_modes(stiffness, None, mass, 16).natural_freq
+    assert np.count_nonzero(np.abs(undamped - 55.988) < 1e-3) == 4
+    truth = 1 / np.sqrt(la.eigh(mass.toarray(), stiffness.toarray(), eigvals_only=True)[::-1][:16]) / (2 * np.pi)
+    np.testing.assert_allclose(undamped, truth, rtol=1e-8)
+    damped = [solve_modes(stiffness, damping, mass, count) for count in (12, 14, 16, 20)]
+    for modes in damped:
+        np.testing.assert_allclose(modes.natural_freq, damped[-1].natural_freq[: modes.n_modes], rtol=1e-8)
+    assert np.count_nonzero(np.abs(damped[-1].natural_freq - 55.988) < 5e-3) == 4
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 9))
+@settings(max_examples=15)
+def test_whatever_a_search_left_out_is_found(seed, left_out):
+    rng = np.random.default_rng(seed)
+    values = np.concatenate([np.full(12, 1.0), np.linspace(0.9, 0.01, 108)])
+    turn = np.linalg.qr(rng.standard_normal((120, 120)))[0]
+    matrix = turn @ np.diag(values) @ turn.T
+    lost = rng.permutation(20)[:left_out]
+    found = np.delete(turn[:, :40], lost, axis=1)
+    while True:
+        more, certain = missed_vectors(lambda x: matrix @ x, found, values[19] * (1 - 1e-6))
+        assert certain
+        if not more.shape[1]:
+            break
+        found = np.hstack([found, more])
+    assert found.shape[1] == 40
+    np.testing.assert_allclose(found.T @ found, np.eye(40), atol=1e-9)
+    np.testing.assert_allclose(found @ (found.T @ turn[:, lost]), turn[:, lost], atol=1e-7)

@@ -1,0 +1,374 @@
+"""Model against measurement in units of the measurement's scatter, with derivatives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from calib.correlation.compare import Comparison
+from calib.correlation.mac import is_real
+from calib.correlation.problem import ModalProblem
+from calib.errors import InputError
+from calib.measurement.modal import MeasuredModes
+from calib.structure.derivatives import ModeDerivatives, mode_derivatives
+
+POOL_BELOW = 10
+"""With fewer repeats the scatter of a single number is itself too uncertain (34 % with five) and is pooled."""
+
+_LEAST_RATIO = 1e-6
+"""Damping ratios of the model below this count as this, so that their logarithm stays finite."""
+
+Kind = Literal["frequency", "damping", "shape"]
+
+
+class Row(NamedTuple):
+    """What one entry of the residual compares.
+
+    Attributes
+    ----------
+    mode : str
+        Measured mode.
+    kind : {"frequency", "damping", "shape"}
+    sensor : str
+        Name of the sensor, empty unless ``kind`` is ``shape``.
+    part : str
+        ``re`` or ``im`` of a shape, else empty.
+    """
+
+    mode: str
+    kind: Kind
+    sensor: str = ""
+    part: str = ""
+
+
+@dataclass(frozen=True)
+class Floors:
+    """Errors that no number of repeats removes, and what is taken where the scatter is unknown.
+
+    Attributes
+    ----------
+    freq : float
+        Discretisation floor of natural frequencies, relative; added to the scatter in squares.
+    damping : float
+        The same for damping ratios, relative.
+    shape : float
+        The same for shapes, in parts of the largest entry; for real and imaginary part each.
+    unknown_freq, unknown_damping, unknown_shape : float
+        Standard deviations, in the same units, where the measurement tells none.
+    """
+
+    freq: float = 2e-4
+    damping: float = 0.02
+    shape: float = 5e-3
+    unknown_freq: float = 5e-3
+    unknown_damping: float = 0.10
+    unknown_shape: float = 0.03
+
+    def __post_init__(self) -> None:
+        for label, number in vars(self).items():
+            lowest = "positive" if label.startswith("unknown") else "not negative"
+            if not (math.isfinite(number) and number >= 0 and (number > 0 or lowest == "not negative")):
+                raise InputError(f"the floor {label} is {number}", place="residual", remedy=f"give a {lowest} number")
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Standard deviations that whiten the residual: those of the mean over the repeats, with floors.
+
+    Attributes
+    ----------
+    freq, damping : ndarray (n_modes,)
+        Relative.
+    shape : ndarray (n_sensors, n_modes)
+        Of real and imaginary part each, in the scale of the measured shapes.
+    pooled : bool
+    """
+
+    freq: np.ndarray
+    damping: np.ndarray
+    shape: np.ndarray
+    pooled: bool
+
+
+def scatter_of(measured: MeasuredModes, floors: Floors = Floors(), pool: bool | None = None) -> Scatter:
+    """Standard deviations for the residual.
+
+    With 2 to 9 repeats they are pooled: the relative ones of frequency and of damping over the modes, those of shapes
+    over all entries (root mean square; for shapes over ``n_sensors - 1`` entries a mode, since a factor was fitted to
+    every repeat). Deviations given by a file of a single repeat, and those of ten or more repeats, are taken one by
+    one. Unknown ones take the pooled value when there is one, else the floors' ``unknown_*``.
+
+    Parameters
+    ----------
+    measured : MeasuredModes
+    floors : Floors
+    pool : bool, optional
+        Overrides that rule.
+    """
+    pooled = 1 < measured.n_repeats < POOL_BELOW if pool is None else pool
+    freq = measured.freq_std / measured.natural_freq
+    damped = measured.damping_ratio > 0
+    damping = np.full(measured.n_modes, np.nan)
+    damping[damped] = measured.damping_std[damped] / measured.damping_ratio[damped]
+    shape = np.where(np.isfinite(measured.shapes), measured.shape_std, np.nan)
+    counted = np.isfinite(shape)
+    entries = int(counted.sum())
+    freedom = int(np.maximum(counted.sum(axis=0) - 1, 0).sum()) if measured.n_repeats > 1 else entries
+    lost = entries / freedom if freedom else 1.0
+    return Scatter(
+        freq=_whole(freq, floors.unknown_freq, floors.freq, pooled, 1.0),
+        damping=_whole(damping, floors.unknown_damping, floors.damping, pooled, 1.0),
+        shape=_whole(shape, floors.unknown_shape, floors.shape, pooled, lost),
+        pooled=pooled,
+    )
+
+
+def _whole(std: np.ndarray, unknown: float, floor: float, pooled: bool, lost: float) -> np.ndarray:
+    known = np.isfinite(std)
+    common = math.sqrt(float(np.mean(std[known] ** 2)) * lost) if known.any() else unknown
+    taken = np.full(std.shape, common) if pooled else np.where(known, std, common)
+    total = np.sqrt(taken**2 + floor**2)
+    return np.where(total > 0, total, unknown)
+
+
+@dataclass(frozen=True, eq=False)
+class ModalResidual:
+    """Whitened differences between measured and model modes.
+
+    Rows are (measured - model)/std, always the same ones and in the same order:
+
+    - ``ln natural_freq`` of every measured mode, and ``ln damping_ratio`` where one above 0 was measured and the model
+      has damping;
+    - every measured entry of a shape, ``u - a v`` with the complex factor a of least squares (in whitened entries), in
+      real and imaginary part. A shape that is real up to a phase has real rows only: the model's is first turned to its
+      most real phase, as in the MAC.
+
+    A measured mode without a partner counts as a difference of 1 in frequency and damping (100 %) and as MAC 0, so that
+    losing a pair can only raise the sum of squares. The pairing is renewed at every point; a search that accepts only
+    falling sums of squares cannot be misled by a change of it.
+
+    Attributes
+    ----------
+    problem : ModalProblem
+    floors : Floors
+    pool : bool or None
+        See `scatter_of`.
+    use_damping, use_shapes : bool
+        False leaves those rows out.
+    scatter : Scatter
+    rows : tuple of Row
+        Length n_rows.
+    """
+
+    problem: ModalProblem
+    floors: Floors = Floors()
+    pool: bool | None = None
+    use_damping: bool = True
+    use_shapes: bool = True
+    scatter: Scatter = field(init=False, repr=False)
+    rows: tuple[Row, ...] = field(init=False, repr=False)
+    _damped: tuple[int, ...] = field(init=False, repr=False)
+    _parts: tuple[tuple[int, str], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scatter", scatter_of(self.problem.measured, self.floors, self.pool))
+        object.__setattr__(self, "_damped", self._damping_modes())
+        object.__setattr__(self, "_parts", self._shape_parts())
+        object.__setattr__(self, "rows", self._rows())
+
+    def _rows(self) -> tuple[Row, ...]:
+        measured = self.problem.measured
+        rows = [Row(mode, "frequency") for mode in measured.names]
+        rows += [Row(measured.names[i], "damping") for i in self._damped]
+        for i, part in self._parts:
+            known = np.flatnonzero(np.isfinite(measured.shapes[:, i]))
+            rows += [Row(measured.names[i], "shape", measured.sensors[s].name, part) for s in known]
+        return tuple(rows)
+
+    def _damping_modes(self) -> tuple[int, ...]:
+        """Measured modes with a damping row."""
+        model, space = self.problem.model, self.problem.space
+        candidates: list[Any] = [model.matrices(space.values)[1]]
+        candidates += [model.matrix_derivatives(space.values, name)[1] for name in space.names]
+        if not self.use_damping or not any(abs(c).max() > 0 for c in candidates):
+            return ()
+        return tuple(np.flatnonzero(self.problem.measured.damping_ratio > 0).tolist())
+
+    def _shape_parts(self) -> tuple[tuple[int, str], ...]:
+        """Measured modes and parts of their shapes, in the order of the rows; one sensor alone says nothing."""
+        shapes = self.problem.measured.shapes
+        if not self.use_shapes or not self.problem.measured.has_shapes:
+            return ()
+        real = is_real(shapes)
+        several = np.isfinite(shapes).sum(axis=0) > 1
+        out: list[tuple[int, str]] = []
+        for i in np.flatnonzero(several).tolist():
+            out += [(i, "re")] if real[i] else [(i, "re"), (i, "im")]
+        return tuple(out)
+
+    @property
+    def kinds(self) -> np.ndarray:
+        """Kind of every row, shape (n_rows,), str."""
+        return np.array([row.kind for row in self.rows])
+
+    @property
+    def n_rows(self) -> int:
+        """Number of comparisons."""
+        return len(self.rows)
+
+    @property
+    def n_fitted_factors(self) -> int:
+        """Real numbers fitted to scale and turn the model's shapes; they are no degrees of freedom of the residual."""
+        return len(self._parts)
+
+    # -- at named values -----------------------------------------------------------------------------------------------
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Whitened residual at named values, shape (n_rows,); EvaluationError when the model cannot be solved there."""
+        return self.of(self.problem.compare(values))
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Derivative of the residual, per one of each parameter's own unit, shape (n_rows, n_params).
+
+        Shape rows hold ``-a (I - v v^H/v^H v) dv/std``: the part of the derivative along v, which is proportional to
+        the residual and orthogonal to it, is left out (Kaufman 1975), so that it counts as no information. The gradient
+        of the sum of squares is exact. Rows of unpaired modes, and shape rows of modes without a derivative (see
+        `calib.structure.derivatives`), are 0.
+        """
+        found = self.problem.compare(values)
+        return self.slope_of(found, names, self.derivatives(found, names))
+
+    def freq_jacobian(
+        self, values: Mapping[str, float], names: Sequence[str], every: bool = False
+    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+        """Model frequencies with their relative derivatives, for prediction intervals.
+
+        Parameters
+        ----------
+        values : mapping
+        names : sequence of str
+        every : bool
+            All model modes; otherwise those paired.
+
+        Returns
+        -------
+        labels : tuple of str
+            Name of the measured mode, or ``model 7`` for a model mode without one.
+        freq : ndarray (n_modes,)
+            Natural frequencies of the model, Hz.
+        jacobian : ndarray (n_modes, n_params)
+            Of ``ln natural_freq``, per one of each parameter's own unit.
+        """
+        found = self.problem.compare(values)
+        index = found.pairing.model_index
+        owner = {int(index[i]): self.problem.measured.names[i] for i in found.pairing.paired}
+        chosen = list(range(found.modes.n_modes)) if every else [int(index[i]) for i in found.pairing.paired]
+        model = self.problem.model
+        nothing = np.zeros((0, found.modes.shapes.shape[0]))
+        slopes = mode_derivatives(model, found.values, found.modes, names, chosen, nothing)
+        freq = found.modes.natural_freq[chosen]
+        labels = tuple(owner.get(j, f"model {j + 1}") for j in chosen)
+        return labels, freq, (slopes.natural_freq / freq).T
+
+    def derivatives(self, found: Comparison, names: Sequence[str]) -> ModeDerivatives:
+        """Derivatives of the paired modes, in the order of the measured modes, with shapes at the sensors."""
+        chosen = found.pairing.model_index[found.pairing.paired]
+        rows = self.problem.sensor_rows if self._parts else np.zeros((0, found.modes.shapes.shape[0]))
+        return mode_derivatives(self.problem.model, found.values, found.modes, names, chosen, rows)
+
+    # -- from a comparison ---------------------------------------------------------------------------------------------
+
+    def of(self, found: Comparison) -> np.ndarray:
+        """Whitened residual of a comparison already made, shape (n_rows,)."""
+        measured, scatter = self.problem.measured, self.scatter
+        freq = found.paired(found.modes.natural_freq)
+        ratio = np.maximum(found.paired(found.modes.damping_ratio), _LEAST_RATIO)
+        damped = list(self._damped)
+        with np.errstate(invalid="ignore"):
+            blocks = [
+                np.nan_to_num(np.log(measured.natural_freq / freq), nan=1.0) / scatter.freq,
+                np.nan_to_num(np.log(measured.damping_ratio[damped] / ratio[damped]), nan=1.0)
+                / scatter.damping[damped],
+            ]
+        fitted: dict[int, _FittedShape] = {}
+        for i, part in self._parts:
+            if i not in fitted:
+                fitted[i] = self._fit(found, i)
+            blocks.append(fitted[i].residual.real if part == "re" else fitted[i].residual.imag)
+        return np.concatenate(blocks)
+
+    def slope_of(self, found: Comparison, names: Sequence[str], slopes: ModeDerivatives) -> np.ndarray:
+        """Derivative of the residual of a comparison already made; ``slopes`` as from `derivatives`."""
+        scatter, n = self.scatter, len(names)
+        place = {int(i): k for k, i in enumerate(found.pairing.paired)}
+        zero = np.zeros(n)
+        blocks = []
+        for i in range(self.problem.measured.n_modes):
+            k = place.get(i)
+            freq = zero if k is None else slopes.natural_freq[:, k] / found.modes.natural_freq[self._partner(found, i)]
+            blocks.append(-freq[None] / scatter.freq[i])
+        for i in self._damped:
+            k = place.get(i)
+            ratio = 0.0 if k is None else float(found.modes.damping_ratio[self._partner(found, i)])
+            known = k is not None and ratio > _LEAST_RATIO
+            blocks.append(-(slopes.damping_ratio[:, k] / ratio if known else zero)[None] / scatter.damping[i])
+        turned: dict[int, np.ndarray] = {}
+        for i, part in self._parts:
+            k = place.get(i)
+            if i not in turned:
+                fit = self._fit(found, i)
+                blank = k is None or not slopes.regular[k]
+                turned[i] = np.zeros((len(fit.residual), n)) if blank else fit.slope(slopes.shapes[:, :, k].T)
+            blocks.append(turned[i].real if part == "re" else turned[i].imag)
+        return np.vstack(blocks)
+
+    @staticmethod
+    def _partner(found: Comparison, i: int) -> int:
+        return int(found.pairing.model_index[i])
+
+    def _fit(self, found: Comparison, i: int) -> _FittedShape:
+        measured, j = self.problem.measured, self._partner(found, i)
+        known = np.isfinite(measured.shapes[:, i])
+        target, std = measured.shapes[known, i], self.scatter.shape[known, i]
+        shape = found.sensor_shapes[known, j] if j >= 0 else np.zeros(len(target))
+        return _FittedShape.of(target, shape.astype(complex), std, known, (i, "im") not in self._parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _FittedShape:
+    """One model shape laid over a measured one; ``turn`` is the phase factor of a real comparison."""
+
+    residual: np.ndarray
+    shape: np.ndarray
+    factor: complex
+    std: np.ndarray
+    known: np.ndarray
+    turn: complex | None
+    raw: np.ndarray
+
+    @classmethod
+    def of(cls, target: np.ndarray, raw: np.ndarray, std: np.ndarray, known: np.ndarray, as_real: bool) -> _FittedShape:
+        turn, shape = None, raw
+        size = float(np.max(np.abs(raw), initial=0.0))
+        if as_real:
+            target = np.real(target * np.exp(-0.5j * np.angle(np.sum(target**2)))).astype(complex)
+            turn = np.exp(-0.5j * np.angle(np.sum((raw / (size or 1.0)) ** 2)))
+            shape = np.real(raw * turn).astype(complex)
+        u, v = target / std, shape / std
+        power = np.vdot(v, v).real
+        factor = complex(np.vdot(v, u) / power) if size > 0 and power > 0 else 0j
+        return cls(u - factor * v, v, factor, std, known, turn, raw)
+
+    def slope(self, shapes: np.ndarray) -> np.ndarray:
+        """Projected derivative of the residual, (n_known, n_params), from the shapes' at all sensors."""
+        change = shapes[self.known]
+        if self.turn is not None:
+            phase = np.imag(self.raw @ change / (self.raw @ self.raw))
+            change = np.real(self.turn * (change - 1j * np.outer(self.raw, phase))).astype(complex)
+        change = change / self.std[:, None]
+        along = np.outer(self.shape, self.shape.conj() @ change) / np.vdot(self.shape, self.shape).real
+        return -self.factor * (change - along)

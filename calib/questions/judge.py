@@ -1,0 +1,193 @@
+"""Least squares from where a search ended, and what can be told about the parameters there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from calib.correlation.problem import FunctionProblem
+from calib.correlation.residual import ModalResidual
+from calib.evaluate import Outcome
+from calib.ledger import Ledger
+from calib.space import ParameterSpace
+from calib.study import Problem, Study
+from calib.updating.gauss_newton import DifferencedResponses, FitResult, MixedResult, fit_mixed
+from calib.updating.identify import (
+    Identification,
+    WholeNumber,
+    identify,
+    parameter_verdicts,
+    prediction_interval,
+    whole_number,
+    within_scatter,
+)
+
+FitProgress = Callable[[int, int, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedResidual:
+    """The whitened residual of a problem, every point of which goes into the ledger.
+
+    Attributes
+    ----------
+    problem : ModalProblem or FunctionProblem
+        The study's own, or a reduced stand-in.
+    ledger : Ledger
+    """
+
+    problem: Problem
+    ledger: Ledger
+    _inner: ModalResidual | DifferencedResponses = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        problem = self.problem
+        inner: ModalResidual | DifferencedResponses
+        if isinstance(problem, FunctionProblem):
+            inner = DifferencedResponses(self._responses, problem.targets, problem.space)
+        else:
+            inner = ModalResidual(problem)
+        object.__setattr__(self, "_inner", inner)
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Vector (n_rows,) at named values; EvaluationError where the model cannot be solved."""
+        problem = self.problem
+        if isinstance(self._inner, DifferencedResponses) or isinstance(problem, FunctionProblem):
+            return self._inner.residual(values)
+        found = problem.compare(values)
+        self._record(found.values, problem.responses(found))
+        return self._inner.of(found)
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params)."""
+        return self._inner.jacobian(values, names)
+
+    def degrees_of_freedom(self, n_params: int) -> float:
+        """Rows less what was fitted."""
+        if isinstance(self._inner, DifferencedResponses):
+            return float(len(self._inner.targets) - n_params)
+        return float(self._inner.n_rows - self._inner.n_fitted_factors - n_params)
+
+    @property
+    def scatter_freedom(self) -> float:
+        """Degrees of freedom behind the standard deviations of the measurement; infinite when they are known."""
+        repeats = 1 if isinstance(self.problem, FunctionProblem) else self.problem.measured.n_repeats
+        if repeats == 1 or isinstance(self._inner, DifferencedResponses):
+            return math.inf
+        return float((repeats - 1) * self._inner.n_rows)
+
+    def predictions(self, values: Mapping[str, float], names: Sequence[str], covariance: np.ndarray) -> pd.DataFrame:
+        """Frequencies at named values with 95 % intervals from the scatter of the parameters; empty without modes."""
+        if isinstance(self._inner, DifferencedResponses):
+            return pd.DataFrame(columns=["mode", "natural_freq", "std", "lower", "upper"])
+        labels, freq, slope = self._inner.freq_jacobian(values, names, every=True)
+        return prediction_interval(labels, freq, slope, covariance)
+
+    def _responses(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        problem = self.problem
+        responses = problem.evaluate(values)
+        self._record(problem.space.complete(values), responses)
+        return responses
+
+    def _record(self, values: Mapping[str, float], responses: Mapping[str, float]) -> None:
+        outcome = Outcome(dict(values), "ok", dict(responses))
+        self.ledger.append(self.problem.fingerprint, [outcome])
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What is known at one set of values.
+
+    Attributes
+    ----------
+    values : dict
+        All parameters, each in its own unit.
+    misfit : float
+        Sum of squares of the whitened residual.
+    freedom, scatter_freedom : float
+        Degrees of freedom of the residual, and those behind the scatter that whitened it.
+    identification : Identification
+    whole : mapping from str to WholeNumber
+        What the fits say about whole-number parameters; empty without fits.
+    predictions : DataFrame
+        ``mode, natural_freq, std, lower, upper``.
+    fit : FitResult or None
+        The least-squares fit that led here.
+    """
+
+    values: dict[str, float]
+    misfit: float
+    freedom: float
+    scatter_freedom: float
+    identification: Identification
+    whole: Mapping[str, WholeNumber]
+    predictions: pd.DataFrame
+    fit: FitResult | None
+
+    def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
+        """One verdict a parameter; see `calib.updating.identify.parameter_verdicts`."""
+        freedom = self.freedom if self.freedom >= 1 else None  # as many unknowns as data: any fit is perfect
+        return parameter_verdicts(
+            space, self.values, self.identification, spread, self.whole, self.misfit, freedom, self.scatter_freedom
+        )
+
+    @property
+    def sentence(self) -> str:
+        """Whether the model fits within the scatter, in words."""
+        told = f"Sum of squares {self.misfit:.4g} in units of the scatter, {self.freedom:.0f} degrees of freedom: "
+        if self.freedom < 1:
+            return told + "as many unknowns as data, so a perfect fit says nothing about the model."
+        if within_scatter(self.misfit, self.freedom, self.scatter_freedom):
+            return told + "the model fits within the scatter."
+        return told + "the model does not fit within the scatter; something is missing, and uncertainties are larger."
+
+
+def fitted(
+    study: Study,
+    residual: RecordedResidual,
+    starts: Sequence[Mapping[str, float]],
+    refits: int = 25,
+    progress: FitProgress = lambda start, fits, misfit: None,
+    whole: Mapping[str, WholeNumber] | None = None,
+) -> Judgement:
+    """The best least-squares fit from several starts, with the study's limits, constraints and priors.
+
+    ``refits`` bounds the combinations of whole-number parameters tried from every start; ``whole`` is what an earlier
+    fit found about them, for a last one that tries no more of them.
+    """
+    space = study.search_space
+    found: MixedResult = fit_mixed(residual, space, starts, refits=refits, progress=progress)
+    if whole is None:
+        profiles = {p.name: (p, found.profile(p.name)) for p in space.free if p.integer}
+        whole = {name: whole_number(*profile, p.value, p.prior_width) for name, (p, profile) in profiles.items()}
+    return _judged(study, residual, found.best.values, found.best, whole)
+
+
+def judged(study: Study, residual: RecordedResidual, values: Mapping[str, float]) -> Judgement:
+    """What the data say about the parameters at given values, nothing fitted."""
+    return _judged(study, residual, dict(values), None, {})
+
+
+def _judged(
+    study: Study,
+    residual: RecordedResidual,
+    values: dict[str, float],
+    fit: FitResult | None,
+    whole: Mapping[str, WholeNumber],
+) -> Judgement:
+    space = study.search_space
+    names = tuple(p.name for p in space.free if not p.integer)
+    if fit is not None and fit.names == names:
+        vector, slope = fit.residual, fit.jacobian
+    else:
+        vector, slope = residual.residual(values), residual.jacobian(values, names)
+    identification = identify(space, names, slope, values=values)
+    predictions = residual.predictions(values, names, identification.posterior.covariance)
+    freedom = residual.degrees_of_freedom(len(space.free))
+    return Judgement(
+        values, float(vector @ vector), freedom, residual.scatter_freedom, identification, whole, predictions, fit
+    )

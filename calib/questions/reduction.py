@@ -1,0 +1,131 @@
+"""Searches on a reduced basis: trained once, frozen, checked where it matters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.correlation.problem import ModalProblem
+from calib.errors import InputError
+from calib.evaluate import Evaluator, Outcome
+from calib.ledger import Ledger
+from calib.results import Results
+from calib.structure.basis import Basis
+from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
+from calib.structure.training import enrich_basis, train_basis
+from calib.study import Study
+
+WORTHWHILE_DOFS = 300
+"""A model with fewer degrees of freedom is fast enough at full order."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """The reduced stand-in of a study's problem during a search.
+
+    Attributes
+    ----------
+    full, problem : ModalProblem
+        At full order and on the basis.
+    path : Path
+        File of the basis, for worker processes.
+    tolerance : float
+        Relative error of eigenvalues beyond which a would-be best point is solved at full order.
+    """
+
+    full: ModalProblem
+    problem: ModalProblem
+    path: Path
+    tolerance: float
+
+    @property
+    def basis(self) -> Basis:
+        """The frozen basis."""
+        assert isinstance(self.problem.model, ReducedModel)
+        return self.problem.model.basis
+
+    def certifier(self, ledger: Ledger) -> Callable[[Outcome], Outcome]:
+        """What `calib.updating.cases.run_case` asks of every would-be best point."""
+        exact = Evaluator(lambda: self.full.evaluate)
+
+        def certify(outcome: Outcome) -> Outcome:
+            if self.error_at(outcome.values) <= self.tolerance:
+                return outcome
+            return ledger.evaluate(self.full.fingerprint, [outcome.values], exact)[0]
+
+        return certify
+
+    def error_at(self, values: Mapping[str, float]) -> float:
+        """Largest error indicator of the paired modes."""
+        model = self.problem.model
+        assert isinstance(model, ReducedModel)
+        found = self.problem.compare(values)
+        chosen = found.pairing.model_index[found.pairing.paired]
+        return float(np.max(model.indicator(found.values, found.modes)[chosen], initial=0.0))
+
+    def difference_at(self, values: Mapping[str, float]) -> float:
+        """Largest difference between reduced and full responses at a point, relative in frequency, absolute in MAC."""
+        mine, truth = self.problem.evaluate(values), self.full.evaluate(values)
+        parts = [0.0]
+        for mode in self.full.measured.names:
+            freq, mac = f"natural_freq_{mode}", f"mac_{mode}"
+            if np.isnan(mine[freq]) != np.isnan(truth[freq]):
+                return np.inf
+            parts += [abs(mine[freq] / truth[freq] - 1), abs(mine[mac] - truth[mac])]
+        return float(np.nanmax(parts))
+
+    def after_case(self, values: Mapping[str, float], home: Results) -> Reduction:
+        """The same, or one on the next version of the basis when this one was not good enough at a case's optimum."""
+        if self.difference_at(values) <= self.tolerance:
+            return self
+        model = self.full.model
+        assert isinstance(model, StructuralModel)
+        return _on(self.full, enrich_basis(model, self.basis, [values]), home, self.tolerance)
+
+
+def reduction_of(study: Study, home: Results) -> Reduction | None:
+    """Train a basis for a study's search, or load the one trained before; None where full order is fast enough."""
+    settings, problem = study.settings.reduction, study.problem
+    if not settings.use or not isinstance(problem, ModalProblem) or not isinstance(problem.model, StructuralModel):
+        return None
+    if problem.model.n_dof < WORTHWHILE_DOFS:
+        return None
+    freq_max = problem.freq_window[1] if problem.freq_window else np.inf
+    path = _file(home, 1)
+    if path.exists():
+        basis = _loaded(path)
+        wanted = (problem.model.fingerprint, problem.mode_count, freq_max, settings.tolerance, settings.seed)
+        found = (basis.model_fingerprint, basis.count, basis.freq_max, basis.tolerance, basis.seed) if basis else None
+        if basis is not None and found == wanted and basis.covers(study.search_space):
+            return _reduced(problem, basis, path, settings.tolerance)
+    basis = train_basis(
+        problem.model, study.search_space, problem.mode_count, seed=settings.seed, freq_max=freq_max,
+        tolerance=settings.tolerance,
+    )  # fmt: skip
+    return _on(problem, basis, home, settings.tolerance)
+
+
+def _on(problem: ModalProblem, basis: Basis, home: Results, tolerance: float) -> Reduction:
+    path = _file(home, basis.version)
+    basis.save(path)
+    return _reduced(problem, basis, path, tolerance)
+
+
+def _reduced(problem: ModalProblem, basis: Basis, path: Path, tolerance: float) -> Reduction:
+    return Reduction(problem, problem.reduced(basis), path, tolerance)
+
+
+def _file(home: Results, version: int) -> Path:
+    return home.path / f"basis_v{version}.npz"
+
+
+def _loaded(path: Path) -> Basis | None:
+    """A basis that cannot be read is trained anew."""
+    try:
+        return Basis.load(path)
+    except InputError:
+        return None

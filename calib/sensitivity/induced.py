@@ -1,0 +1,101 @@
+"""Correlation between parameters that constraints induce, and the rank correlations that it lends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from calib.sensitivity.partial import centred_ranks, orthonormal, orthonormal_beyond, same_rows, table_arrays
+
+
+@dataclass(frozen=True, eq=False)
+class Decomposition:
+    """Every Spearman value as the parameter's own part plus what its partners lend it.
+
+    Attributes
+    ----------
+    own : DataFrame (n_parameters, n_responses)
+        Standardised coefficient of a linear regression of the response's ranks on the ranks of all parameters: what
+        Spearman's value would be if the inputs were uncorrelated and the rest of the response the same.
+    lent : DataFrame (n_parameters, n_responses)
+        Spearman's value less the own part, which equals the sum over the partners of input correlation times the
+        partner's own part (Wright 1934, path coefficients).
+    lender : DataFrame (n_parameters, n_responses)
+        Name of the partner that lends most in the direction of ``lent``; empty where nobody lends.
+    """
+
+    own: pd.DataFrame
+    lent: pd.DataFrame
+    lender: pd.DataFrame
+
+
+def input_correlation(points: pd.DataFrame) -> pd.DataFrame:
+    """Rank correlation between the parameters of a sample; off the diagonal 0 is expected without constraints.
+
+    Parameters
+    ----------
+    points : DataFrame (n, n_parameters)
+
+    Returns
+    -------
+    DataFrame (n_parameters, n_parameters)
+        Ones on the diagonal; NaN for a parameter that never changes.
+    """
+    x, _ = table_arrays(points, points)
+    a = centred_ranks(x)
+    size = np.linalg.norm(a, axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        out = np.clip((a.T @ a) / np.outer(size, size), -1.0, 1.0)
+    return pd.DataFrame(out, index=pd.Index(points.columns, name="parameter"), columns=points.columns)
+
+
+def decompose(points: pd.DataFrame, responses: pd.DataFrame) -> Decomposition:
+    """Split every Spearman value into the parameter's own part and the part that its partners lend.
+
+    Parameters
+    ----------
+    points : DataFrame (n, n_parameters)
+    responses : DataFrame (n, n_responses)
+        Row for row with ``points``; NaN where unknown, dropped response by response.
+
+    Returns
+    -------
+    Decomposition
+        NaN (and no lender) where a response or parameter never changes, or the parameter follows exactly from others.
+
+    Raises
+    ------
+    InputError
+        When the rows of the two tables do not belong together, or a parameter is unknown somewhere.
+    """
+    x, y = table_arrays(points, responses)
+    shape = x.shape[1], y.shape[1]
+    own, lent, lender = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, "", dtype=object)
+    names = np.array([str(c) for c in points.columns], dtype=object)
+    for rows, columns in same_rows(y):
+        if rows.sum() < shape[0] + 2:
+            continue
+        a, b = _unit(centred_ranks(x[rows])), _unit(centred_ranks(y[np.ix_(rows, columns)]))
+        paths = np.full((shape[0], len(columns)), np.nan)
+        for i in range(shape[0]):
+            beyond = orthonormal_beyond(orthonormal(np.delete(a, i, axis=1)), a[:, [i]])
+            if beyond.shape[1]:
+                paths[i] = (beyond[:, 0] @ b) / (beyond[:, 0] @ a[:, i])
+        own[:, columns], lent[:, columns] = paths, a.T @ b - paths
+        between = a.T @ a
+        np.fill_diagonal(between, 0.0)
+        for i in range(shape[0]):
+            given = np.nan_to_num(between[i][:, None] * paths) * np.sign(lent[i, columns])
+            most = given.argmax(axis=0)
+            lender[i, columns] = np.where(given.max(axis=0) > 0, names[most], "")
+    index = pd.Index(points.columns, name="parameter")
+    tables = (pd.DataFrame(part, index=index, columns=responses.columns) for part in (own, lent, lender))
+    return Decomposition(*tables)
+
+
+def _unit(a: np.ndarray) -> np.ndarray:
+    """Columns of length 1, or of NaN where they were zero."""
+    size = np.linalg.norm(a, axis=0)
+    return a / np.where(size > 0, size, np.nan)

@@ -1,0 +1,159 @@
+"""Partial rank correlation: what is left of a rank correlation when all other parameters are held."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import qr
+from scipy.stats import rankdata
+from scipy.stats import t as student
+
+from calib.errors import InputError
+
+OWN_PART = 1e-6
+"""Part of a column's length outside the span of others below which rounding alone could have made it."""
+
+
+def partial(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
+    """Partial rank correlation coefficient (PRCC) of every parameter with every response.
+
+    Parameter and response are turned into ranks, the ranks of all other parameters are regressed out of both, and the
+    rests are correlated (Iman and Conover 1979; Marino et al. 2008). A parameter that only follows an active partner,
+    because a constraint binds the two, has nothing left to correlate. Each parameter is projected on an orthonormal
+    basis of the others (pivoted QR), no correlation matrix is inverted: nearly bound inputs cost certainty but no
+    digits, and an inert parameter does not look active however tightly it is bound.
+
+    Like every linear measure in ranks it is blind to influence that acts alike up and down, and it compares with what
+    the others leave unexplained: a small effect in a smooth model can come close to 1. See `influence` for both.
+
+    Parameters
+    ----------
+    points : DataFrame (n, n_parameters)
+    responses : DataFrame (n, n_responses)
+        Row for row with ``points``; NaN where unknown, dropped response by response.
+
+    Returns
+    -------
+    DataFrame (n_parameters, n_responses)
+        Between -1 and 1; NaN where the response never changes, where the parameter never changes or follows exactly
+        from the others (an equality constraint), where the others explain the response completely, or where no degree
+        of freedom is left.
+
+    Raises
+    ------
+    InputError
+        When the rows of the two tables do not belong together, or a parameter is unknown somewhere.
+    """
+    x, y = table_arrays(points, responses)
+    out = np.full((x.shape[1], y.shape[1]), np.nan)
+    for rows, columns in same_rows(y):
+        a, b = centred_ranks(x[rows]), centred_ranks(y[np.ix_(rows, columns)])
+        if degrees_of_freedom(len(a), a.shape[1]) < 1:
+            continue
+        for i in range(a.shape[1]):
+            others = orthonormal(np.delete(a, i, axis=1))
+            own = orthonormal_beyond(others, a[:, [i]])
+            if own.shape[1] == 0:
+                continue
+            rest = b - others @ (others.T @ b)
+            size = np.linalg.norm(rest, axis=0)
+            known = size > OWN_PART * np.linalg.norm(b, axis=0)
+            # Basis vectors come with either sign; that of the parameter's own rest is meant.
+            sign = np.sign(own[:, 0] @ a[:, i])
+            out[i, columns[known]] = np.clip(sign * (own[:, 0] @ rest[:, known]) / size[known], -1.0, 1.0)
+    return pd.DataFrame(out, index=pd.Index(points.columns, name="parameter"), columns=responses.columns)
+
+
+def partial_noise_floor(n_rows: int, n_parameters: int, n_cells: int, level: float = 0.95) -> float:
+    """Largest size of a partial rank correlation that chance alone gives in a whole table, with the given probability.
+
+    Without influence ``r sqrt(v/(1 - r**2))`` follows Student's t with ``v = n - 2 - (p - 1)`` degrees of freedom
+    (Kendall and Stuart 1979, for ranks approximately); the level is shared among the cells (Sidak 1967).
+
+    Parameters
+    ----------
+    n_rows : int
+        Rows in which the response is known.
+    n_parameters : int
+        Parameters p, of which all but one are regressed out.
+    n_cells : int
+        Parameters times responses.
+    level : float
+        Probability that no spurious value is larger.
+
+    Returns
+    -------
+    float
+        1 when no degree of freedom is left.
+    """
+    if n_rows < 1 or n_parameters < 1 or n_cells < 1 or not 0 < level < 1:
+        raise InputError(
+            f"no noise floor for {n_rows} rows, {n_parameters} parameters, {n_cells} cells and level {level:g}",
+            place="partial rank correlation",
+            remedy="give at least 1 of each and a level between 0 and 1",
+        )
+    free = degrees_of_freedom(n_rows, n_parameters)
+    if free < 1:
+        return 1.0
+    t = float(student.isf(-0.5 * math.expm1(math.log(level) / n_cells), free))
+    return t / math.sqrt(free + t * t)
+
+
+def degrees_of_freedom(n_rows: int, n_parameters: int) -> int:
+    """Of one partial correlation: rows less two, less the parameters regressed out."""
+    return n_rows - 2 - (n_parameters - 1)
+
+
+# -- arrays that the other measures share ------------------------------------------------------------------------------
+
+
+def table_arrays(points: pd.DataFrame, responses: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Values of two tables whose rows belong together; InputError when they do not, or a parameter is unknown."""
+    if not points.index.equals(responses.index):
+        raise InputError(
+            f"{len(points)} points and {len(responses)} rows of responses do not belong together row for row",
+            place="sensitivity",
+        )
+    x = points.to_numpy(dtype=float)
+    if not np.isfinite(x).all():
+        name = points.columns[~np.isfinite(x).all(axis=0)][0]
+        raise InputError(f"parameter {name!r} is unknown at some point", place="sensitivity", remedy="drop that row")
+    return x, responses.to_numpy(dtype=float)
+
+
+def same_rows(y: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Known rows (bool) and the columns that share exactly these, so that one regression serves them all."""
+    known = np.isfinite(y)
+    patterns: dict[bytes, list[int]] = {}
+    for j in range(y.shape[1]):
+        patterns.setdefault(known[:, j].tobytes(), []).append(j)
+    return [(known[:, columns[0]], np.array(columns)) for columns in patterns.values()]
+
+
+def centred_ranks(a: np.ndarray) -> np.ndarray:
+    """Ranks of each column about their mean, ties by mean rank; shape as given."""
+    return np.stack([rankdata(column) for column in a.T], axis=1) - (len(a) + 1) / 2 if a.size else a
+
+
+def orthonormal(a: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that span those of ``a``, however nearly they depend on each other."""
+    size = np.linalg.norm(a, axis=0)
+    a = a[:, size > 0] / size[size > 0]
+    if a.shape[1] == 0:
+        return a
+    q, r, _ = qr(a, mode="economic", pivoting=True)
+    return q[:, : int((np.abs(np.diag(r)) > OWN_PART).sum())]
+
+
+def orthonormal_beyond(frame: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Orthonormal columns for the part of ``a`` outside the span of ``frame``; parts of rounding only are left out."""
+    size = np.linalg.norm(a, axis=0)
+    a = a[:, size > 0] / size[size > 0]
+    for _ in range(2):  # one projection of nearly dependent columns leaves some rounding behind
+        a = a - frame @ (frame.T @ a)
+    if a.shape[1] == 0:
+        return a
+    q, r, _ = qr(a, mode="economic", pivoting=True)
+    return q[:, : int((np.abs(np.diag(r)) > OWN_PART).sum())]

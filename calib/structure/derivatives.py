@@ -1,0 +1,330 @@
+"""Analytic derivatives of eigenvalues, frequencies, damping ratios and shapes with respect to named parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from calib.errors import EvaluationError, InputError
+from calib.space import ParameterSpace
+from calib.structure.modes import Modes
+
+Matrix = Any
+"""A dense ndarray or a SciPy sparse array, shape (n_dof, n_dof), symmetric."""
+
+NEIGHBOUR = 0.1
+"""Roots nearer than this part of their modulus are solved as one group: the bordered matrix then stays regular."""
+
+REPEATED = 1e-7
+"""Roots nearer than this part of their modulus are one repeated root, whose single shapes have no derivative."""
+
+_RESIDUAL = 1e-6
+"""Largest relative residual of a bordered solve; beyond it an unsolved neighbour makes the matrix singular."""
+
+
+class DifferentiableModel(Protocol):
+    """What a model must offer: matrices and their derivatives at named values, sparse or dense."""
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters, each with its own unit."""
+        ...
+
+    def matrices(self, values: Mapping[str, float]) -> tuple[Matrix, Matrix, Matrix]:
+        """K, C, M."""
+        ...
+
+    def matrix_derivatives(self, values: Mapping[str, float], name: str) -> tuple[Matrix, Matrix, Matrix]:
+        """dK, dC, dM per one of the parameter's own unit."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ModeDerivatives:
+    """Derivatives of chosen modes, per one of each parameter's own unit.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters, length n_params; a whole-number parameter has derivatives of zero.
+    eigenvalue : ndarray (n_params, n_modes), complex
+        Of lambda, 1/s; an undamped mode has ``lambda = i omega``.
+    shapes : ndarray (n_params, n_rows, n_modes)
+        Of the shapes as they are normalised in `Modes`, at all degrees of freedom or at the sensors asked for (no rows
+        when none were); the columns of irregular modes are NaN.
+    natural_freq, damped_freq : ndarray (n_params, n_modes)
+        Hz.
+    damping_ratio : ndarray (n_params, n_modes)
+    regular : ndarray (n_modes,), bool
+        False for a repeated root that the parameters split, or one too close to a root that was not solved: its shape
+        has no derivative, and its eigenvalue's is the mean over the group.
+    """
+
+    names: tuple[str, ...]
+    eigenvalue: np.ndarray
+    shapes: np.ndarray
+    natural_freq: np.ndarray
+    damped_freq: np.ndarray
+    damping_ratio: np.ndarray
+    regular: np.ndarray
+
+
+def eigenvalues(modes: Modes) -> np.ndarray:
+    """Lambda of every mode in 1/s, upper half-plane, shape (n_modes,), complex."""
+    size = 2 * np.pi * modes.natural_freq
+    return -modes.damping_ratio * size + 2j * np.pi * modes.damped_freq
+
+
+def mode_derivatives(
+    model: DifferentiableModel,
+    values: Mapping[str, float],
+    modes: Modes,
+    names: Sequence[str],
+    which: Sequence[int] | np.ndarray | None = None,
+    rows: np.ndarray | None = None,
+) -> ModeDerivatives:
+    """Derivatives of a model's modes with respect to named parameters.
+
+    Parameters
+    ----------
+    model : DifferentiableModel
+    values : mapping
+        Named values at which ``modes`` were solved.
+    modes : Modes
+        All modes solved there; the more of them, the more close neighbours are known.
+    names : sequence of str
+    which : sequence of int, optional
+        Indices of the modes wanted; default all.
+    rows : ndarray (n_rows, n_dof), optional
+        Motions wanted of the shapes, such as the sensors'; default all degrees of freedom. An array without rows leaves
+        shapes out and saves their solves.
+
+    Raises
+    ------
+    InputError
+        For an unknown parameter or mode.
+    EvaluationError
+        When a bordered matrix cannot be factorised.
+    """
+    for name in names:
+        if name not in model.space:
+            model.space[name]  # raises with the names that are known
+    k, c, m = model.matrices(values)
+    slopes = [model.matrix_derivatives(values, name) for name in names]
+    return eigen_derivatives(k, c, m, slopes, modes, tuple(names), which, rows)
+
+
+def eigen_derivatives(
+    stiffness: Matrix,
+    damping: Matrix,
+    mass: Matrix,
+    slopes: Sequence[tuple[Matrix, Matrix, Matrix]],
+    modes: Modes,
+    names: tuple[str, ...],
+    which: Sequence[int] | np.ndarray | None = None,
+    rows: np.ndarray | None = None,
+) -> ModeDerivatives:
+    """Derivatives of modes from matrices and their derivatives.
+
+    With ``Z = lambda^2 M + lambda C + K``, ``psi^T (2 lambda M + C) psi = 1`` and ``F = dZ psi`` at fixed lambda,
+    ``dlambda = -psi^T F``. The shape's derivative follows from one bordered factorisation a mode, with all parameters
+    as right-hand sides (Nelson 1976; the bordered form after Friswell and Adhikari 2000). The border holds all solved
+    roots within 10 % of the mode's own, conjugates included, so that close modes do not spoil the solution; their own
+    part is added as ``-psi_j (psi_j^T F)/(lambda_i - lambda_j)``. Roots closer than 1e-7 count as repeated: if a
+    parameter couples them, the shapes have no derivative and the mode is flagged.
+
+    Undamped modes use ``Z = K - omega^2 M`` and ``phi^T M phi = 1`` in real arithmetic; a damping matrix that only just
+    begins to grow adds an imaginary part.
+
+    Parameters
+    ----------
+    stiffness, damping, mass : sparse or dense (n_dof, n_dof)
+        Symmetric; SI.
+    slopes : sequence of (dK, dC, dM)
+        One a parameter.
+    modes, names, which, rows
+        As in `mode_derivatives`.
+
+    Returns
+    -------
+    ModeDerivatives
+    """
+    chosen = np.arange(modes.n_modes) if which is None else np.asarray(which, dtype=int)
+    if len(chosen) and not (chosen.min() >= 0 and chosen.max() < modes.n_modes):
+        raise InputError(f"a mode outside 0..{modes.n_modes - 1} is asked for", place="mode derivatives")
+    solver = _Damped if modes.is_complex else _Undamped
+    group = solver(stiffness, damping, mass, list(slopes), modes)
+    wanted = None if rows is None else np.asarray(rows)
+    without_shapes = wanted is not None and not len(wanted)
+    n_rows = stiffness.shape[0] if wanted is None else len(wanted)
+    eigenvalue = np.zeros((len(names), len(chosen)), dtype=complex)
+    shapes = np.zeros((len(names), n_rows, len(chosen)), dtype=group.shape_type)
+    regular = np.ones(len(chosen), dtype=bool)
+    for i, j in enumerate(chosen.tolist()):
+        eigenvalue[:, i], shape, regular[i] = group.of(j, without_shapes)
+        shapes[:, :, i] = np.nan if not regular[i] else (shape if wanted is None else wanted @ shape).T
+    root = eigenvalues(modes)[chosen]
+    size = np.abs(root)
+    grown = np.real(np.conj(root) * eigenvalue) / size
+    return ModeDerivatives(
+        names=names,
+        eigenvalue=eigenvalue,
+        shapes=shapes,
+        natural_freq=grown / (2 * np.pi),
+        damped_freq=eigenvalue.imag / (2 * np.pi),
+        damping_ratio=-eigenvalue.real / size + root.real * grown / size**2,
+        regular=regular,
+    )
+
+
+class _Damped:
+    """State-space modes: groups of close roots among the modes and their conjugates."""
+
+    def __init__(self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes):
+        self.k, self.c, self.m, self.slopes = stiffness, damping, mass, slopes
+        roots = eigenvalues(modes)
+        self.roots = np.concatenate([roots, roots.conj()])
+        self.all = np.hstack([modes.shapes, modes.shapes.conj()])
+        self.shape_type = complex
+
+    def of(self, i: int, without_shape: bool) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Derivatives of lambda (n_params,) and psi (n_dof, n_params), and whether the mode is regular."""
+        root, psi = self.roots[i], self.all[:, i]
+        force = np.column_stack([root * (root * (dm @ psi) + dc @ psi) + dk @ psi for dk, dc, dm in self.slopes])
+        gap = np.abs(self.roots - root)
+        near = np.flatnonzero(gap <= NEIGHBOUR * abs(root))
+        near = np.concatenate([[i], near[near != i]])
+        group, others = self.all[:, near], self.roots[near]
+        same = gap[near] <= REPEATED * abs(root)
+        group[:, same] = _orthogonal(group[:, same], 2 * root * self.m + self.c)
+        part = group.T @ force
+        regular = not _coupled(part[same], group[:, same], force)
+        slope = -part[0]
+        if not regular:
+            return _mean_slope(group[:, same], self.slopes, root), np.zeros_like(force), False
+        if without_shape:
+            return slope, np.zeros_like(force), True
+        inertia = self.m @ group
+        border = (root + others) * inertia + self.c @ group
+        matrix = root * (root * self.m + self.c) + self.k
+        rest, good = _bordered(matrix, border, -(force - border @ part), (group.T @ inertia) @ part)
+        for j in range(1, len(near)):
+            if not same[j]:
+                rest -= np.outer(group[:, j], part[j] / (root - others[j]))
+        norm = np.array([psi @ (2 * root * (dm @ psi) + dc @ psi) for _, dc, dm in self.slopes])
+        own = -0.5 * (2 * slope * (psi @ inertia[:, 0]) + norm) - border[:, 0] @ rest
+        return slope, rest + np.outer(psi, own), good
+
+
+class _Undamped:
+    """Classical modes: groups of close squared frequencies."""
+
+    def __init__(self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes):
+        self.k, self.m, self.slopes, self.all = stiffness, mass, slopes, modes.shapes
+        self.omega = 2 * np.pi * modes.natural_freq
+        self.shape_type: type = complex if any(_has_entries(dc) for _, dc, _ in slopes) else float
+
+    def of(self, i: int, without_shape: bool) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Derivatives of lambda (n_params,) and phi (n_dof, n_params), and whether the mode is regular."""
+        omega, phi = self.omega[i], self.all[:, i]
+        columns = [dk @ phi - omega**2 * (dm @ phi) for dk, _, dm in self.slopes]
+        force: np.ndarray = np.column_stack(columns).astype(self.shape_type)
+        if self.shape_type is complex:
+            force += 1j * omega * np.column_stack([dc @ phi for _, dc, _ in self.slopes])
+        gap = np.abs(self.omega - omega)
+        near = np.flatnonzero(gap <= NEIGHBOUR * omega)
+        near = np.concatenate([[i], near[near != i]])
+        group = self.all[:, near]
+        part = group.T @ force
+        same = gap[near] <= REPEATED * omega
+        regular = not _coupled(part[same], group[:, same], force)
+        # d(omega^2) = phi^T F = -2 lambda dlambda
+        slope = 0.5j * part[0] / omega
+        if not regular:
+            return _mean_slope(group[:, same], self.slopes, 1j * omega), np.zeros_like(force), False
+        if without_shape:
+            return slope, np.zeros_like(force), True
+        border = self.m @ group
+        rest, good = _bordered(self.k - omega**2 * self.m, border, -(force - border @ part), np.zeros_like(part))
+        for j in range(1, len(near)):
+            if not same[j]:
+                rest += np.outer(group[:, j], part[j] / (omega**2 - self.omega[near[j]] ** 2))
+        own = -0.5 * np.array([phi @ (dm @ phi) for _, _, dm in self.slopes]) - border[:, 0] @ rest
+        return slope, rest + np.outer(phi, own), good
+
+
+def _orthogonal(group: np.ndarray, weight: Matrix) -> np.ndarray:
+    """Shapes of one repeated root made orthogonal in its own form, which no solver does; the first one stays."""
+    out = group.copy()
+    for j in range(1, group.shape[1]):
+        for _ in range(2):  # the second pass removes what rounding left
+            out[:, j] -= out[:, :j] @ (out[:, :j].T @ (weight @ out[:, j]))
+        out[:, j] /= np.sqrt(complex(out[:, j] @ (weight @ out[:, j])))
+    return out
+
+
+def _mean_slope(group: np.ndarray, slopes: list[Any], root: complex) -> np.ndarray:
+    """Mean derivative over a repeated root, the only one that does not depend on the choice of its shapes."""
+    total = np.zeros(len(slopes), dtype=complex)
+    for psi in group.T:
+        for q, (dk, dc, dm) in enumerate(slopes):
+            total[q] -= psi @ (root * (root * (dm @ psi) + dc @ psi) + dk @ psi)
+    if not np.iscomplexobj(group):
+        total /= 2 * root  # phi^T M phi = 1 instead of psi^T (2 lambda M + C) psi = 1
+    return total / group.shape[1]
+
+
+def _coupled(part: np.ndarray, group: np.ndarray, force: np.ndarray) -> bool:
+    """Whether some parameter mixes the shapes of a repeated root; the first one is the mode itself."""
+    size = np.linalg.norm(group, axis=0)[:, None] * np.linalg.norm(force, axis=0)
+    return bool(np.any(np.abs(part[1:]) > 1e-6 * size[1:]))
+
+
+def _has_entries(matrix: Matrix) -> bool:
+    return bool(abs(matrix).max() > 0)
+
+
+def _bordered(matrix: Matrix, border: np.ndarray, top: np.ndarray, bottom: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Solution x of ``[Z, B; B^T, 0] [x; mu] = [top; bottom]`` and whether it is accurate."""
+    n, g = border.shape
+    # The border is brought to the size of the matrix, or pivoting would prefer the one or the other.
+    largest = abs(matrix).max()
+    scale = largest / np.abs(border).max(axis=0)
+    edge = border * scale
+    right = np.vstack([top, bottom * scale[:, None]])
+    whole: Any
+    solve: Callable[[np.ndarray], np.ndarray]
+    if sp.issparse(matrix):
+        blocks: list[list[Any]] = [[matrix, sp.csc_array(edge)], [sp.csc_array(edge.T), None]]
+        whole = sp.csc_matrix(sp.block_array(blocks, format="csc"))
+        try:
+            lu = spla.splu(whole, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+        except RuntimeError as fault:
+            raise EvaluationError(f"the derivative of a mode shape could not be solved ({fault})") from fault
+        solve = partial(_sparse_solve, lu, whole.dtype)
+    else:
+        whole = np.block([[matrix, edge], [edge.T, np.zeros((g, g))]])
+        solve = partial(la.lu_solve, la.lu_factor(whole, check_finite=False), check_finite=False)
+
+    def answer(b: np.ndarray) -> np.ndarray:
+        if np.iscomplexobj(b) and not np.iscomplexobj(whole):
+            return solve(b.real) + 1j * solve(b.imag)
+        return solve(b)
+
+    x = answer(right)
+    x = x + answer(right - whole @ x)  # one refinement pays for the relaxed pivoting
+    miss = np.linalg.norm(right - whole @ x, axis=0)
+    size = np.linalg.norm(right, axis=0)
+    good = bool(np.all(np.isfinite(x))) and bool(np.all(miss <= _RESIDUAL * np.maximum(size, 1e-300)))
+    return x[:n], good
+
+
+def _sparse_solve(lu: spla.SuperLU, dtype: np.dtype, b: np.ndarray) -> np.ndarray:
+    return lu.solve(np.ascontiguousarray(b, dtype=dtype))

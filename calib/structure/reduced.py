@@ -1,0 +1,277 @@
+"""A structural model projected on a few vectors: the same questions, answered with small dense matrices."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from calib.errors import EvaluationError, InputError
+from calib.measurement.modal import Sensor
+from calib.space import ParameterSpace
+from calib.structure.affine import AffineMatrix
+from calib.structure.basis import Basis
+from calib.structure.energy import shares_of, strain_energy
+from calib.structure.inertia import symmetric_factor
+from calib.structure.model import Assumption, Mesh, StructuralModel
+from calib.structure.modes import Modes
+from calib.structure.reduced_matrix import ReducedMatrix, reduce_matrix
+from calib.structure.solve_dense import solve_dense
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedModel:
+    """A structural model whose shapes are confined to a basis; a `ModalModel` whose degrees of freedom are its vectors.
+
+    Frequencies are those of the full model to within the square of what the basis cannot represent of the shapes
+    (Rayleigh-Ritz). How far off they are at a point is estimated by `indicator`.
+
+    Attributes
+    ----------
+    model : StructuralModel
+    basis : Basis
+
+    Raises
+    ------
+    InputError
+        When the basis belongs to another model.
+    """
+
+    model: StructuralModel
+    basis: Basis
+    _stiffness: ReducedMatrix = field(init=False, repr=False)
+    _damping: ReducedMatrix = field(init=False, repr=False)
+    _mass: ReducedMatrix = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.basis.model_fingerprint != self.model.fingerprint:
+            raise InputError(
+                "the reduced basis belongs to another model or to an earlier state of it",
+                place=f"model {self.model.name}",
+                remedy="train it anew",
+            )
+        for name in ("stiffness", "damping", "mass"):
+            object.__setattr__(self, f"_{name}", reduce_matrix(getattr(self.model, name), self.basis.vectors))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Factors cannot be pickled, and projecting anew is quicker than sending the matrices.
+        return ReducedModel, (self.model, self.basis)
+
+    # -- what it has in common with the full model ---------------------------------------------------------------------
+
+    @property
+    def name(self) -> str:
+        """Name of the full model and size of the basis."""
+        return f"{self.model.name} (reduced to {self.n_dof})"
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the full model."""
+        return self.model.space
+
+    @property
+    def n_dof(self) -> int:
+        """Number of vectors."""
+        return self.basis.size
+
+    @property
+    def clusters(self) -> tuple[str, ...]:
+        """Names of the full model's clusters."""
+        return tuple(self.model.clusters)
+
+    @property
+    def mesh(self) -> Mesh:
+        """Mesh of the full model."""
+        return self.model.mesh
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """Assumptions of the full model."""
+        return self.model.assumptions
+
+    @property
+    def is_damped(self) -> bool:
+        """Whether modes are complex."""
+        return self.model.is_damped
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash over the full model and the basis."""
+        return hashlib.sha256((self.model.fingerprint + self.basis.digest).encode()).hexdigest()[:16]
+
+    # -- answers -------------------------------------------------------------------------------------------------------
+
+    def matrices(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """K, C, M over the basis at named values, each (size, size)."""
+        si = self.space.si(self.space.complete(values))
+        return self._stiffness(si), self._damping(si), self._mass(si)
+
+    def matrix_derivatives(self, values: Mapping[str, float], name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """dK, dC, dM with respect to one parameter, per one of its own unit; whole-number parameters count as fixed."""
+        si = self.space.si(self.space.complete(values))
+        factor = self.space[name].si_factor
+        stiffness, damping, mass = (m.derivative(si, name) * factor for m in self._matrices)
+        return stiffness, damping, mass
+
+    @property
+    def _matrices(self) -> tuple[ReducedMatrix, ReducedMatrix, ReducedMatrix]:
+        return self._stiffness, self._damping, self._mass
+
+    def modes(self, values: Mapping[str, float], count: int) -> Modes:
+        """The ``count`` lowest vibration modes at named values, with shapes over the basis, (size, count).
+
+        Raises
+        ------
+        InputError
+            When more modes are asked than the basis was trained for.
+        EvaluationError
+            When the point cannot be solved.
+        """
+        if count > self.basis.count:
+            raise InputError(
+                f"{count} modes are asked of a basis trained for {self.basis.count}",
+                place=f"model {self.name}",
+                remedy="train it for as many",
+            )
+        si = self.space.si(self.space.complete(values))
+        stiffness, mass = self._stiffness(si), self._mass(si)
+        damping = self._damping(si) if self.is_damped else None
+
+        def turning(shape: np.ndarray) -> float:
+            total = abs(np.vdot(shape, mass @ shape))
+            return float(abs(np.vdot(shape, self._turning_mass(si) @ shape)) / total) if total > 0 else 0.0
+
+        return solve_dense(stiffness, damping, mass, count, turning)
+
+    def lift(self, shapes: np.ndarray) -> np.ndarray:
+        """Shapes over the full model's degrees of freedom, (n_full, n_modes), from those over the basis."""
+        return self.basis.vectors @ shapes
+
+    def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
+        """Motion at the sensors over the basis, (n_sensors, size); raises as the full model."""
+        return self.model.sensor_rows(sensors) @ self.basis.vectors
+
+    def displacement(self, shapes: np.ndarray) -> np.ndarray:
+        """Translations of all nodes, (n_nodes, 3, n_modes), from shapes over the basis."""
+        return self.model.displacement(self.lift(shapes))
+
+    def strain_energy(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
+        """Strain energy of each mode in the scale of its shape, (n_modes,)."""
+        return strain_energy(self._stiffness(self.space.si(self.space.complete(values))), shapes)
+
+    def energy_shares(self, values: Mapping[str, float], shapes: np.ndarray, names: Sequence[str]) -> np.ndarray:
+        """Share of each mode's strain energy in each named cluster, (n_names, n_modes): that of the lifted shapes."""
+        si = self.space.si(self.space.complete(values))
+        factors = [t.coefficient(si) for t in self.model.stiffness.terms]
+        supports = zip(self.model.stiffness.selected, self._stiffness.vectors, strict=True)
+        picks = [(t.coefficient(si), vectors[key := t.choice(si)], key) for t, vectors in supports]
+        real = np.hstack([shapes.real, shapes.imag]) if np.iscomplexobj(shapes) else shapes
+        parts = np.zeros((len(names), real.shape[1]))
+        for i, name in enumerate(names):
+            share = self._cluster_energy[name]
+            matrix = sum((factors[q] * block for q, block in share.blocks), start=np.zeros((self.n_dof, self.n_dof)))
+            parts[i] = np.einsum("ij,ij->j", real, matrix @ real)
+            for (factor, b, key), own in zip(picks, share.supports, strict=True):
+                if key in own:
+                    parts[i] += factor * (own[key] @ real) * (b @ real)
+        if np.iscomplexobj(shapes):
+            parts = parts[:, : shapes.shape[1]] + parts[:, shapes.shape[1] :]
+        return shares_of(parts, strain_energy(self._stiffness(si), shapes))
+
+    @cached_property
+    def _cluster_energy(self) -> Mapping[str, _ClusterEnergy]:
+        return {name: self._energy_of(np.unique(members)) for name, members in self.model.clusters.items()}
+
+    def _energy_of(self, members: np.ndarray) -> _ClusterEnergy:
+        vectors = self.basis.vectors
+        own = vectors[members]
+        blocks = []
+        for q, term in enumerate(self.model.stiffness.terms):
+            rows = sp.csr_array(term.matrix)[members]
+            if rows.nnz:
+                block = own.T @ (rows @ vectors)
+                blocks.append((q, 0.5 * (block + block.T)))
+        supports = tuple(
+            {key: own.T @ b[members] for key, b in term.vectors.items() if np.any(b[members])}
+            for term in self.model.stiffness.selected
+        )
+        return _ClusterEnergy(tuple(blocks), supports)
+
+    # -- rotations, asked only where there are zero roots --------------------------------------------------------------
+
+    def _turning_mass(self, si: Mapping[str, float]) -> np.ndarray:
+        turning = np.where(self.model.dofs.direction >= 3, 1.0, 0.0)
+        part = turning[:, None] * self.basis.vectors
+        return part.T @ (self.model.mass(si) @ part)
+
+    # -- how far off ---------------------------------------------------------------------------------------------------
+
+    def indicator(self, values: Mapping[str, float], modes: Modes) -> np.ndarray:
+        """Estimated relative error ``|lambda_reduced - lambda|/|lambda|`` of each mode, (n_modes,).
+
+        ``est = ||R||^2 / |lambda|`` with the full model's residual ``R = (lambda^2 M + lambda C + K) psi`` in the dual
+        norm of the basis, psi being scaled as in `Modes` (half of it for an undamped mode, so that it is the relative
+        error of the frequency there too). A Galerkin eigenvalue is exact to first order in the error of its shape;
+        the error left is ``R^T (lambda^2 M + lambda C + K)^+ R``, of which this keeps the inverse of K alone, taken at
+        the reference values.
+
+        It is an indicator and no bound: it knows neither the distance to the next root nor how much softer than at the
+        reference the model may be, and it says nothing about a mode that is not in the list at all.
+
+        Parameters
+        ----------
+        values : mapping
+        modes : Modes
+            Of this model at these values.
+        """
+        stiffness, damping, mass = self.model.matrices(values)
+        shapes = self.lift(modes.shapes)
+        size = 2 * np.pi * modes.natural_freq
+        if modes.is_complex:
+            roots = -modes.damping_ratio * size + 2j * np.pi * modes.damped_freq
+            residual = roots**2 * (mass @ shapes) + roots * (damping @ shapes) + stiffness @ shapes
+            parts = np.hstack([residual.real, residual.imag])
+        else:
+            parts = stiffness @ shapes - size**2 * (mass @ shapes)
+        squares = np.einsum("ij,ij->j", parts, self._reference_factor.solve(parts))
+        if modes.is_complex:
+            return (squares[: modes.n_modes] + squares[modes.n_modes :]) / size
+        return 0.5 * squares / size**2
+
+    @cached_property
+    def _reference_factor(self) -> spla.SuperLU:
+        return reference_factor(self.model, self.basis.reference_values, self.basis.offset)
+
+
+@dataclass(frozen=True, eq=False)
+class _ClusterEnergy:
+    """What of the strain energy belongs to one cluster: blocks of terms, and V_c^T b_c of selected vectors."""
+
+    blocks: tuple[tuple[int, np.ndarray], ...]
+    supports: tuple[Mapping[tuple[int, ...], np.ndarray], ...]
+
+
+def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset: float) -> sp.csc_array:
+    """``K + offset M`` at named values without selected terms, (n_dof, n_dof): the inner product of a basis.
+
+    Leaving the selected terms out makes no choice of position a favourite. With ``K^-1 b`` of all their vectors in the
+    basis, a Galerkin residual is orthogonal to these, and its dual norm is then the same with any of the terms present
+    (Woodbury's identity).
+    """
+    si = model.space.si(model.space.complete(values))
+    plain = AffineMatrix(model.n_dof, model.stiffness.terms)
+    return sp.csc_array(plain(si) + offset * model.mass(si))
+
+
+def reference_factor(model: StructuralModel, values: Mapping[str, float], offset: float) -> spla.SuperLU:
+    """Factor of `reference_matrix`; EvaluationError when it is singular."""
+    try:
+        return symmetric_factor(reference_matrix(model, values, offset))
+    except RuntimeError as fault:
+        raise EvaluationError(f"the reference stiffness of {model.name} is singular ({fault})") from fault

@@ -1,0 +1,311 @@
+"""Choosing the vectors of a reduced basis from full-order modes over the spaces to be searched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg as la
+
+from calib.errors import InputError
+from calib.space import ParameterSpace
+from calib.structure.basis import CHECK_COLUMNS, Basis
+from calib.structure.certificate import mode_errors
+from calib.structure.cover import box, covering_points, levels, middle
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+from calib.structure.reduced import ReducedModel, reference_factor, reference_matrix
+from calib.structure.solve import solve_modes
+
+_SAFETY = 0.5
+"""The indicator must fall below this part of the tolerance."""
+_POD = 0.5
+"""Squared projection error of every snapshot, in parts of the tolerance."""
+_STATIC = 1e-3
+"""Static vectors nearer than this to the others, in the energy norm, add nothing."""
+_NEAR = 1.15
+"""Modes up to this multiple of the highest frequency wanted are represented: they may come lower elsewhere."""
+_FRESH = 24
+"""Fresh points of each space in a round of checks."""
+_VERIFIED = 6
+"""Points of a passed round, worst indicators first, solved at full order as well: only that tells missed modes."""
+_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Which modes must meet which tolerance."""
+
+    count: int
+    freq_max: float
+    damping_max: float
+    tolerance: float
+
+    def judged(self, modes: Modes) -> np.ndarray:
+        """Which modes count, (n_modes,), bool."""
+        return (modes.natural_freq <= self.freq_max) & (modes.damping_ratio < self.damping_max)
+
+
+def train_basis(
+    model: StructuralModel,
+    spaces: ParameterSpace | Sequence[ParameterSpace],
+    count: int,
+    *,
+    seed: int,
+    freq_max: float = np.inf,
+    damping_max: float = 0.95,
+    tolerance: float = 1e-4,
+    samples: int | None = None,
+) -> Basis:
+    """Choose a basis that represents the lowest modes of a model all over some parameter spaces.
+
+    In this order: static answers to all selected vectors b and to the dampers, proper orthogonal decomposition of
+    snapshots (modes at Latin hypercube points, scaled to equal energy, real and imaginary parts), and the modes at
+    those fresh points where `ReducedModel.indicator` is worst, until a round of fresh points passes and those of its
+    points that look worst agree with the full model, no mode missing. Points that were not solved are vouched for by
+    the indicator only; `calib.structure.certificate` measures.
+
+    Parameters
+    ----------
+    model : StructuralModel
+    spaces : ParameterSpace or sequence of them
+        Where the basis shall hold, constraints included; whole-number parameters take all of their values.
+    count : int
+        Number of modes that will be asked.
+    seed : int
+        Same seed, same basis on the same machine.
+    freq_max, damping_max : float
+        Only modes below this natural frequency (Hz) and damping ratio must meet the tolerance. A nearly critical root
+        is close to defective, so that little may be asked of it.
+    tolerance : float
+        Relative eigenvalue error; half of it is asked of the indicator.
+    samples : int, optional
+        Snapshot points of each space; default 8 and 2 for each free parameter, at least as many as a whole-number
+        parameter has values.
+
+    Raises
+    ------
+    InputError
+        When a space does not belong to the model, has no admissible point, or the tolerance is not reached.
+    EvaluationError
+        When a point cannot be solved.
+    """
+    several = (spaces,) if isinstance(spaces, ParameterSpace) else tuple(spaces)
+    _check(model, several, count, tolerance)
+    target = _Target(count, freq_max, damping_max, tolerance)
+    rng = np.random.default_rng(seed)
+    lower, upper = box(several)
+    reference = middle(lower, upper)
+    offset = _offset(model, dict(zip(model.space.names, reference.tolist(), strict=True)))
+    basis = Basis(
+        vectors=np.zeros((model.n_dof, 0)),
+        model_fingerprint=model.fingerprint,
+        names=model.space.names,
+        reference=reference,
+        lower=lower,
+        upper=upper,
+        offset=offset,
+        count=count,
+        freq_max=float(freq_max),
+        damping_max=float(damping_max),
+        tolerance=float(tolerance),
+        samples=np.zeros((0, len(reference))),
+        checks=np.zeros((0, len(CHECK_COLUMNS))),
+        seed=seed,
+    )
+    growth = _Growth(model, basis)
+    vectors = growth.statics()
+    points = [p for space in several for p in covering_points(space, samples or _sample_count(space), rng)]
+    snapshots = np.hstack([growth.snapshots(model.modes(p, count), target) for p in points])
+    vectors = np.hstack([vectors, growth.decomposed(snapshots, vectors, _POD * tolerance)])
+    basis = replace(basis, vectors=vectors, samples=_rows(basis, points))
+    for number in range(1, _ROUNDS + 1):
+        fresh = [p for space in several for p in covering_points(space, _fresh_count(space), rng)]
+        basis, passed = growth.enriched(basis, fresh, target, number)
+        if passed:
+            return basis
+    worst = basis.checks[basis.checks[:, 0] == _ROUNDS, 2].max()
+    raise InputError(
+        f"a basis of {basis.size} vectors still errs by {worst:.1e} somewhere (by its indicator)",
+        place=f"reduced model of {model.name}",
+        remedy=f"raise the tolerance of {tolerance:g}, narrow the limits, or work with the full model",
+    )
+
+
+def enrich_basis(model: StructuralModel, basis: Basis, points: Sequence[Mapping[str, float]]) -> Basis:
+    """A next version of a basis that also meets its tolerance at given points, in the order given.
+
+    A basis must not change during a search, since its answers would then depend on their order.
+    """
+    growth = _Growth(model, basis)
+    target = _Target(basis.count, basis.freq_max, basis.damping_max, basis.tolerance)
+    number = int(basis.checks[:, 0].max(initial=0)) + 1
+    complete = [model.space.complete(p) for p in points]
+    grown = growth.enriched(basis, complete, target, number)[0]
+    return replace(grown, version=basis.version + 1)
+
+
+# -- vectors -----------------------------------------------------------------------------------------------------------
+
+
+class _Growth:
+    """The inner product of a basis, and what is made with it."""
+
+    def __init__(self, model: StructuralModel, basis: Basis):
+        self.model = model
+        self.reference = basis.reference_values
+        self.matrix = reference_matrix(model, self.reference, basis.offset)
+        self.factor = reference_factor(model, self.reference, basis.offset)
+        self.rigid = _rigid_count(model, self.reference) if basis.offset else 0
+
+    def _inertia_forces(self) -> np.ndarray:
+        """Forces whose answers are the rigid-body motions and mechanisms of the reference model."""
+        mass = self.model.mass(self.model.space.si(self.model.space.complete(self.reference)))
+        forces = np.random.default_rng(20110713).standard_normal((self.model.n_dof, self.rigid))
+        for _ in range(12):  # each turn weakens the first vibration mode a hundredfold
+            motions = np.linalg.qr(self.factor.solve(forces))[0]
+            forces = mass @ motions
+        return forces
+
+    def outside(self, vectors: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        """What of vectors is orthogonal to an orthonormal basis in the energy product."""
+        for _ in range(2):
+            vectors = vectors - basis @ (basis.T @ (self.matrix @ vectors))
+        return vectors
+
+    def spanned(self, vectors: np.ndarray, least: float) -> np.ndarray:
+        """Orthonormal basis of vectors (n_dof, m); directions of energy below ``least`` (squared norm) are dropped."""
+        if not vectors.shape[1]:
+            return vectors
+        energies, turn = la.eigh(vectors.T @ (self.matrix @ vectors))
+        kept = energies > max(least, 1e-13 * energies[-1])
+        out = vectors @ (turn[:, kept] / np.sqrt(energies[kept]))
+        # Once more: the division has magnified the rounding of small directions.
+        energies, turn = la.eigh(out.T @ (self.matrix @ out))
+        return out @ (turn / np.sqrt(energies)) @ turn.T
+
+    def statics(self) -> np.ndarray:
+        """The reference model's answers to all selected vectors and to forces of dampers, and its rigid motions."""
+        chosen = [b for term in self.model.stiffness.selected for b in term.vectors.values()]
+        forces = [np.column_stack(chosen)] if chosen else []
+        if self.rigid:
+            forces.append(self._inertia_forces())
+        if self.model.is_damped:
+            for term in self.model.damping.terms:
+                active = np.unique(term.matrix.indices[term.matrix.data != 0])
+                if len(active) <= 0.1 * self.model.n_dof:  # dampers at places, not damping of the material
+                    sizes, turn = la.eigh(term.matrix[active][:, active].toarray())
+                    columns = np.zeros((self.model.n_dof, np.count_nonzero(sizes > 1e-10 * sizes[-1])))
+                    columns[active] = turn[:, sizes > 1e-10 * sizes[-1]]
+                    forces.append(columns)
+        if not forces:
+            return np.zeros((self.model.n_dof, 0))
+        answers = self.factor.solve(np.hstack(forces))
+        answers /= np.sqrt(np.einsum("ij,ij->j", answers, self.matrix @ answers))
+        return self.spanned(answers, _STATIC**2)
+
+    def snapshots(self, modes: Modes, target: _Target) -> np.ndarray:
+        """Real columns that span modes, each mode scaled to unit energy; (n_dof, n_modes) or twice as many."""
+        shapes = modes.shapes[:, modes.natural_freq <= _NEAR * target.freq_max]
+        energy = np.einsum("ij,ij->j", shapes.conj(), self.matrix @ shapes).real
+        if not modes.is_complex:
+            return shapes / np.sqrt(energy)
+        # Turned so that the real part is as large as it can be.
+        turn = np.exp(-0.5j * np.angle(np.einsum("ij,ij->j", shapes, self.matrix @ shapes)))
+        shapes = shapes * (turn / np.sqrt(energy))
+        return np.hstack([shapes.real, shapes.imag])
+
+    def decomposed(self, snapshots: np.ndarray, basis: np.ndarray, error: float) -> np.ndarray:
+        """Fewest principal directions beside a basis that represent every snapshot to a squared error."""
+        rest = self.outside(snapshots, basis)
+        gram = rest.T @ (self.matrix @ rest)
+        if np.diag(gram).max(initial=0.0) < error:
+            return np.zeros((len(rest), 0))
+        energies, turn = la.eigh(gram)
+        energies, turn = energies[::-1], turn[:, ::-1]
+        left = np.diag(gram)[:, None] - np.cumsum(energies * turn**2, axis=1)
+        size = int(np.argmax(left.max(axis=0) < error)) + 1
+        size = min(size, int(np.count_nonzero(energies > 1e-13 * energies[0])))
+        return self.spanned(self.outside(rest @ (turn[:, :size] / np.sqrt(energies[:size])), basis), 0.0)
+
+    def enriched(
+        self, basis: Basis, points: Sequence[Mapping[str, float]], target: _Target, number: int
+    ) -> tuple[Basis, bool]:
+        """The basis with the modes of the worst points added until all points pass, and whether all did at once."""
+        final = np.zeros(len(points))
+        waiting = list(range(len(points)))
+        passed = True
+        while waiting:
+            reduced = ReducedModel(self.model, basis)
+            for k in waiting:
+                modes = reduced.modes(points[k], target.count)
+                final[k] = np.max(reduced.indicator(points[k], modes)[target.judged(modes)], initial=0.0)
+            checks = [(number, basis.size, final[k], np.nan) for k in waiting]
+            waiting = [k for k in waiting if final[k] > _SAFETY * target.tolerance]
+            worst = [max(waiting, key=lambda k: final[k])] if waiting else []
+            if not waiting:
+                for k in np.argsort(-final, kind="stable")[:_VERIFIED].tolist():
+                    error = mode_errors(reduced, points[k], target.count).worst
+                    checks.append((number, basis.size, final[k], error))
+                    if error > target.tolerance:
+                        worst.append(k)
+            basis = replace(basis, checks=np.vstack([basis.checks, checks]))
+            if not worst:
+                break
+            passed = False
+            snapshots = [self.snapshots(self.model.modes(points[k], target.count), target) for k in worst]
+            grown = self.added(basis.vectors, np.hstack(snapshots), _POD * target.tolerance)
+            if grown.shape[1] == basis.size:
+                break  # nothing is left to add: the indicator lies above the true error there
+            samples = np.vstack([basis.samples, _rows(basis, [points[k] for k in worst])])
+            basis = replace(basis, vectors=grown, samples=samples)
+        return basis, passed
+
+    def added(self, basis: np.ndarray, vectors: np.ndarray, least: float) -> np.ndarray:
+        """An orthonormal basis with vectors added, directions of energy below ``least`` left out."""
+        new = self.spanned(self.outside(vectors, basis), least)
+        return np.hstack([basis, self.outside(new, basis)])
+
+
+def _rigid_count(model: StructuralModel, values: Mapping[str, float]) -> int:
+    """Number of rigid-body motions and mechanisms of the reference model."""
+    return sum(root.kind in ("zero", "spin") for root in _reference_modes(model, values).excluded)
+
+
+def _offset(model: StructuralModel, values: Mapping[str, float]) -> float:
+    """What part of the mass keeps the inner product regular: none, but for rigid-body motions and mechanisms."""
+    if not _rigid_count(model, values):
+        return 0.0
+    return float((0.1 * 2 * np.pi * _reference_modes(model, values).natural_freq[0]) ** 2)
+
+
+def _reference_modes(model: StructuralModel, values: Mapping[str, float]) -> Modes:
+    stiffness = reference_matrix(model, values, 0.0)
+    return solve_modes(stiffness, None, model.mass(model.space.si(model.space.complete(values))), 1)
+
+
+def _check(model: StructuralModel, spaces: Sequence[ParameterSpace], count: int, tolerance: float) -> None:
+    place = f"reduced model of {model.name}"
+    if count < 1:
+        raise InputError(f"{count} modes are asked", place=place, remedy="ask for at least 1")
+    if not 0 < tolerance < 1:
+        raise InputError(f"the tolerance is {tolerance}", place=place, remedy="choose one such as 1e-4")
+    if not spaces:
+        raise InputError("no parameter space is given", place=place)
+    for space in spaces:
+        if space.names != model.space.names:
+            raise InputError("a space has other parameters than the model", place=place)
+        space.require_feasible()
+
+
+def _sample_count(space: ParameterSpace) -> int:
+    return max(8 + 2 * len(space.free), levels(space))
+
+
+def _fresh_count(space: ParameterSpace) -> int:
+    return max(_FRESH, levels(space))
+
+
+def _rows(basis: Basis, points: Sequence[Mapping[str, float]]) -> np.ndarray:
+    return np.array([[p[name] for name in basis.names] for p in points], dtype=float).reshape(-1, len(basis.names))

@@ -1,0 +1,457 @@
+"""What the data say about the parameters: posterior scatter, confounded parameters and verdicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from calib.errors import InputError
+from calib.space import ParameterSpace
+
+IDENTIFIED = 0.025
+"""Largest posterior standard deviation, over the range between the limits, of an identified parameter."""
+
+CONFOUNDED = 0.9
+"""Size of the posterior correlation from which two parameters count as confounded."""
+
+SEEN = 1.0
+"""Signal of one prior standard deviation, over the scatter, below which the data do not see a direction."""
+
+TAKES_PART = 0.3
+"""Smallest share (of length 1) of a parameter that is named as part of a direction."""
+
+_AT_BOUND, _STABLE = 0.01, 0.10
+_ZERO = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Gaussian knowledge about parameters after the measurement, linearised at one point.
+
+    Attributes
+    ----------
+    names : tuple of str
+    covariance : ndarray (n_params, n_params)
+        In the parameters' own units; infinite on the diagonal where neither data nor prior say anything.
+    std : ndarray (n_params,)
+    correlation : ndarray (n_params, n_params)
+        Rows and columns of unlimited parameters hold their correlation within what is not seen.
+    data_share : ndarray (n_params,)
+        ``1 - V_kk/s_k^2``: 1 when the data decide, 0 when the prior does; 1 for a finite std without a prior.
+    """
+
+    names: tuple[str, ...]
+    covariance: np.ndarray
+    std: np.ndarray
+    correlation: np.ndarray
+    data_share: np.ndarray
+
+
+def posterior(names: Sequence[str], jacobian: np.ndarray, prior_sd: np.ndarray) -> Posterior:
+    """``V = (G^T G + diag(1/s^2))^-1`` (Laplace approximation about the optimum).
+
+    Parameters
+    ----------
+    names : sequence of str
+    jacobian : ndarray (n_rows, n_params)
+        Of the whitened residual, per one of each parameter's own unit.
+    prior_sd : ndarray (n_params,)
+        In the same units; infinite without a prior.
+
+    Raises
+    ------
+    InputError
+        When shapes differ, or numbers are not finite or not positive.
+    """
+    g, s = np.atleast_2d(np.asarray(jacobian, dtype=float)), np.asarray(prior_sd, dtype=float)
+    n = len(names)
+    if g.shape[1] != n or s.shape != (n,):
+        raise InputError(f"{n} parameters, but a Jacobian {g.shape} and {len(s)} priors", place="identifiability")
+    if not np.all(np.isfinite(g)) or not np.all(s > 0):
+        raise InputError("the Jacobian or a prior is not a usable number", place="identifiability")
+    # Scaled to columns of length one the inverse does not depend on units.
+    whole = np.vstack([g, np.diag(1.0 / s)])
+    size = np.linalg.norm(whole, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    _, singular, vt = np.linalg.svd(whole / size, full_matrices=False)
+    lost = singular <= _ZERO * max(len(whole), 1) * singular.max(initial=1.0)
+    # An unlimited direction is given a very large variance, so that correlations keep their meaning.
+    weight = 1.0 / np.where(lost, _ZERO * singular.max(initial=1.0), singular)
+    scaled = (vt.T * weight**2) @ vt
+    spread = np.sqrt(np.diag(scaled))
+    correlation = np.clip(scaled / np.outer(spread, spread), -1.0, 1.0)
+    endless = np.sum(vt[lost] ** 2, axis=0) > 1e-16
+    covariance = scaled / np.outer(size, size)
+    std = np.where(endless, np.inf, spread / size)
+    covariance[np.diag_indices(n)] = std**2
+    with np.errstate(invalid="ignore"):
+        share = np.where(np.isfinite(s), 1.0 - (std / s) ** 2, np.where(endless, 0.0, 1.0))
+    return Posterior(tuple(names), covariance, std, correlation, np.clip(share, 0.0, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What can be told about the parameters.
+
+    Attributes
+    ----------
+    posterior : Posterior
+    parameters : DataFrame
+        ``parameter, std, std_of_range, identified, prior_sd, data_share``; own units, ``identified`` when the posterior
+        standard deviation is at most 2.5 % of the range.
+    confounded : DataFrame
+        ``parameter_a, parameter_b, correlation, words``; pairs of correlation beyond the threshold,
+        strongest first; harmless where both are identified.
+    directions : DataFrame
+        ``direction, signal, data_share, seen, parameters, words``; orthogonal combinations of parameters in units of
+        their prior standard deviations, least visible first. ``signal`` is the change of the whitened residual by one
+        such unit.
+    participation : DataFrame
+        Share of every parameter (columns) in every direction (rows, in the same order), with signs; each row has
+        length 1.
+    common_scale : float
+        Signal of all parameters together by 10 % of their values, over the scatter; NaN without values. Near 0, the
+        data see ratios only, such as those of stiffnesses to masses.
+    """
+
+    posterior: Posterior
+    parameters: pd.DataFrame
+    confounded: pd.DataFrame
+    directions: pd.DataFrame
+    participation: pd.DataFrame
+    common_scale: float
+
+    @property
+    def correlation(self) -> pd.DataFrame:
+        """Posterior correlation, rows and columns parameters."""
+        names = list(self.posterior.names)
+        return pd.DataFrame(self.posterior.correlation, index=names, columns=names)
+
+    def confounded_with(self, name: str) -> list[str]:
+        """The other parameters of the pairs that name one, strongest first."""
+        pairs = zip(self.confounded["parameter_a"], self.confounded["parameter_b"], strict=True)
+        return [b if a == name else a for a, b in pairs if name in (a, b)]
+
+    def sentences(self) -> tuple[str, ...]:
+        """What is identified, what is not and why, in plain words."""
+        table = self.parameters
+        good = table.loc[table["identified"], "parameter"].tolist()
+        bad = table.loc[~table["identified"], "parameter"].tolist()
+        out = [f"{len(good)} of {len(table)} parameters are identified" + (f"; not {', '.join(bad)}." if bad else ".")]
+        out += self.confounded["words"].tolist()
+        out += self.directions.loc[~self.directions["seen"], "words"].tolist()
+        if self.common_scale < SEEN:
+            out.append(
+                f"{', '.join(table['parameter'])} can all grow by the same factor without the data noticing: they see "
+                "ratios only. A known mass or stiffness would settle it."
+            )
+        return tuple(out)
+
+
+def identify(
+    space: ParameterSpace,
+    names: Sequence[str],
+    jacobian: np.ndarray,
+    prior_sd: np.ndarray | None = None,
+    values: Mapping[str, float] | None = None,
+    threshold: float = CONFOUNDED,
+) -> Identification:
+    """Tell which parameters the data determine, and which they cannot tell apart.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        For ranges and prior widths.
+    names : sequence of str
+        Parameters of the columns, whole numbers left out: a derivative says nothing about them (see `whole_number`).
+    jacobian : ndarray (n_rows, n_params)
+        Of the whitened residual at the optimum, per one of each parameter's own unit.
+    prior_sd : ndarray (n_params,), optional
+        Default the prior widths of the space; infinite without a prior.
+    values : mapping, optional
+        Values at the optimum; with them the common scale of all parameters is looked at.
+    threshold : float
+        Size of the correlation of a confounded pair.
+    """
+    chosen = tuple(names)
+    s = np.array([space[n].prior_width for n in chosen]) if prior_sd is None else np.asarray(prior_sd, dtype=float)
+    found = posterior(chosen, jacobian, s)
+    span = np.array([space[n].upper - space[n].lower for n in chosen])
+    relative = found.std / span
+    identified = relative <= IDENTIFIED
+    parameters = pd.DataFrame(
+        {
+            "parameter": chosen,
+            "std": found.std,
+            "std_of_range": relative,
+            "identified": identified,
+            "prior_sd": s,
+            "data_share": found.data_share,
+        }
+    )
+    reach = np.where(np.isfinite(s), s, span / math.sqrt(12.0))
+    directions, participation = _directions(chosen, np.atleast_2d(jacobian) * reach)
+    scale = math.nan
+    if values is not None:
+        scale = float(np.linalg.norm(np.atleast_2d(jacobian) @ (0.1 * np.array([values[n] for n in chosen]))))
+    return Identification(
+        found, parameters, _confounded(found, identified, threshold), directions, participation, scale
+    )  # fmt: skip
+
+
+def _confounded(found: Posterior, identified: np.ndarray, threshold: float) -> pd.DataFrame:
+    rows = []
+    for a in range(len(found.names)):
+        for b in range(a + 1, len(found.names)):
+            r = float(found.correlation[a, b])
+            if abs(r) < threshold:
+                continue
+            one, other = found.names[a], found.names[b]
+            way = "raising both" if r > 0 else "raising one and lowering the other"
+            words = f"{one} and {other} cannot be told apart: {way} hardly changes the data."
+            if identified[a] and identified[b]:
+                words = f"{one} and {other} are strongly correlated ({r:.2f}), yet both are identified."
+            rows.append((one, other, r, words))
+    rows.sort(key=lambda row: -abs(row[2]))
+    return pd.DataFrame(rows, columns=["parameter_a", "parameter_b", "correlation", "words"])
+
+
+def _directions(names: tuple[str, ...], scaled: np.ndarray) -> tuple[pd.DataFrame, pd.DataFrame]:
+    n = len(names)
+    _, singular, vt = np.linalg.svd(np.vstack([scaled, np.zeros((n, n))]), full_matrices=False)
+    rows: list[tuple[int, float, float, bool, str, str]] = []
+    parts = []
+    for k in reversed(range(n)):
+        part = vt[k] * np.sign(vt[k][np.argmax(np.abs(vt[k]))])
+        order = np.argsort(-np.abs(part), kind="stable")
+        named = [(names[j], part[j]) for n_th, j in enumerate(order) if n_th == 0 or abs(part[j]) >= TAKES_PART]
+        signal, text = float(singular[k]), ", ".join(f"{name} {'up' if p > 0 else 'down'}" for name, p in named)
+        seen = signal >= SEEN
+        words = f"The data {'see' if seen else 'do not see'} {text}"
+        words += f": {signal:.2g} times the scatter for one prior standard deviation."
+        share = signal**2 / (1 + signal**2)
+        rows.append((len(rows) + 1, signal, share, seen, ", ".join(name for name, _ in named), words))
+        parts.append(part)
+    columns = ["direction", "signal", "data_share", "seen", "parameters", "words"]
+    return pd.DataFrame(rows, columns=columns), pd.DataFrame(np.array(parts), columns=list(names))
+
+
+def prediction_interval(
+    labels: Sequence[str], freq: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, level: float = 0.95
+) -> pd.DataFrame:
+    """How far frequencies may lie from their computed values, from the posterior scatter of the parameters alone.
+
+    Neither the scatter of a measurement nor an error of the model is in it.
+
+    Parameters
+    ----------
+    labels : sequence of str
+    freq : ndarray (n_modes,)
+        Computed, Hz.
+    jacobian : ndarray (n_modes, n_params)
+        Of ``ln freq``, per one of each parameter's own unit.
+    covariance : ndarray (n_params, n_params)
+    level : float
+
+    Returns
+    -------
+    DataFrame
+        ``mode, natural_freq, std, lower, upper``; Hz. Limits are symmetric in the logarithm.
+    """
+    with np.errstate(invalid="ignore"):
+        relative = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
+    relative = np.where(np.isnan(relative), np.inf, relative)
+    reach = float(stats.norm.ppf(0.5 + level / 2)) * relative
+    with np.errstate(over="ignore"):
+        table = {"std": freq * relative, "lower": freq * np.exp(-reach), "upper": freq * np.exp(reach)}
+    return pd.DataFrame({"mode": list(labels), "natural_freq": freq, **table})
+
+
+@dataclass(frozen=True)
+class WholeNumber:
+    """What the misfit over neighbouring values says about a whole-number parameter.
+
+    Attributes
+    ----------
+    best : float
+    std : float
+        Of the distribution over the values tried.
+    probability : float
+        Of the best one.
+    """
+
+    best: float
+    std: float
+    probability: float
+
+
+def whole_number(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> WholeNumber:
+    """Distribution of a whole number from the lowest misfit at each value.
+
+    ``p(n) ~ exp(-misfit(n)/2 - ((n - centre)/sd)^2/2)``: the misfit is a sum of squares in units of the scatter, lowest
+    over all other parameters (profile likelihood). A parabola through the neighbours, the usual way for continuous
+    parameters, would claim a scatter of half a step where a neighbour is in fact excluded.
+
+    Parameters
+    ----------
+    numbers, misfits : ndarray (n,)
+        Values tried, the best one and its neighbours at least; infinite misfits are impossible values.
+    centre, sd : float
+        Prior; default none.
+
+    Raises
+    ------
+    InputError
+        When no value has a finite misfit.
+    """
+    numbers, misfits = np.asarray(numbers, dtype=float), np.asarray(misfits, dtype=float)
+    total = misfits + ((numbers - centre) / sd) ** 2
+    if not np.any(np.isfinite(total)):
+        raise InputError("no value of the whole number could be evaluated", place="identifiability")
+    weight = np.exp(-0.5 * (np.where(np.isfinite(total), total, np.inf) - np.nanmin(total)))
+    weight /= weight.sum()
+    mean = float(weight @ numbers)
+    std = math.sqrt(max(float(weight @ (numbers - mean) ** 2), 0.0))
+    return WholeNumber(float(numbers[np.argmax(weight)]), std, float(weight.max()))
+
+
+def within_scatter(misfit: float, freedom: float, scatter_freedom: float = math.inf) -> bool:
+    """Whether a fit is as good as the measurement's scatter allows.
+
+    A sum of squares of a whitened residual over its degrees of freedom, whitened by standard deviations that were
+    estimated themselves, is an F variate when the model is right; beyond its 95 % quantile something else is wrong, and
+    standard deviations of parameters are too small.
+    """
+    known = min(scatter_freedom, 1e9)
+    return bool(misfit <= freedom * stats.f.ppf(0.95, max(freedom, 1e-9), known))
+
+
+def parameter_verdicts(
+    space: ParameterSpace,
+    values: Mapping[str, float],
+    found: Identification,
+    spread: Mapping[str, float] | None = None,
+    whole: Mapping[str, WholeNumber] | None = None,
+    misfit: float | None = None,
+    freedom: float | None = None,
+    scatter_freedom: float = math.inf,
+) -> pd.DataFrame:
+    """One verdict and sentence for every free parameter.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    values : mapping
+        At the optimum.
+    found : Identification
+    spread : mapping, optional
+        Largest difference between cases over the range, from several searches or starts.
+    whole : mapping, optional
+        What the misfit says about whole-number parameters; without it they are not judged.
+    misfit, freedom : float, optional
+        Sum of squares of the whitened residual and its degrees of freedom; see `within_scatter`.
+    scatter_freedom : float
+        Degrees of freedom behind the standard deviations of the measurement; infinite when they are known.
+
+    Returns
+    -------
+    DataFrame
+        ``parameter, value, unit, lower, upper, ratio, on_bound, suggested_limit, spread, stable, std, std_of_range,
+        identified, confounded_with, fits_within_scatter, sentence``; missing where nothing can be told. A limit is
+        suggested half a range further out; a limit of 0 is physical and stays.
+    """
+    fits = None
+    if misfit is not None and freedom is not None:
+        fits = within_scatter(misfit, freedom, scatter_freedom)
+    stds = dict(zip(found.posterior.names, found.posterior.std.tolist(), strict=True))
+    rows = []
+    for p in space.free:
+        ratio = (values[p.name] - p.lower) / (p.upper - p.lower)
+        limit, side = _suggested(p.lower, p.upper, ratio)
+        if p.integer and math.isfinite(limit):
+            limit = float(math.floor(limit) if side == "lower" else math.ceil(limit))
+        width = None if spread is None or not math.isfinite(spread.get(p.name, math.nan)) else spread[p.name]
+        std, identified = math.nan, None
+        if p.name in stds:
+            std = stds[p.name]
+        elif whole is not None and p.name in whole:
+            std = whole[p.name].std
+        if not math.isnan(std):
+            identified = std / (p.upper - p.lower) <= IDENTIFIED
+        others = [] if identified else found.confounded_with(p.name)
+        stable = None if width is None else bool(width <= _STABLE)
+        rows.append(
+            {
+                "parameter": p.name,
+                "value": values[p.name],
+                "unit": p.unit,
+                "lower": p.lower,
+                "upper": p.upper,
+                "ratio": ratio,
+                "on_bound": side is not None,
+                "suggested_limit": limit,
+                "spread": math.nan if width is None else width,
+                "stable": stable,
+                "std": std,
+                "std_of_range": std / (p.upper - p.lower),
+                "identified": identified,
+                "confounded_with": ", ".join(others),
+                "fits_within_scatter": fits,
+                "sentence": _sentence(
+                    p.unit, p.integer, p.upper - p.lower, side, limit, width, std, identified, others
+                ),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _suggested(lower: float, upper: float, ratio: float) -> tuple[float, str | None]:
+    """A limit further out, NaN where there is none, and the side the value sits on."""
+    half = 0.5 * (upper - lower)
+    if ratio > 1 - _AT_BOUND:
+        return (0.0 if upper < 0 < upper + half else upper + half) if upper != 0 else math.nan, "upper"
+    if ratio < _AT_BOUND:
+        if lower == 0:
+            return math.nan, "lower"
+        return (lower - half if lower < 0 else max(lower - half, lower / 2)), "lower"
+    return math.nan, None
+
+
+def _sentence(
+    unit: str,
+    integer: bool,
+    span: float,
+    side: str | None,
+    limit: float,
+    width: float | None,
+    std: float,
+    identified: bool | None,
+    others: Sequence[str],
+) -> str:
+    scale = "" if unit == "-" else f" {unit}"
+    words = []
+    if side is not None:
+        cure = f"widen it to {limit:.4g}{scale} if possible" if math.isfinite(limit) else "the limit is physical"
+        words.append(f"Sits on its {side} limit: {cure}, or suspect something missing in the model.")
+    if identified is None:
+        kind = "is a whole number and is not judged by derivatives" if integer else "was not judged"
+        words.append(f"It {kind}.")
+    elif identified and integer:
+        words.append("Identified: its other values fit much worse.")
+    elif identified:
+        part = f"{std:.3g}{scale} ({100 * std / span:.1f} % of its range)"
+        words.append(f"Identified, standard deviation {part}.")
+    elif math.isinf(std):
+        words.append("Not determined at all.")
+    else:
+        words.append(f"Not identified: standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its range.")
+    if others:
+        words.append(f"It cannot be told apart from {', '.join(others)}.")
+    if width is not None and width > _STABLE:
+        words.append(f"The cases differ by {100 * width:.0f} % of its range.")
+    return " ".join(words)

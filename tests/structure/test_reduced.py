@@ -1,0 +1,147 @@
+"""A reduced model against the full one it stands for."""
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+from calib.errors import InputError
+from calib.measurement.modal import Sensor
+from calib.structure.basis import Basis
+from calib.structure.model import ModalModel
+from calib.structure.reduced import ReducedModel
+from calib.structure.training import train_basis
+
+POINT = {"k_upper": 61.0, "k_lower": 17.0, "k_rung": 1.1, "c_end": 44.0, "mass": 0.8, "place": 4.0}
+
+
+def basis_of(model, vectors, count=8, reference=None):
+    space = model.space
+    return Basis(
+        vectors=vectors,
+        model_fingerprint=model.fingerprint,
+        names=space.names,
+        reference=np.array([p.value for p in space.parameters]),
+        lower=np.array([p.lower for p in space.parameters]),
+        upper=np.array([p.upper for p in space.parameters]),
+        offset=0.0 if model.stiffness.selected else 1.0,
+        count=count,
+        freq_max=np.inf,
+        damping_max=0.95,
+        tolerance=1e-4,
+        samples=np.zeros((0, len(space.names))),
+        checks=np.zeros((0, 4)),
+        seed=1,
+    )
+
+
+def sure(model: ModalModel) -> ModalModel:
+    """A reduced model is a modal model to the type checker too."""
+    return model
+
+
+@pytest.fixture(scope="module")
+def random_vectors():
+    return lambda n, size: np.linalg.qr(np.random.default_rng(3).standard_normal((n, size)))[0]
+
+
+@pytest.mark.parametrize("damped", [True, False])
+@pytest.mark.parametrize("grounded", [True, False])
+def test_a_basis_of_all_motions_gives_the_full_model(ladder, random_vectors, damped, grounded):
+    model = ladder(damped=damped, grounded=grounded)
+    reduced = ReducedModel(model, basis_of(model, random_vectors(60, 60)))
+    full, found = model.modes(POINT, 8), sure(reduced).modes(POINT, 8)
+    for name in ("natural_freq", "damped_freq", "damping_ratio"):
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(full, name), rtol=1e-9 if not damped else 1e-6, atol=1e-7
+        )
+    lifted = reduced.lift(found.shapes)
+    sign = np.sign(np.real(np.einsum("ij,ij->j", full.shapes.conj(), lifted)))
+    np.testing.assert_allclose(lifted * sign, full.shapes, atol=(1e-3 if damped else 1e-6) * np.abs(full.shapes).max())
+    zeros = [[r.kind for r in modes.excluded if r.kind in ("zero", "spin")] for modes in (full, found)]
+    assert zeros[0] == zeros[1] == ([] if grounded else ["zero"] * (2 if damped else 1))
+    assert np.all(reduced.indicator(POINT, found) < 1e-8)
+
+
+def test_zero_roots_are_told_from_spin(ladder, random_vectors, turned):
+    model = turned(ladder(grounded=False))
+    kinds = {r.kind for r in ReducedModel(model, basis_of(model, random_vectors(60, 60))).modes(POINT, 4).excluded}
+    assert kinds == {"spin"}
+
+
+@pytest.mark.parametrize("damped", [True, False])
+def test_it_answers_as_the_full_model_would_for_the_lifted_shapes(ladder, random_vectors, damped):
+    model = ladder(damped=damped)
+    reduced = ReducedModel(model, basis_of(model, random_vectors(60, 23)))
+    shapes = reduced.modes(POINT, 8).shapes
+    lifted = reduced.lift(shapes)
+    assert shapes.shape == (23, 8) and reduced.n_dof == 23
+    for names in (("lower",), ("tip", "upper"), reduced.clusters, ()):
+        np.testing.assert_allclose(
+            reduced.energy_shares(POINT, shapes, names), model.energy_shares(POINT, lifted, names), atol=1e-10
+        )
+    np.testing.assert_allclose(reduced.strain_energy(POINT, shapes), model.strain_energy(POINT, lifted), rtol=1e-10)
+    np.testing.assert_allclose(reduced.displacement(shapes), model.displacement(lifted), atol=1e-12)
+    sensors = [Sensor(k, "x", (float(k), 0.0, 0.0)) for k in (0, 31, 57)]
+    np.testing.assert_allclose(reduced.sensor_rows(sensors) @ shapes, model.sensor_rows(sensors) @ lifted, atol=1e-12)
+    assert reduced.mesh is model.mesh and reduced.space is model.space and reduced.assumptions == model.assumptions
+
+
+def test_matrices_and_derivatives_are_projections(ladder, random_vectors):
+    model = ladder()
+    v = random_vectors(60, 9)
+    reduced = ReducedModel(model, basis_of(model, v))
+    for found, full in zip(reduced.matrices(POINT), model.matrices(POINT), strict=True):
+        np.testing.assert_allclose(found, v.T @ (full @ v), rtol=1e-10, atol=1e-9)
+    for name in model.space.names:
+        pairs = zip(reduced.matrix_derivatives(POINT, name), model.matrix_derivatives(POINT, name), strict=True)
+        for found, full in pairs:
+            np.testing.assert_allclose(found, v.T @ (full @ v), rtol=1e-10, atol=1e-9)
+
+
+@pytest.mark.parametrize("damped", [True, False])
+def test_frequencies_of_an_undamped_model_come_from_above_and_the_indicator_sees_how_far(ladder, damped):
+    """The modes of another point are a fair but not a good basis here."""
+    model = ladder(damped=damped)
+    shapes = model.modes({**POINT, "k_rung": 1.3, "mass": 0.85}, 14).shapes
+    reduced = ReducedModel(model, basis_of(model, np.linalg.qr(np.hstack([shapes.real, shapes.imag + 0]))[0][:, :14]))
+    found, full = reduced.modes(POINT, 6), model.modes(POINT, 6)
+    roots = [2 * np.pi * (1j * m.damped_freq - m.damping_ratio * m.natural_freq) for m in (found, full)]
+    true = np.abs(roots[0] - roots[1]) / np.abs(roots[1])
+    estimate = reduced.indicator(POINT, found)
+    assert np.max(true) > 1e-6
+    if not damped:
+        assert np.all(found.natural_freq >= full.natural_freq * (1 - 1e-12))
+    large = true > 1e-7
+    assert np.all((estimate > 0.3 * true)[large]) and np.all((estimate < 5 * true)[large])
+
+
+def test_a_basis_of_another_model_is_refused(ladder):
+    model = ladder()
+    basis = basis_of(model, np.eye(60)[:, :5])
+    with pytest.raises(InputError, match="another model"):
+        ReducedModel(ladder(damped=False), basis)
+    with pytest.raises(InputError, match="9 modes are asked of a basis trained for 8"):
+        ReducedModel(model, basis).modes({}, 9)
+
+
+def test_fingerprints_follow_model_and_basis(ladder):
+    model = ladder()
+    basis = basis_of(model, np.eye(60)[:, :9])
+    same, other = basis_of(model, np.eye(60)[:, :9]), basis_of(model, np.eye(60)[:, 1:10])
+    assert basis.digest == same.digest != other.digest
+    assert dataclasses.replace(basis, version=2).digest != basis.digest
+    prints = {ReducedModel(model, b).fingerprint for b in (basis, same, other)} | {model.fingerprint}
+    assert len(prints) == 3
+
+
+def test_it_travels_to_other_processes(ladder):
+    model = ladder()
+    reduced = ReducedModel(model, train_basis(model, model.space, 4, seed=1))
+    modes = reduced.modes(POINT, 4)
+    before = reduced.indicator(POINT, modes)  # the factor made for it stays behind
+    copy = pickle.loads(pickle.dumps(reduced))
+    assert copy.fingerprint == reduced.fingerprint
+    assert np.array_equal(copy.modes(POINT, 4).shapes, modes.shapes)
+    np.testing.assert_array_equal(copy.indicator(POINT, modes), before)

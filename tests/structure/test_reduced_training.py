@@ -1,0 +1,165 @@
+"""Training a reduced basis, and the file it is kept in."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.errors import InputError
+from calib.structure.basis import Basis
+from calib.structure.certificate import certificate, mode_errors
+from calib.structure.cover import covering_points
+from calib.structure.reduced import ReducedModel
+from calib.structure.training import enrich_basis, train_basis
+from calib.study import Study
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("damped", [True, False])
+@pytest.mark.parametrize("grounded", [True, False])
+def test_a_trained_basis_keeps_its_tolerance_on_fresh_points(ladder, damped, grounded):
+    model = ladder(200, damped=damped, grounded=grounded)
+    basis = train_basis(model, model.space, 6, seed=3, tolerance=1e-5)
+    reduced = ReducedModel(model, basis)
+    assert reduced.n_dof < 90
+    table, _ = certificate(reduced, covering_points(model.space, 15, np.random.default_rng(77)), 6)
+    assert table["above_tolerance"].tolist() == [0, 0, 0]
+    assert basis.table()["indicator"].iloc[-1] <= 0.5e-5
+
+
+def test_the_bogie_on_both_of_its_spaces():
+    """The quick form of tests/benchmarks/reduced_basis.py."""
+    study = Study.load(ROOT / "studies" / "bogie")
+    spaces = [study.search_space, study.sensitivity_space]
+    basis = train_basis(study.model, spaces, 10, seed=1, freq_max=50.0)
+    reduced = ReducedModel(study.model, basis)
+    assert reduced.n_dof < 100 and all(basis.covers(space) for space in spaces)
+    points = [p for space in spaces for p in covering_points(space, 8, np.random.default_rng(5))]
+    table, errors = certificate(reduced, points, 10)
+    assert table["above_tolerance"].tolist() == [0, 0, 0]
+    judged = np.concatenate([e.eigenvalue for e in errors])
+    assert len(judged) > 8 * 15
+    estimate = np.concatenate([e.indicator for e in errors])
+    large = judged > 1e-6
+    assert large.any() and np.all(estimate[large] > 0.3 * judged[large])
+    # Every position of the actuators, far from where the basis has samples.
+    for left in range(2, 9):
+        for lateral in (-1, 0, 1):
+            values = {"pos_long_left": left, "pos_lat_right": lateral, "K_contact": 1500.0, "m_crossbar": 20.0}
+            complete = study.model.space.complete(values)
+            found = reduced.modes(complete, 10)
+            assert np.max(reduced.indicator(complete, found)[found.natural_freq < 50], initial=0.0) < 1e-4
+
+
+def test_the_same_seed_gives_the_same_basis_and_another_does_not(ladder):
+    model = ladder()
+    one, same, other = (train_basis(model, model.space, 5, seed=s) for s in (1, 1, 2))
+    assert one.digest == same.digest != other.digest
+    assert np.array_equal(one.vectors, same.vectors)
+
+
+def test_a_basis_cannot_be_changed(ladder):
+    basis = train_basis(model := ladder(), model.space, 3, seed=1)
+    for name in ("vectors", "samples", "checks", "reference", "lower", "upper"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(basis, name)[...] = 0.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        basis.version = 2
+
+
+def test_samples_take_every_position_and_keep_the_constraints(ladder):
+    model = ladder()
+    basis = train_basis(model, model.space, 4, seed=1)
+    place = basis.samples[:, basis.names.index("place")]
+    assert set(place) == {1.0, 2.0, 3.0, 4.0, 5.0}
+    points = covering_points(model.space, 40, np.random.default_rng(0))
+    sums = np.array([p["k_upper"] + p["k_lower"] for p in points])
+    assert np.all((sums >= 35) & (sums <= 90)) and np.ptp(sums) > 30
+    counts = np.unique([p["place"] for p in points], return_counts=True)[1]
+    assert counts.tolist() == [8] * 5
+    assert {p["k_ground"] for p in points} == {30.0}
+
+
+def test_enriching_gives_a_next_version_that_meets_the_tolerance_there(ladder):
+    model = ladder(200)
+    narrow = model.space.keep(["k_upper", "k_lower"])
+    basis = train_basis(model, narrow, 6, seed=1, tolerance=1e-6)
+    assert not basis.covers(model.space) and basis.covers(narrow)
+    outside = model.space.complete({"k_upper": 30.0, "k_lower": 28.0, "k_rung": 0.6, "mass": 2.0, "place": 1.0})
+    assert not basis.within(outside) and basis.within(model.space.complete({"k_upper": 50.0}))
+    assert mode_errors(ReducedModel(model, basis), outside, 6).worst > 1e-6
+    grown = enrich_basis(model, basis, [outside])
+    assert grown.version == 2 and grown.size > basis.size
+    assert np.array_equal(grown.vectors[:, : basis.size], basis.vectors)
+    assert mode_errors(ReducedModel(model, grown), outside, 6).worst < 1e-6
+
+
+def test_a_missed_mode_is_told(ladder):
+    """A basis without a mode errs nowhere by its indicator; only the full model tells."""
+    model = ladder(damped=False)
+    basis = train_basis(model, model.space, 6, seed=1)
+    values = model.space.complete({})
+    modes = model.modes(values, 40)
+    kept = np.delete(modes.shapes, 2, axis=1)
+    blind = dataclasses.replace(basis, vectors=np.linalg.qr(kept)[0])
+    reduced = ReducedModel(model, blind)
+    assert np.max(reduced.indicator(values, reduced.modes(values, 6))) < 1e-9
+    errors = mode_errors(reduced, values, 6)
+    assert errors.missed.tolist() == [False, False, True, False, False, False] and errors.worst == np.inf
+    table, _ = certificate(reduced, [values], 6)
+    assert table.set_index("quantity").loc["missed", "max"] == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"count": 0}, "0 modes"),
+        ({"tolerance": 0.0}, "tolerance is 0"),
+        ({"spaces": []}, "no parameter space"),
+        ({"tolerance": 1e-15}, "still errs by .* raise the tolerance"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused(ladder, options, words):
+    model = ladder()
+    arguments = {"spaces": model.space, "count": 3, "seed": 1, **options}
+    with pytest.raises(InputError, match=words):
+        train_basis(model, **arguments)
+
+
+def test_a_file_gives_back_the_same_basis(ladder, tmp_path):
+    basis = train_basis(model := ladder(), model.space, 4, seed=1, freq_max=np.inf)
+    basis.save(tmp_path / "basis.npz")
+    assert [f.name for f in tmp_path.iterdir()] == ["basis.npz"]
+    again = Basis.load(tmp_path / "basis.npz")
+    assert again.digest == basis.digest and np.array_equal(again.vectors, basis.vectors)
+    for field in dataclasses.fields(Basis):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(basis, field.name))
+    assert ReducedModel(model, again).fingerprint == ReducedModel(model, basis).fingerprint
+
+
+def test_damaged_and_foreign_files_are_told(ladder, tmp_path):
+    basis = train_basis(model := ladder(), model.space, 3, seed=1)
+    path = tmp_path / "basis.npz"
+    with pytest.raises(InputError, match="no such file"):
+        Basis.load(path)
+    basis.save(path)
+    whole = path.read_bytes()
+    for cut in (0, 100, len(whole) // 2, len(whole) - 30):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(InputError, match="not a readable reduced basis"):
+            Basis.load(path)
+    path.write_bytes(whole)
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file}
+    vectors = arrays["vectors"].copy()
+    vectors[3, 1] += 1e-12
+    np.savez(path, **{**arrays, "vectors": vectors})
+    with pytest.raises(InputError, match="digest differs"):
+        Basis.load(path)
+    np.savez(path, **{**arrays, "header": np.array('{"format": "something else"}')})
+    with pytest.raises(InputError, match="no reduced basis of this version"):
+        Basis.load(path)
+    with pytest.raises(InputError, match="cannot be written"):
+        basis.save(tmp_path / "nowhere" / "basis.npz")

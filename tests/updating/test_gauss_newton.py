@@ -1,0 +1,306 @@
+"""The bounded fit against closed forms and an enumeration of all active sets."""
+
+import itertools
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from calib.errors import EvaluationError, InputError
+from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.updating.gauss_newton import (
+    DifferencedResponses,
+    FitSettings,
+    Prior,
+    central_jacobian,
+    fit,
+    fit_mixed,
+)
+
+
+@dataclass
+class Linear:
+    """``matrix @ theta - data``, counting what it is asked."""
+
+    names: tuple[str, ...]
+    matrix: np.ndarray
+    data: np.ndarray
+    asked: list = field(default_factory=list)
+
+    def residual(self, values):
+        self.asked.append(dict(values))
+        return self.matrix @ np.array([values[n] for n in self.names]) - self.data
+
+    def jacobian(self, values, names):
+        return self.matrix[:, [self.names.index(n) for n in names]]
+
+
+def box(n, constraints=(), **changes):
+    options = {"value": 1.0, "lower": 0.0, "upper": 4.0, "prior_sd": 0.7} | changes
+    return ParameterSpace(tuple(Parameter(f"p{k}", **options) for k in range(n)), tuple(constraints))
+
+
+def linear(seed, n=3, rows=7):
+    rng = np.random.default_rng(seed)
+    matrix = rng.standard_normal((rows, n)) * 10.0 ** rng.uniform(-1, 1, n)
+    return Linear(
+        tuple(f"p{k}" for k in range(n)), matrix, matrix @ rng.uniform(0.5, 3.5, n) + rng.standard_normal(rows)
+    )
+
+
+def test_linear_problem_ends_at_the_posterior_mean():
+    space, problem = box(3, lower=-50.0, upper=50.0), linear(1)
+    found = fit(problem, space)
+    hessian = problem.matrix.T @ problem.matrix + np.eye(3) / 0.7**2
+    exact = np.linalg.solve(hessian, problem.matrix.T @ problem.data + np.ones(3) / 0.7**2)
+    np.testing.assert_allclose([found.values[n] for n in problem.names], exact, atol=1e-3 * 0.7)
+    assert found.converged and found.active_limits == () and found.active_constraints == ()
+    assert found.misfit == pytest.approx(found.data_misfit + found.prior_misfit)
+    assert found.evaluations == len(problem.asked) and found.jacobians == found.iterations + 1
+    assert found.history["misfit"].is_monotonic_decreasing
+    np.testing.assert_allclose(found.residual, problem.residual(found.values))
+    assert fit(problem, space).values == found.values
+
+
+def test_the_prior_can_be_switched_off_or_moved():
+    space, problem = box(2, lower=-50.0, upper=50.0), linear(2, 2)
+    tight = FitSettings(gain=1e-12)
+    free = fit(problem, space, prior=Prior.none(), settings=tight)
+    exact = np.linalg.lstsq(problem.matrix, problem.data, rcond=None)[0]
+    np.testing.assert_allclose([free.values[n] for n in problem.names], exact, atol=1e-5)
+    assert free.prior_misfit == 0
+    moved = fit(problem, space, prior=Prior({"p0": 30.0}, {"p0": 1e-4}), settings=tight)
+    assert moved.values["p0"] == pytest.approx(30.0, abs=1e-3)
+
+
+def best_over_active_sets(problem, walls, space, centre, sd, cost):
+    """Lowest cost of a linear problem: every set of walls is tried as the active one."""
+    hessian = problem.matrix.T @ problem.matrix + np.eye(3) / sd**2
+    pull = problem.matrix.T @ problem.data + centre / sd**2
+    lowest = math.inf
+    for count in range(4):
+        for active in itertools.combinations(walls, count):
+            rows = np.array([row for row, _ in active]).reshape(-1, 3)
+            if np.linalg.matrix_rank(rows) < count:
+                continue
+            whole = np.block([[hessian, rows.T], [rows, np.zeros((count, count))]])
+            x = np.linalg.solve(whole, np.concatenate([pull, [value for _, value in active]]))[:3]
+            if space.feasible(x)[0]:
+                lowest = min(lowest, cost(x))
+    return lowest
+
+
+@hypothesis_settings(max_examples=40)
+@given(seed=st.integers(0, 10_000), limit=st.floats(1.0, 5.0), equal=st.booleans())
+def test_limits_and_constraints_against_all_active_sets(seed, limit, equal):
+    con = LinearConstraint("sum", (("p0", 1.0), ("p1", 2.0), ("p2", 1.0)), limit if equal else -math.inf, limit)
+    space, problem = box(3, [con], value=0.3, upper=2.0), linear(seed)
+    found = fit(problem, space, settings=FitSettings(gain=1e-10))
+    x = np.array([found.values[n] for n in problem.names])
+    assert space.feasible(x)[0]
+
+    def cost(x):
+        return float(np.sum((problem.matrix @ x - problem.data) ** 2) + np.sum((x - 0.3) ** 2) / 0.7**2)
+
+    row = np.array([1.0, 2.0, 1.0])
+    walls = [(np.eye(3)[k], v) for k in range(3) for v in (0.0, 2.0)] + [(row, limit)]
+    assert found.misfit == pytest.approx(cost(x))
+    assert cost(x) <= best_over_active_sets(problem, walls, space, 0.3, 0.7, cost) * (1 + 1e-9) + 1e-8
+    for k, name in enumerate(space.names):
+        assert (f"{name} at its lower limit" in found.active_limits) == (x[k] < 2e-6)
+    assert ("sum at its upper limit" in found.active_constraints) == (row @ x > limit - 1e-5)
+
+
+def test_every_point_tried_keeps_limits_and_constraints():
+    con = LinearConstraint("mass", (("p0", 4.46), ("p1", 3.56), ("p2", 5.26)), 8.0, 12.0)
+    space, problem = box(3, [con]), linear(5)
+    fit(problem, space, {"p0": 4.0, "p1": 4.0, "p2": 4.0})
+    points = np.array([[v[n] for n in space.names] for v in problem.asked])
+    assert len(points) > 1 and space.feasible(points).all()
+
+
+class Valley:
+    """Rosenbrock's function, as a sum of squares."""
+
+    def residual(self, values):
+        x, y = values["p0"], values["p1"]
+        return np.array([10 * (y - x * x), 1 - x])
+
+    def jacobian(self, values, names):
+        x = values["p0"]
+        return np.array([[-20 * x, 10.0], [-1.0, 0.0]])[:, [("p0", "p1").index(n) for n in names]]
+
+
+def test_a_curved_valley():
+    space = box(2, lower=-2.0, upper=2.0)
+    found = fit(Valley(), space, {"p0": -1.2, "p1": 1.0}, Prior.none(), FitSettings(gain=1e-14))
+    assert found.converged
+    np.testing.assert_allclose([found.values["p0"], found.values["p1"]], 1.0, atol=1e-5)
+    assert found.evaluations < 60
+    short = fit(Valley(), space, {"p0": -1.2, "p1": 1.0}, Prior.none(), FitSettings(iterations=3))
+    assert not short.converged and short.iterations == 3 and "before it converged" in short.reason
+    away = fit(Valley(), space.widen({"p0": (-2.0, 0.5)}), {"p0": -1.2, "p1": 1.0}, Prior.none())
+    assert away.active_limits == ("p0 at its upper limit",)
+    assert away.values["p1"] == pytest.approx(0.25, abs=1e-3)
+
+
+def test_points_that_cannot_be_evaluated_are_stepped_back_from():
+    class Hole(Valley):
+        def residual(self, values):
+            if values["p0"] > 0.9:
+                raise EvaluationError("no modes here")
+            return super().residual(values) if values["p1"] < 0.85 else np.array([math.nan, 0.0])
+
+    start = {"p0": -1.2, "p1": 0.8}
+    found = fit(Hole(), box(2, lower=-2.0, upper=2.0), start, Prior.none())
+    assert found.values["p0"] <= 0.9 and found.misfit < 0.1
+    with pytest.raises(EvaluationError, match="cannot start: no modes here"):
+        fit(Hole(), box(2, lower=-2.0, upper=2.0), {"p0": 1.5}, Prior.none())
+
+
+def test_a_cost_that_cannot_fall_ends_the_fit():
+    class Lying(Linear):
+        def jacobian(self, values, names):
+            return -super().jacobian(values, names)
+
+    true = linear(1)
+    found = fit(Lying(true.names, true.matrix, true.data), box(3), prior=Prior.none())
+    assert not found.converged and found.iterations == 0 and "no step lowers" in found.reason
+
+
+def test_bad_questions():
+    with pytest.raises(InputError, match="no parameter is free"):
+        fit(Valley(), box(2).freeze({"p0": 1.0, "p1": 1.0}))
+    con = LinearConstraint("mass", (("p0", 1.0), ("p1", 1.0)), 10.0, 11.0)
+    with pytest.raises(InputError, match="mass"):
+        fit(Valley(), box(2, [con]))
+    frozen = box(2, [LinearConstraint("mass", (("p0", 1.0),), 2.0, 3.0)]).freeze({"p0": 1.0})
+    with pytest.raises(InputError, match="the fixed values break it"):
+        fit(Valley(), frozen)
+    with pytest.raises(InputError, match="no start"):
+        fit_mixed(Valley(), box(2), [])
+
+
+# -- whole numbers -----------------------------------------------------------------------------------------------------
+
+
+class Stations:
+    """Two whole numbers that trade a little with each other and with a continuous parameter."""
+
+    def __init__(self, best=(6, 2)):
+        self.best = best
+
+    def residual(self, values):
+        a, b, x = values["a"] - self.best[0], values["b"] - self.best[1], values["x"]
+        return np.array([2 * a + b, b - 0.5 * a + x - 1.3, 3 * (x - 1.3)])
+
+    def jacobian(self, values, names):
+        assert tuple(names) == ("x",)
+        return np.array([[0.0], [1.0], [3.0]])
+
+
+STATIONS = ParameterSpace(
+    (
+        Parameter("a", 4.0, 2.0, 8.0, integer=True),
+        Parameter("x", 0.5, 0.0, 2.0, prior_sd=10.0),
+        Parameter("b", 5.0, 2.0, 8.0, integer=True),
+    )
+)
+
+
+def test_whole_numbers_are_found_from_every_start():
+    found = fit_mixed(Stations(), STATIONS, [{}, {"a": 8.0, "b": 8.0}, {"a": 2.0, "b": 2.0}])
+    for end in (found.best, *found.by_start):
+        assert (end.values["a"], end.values["b"]) == (6.0, 2.0)
+        assert end.values["x"] == pytest.approx(1.3, abs=0.01)
+    assert found.exhausted == ()
+    assert set(found.combinations.columns) == {"start", "a", "b", "misfit", "converged"}
+    numbers, misfits = found.profile("a")
+    assert numbers[np.argmin(misfits)] == 6 and {5.0, 6.0, 7.0} <= set(numbers)
+    # All neighbours inside the limits were tried, diagonal ones too.
+    tried = set(map(tuple, found.combinations.loc[found.combinations["start"] == 0, ["a", "b"]].to_numpy().tolist()))
+    assert {(5, 2), (7, 2), (6, 3), (5, 3), (7, 3)} <= tried
+    assert all(2 <= a <= 8 and 2 <= b <= 8 for a, b in tried)
+
+
+def test_two_whole_numbers_that_only_move_together():
+    class Trade(Stations):
+        def residual(self, values):
+            return np.array([10 * (values["a"] + values["b"] - 8), values["a"] - 6, values["x"] - 1.3])
+
+        def jacobian(self, values, names):
+            return np.array([[0.0], [0.0], [1.0]])
+
+    found = fit_mixed(Trade(), STATIONS, [{"a": 3.0, "b": 5.0}])
+    assert (found.best.values["a"], found.best.values["b"]) == (6.0, 2.0)
+
+
+def test_refits_are_bounded_and_told():
+    found = fit_mixed(Stations(), STATIONS, refits=4)
+    assert len(found.combinations) == 4 and found.exhausted == (0,)
+
+
+def test_in_fit_whole_numbers_stay():
+    found = fit(Stations(), STATIONS)
+    assert (found.values["a"], found.values["b"]) == (4.0, 5.0) and found.names == ("x",)
+
+
+def test_without_whole_numbers_mixed_is_a_multi_start():
+    found = fit_mixed(Valley(), box(2, lower=-2.0, upper=2.0), [{"p0": -1.0}, {"p0": 1.5}], Prior.none())
+    assert len(found.by_start) == 2 and len(found.combinations) == 2
+    assert found.best.values["p0"] == pytest.approx(1.0, abs=0.01)
+
+
+def test_failed_starts_are_survived_unless_all_fail():
+    class Half(Stations):
+        def residual(self, values):
+            if values["a"] > 6:
+                raise EvaluationError("too far")
+            return super().residual(values)
+
+    found = fit_mixed(Half(), STATIONS, [{"a": 8.0}, {"a": 3.0}])
+    assert found.best.values["a"] == 6.0 and len(found.by_start) == 1
+    assert math.isinf(found.combinations.loc[0, "misfit"])
+    with pytest.raises(EvaluationError, match="cannot start anywhere: the fit cannot start: too far"):
+        fit_mixed(Half(), STATIONS, [{"a": 8.0}])
+
+
+# -- differences -------------------------------------------------------------------------------------------------------
+
+
+def test_plain_responses():
+    space = box(2, value=1.0)
+
+    def answer(values):
+        return {"one": values["p0"] ** 2, "two": math.exp(values["p1"]), "other": 1.0}
+
+    problem = DifferencedResponses(answer, {"one": (9.0, 0.01), "two": (4.0, None)}, space)
+    at = {"p0": 2.0, "p1": 1.0}
+    np.testing.assert_allclose(problem.residual(at), [(9 - 4) / 0.01, (4 - math.e) / 0.04])
+    np.testing.assert_allclose(
+        problem.jacobian(at, ("p1", "p0")), [[0.0, -4 / 0.01], [-math.e / 0.04, 0.0]], rtol=1e-6, atol=1e-9
+    )
+    found = fit(problem, space, prior=Prior.none())
+    np.testing.assert_allclose([found.values["p0"], found.values["p1"]], [3.0, math.log(4.0)], rtol=1e-4)
+    with pytest.raises(EvaluationError, match="'one' is nan"):
+        DifferencedResponses(lambda v: {}, {"one": (9.0, 0.01)}, space).residual(at)
+    with pytest.raises(InputError, match="is 0 and its standard deviation unknown"):
+        DifferencedResponses(answer, {"one": (0.0, None)}, space)
+
+
+def test_differences_stay_inside_the_limits():
+    space = box(1)
+    asked = []
+
+    def line(values):
+        asked.append(values["p0"])
+        return np.array([3.0 * values["p0"]])
+
+    for value in (0.0, 4.0):
+        np.testing.assert_allclose(central_jacobian(line, space, {"p0": value}, ("p0",)), [[3.0]])
+    assert min(asked) >= 0.0 and max(asked) <= 4.0
+    np.testing.assert_array_equal(central_jacobian(Stations().residual, STATIONS, {}, ("a",)), np.zeros((3, 1)))
