@@ -16,7 +16,7 @@ from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
 from calib.evaluate import Outcome
 from calib.ledger import Ledger
-from calib.questions.compare import Answer, answer_at, compare, write_answer
+from calib.questions.compare import Answer, answer_at, compare, responses_at, write_answer
 from calib.questions.judge import Judgement, RecordedResidual, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
@@ -285,7 +285,7 @@ def _reported(
 ) -> CaseFound:
     """The case at its final values, solved at full order whatever the search worked on."""
     answer = answer_at(study, judgement.values)
-    responses = study.problem.evaluate(judgement.values)
+    responses = responses_at(study.problem, judgement.values)
     final = replace(result, values=judgement.values, misfit=objective(responses), responses=responses)
     return CaseFound(final, search, judgement, answer)
 

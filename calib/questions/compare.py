@@ -14,7 +14,7 @@ from calib.errors import EvaluationError, InputError
 from calib.evaluate import attempt
 from calib.measurement.check import SensorFinding, check_sensors
 from calib.results import Results
-from calib.study import Study
+from calib.study import Problem, Study
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,16 @@ def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
     )
 
 
-def _plain_answer(problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
-    outcome = attempt(problem.evaluate, values)  # the function is the user's own: whatever it does is told
+def responses_at(problem: Problem, values: Mapping[str, float]) -> dict[str, float]:
+    """Responses of a problem whose model may be the user's own: whatever goes wrong in it is an EvaluationError."""
+    outcome = attempt(problem.evaluate, values)
     if outcome.status == "failed":
         raise EvaluationError(outcome.error)
-    responses = outcome.responses
+    return outcome.responses
+
+
+def _plain_answer(problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
+    responses = responses_at(problem, values)
     rows = []
     for name, (value, std) in problem.targets.items():
         error = (responses[name] - value) / abs(value) if value else np.nan

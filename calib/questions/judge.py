@@ -13,6 +13,7 @@ from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.evaluate import Outcome
 from calib.ledger import Ledger
+from calib.questions.compare import responses_at
 from calib.space import ParameterSpace
 from calib.study import Problem, Study
 from calib.updating.gauss_newton import DifferencedResponses, FitResult, MixedResult, fit_mixed
@@ -89,7 +90,7 @@ class RecordedResidual:
 
     def _responses(self, values: Mapping[str, float]) -> Mapping[str, float]:
         problem = self.problem
-        responses = problem.evaluate(values)
+        responses = responses_at(problem, values)
         self._record(problem.space.complete(values), responses)
         return responses
 

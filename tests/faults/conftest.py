@@ -1,0 +1,270 @@
+"""The whole command on a small study, in processes that can be stopped, and what a run leaves behind."""
+
+import contextlib
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+import traceback
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from pathlib import Path
+
+import pytest
+
+from calib import cli
+from calib.example import write_example
+from calib.report.draw import draw_all
+
+ROOT = Path(__file__).resolve().parents[2]
+PLAIN = """
+import numpy as np
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)))
+
+{function}
+
+def model():
+    return FunctionModel("plain", SPACE, answer)
+"""
+PLAIN_STUDY = """
+title = "Plain"
+model = "model.py:model"
+selection = ["a", "b"]
+[measurement]
+responses = "measured.csv"
+[calibration]
+population = 6
+generations = 3
+cases = [{ name = "A1", seed = 1 }, { name = "A2", seed = 2 }]
+"""
+
+
+def shrink(study: Path, population: int = 8, generations: int = 6) -> Path:
+    text = (study / "study.toml").read_text()
+    text = text.replace("population = 30", f"population = {population}")
+    text = text.replace("generations = 60", f"generations = {generations}").replace("samples = 200", "samples = 12")
+    (study / "study.toml").write_text(text)
+    return study
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def mast(here):
+    """The example study, small, as ``mast`` in the current directory."""
+    write_example(Path("mast"))
+    return shrink(Path("mast"))
+
+
+@pytest.fixture
+def plain(here):
+    """Makes a study ``plain`` whose model is the given source of a function ``answer(values)``."""
+
+    def make(function: str) -> Path:
+        folder = Path("plain")
+        folder.mkdir()
+        (folder / "study.toml").write_text(PLAIN_STUDY)
+        (folder / "model.py").write_text(PLAIN.format(function=function))
+        (folder / "measured.csv").write_text("response,value,std\ny,3.0,0.1\nz,1.0,0.1\n")
+        return folder
+
+    return make
+
+
+# -- processes ---------------------------------------------------------------------------------------------------------
+
+
+class Run:
+    """A command in a session of its own, as a foreground job of a terminal is."""
+
+    def __init__(self, pid: int, folder: Path):
+        self.pid, self.folder, self.code = pid, folder, None
+
+    def poll(self) -> int | None:
+        if self.code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self.code = os.waitstatus_to_exitcode(status) if pid else None
+        return self.code
+
+    def wait(self, seconds: float = 60.0) -> int | None:
+        """Exit code, or None while it runs."""
+        until = time.monotonic() + seconds
+        while self.poll() is None and time.monotonic() < until:
+            time.sleep(0.002)
+        return self.code
+
+    def until(self, condition, seconds: float = 60.0) -> None:
+        until = time.monotonic() + seconds
+        while not condition():
+            assert self.poll() is None, f"ended with {self.code}: {self.err}"
+            assert time.monotonic() < until
+            time.sleep(0.002)
+
+    def send(self, sign: int, everybody: bool = False) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, sign) if everybody else os.kill(self.pid, sign)
+
+    @property
+    def out(self) -> str:
+        return (self.folder / "out").read_text()
+
+    @property
+    def err(self) -> str:
+        return (self.folder / "err").read_text()
+
+    def family(self) -> list[int]:
+        """Processes of the session that have not ended."""
+        found = []
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError):
+                state, _, _, session = stat.read_text().rsplit(")", 1)[1].split()[:4]
+                if int(session) == self.pid and state != "Z":
+                    found.append(int(stat.parent.name))
+        return found
+
+    def nobody_left(self, seconds: float = 20.0) -> bool:
+        until = time.monotonic() + seconds
+        while self.family() and time.monotonic() < until:
+            time.sleep(0.01)
+        return not self.family()
+
+
+class Runner:
+    """Starts commands, either as a user does or, without the seconds that the imports take, as a fork."""
+
+    def __init__(self, folder: Path):
+        self.folder, self.runs = folder, []
+
+    def _place(self) -> Path:
+        place = self.folder / str(len(self.runs))
+        place.mkdir(parents=True)
+        return place
+
+    def command(self, *arguments: str) -> Run:
+        place = self._place()
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        with (place / "out").open("w") as out, (place / "err").open("w") as err:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "calib.cli", *arguments],
+                stdout=out, stderr=err, env=environment, start_new_session=True,
+            )  # fmt: skip
+        process.returncode = 0  # `Run` waits for it
+        self.runs.append(Run(process.pid, place))
+        return self.runs[-1]
+
+    def fork(self, *arguments: str, user: int | None = None, draw: bool = False, prepare=lambda: None) -> Run:
+        place = self._place()
+        (place / "out").touch(), (place / "err").touch()
+        pid = os.fork()
+        if not pid:
+            self._child(place, arguments, user, draw, prepare)
+        self.runs.append(Run(pid, place))
+        return self.runs[-1]
+
+    def _child(self, place, arguments, user, draw, prepare):
+        code = 70
+        try:
+            os.setsid()
+            # What a killed run leaks is its own affair: the test run's tracker would complain about it at the end.
+            resource_tracker._resource_tracker._fd = resource_tracker._resource_tracker._pid = None
+            for number, name in ((1, "out"), (2, "err")):
+                os.dup2(os.open(place / name, os.O_WRONLY), number)
+            sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            if user is not None:
+                os.setgroups([])
+                os.setgid(user)
+                os.setuid(user)
+            cli.draw_all = draw_all if draw else lambda *given: []
+            prepare()
+            code = cli.answer(list(arguments))
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            with contextlib.suppress(BaseException):
+                sys.stdout.flush(), sys.stderr.flush()
+            os._exit(code)
+
+
+@pytest.fixture
+def runner(tmp_path):
+    made = Runner(tmp_path / "said")
+    yield made
+    for run in made.runs:
+        if run.poll() is None:
+            run.send(signal.SIGKILL)
+            run.wait()
+        for pid in run.family():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+
+# -- what is left behind -----------------------------------------------------------------------------------------------
+
+
+def without_seconds(value):
+    if isinstance(value, dict):
+        return {k: without_seconds(v) for k, v in value.items() if k != "seconds"}
+    return value
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a run left in its folder, without what the clock gave it."""
+
+    rows: tuple
+    history: tuple
+    tables: dict
+    summary: dict
+    figures: frozenset
+
+    @staticmethod
+    def by(folder: Path) -> "Left":
+        return Left(
+            *ledger_rows(folder / "ledger.sqlite"),
+            {p.name: p.read_bytes() for p in folder.glob("*.csv")},
+            without_seconds(json.loads((folder / "summary.json").read_text())),
+            frozenset(p.name for p in folder.glob("*.png")),
+        )
+
+
+def ledger_rows(path: Path) -> tuple[tuple, tuple]:
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        return tuple(
+            tuple(sorted(database.execute(f"SELECT {columns} FROM {table}").fetchall(), key=repr))
+            for table, columns in (
+                ("evaluation", "fingerprint, key, attempt, parameters, responses, status, error"),
+                ("history", "run, generation, individual, fingerprint, key, status, misfit"),
+            )
+        )
+
+
+def unfinished(folder: Path) -> list[str]:
+    """Drafts that somebody did not finish."""
+    return [p.name for p in folder.rglob(".*") if p.is_file()]
+
+
+@pytest.fixture
+def left():
+    return Left.by
+
+
+@pytest.fixture
+def drafts():
+    return unfinished
+
+
+@pytest.fixture
+def rows():
+    return ledger_rows

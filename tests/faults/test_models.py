@@ -1,0 +1,246 @@
+"""Models that misbehave: every fault is a row with a clear message, and the study goes on."""
+
+import json
+import sqlite3
+import sys
+from pathlib import Path
+
+import pytest
+
+from calib import cli
+from calib.errors import InputError
+from calib.evaluate import TOOK_TOO_LONG, WORKER_DIED, Evaluator
+from calib.ledger import Ledger
+from calib.questions import places
+
+# One integer parameter chooses what goes wrong.
+KINDS = """
+import json, os, signal, sys, time
+import numpy as np
+from calib.errors import EvaluationError
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+SPACE = ParameterSpace((
+    Parameter("what", 0.0, 0.0, {last}, integer=True), Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)
+))
+
+def deeper(x):
+    return deeper(x) + 1
+
+def answer(values):
+    what, a, b = values["what"], values["a"], values["b"]
+    if what == 1:
+        raise ValueError("no such load case")
+    if what == 2:
+        return {{"y": float(np.linalg.det(np.full((2, 2), np.nan))), "z": 1.0}}
+    if what == 3:
+        sys.exit("licence server not found")
+    if what == 4:
+        deeper(0)
+    if what == 5:
+        raise MemoryError
+    if what == 6:
+        print("solver banner", a)
+        print("warning", file=sys.stderr)
+    if what == 7:
+        os.makedirs("run", exist_ok=True)
+        os.chdir("run")
+    if what == 8:
+        values["a"] = values["b"] = 1e9
+        values.clear()
+    if what == 9:
+        return {{"y": a}}
+    if what == 10:
+        raise EvaluationError("the solver did not converge")
+    if what == 11:
+        raise GeneratorExit("foreign panic")
+    if what == 12:
+        os._exit(0)
+    if what == 13:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if what == 14:
+        time.sleep(1000)
+    return {{"y": a + b / 2, "z": b / 2}}
+
+def model():
+    return FunctionModel("faults", SPACE, answer)
+"""
+SAID = {
+    0: "",
+    1: "ValueError: no such load case",
+    2: "the response 'y' is nan",
+    3: "SystemExit: licence server not found",
+    4: "RecursionError: maximum recursion depth exceeded",
+    5: "there was not enough memory",
+    6: "",
+    7: "",
+    8: "",
+    9: "the function gave no z (it gave y)",
+    10: "the solver did not converge",
+    11: "GeneratorExit: foreign panic",
+    12: WORKER_DIED,
+    13: WORKER_DIED,
+    14: f"{TOOK_TOO_LONG} 2 s",
+}
+
+
+@pytest.fixture
+def faulty(here, monkeypatch):
+    """A study of which every fault up to the given one occurs."""
+    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
+
+    def make(last: int) -> None:
+        Path("faulty").mkdir()
+        Path("faulty/model.py").write_text(KINDS.format(last=last))
+        Path("faulty/measured.csv").write_text("response,value,std\ny,3.0,0.1\nz,1.0,0.1\n")
+        Path("faulty/study.toml").write_text(
+            'title = "Faulty"\nmodel = "model.py:model"\nselection = ["what", "a", "b"]\n'
+            '[measurement]\nresponses = "measured.csv"\n'
+            f"[sensitivity]\nsamples = {2 * (last + 1)}\n"
+            "[calibration]\npopulation = 12\ngenerations = 4\ncases = [{ name = 'A1', seed = 1 }]\n"
+        )
+
+    return make
+
+
+def evaluations() -> list[tuple[int, str, str]]:
+    with sqlite3.connect("results/faulty/ledger.sqlite") as database:
+        found = database.execute("SELECT parameters, status, error FROM evaluation").fetchall()
+    return [(int(json.loads(p)["what"]), status, error) for p, status, error in found]
+
+
+def check_rows(last: int) -> None:
+    rows = evaluations()
+    assert {what for what, _, _ in rows} == set(range(last + 1))
+    for what, status, error in rows:
+        assert (status, error.startswith(SAID[what])) == ("failed" if SAID[what] else "ok", True), (what, error)
+
+
+def test_every_fault_in_this_process_is_a_row(faulty, here):
+    faulty(11)
+    assert cli.answer(["sensitivity", "faulty", "--workers", "1"]) == 0
+    check_rows(11)
+    assert len(evaluations()) == 24
+    assert Path.cwd() == here and Path("results/faulty/sensitivity.csv").exists()
+    assert cli.answer(["calibrate", "faulty", "--workers", "1"]) == 0
+    summary = json.loads(Path("results/faulty/summary.json").read_text())
+    assert summary["evaluations"] == 48 and summary["failed"] > 0
+    assert not Path("calib-error.log").exists() and not list(Path().rglob("run/results"))
+
+
+@pytest.mark.slow
+def test_every_fault_in_worker_processes_is_a_row(faulty, monkeypatch):
+    monkeypatch.setattr(places, "PATIENCE", 2.0)
+    faulty(14)
+    assert cli.answer(["sensitivity", "faulty", "--workers", "2"]) == 0
+    check_rows(14)
+    assert len(evaluations()) == 30
+    assert cli.answer(["calibrate", "faulty", "--workers", "2"]) == 0
+    check_rows(14)
+
+
+def test_a_model_that_fails_at_its_adopted_values(plain, capsys):
+    plain("def answer(values):\n    import sys\n    sys.exit(0)")
+    for verb in ("compare", "calibrate", "run"):
+        capsys.readouterr()
+        assert cli.answer([verb, "plain"]) == 2
+        said = capsys.readouterr().err
+        assert "at its adopted values: SystemExit: 0" in said and said.count("\n") == 1
+
+
+def test_a_model_that_leaves_for_another_directory(plain, here, monkeypatch):
+    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
+    plain("import os\ndef answer(values):\n    os.chdir('/')\n    return {'y': values['a'], 'z': values['b']}")
+    assert cli.answer(["run", "plain", "--workers", "1"]) == 0
+    assert Path.cwd() == here and Path("results/plain/summary.json").exists()
+
+
+# -- time limit --------------------------------------------------------------------------------------------------------
+
+# Workers import the source by name; it needs little, so that they start quickly.
+SLOW = """
+import os, time
+
+def answer(values):
+    with open(values_log, "a") as stream:
+        stream.write(f"{values['x']:g}\\n")
+    if values["x"] < 0:
+        time.sleep(1000)
+    if values["x"] > 100:
+        os._exit(1)
+    time.sleep(0.02)
+    return {"y": values["x"]}
+
+values_log = os.environ["CALIB_TEST_LOG"]
+
+def source():
+    return answer
+"""
+
+
+@pytest.fixture
+def slow(tmp_path, monkeypatch):
+    (tmp_path / "slow_model.py").write_text(SLOW)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("CALIB_TEST_LOG", str(tmp_path / "log"))
+    import slow_model
+
+    yield slow_model.source
+    sys.modules.pop("slow_model")
+
+
+def points(*xs):
+    return [{"x": float(x)} for x in xs]
+
+
+def test_a_point_that_hangs_is_given_up(slow, tmp_path):
+    with Evaluator(slow, 2, time_limit=0.5) as evaluator:
+        outcomes = evaluator.evaluate(points(1, 2, -1, 3, -2, 4, 5, 6))
+        again = evaluator.evaluate(points(7, 1))
+    assert [o.error for o in outcomes] == [
+        "",
+        "",
+        "it took longer than 0.5 s",
+        "",
+        "it took longer than 0.5 s",
+        "",
+        "",
+        "",
+    ]
+    assert [o.responses.get("y") for o in outcomes] == [1, 2, None, 3, None, 4, 5, 6]
+    assert [o.responses["y"] for o in again] == [7, 1]
+    late = [o for o in outcomes if o.status == "failed"]
+    assert all(o.transient and o.seconds >= 0.5 for o in late)
+    asked = (tmp_path / "log").read_text().split()
+    assert asked.count("-1") == 1 and asked.count("-2") <= 2  # giving up once is enough; a neighbour may begin anew
+
+
+def test_hanging_and_dying_in_one_batch(slow):
+    with Evaluator(slow, 2, time_limit=0.5) as evaluator:
+        outcomes = evaluator.evaluate(points(1, 101, -1, 2, 102, -2, 3))
+    assert [o.error for o in outcomes] == [
+        "", WORKER_DIED, "it took longer than 0.5 s", "", WORKER_DIED, "it took longer than 0.5 s", ""
+    ]  # fmt: skip
+
+
+def test_many_points_that_together_take_longer_than_one_may(slow):
+    with Evaluator(slow, 2, time_limit=0.25) as evaluator:
+        outcomes = evaluator.evaluate(points(*range(1, 41)))
+    assert {o.status for o in outcomes} == {"ok"}
+
+
+def test_a_point_given_up_is_tried_again_by_the_next_run(slow, tmp_path):
+    path = tmp_path / "ledger.sqlite"
+    for limit in (0.3, 0.4):
+        with Ledger.open(path) as ledger, Evaluator(slow, 2, time_limit=limit) as evaluator:
+            for _ in range(2):
+                outcomes = ledger.evaluate("f", points(1, -1), evaluator)
+            assert outcomes[1].error == f"it took longer than {limit:g} s"
+    assert sorted((tmp_path / "log").read_text().split()) == ["-1", "-1", "1"]
+
+
+def test_an_impossible_limit():
+    for limit in (0.0, -1.0, float("inf"), float("nan")):
+        with pytest.raises(InputError, match="time limit"):
+            Evaluator(dict, 2, limit)

@@ -1,0 +1,287 @@
+"""Results that cannot be written, disks that are full, files that are damaged, studies edited meanwhile."""
+
+import contextlib
+import os
+import shutil
+import sqlite3
+import subprocess
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from calib import cli
+from calib.example import write_example
+from calib.study import Study
+
+FOLDER = Path("results/mast")
+LEDGER = FOLDER / "ledger.sqlite"
+NOBODY = 65534
+
+
+@pytest.fixture(autouse=True)
+def no_figures(monkeypatch):
+    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
+
+
+def one_sentence(text: str) -> bool:
+    return text.startswith("calib: ") and text.count("\n") == 1 and text.endswith(".\n")
+
+
+def told(capsys, *arguments: str) -> str:
+    """The complaint of a command that must end with code 2."""
+    capsys.readouterr()
+    assert cli.answer(list(arguments)) == 2
+    text = capsys.readouterr().err
+    assert one_sentence(text) and "Traceback" not in text and not Path("calib-error.log").exists()
+    return text
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in folder.iterdir() if not p.name.startswith("ledger.sqlite-")}
+
+
+# -- what may not be written -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def shared(monkeypatch):
+    """A current directory that an unprivileged user reaches; permissions do not bind root."""
+    folder = Path(tempfile.mkdtemp(prefix="calib-faults-"))
+    folder.chmod(0o755)
+    monkeypatch.chdir(folder)
+    yield folder
+    for path in folder.rglob("*"):
+        if path.is_dir():
+            path.chmod(0o755)
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
+def weak():
+    """Whom a run must be for permissions to bind."""
+    return NOBODY if os.geteuid() == 0 else None
+
+
+def prepared(shared: Path, runner, user) -> dict[str, bytes]:
+    """A study whose results belong to the weak user, answered once."""
+    write_example(Path("mast"))
+    text = Path("mast/study.toml").read_text().replace("population = 30", "population = 8")
+    Path("mast/study.toml").write_text(text.replace("generations = 60", "generations = 6"))
+    shared.chmod(0o777)
+    run = runner.fork("calibrate", "mast", "--workers", "1", user=user)
+    assert run.wait() == 0, run.err
+    text = Path("mast/study.toml").read_text().replace("seed = 2", "seed = 3")  # so that there is something to add
+    Path("mast/study.toml").write_text(text)
+    return files(FOLDER)
+
+
+def test_a_folder_that_may_not_be_written(shared, runner, weak):
+    before = prepared(shared, runner, weak)
+    FOLDER.chmod(0o555)
+    run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
+    assert run.wait() == 2 and one_sentence(run.err) and "cannot be written" in run.err
+    assert files(FOLDER) == before
+    FOLDER.chmod(0o755)
+    run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
+    assert run.wait() == 0, run.err
+
+
+def test_a_ledger_that_may_not_be_written(shared, runner, weak):
+    before = prepared(shared, runner, weak)
+    LEDGER.chmod(0o444)
+    run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
+    assert run.wait() == 2 and one_sentence(run.err) and "ledger.sqlite: it cannot be written" in run.err
+    assert files(FOLDER)["ledger.sqlite"] == before["ledger.sqlite"]
+    assert files(FOLDER)["parameters.csv"] == before["parameters.csv"]
+    LEDGER.chmod(0o644)
+    run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
+    assert run.wait() == 0, run.err
+
+
+def test_results_replaced_by_a_file(mast, capsys):
+    assert cli.answer(["compare", "mast"]) == 0
+    shutil.rmtree(FOLDER)
+    FOLDER.write_text("a file")
+    for verb in ("compare", "sensitivity", "calibrate", "run"):
+        assert "cannot be written" in told(capsys, verb, "mast")
+    assert FOLDER.read_text() == "a file"
+
+
+def test_results_replaced_by_a_file_while_running(mast, capsys, monkeypatch):
+    @contextmanager
+    def progress():
+        def at_generation(case, generation, generations, best):
+            if generation == 3 and not Path("moved").exists():
+                FOLDER.rename("moved")
+                FOLDER.write_text("a file")
+
+        yield at_generation
+
+    monkeypatch.setattr("calib.console.search_progress", progress)
+    assert "cannot be written" in told(capsys, "calibrate", "mast", "--workers", "1")
+    assert FOLDER.read_text() == "a file"
+    FOLDER.unlink()
+    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+
+
+# -- full disks --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_disk(mast):
+    """A small file system at ``results``."""
+    Path("results").mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(Path("results").resolve())]
+    try:
+        subprocess.run(command, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError) as fault:
+        pytest.skip(f"no file system can be mounted here: {fault}")
+    disk = Path("results").resolve()
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True, capture_output=True)
+
+
+def room(disk: Path) -> int:
+    found = os.statvfs(disk)
+    return found.f_bavail * found.f_frsize
+
+
+def fill(disk: Path, leave: int) -> Path:
+    ballast = disk / "ballast"
+    ballast.write_bytes(b"\0" * (room(disk) - leave))
+    return ballast
+
+
+@pytest.mark.parametrize("kilobytes", [0, 10, 80, 120, 400])
+def test_a_full_disk(mast, small_disk, runner, left, drafts, kilobytes):
+    check_full_disk(small_disk, runner, left, drafts, kilobytes, draw=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kilobytes", [*range(10, 600, 80)])
+def test_a_full_disk_at_any_moment(mast, small_disk, runner, left, drafts, kilobytes):
+    check_full_disk(small_disk, runner, left, drafts, kilobytes, draw=True)
+
+
+def check_full_disk(disk, runner, left, drafts, kilobytes, draw):
+    whole = runner.fork("calibrate", "mast", "--workers", "1", "--results", "whole", draw=draw)
+    assert whole.wait() == 0
+    ballast = fill(disk, 1024 * kilobytes)
+    run = runner.fork("calibrate", "mast", "--workers", "1", draw=draw)
+    assert run.wait() == 2, (run.code, run.err)
+    assert one_sentence(run.err), run.err
+    assert "disk is full" in run.err or "No space left" in run.err
+    print(f"{kilobytes} kB left: {run.err}")
+    assert drafts(disk) == [] and not Path("calib-error.log").exists()
+    for table in disk.rglob("*.csv"):
+        assert table.read_bytes() == Path("whole/mast", table.name).read_bytes()
+    ballast.unlink()
+    again = runner.fork("calibrate", "mast", "--workers", "1", draw=draw)
+    assert again.wait() == 0, again.err
+    assert left(FOLDER) == left(Path("whole/mast"))
+
+
+def test_a_disk_too_full_for_a_figure(mast, small_disk, runner):
+    first = runner.fork("calibrate", "mast", "--workers", "1")
+    assert first.wait() == 0
+    before = files(FOLDER)
+    ballast = fill(small_disk, 100_000)
+    run = runner.fork("report", "mast", draw=True)
+    assert run.wait() == 2 and one_sentence(run.err) and "a figure cannot be written (No space left" in run.err
+    after = files(FOLDER)
+    assert {n: b for n, b in after.items() if not n.endswith(".png")} == before
+    assert all(b.endswith(b"IEND\xaeB`\x82") for n, b in after.items() if n.endswith(".png"))
+    ballast.unlink()
+    again = runner.fork("report", "mast", draw=True)
+    assert again.wait() == 0 and len(list(FOLDER.glob("*.png"))) == 8
+
+
+def test_a_full_disk_leaves_earlier_results_whole(mast, small_disk, runner, rows):
+    first = runner.fork("calibrate", "mast", "--workers", "1")
+    assert first.wait() == 0
+    before, known = files(FOLDER), rows(LEDGER)
+    text = (mast / "study.toml").read_text()
+    (mast / "study.toml").write_text(text.replace("seed = 1 }", "seed = 9 }").replace("ions = 6", "ions = 40"))
+    ballast = fill(small_disk, 0)
+    run = runner.fork("calibrate", "mast", "--workers", "1")
+    assert run.wait() == 2 and one_sentence(run.err), run.err
+    assert files(FOLDER) == before | {"ledger.sqlite": LEDGER.read_bytes()}
+    ballast.unlink()
+    assert [set(now) >= set(then) for now, then in zip(rows(LEDGER), known, strict=True)] == [True, True]
+
+
+# -- damaged files -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda data: b"no database at all, but long enough to be read as one" * 99, "not a ledger"),
+        (lambda data: data[: len(data) // 3], "damaged"),
+        (lambda data: data[:100] + b"\xff" * 4000 + data[4100:], ""),
+        (lambda data: data[:8192] + os.urandom(len(data) - 8192), ""),
+    ],
+)
+def test_a_damaged_ledger(mast, capsys, damage, words):
+    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+    before = files(FOLDER)
+    damaged = damage(LEDGER.read_bytes())
+    LEDGER.write_bytes(damaged)
+    (mast / "study.toml").write_text((mast / "study.toml").read_text().replace("seed = 2", "seed = 3"))
+    assert words in told(capsys, "calibrate", "mast", "--workers", "1")
+    tables = {n: b for n, b in files(FOLDER).items() if n.endswith((".csv", ".json"))}
+    assert tables == {n: before[n] for n in tables}
+    LEDGER.rename("away.sqlite")
+    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+
+
+def test_damaged_rows(mast, capsys):
+    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+    for rubbish in ('{"natural_freq_B1x": ', "[1.0]", '{"natural_freq_B1x": "much"}'):
+        with contextlib.closing(sqlite3.connect(LEDGER, isolation_level=None)) as database:
+            database.execute("DROP TRIGGER IF EXISTS evaluation_stays")
+            database.execute("UPDATE evaluation SET responses = ?", (rubbish,))
+        assert "ledger.sqlite: it is damaged" in told(capsys, "calibrate", "mast", "--workers", "1")
+
+
+def test_a_ledger_of_a_newer_version(mast, capsys):
+    FOLDER.mkdir(parents=True)
+    with contextlib.closing(sqlite3.connect(LEDGER)) as database:
+        database.execute("CREATE TABLE something_new (x)")
+        database.execute("PRAGMA user_version = 99")
+    before = LEDGER.read_bytes()
+    assert "not a ledger of this version" in told(capsys, "calibrate", "mast", "--workers", "1")
+    assert LEDGER.read_bytes() == before
+
+
+# -- a study that changes ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("value = 2.0", "value = 2.5", ""),  # asks other questions of the same model: this run goes on with its own
+        ("mode_count = 6", "mode_count = 7", "changed while it was running"),
+        ('title = "Ex', 'titel = "Ex', "'title' is missing"),
+    ],
+)
+@pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
+def test_a_study_edited_while_running(mast, capsys, monkeypatch, workers, old, new, words):
+    load, loaded = Study.load, []
+    file = mast / "study.toml"
+
+    def edited(path):
+        study = load(path)
+        if not loaded:
+            loaded.append(study)
+            file.write_text(file.read_text().replace(old, new, 1))
+        return study
+
+    monkeypatch.setattr("calib.study.Study.load", staticmethod(edited))
+    if words:
+        assert words in told(capsys, "calibrate", "mast", "--workers", workers)
+        assert not Path("results/mast/parameters.csv").exists()
+        file.write_text(file.read_text().replace(new, old, 1))
+    assert cli.answer(["calibrate", "mast", "--workers", workers]) == 0

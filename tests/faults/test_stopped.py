@@ -1,0 +1,148 @@
+"""A search that is killed or interrupted at any moment, and started again, ends as if nothing had happened."""
+
+import os
+import random
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path("results/mast")
+
+
+def kill_again_and_again(start, kills, seed, whole, wait_for, left, seconds):
+    """Kill at random moments, starting again each time; compare whenever a run got through."""
+    draw, done, finished = random.Random(seed), 0, 0
+    while done < kills:
+        run = start()
+        run.until(wait_for)
+        if run.wait(draw.uniform(0.0, seconds)) is None:
+            run.send(signal.SIGKILL)
+            run.wait()
+            done += run.code == -signal.SIGKILL
+        if run.code == 0:
+            finished += 1
+            assert left(FOLDER) == whole
+            for path in FOLDER.iterdir():
+                path.unlink()
+        else:
+            assert run.code == -signal.SIGKILL, run.err
+        assert run.nobody_left()
+    last = start()
+    assert last.wait() == 0, last.err
+    assert left(FOLDER) == whole
+    return finished
+
+
+def duration(start, wait_for):
+    run = start()
+    run.until(wait_for)
+    began = time.monotonic()
+    assert run.wait() == 0, run.err
+    return time.monotonic() - began
+
+
+def test_killed_three_times(mast, runner, left):
+    whole_run = runner.fork("calibrate", "mast", "--workers", "1", "--results", "whole")
+    began = time.monotonic()
+    assert whole_run.wait() == 0, whole_run.err
+    seconds = time.monotonic() - began
+    whole = left(Path("whole/mast"))
+    assert {row[5] for row in whole.history} == {"solved", "reused"}
+
+    def start():
+        return runner.fork("calibrate", "mast", "--workers", "1")
+
+    kill_again_and_again(start, 3, 1, whole, lambda: True, left, seconds)
+
+
+@pytest.mark.slow
+def test_killed_twenty_times(mast, runner, left, drafts):
+    ledger = FOLDER / "ledger.sqlite"
+
+    def start(*given):
+        return runner.command("calibrate", "mast", "--workers", "1", *given)
+
+    seconds = duration(lambda: start("--results", "whole"), Path("whole/mast/ledger.sqlite").exists)
+    whole = left(Path("whole/mast"))
+    assert len(whole.figures) == 8
+    finished = kill_again_and_again(start, 20, 2, whole, ledger.exists, left, seconds)
+    print(f"20 kills over {seconds:.1f} s of work, {finished} runs got through between them")
+    for name in drafts(FOLDER):  # a kill within the moment of writing leaves a draft; a later run clears it away
+        os.utime(FOLDER / name, (0, 0))
+    assert start().wait() == 0
+    assert drafts(FOLDER) == []
+
+
+@pytest.mark.slow
+def test_killed_twenty_times_with_worker_processes(mast, runner, left):
+    def start(*given):
+        return runner.fork("calibrate", "mast", "--workers", "2", *given)
+
+    seconds = duration(lambda: start("--results", "whole"), Path("whole/mast/ledger.sqlite").exists)
+    whole = left(Path("whole/mast"))
+    finished = kill_again_and_again(start, 20, 4, whole, (FOLDER / "ledger.sqlite").exists, left, seconds)
+    print(f"20 kills over {seconds:.1f} s of work, {finished} runs got through between them")
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_interrupted_by_the_keyboard(mast, runner, left, drafts, workers):
+    ledger = FOLDER / "ledger.sqlite"
+    run = runner.fork("calibrate", "mast", "--workers", workers)
+    run.until(lambda: ledger.exists() and (FOLDER / "ledger.sqlite-wal").exists())
+    time.sleep(0.05)
+    run.send(signal.SIGINT, everybody=True)  # as a terminal does
+    assert run.wait() == 130, (run.out, run.err)
+    assert run.err == "calib: interrupted; the same command continues where it was\n"
+    assert run.nobody_left() and drafts(Path("results")) == [] and not Path("calib-error.log").exists()
+    again = runner.fork("calibrate", "mast", "--workers", "1")
+    assert again.wait() == 0
+    whole = runner.fork("calibrate", "mast", "--workers", "1", "--results", "whole")
+    assert whole.wait() == 0
+    assert left(FOLDER) == left(Path("whole/mast"))
+
+
+@pytest.mark.slow
+def test_interrupted_at_any_moment(mast, runner, left, drafts):
+    def start(*given):
+        return runner.fork("run", "mast", "--workers", "1", *given, draw=True)
+
+    seconds = duration(lambda: start("--results", "whole"), Path("whole/mast").exists)
+    whole = left(Path("whole/mast"))
+    draw, stopped = random.Random(3), 0
+    while stopped < 20:
+        run = start()
+        run.until(FOLDER.exists)
+        time.sleep(draw.uniform(0.0, seconds))
+        run.send(signal.SIGINT)
+        if run.wait() == 0:
+            assert left(FOLDER) == whole
+            for path in FOLDER.iterdir():
+                path.unlink()
+            continue
+        stopped += 1
+        assert run.code == 130, (run.code, run.err)
+        assert run.err == "calib: interrupted; the same command continues where it was\n"
+        assert drafts(FOLDER) == [] and not Path("calib-error.log").exists()
+    assert start().wait() == 0
+    assert left(FOLDER) == whole
+
+
+def test_interrupted_twice_in_a_row(mast, runner):
+    run = runner.fork("calibrate", "mast", "--workers", "2")
+    run.until((FOLDER / "ledger.sqlite-wal").exists)
+    time.sleep(0.3)
+    for _ in range(3):
+        run.send(signal.SIGINT, everybody=True)
+        time.sleep(0.01)
+    assert run.wait() == 130, run.err
+    assert "Traceback" not in run.err and run.nobody_left()
+
+
+def test_two_runs_at_once_on_one_ledger(mast, runner, left):
+    whole = runner.fork("calibrate", "mast", "--workers", "1", "--results", "whole")
+    assert whole.wait() == 0
+    runs = [runner.fork("calibrate", "mast", "--workers", "1") for _ in range(2)]
+    assert [run.wait() for run in runs] == [0, 0], [run.err for run in runs]
+    assert left(FOLDER) == left(Path("whole/mast"))
