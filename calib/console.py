@@ -151,7 +151,13 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     if whole:
         say(f"Whole numbers, judged by how much worse their neighbours fit: {', '.join(whole)}.")
     say(best.judgement.sentence)
-    say(answer.agreement.sentence)
+    if answer.search_agreement is None:
+        say(answer.agreement.sentence)
+    else:
+        say(f"The searches alone: {answer.search_agreement.sentence}")
+        say(f"After least squares, which also weighs the priors: {answer.agreement.sentence}")
+    if answer.agreement.verdict == "several solutions":
+        say("Identified therefore means: around the reported solution; the others are just as good.")
     say(f"\nAfter calibration (case {best.name}):")
     _print_answer(best.answer)
     before, after = answer.before, best.answer

@@ -35,7 +35,8 @@ def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path,
     assert cli.answer(["calibrate", str(ROOT / "studies/four_storey_rig_wide"), "--results", str(tmp_path)]) == 0
     assert "not unique" in capsys.readouterr().out
     results = summary(tmp_path / "four_storey_rig_wide")
-    met = [c for c, r in results["cases"].items() if r["mean_freq_error_after"] < 0.0005]
+    met = [c for c, r in results["cases"].items() if r["mean_freq_error_after"] < 1e-5]
+    assert len(met) == 8
     parameters = pd.read_csv(tmp_path / "four_storey_rig_wide/parameters.csv").set_index(["case", "parameter"])["value"]
     first = [parameters[case, "k1"] for case in met]
     assert max(first) - min(first) > 0.3  # equal frequencies from clearly different storeys
@@ -58,7 +59,9 @@ def test_the_twin_scatters_as_stated():
     z_damping = np.log(measured.damping_ratio / damping) / 0.07
     for z in (z_freq, z_damping):
         assert np.abs(z).max() < 3.5
-        assert 2.2 < (z**2).sum() < 20.1  # 98 % of chi-square with 8 degrees of freedom, 0.5 % left out at the lower end
+        assert (
+            2.2 < (z**2).sum() < 20.1
+        )  # 98 % of chi-square with 8 degrees of freedom, 0.5 % left out at the lower end
     spread = measured.freq_std / measured.natural_freq
     assert 0.003 < np.sqrt((spread**2).mean()) < 0.007
     assert 0.022 < np.sqrt((measured.shape_std**2).mean()) < 0.028
@@ -68,7 +71,8 @@ def test_nothing_that_answers_names_the_truth():
     for folder in ("calib", "models", "studies"):
         for file in (ROOT / folder).rglob("*"):
             if file.suffix in (".py", ".toml", ".txt", ".csv") and file.name != "make_twin.py":
-                assert "truth" not in file.read_text("utf-8").lower(), file
+                text = file.read_text("utf-8").lower()
+                assert not any(path in text for path in ("tests/", "truth/", "bogie.json", "truth.json")), file
 
 
 AUDIT = """
@@ -106,9 +110,22 @@ def test_without_the_truth_every_result_is_the_same(tmp_path):
     assert tables["here"] == tables["copy"]
 
 
+def test_unknown_masses_are_reported_as_not_separable(tmp_path, capsys):
+    question = ["calibrate", str(ROOT / "studies/four_storey_rig_masses"), "--results", str(tmp_path)]
+    assert cli.answer([*question, "--method", "gauss-newton"]) == 0
+    said = capsys.readouterr().out
+    assert "0 of 8 parameters are identified" in said and "see ratios only" in said
+    folder = tmp_path / "four_storey_rig_masses/gauss-newton"
+    pairs = pd.read_csv(folder / "confounded.csv")
+    assert {frozenset(p) for p in zip(pairs["parameter_a"], pairs["parameter_b"], strict=True)} >= {
+        frozenset(p) for p in (("k1", "m4"), ("k2", "m3"), ("k3", "m2"), ("k4", "m1"))
+    }
+    assert not pd.read_csv(folder / "parameters.csv")["identified"].any()
+
+
 @pytest.mark.slow
 def test_the_bogie_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
-    """GB1-GB4 whole, four times 7,500 individuals."""
+    """GB1-GB4 whole, four times 7,500 individuals, and least squares after each."""
     assert cli.answer(["run", str(ROOT / "studies/bogie"), "--results", str(tmp_path)]) == 0
     results = summary(tmp_path / "bogie")
     assert results["evaluations"] == 4 * 7500 and set(results["cases"]) == {"GB1", "GB2", "GB3", "GB4"}
@@ -116,9 +133,22 @@ def test_the_bogie_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
     assert results["mean_freq_error_after"] <= 0.008  # the article reached 0.8 %
     assert results["mean_mac_after"] >= min(0.98, results["noise_mac"] - 0.005)
     table = pd.read_csv(tmp_path / "bogie/parameters.csv")
-    best = table[table["case"] == results["best_case"]].set_index("parameter")
-    for name in ("pos_long_left", "pos_long_right"):
-        assert best.loc[name, "value"] == TRUTH["parameters"][name]
-    width = best["upper"] - best["lower"]
-    for name in ("K_primary", "K_block"):
-        assert abs(best.loc[name, "value"] - TRUTH["parameters"][name]) < 0.15 * width[name]
+    for _, case in table.groupby("case"):
+        identified = case[case["identified"] == True]  # noqa: E712  (NaN where not judged)
+        assert len(identified) >= 4
+        for row in identified.to_dict("records"):
+            error = abs(row["value"] - TRUTH["parameters"][row["parameter"]])
+            assert error <= 0.10 * (row["upper"] - row["lower"]), row
+        for name in ("pos_long_left", "pos_long_right"):
+            assert case.set_index("parameter").loc[name, "value"] == TRUTH["parameters"][name]
+
+
+@pytest.mark.slow
+def test_least_squares_alone_find_the_bogie_from_several_starts(tmp_path):
+    question = ["calibrate", str(ROOT / "studies/bogie"), "--results", str(tmp_path), "--case", "GB1"]
+    assert cli.answer([*question, "--method", "gauss-newton"]) == 0
+    table = pd.read_csv(tmp_path / "bogie/case_GB1-gauss-newton/parameters.csv")
+    identified = table[table["identified"] == True]  # noqa: E712
+    assert len(identified) >= 4
+    for row in identified.to_dict("records"):
+        assert abs(row["value"] - TRUTH["parameters"][row["parameter"]]) <= 0.10 * (row["upper"] - row["lower"])

@@ -79,6 +79,8 @@ class Calibration:
         ``parameters.csv``, ``verdicts.csv``.
     agreement : Agreement
         Whether the cases agree on one solution.
+    search_agreement : Agreement or None
+        The same of the genetic searches before least squares, which know no priors; None without either.
     method : {"genetic", "gauss-newton"}
     """
 
@@ -88,6 +90,7 @@ class Calibration:
     parameters: pd.DataFrame
     verdicts: pd.DataFrame
     agreement: Agreement
+    search_agreement: Agreement | None
     method: Method
 
 
@@ -160,7 +163,9 @@ def calibrate(
     parameters = _parameters(study, found, searched)
     spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
     verdicts = best.judgement.verdicts(study.search_space, spread)
-    verdict = agreement(reported, study.search_space, expected_misfit(study, before))
+    level = expected_misfit(study, before)
+    verdict = agreement(reported, study.search_space, level)
+    raw = agreement(searched, study.search_space, level) if searched and study.settings.calibration.polish else None
     write_answer(results, best.answer, "after")
     results.write_table("parameters", parameters)
     results.write_table("verdicts", verdicts)
@@ -170,7 +175,7 @@ def calibrate(
     results.write_table("convergence", convergence_table(reported))
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
     results.write_json("summary", summary)
-    return Calibration(found, best, before, parameters, verdicts, verdict, chosen)
+    return Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen)
 
 
 def _by_search(

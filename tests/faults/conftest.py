@@ -250,6 +250,21 @@ def ledger_rows(path: Path) -> tuple[tuple, tuple]:
         )
 
 
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory) -> tuple[Left, float]:
+    """What ``calib calibrate mast --workers 1`` leaves when nothing goes wrong (without figures), and its seconds."""
+    folder = tmp_path_factory.mktemp("whole")
+    with contextlib.chdir(folder):
+        write_example(Path("mast"))
+        shrink(Path("mast"))
+        began = time.monotonic()
+        run = Runner(folder / "said").fork("calibrate", "mast", "--workers", "1")
+        assert run.wait() == 0, run.err
+        found = Left.by(Path("results/mast"))
+    assert {row[5] for row in found.history} == {"solved", "reused"}
+    return found, time.monotonic() - began
+
+
 def unfinished(folder: Path) -> list[str]:
     """Drafts that somebody did not finish."""
     return [p.name for p in folder.rglob(".*") if p.is_file()]

@@ -33,7 +33,7 @@ def answer(values):
     if what == 1:
         raise ValueError("no such load case")
     if what == 2:
-        return {{"y": float(np.linalg.det(np.full((2, 2), np.nan))), "z": 1.0}}
+        return {{"y": float(np.array([np.nan, 1.0]).sum()), "z": 1.0}}
     if what == 3:
         sys.exit("licence server not found")
     if what == 4:

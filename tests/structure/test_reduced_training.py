@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from calib.errors import InputError
+from calib.structure.affine import AffineMatrix, Term
 from calib.structure.basis import Basis
 from calib.structure.certificate import certificate, mode_errors
 from calib.structure.cover import covering_points
@@ -94,6 +96,35 @@ def test_enriching_gives_a_next_version_that_meets_the_tolerance_there(ladder):
     assert grown.version == 2 and grown.size > basis.size
     assert np.array_equal(grown.vectors[:, : basis.size], basis.vectors)
     assert mode_errors(ReducedModel(model, grown), outside, 6).worst < 1e-6
+
+
+def test_fresh_points_enrich_a_basis_of_few_samples(ladder):
+    model = ladder(200, damped=False)
+    basis = train_basis(model, model.space, 6, seed=2, tolerance=1e-6, samples=5)
+    table = basis.table()
+    assert table["round"].max() > 1 and len(basis.samples) > 5 and np.all(np.diff(table["size"]) >= 0)
+    last = table[table["round"] == table["round"].max()]
+    assert last["indicator"].max() <= 0.5e-6 and last["error"].notna().sum() == 6
+    assert last["error"].max() <= 1e-6
+    first = table[table["round"] == 1]
+    assert first["indicator"].iloc[0] > 0.5e-6 or first["indicator"].max() > 0.5e-6
+
+
+def test_a_missed_copy_of_a_repeated_mode_is_told(ladder):
+    model = ladder(damped=False)
+    squares = 1e3 * np.array([1.0, 4.0, 4.0, 9.0, 16.0, *range(20, 75)])
+    plain = dataclasses.replace(
+        model,
+        stiffness=AffineMatrix(60, (Term("all", sp.csr_array(np.diag(squares))),)),
+        mass=AffineMatrix(60, (Term("all", sp.csr_array(np.eye(60))),)),
+    )
+    basis = train_basis(plain, model.space, 4, seed=1)
+    assert mode_errors(ReducedModel(plain, basis), {}, 4).worst < 1e-9
+    blind = dataclasses.replace(basis, vectors=np.eye(60)[:, [0, 1, 3, 4, 5]])
+    assert mode_errors(ReducedModel(plain, blind), {}, 4).missed.tolist() in (
+        [False, False, True, False],
+        [False, True, False, False],
+    )
 
 
 def test_a_missed_mode_is_told(ladder):

@@ -305,3 +305,24 @@ def test_whatever_a_search_left_out_is_found(seed, left_out):
     assert found.shape[1] == 40
     np.testing.assert_allclose(found.T @ found, np.eye(40), atol=1e-9)
     np.testing.assert_allclose(found @ (found.T @ turn[:, lost]), turn[:, lost], atol=1e-7)
+
+
+@pytest.mark.parametrize("damped", [True, False])
+@pytest.mark.parametrize("lost", [0, 3, 6])
+def test_a_mode_that_the_iteration_leaves_out_is_noticed(monkeypatch, damped, lost):
+    k, c, m = (sparse(x) for x in random_system(150, 11, strength=20.0))
+    whole = solve_modes(k, c if damped else None, m, 8)
+    name = "eigs" if damped else "eigsh"
+    iterate = getattr(solve.spla, name)
+
+    def forgetful(*args, **options):
+        values, vectors = iterate(*args, **options)
+        omega = 2 * np.pi * whole.natural_freq[lost]
+        size = 1 / np.abs(values) if damped else np.sqrt(np.abs(values))
+        kept = np.abs(size / omega - 1) > 1e-4
+        assert np.count_nonzero(~kept) == (2 if damped else 1)
+        return values[kept], vectors[:, kept]
+
+    monkeypatch.setattr(solve.spla, name, forgetful)
+    found = solve_modes(k, c if damped else None, m, 8)
+    np.testing.assert_allclose(found.natural_freq, whole.natural_freq, rtol=1e-8)
