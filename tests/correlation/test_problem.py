@@ -8,6 +8,8 @@ import pytest
 from calib.correlation.problem import RESPONSES, FunctionProblem, ModalProblem
 from calib.errors import EvaluationError, InputError
 from calib.space import Parameter, ParameterSpace
+from calib.structure.reduced import ReducedModel
+from calib.structure.training import train_basis
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0}
 CLUSTERS = {"M1": ("across",), "M2": ("along", "across")}
@@ -28,6 +30,20 @@ def test_a_perfect_model_answers_with_the_truth(build, twin):
         assert found[f"mac_{name}"] == pytest.approx(1.0)
         assert found[f"emac_{name}"] == pytest.approx(1.0)  # no clusters named: EMAC is MAC
     assert problem.evaluate({})["natural_freq_M1"] != pytest.approx(found["natural_freq_M1"], rel=1e-3)
+
+
+def test_a_reduced_model_answers_as_the_full_one(build, twin):
+    model = build(n=20)
+    measured = twin(model, TRUTH, order=(2, 0, 1, 4))
+    reduced = ReducedModel(model, train_basis(model, model.space, 6, seed=1, tolerance=1e-6))
+    assert reduced.n_dof < model.n_dof
+    clusters = {"M1": ("across",), "M2": ("along", "across")}
+    problems = [ModalProblem(m, measured, clusters, mode_count=6) for m in (model, reduced)]
+    full, small = (problem.evaluate(TRUTH) for problem in problems)
+    assert small == pytest.approx(full, rel=1e-4, abs=1e-4)
+    assert problems[0].fingerprint != problems[1].fingerprint
+    tables = [problem.compare(TRUTH).deflection_table() for problem in problems]
+    np.testing.assert_allclose(tables[1].iloc[:, 3:], tables[0].iloc[:, 3:], atol=1e-3)
 
 
 def test_energy_tells_apart_what_a_single_direction_cannot(build, twin):
