@@ -100,7 +100,7 @@ class ReductionSettings(_Section):
     """``[reduction]``: search on a reduced basis of the model; what is reported is always solved at full order."""
 
     use: bool = True
-    tolerance: float = Field(default=1e-4, gt=0, lt=0.1)
+    tolerance: float = Field(default=1e-5, gt=0, lt=0.1)
     seed: int = Field(default=1, ge=0)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.correlation.problem import ModalProblem
-from calib.errors import InputError
+from calib.errors import EvaluationError, InputError
 from calib.evaluate import Evaluator, Outcome
 from calib.ledger import Ledger
 from calib.results import Results
@@ -21,6 +21,10 @@ from calib.study import Study
 
 WORTHWHILE_DOFS = 300
 """A model with fewer degrees of freedom is fast enough at full order."""
+
+
+FIRST_ORDER = 10.0
+"""MAC with measured shapes errs to first order where frequencies err to second: it is allowed that much more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +84,7 @@ class Reduction:
 
     def after_case(self, values: Mapping[str, float], home: Results) -> Reduction:
         """The same, or one on the next version of the basis when this one was not good enough at a case's optimum."""
-        if self.difference_at(values) <= self.tolerance:
+        if self.difference_at(values) <= FIRST_ORDER * self.tolerance:
             return self
         model = self.full.model
         assert isinstance(model, StructuralModel)
@@ -102,10 +106,16 @@ def reduction_of(study: Study, home: Results) -> Reduction | None:
         found = (basis.model_fingerprint, basis.count, basis.freq_max, basis.tolerance, basis.seed) if basis else None
         if basis is not None and found == wanted and basis.covers(study.search_space):
             return _reduced(problem, basis, path, settings.tolerance)
-    basis = train_basis(
-        problem.model, study.search_space, problem.mode_count, seed=settings.seed, freq_max=freq_max,
-        tolerance=settings.tolerance,
-    )  # fmt: skip
+    try:
+        basis = train_basis(
+            problem.model, study.search_space, problem.mode_count, seed=settings.seed, freq_max=freq_max,
+            tolerance=settings.tolerance,
+        )  # fmt: skip
+    except EvaluationError as fault:
+        raise InputError(
+            f"no reduced basis can be trained: {fault}", place=study.file,
+            remedy="check the model over the search limits, or set use = false under [reduction]",
+        ) from None  # fmt: skip
     return _on(problem, basis, home, settings.tolerance)
 
 

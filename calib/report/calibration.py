@@ -32,7 +32,9 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
     -------
     Axes
         One group of horizontal bars a parameter, lengths in percent of the range between the limits. A value on a bound
-        has a triangle; a parameter on which the cases do not agree is hatched and says so.
+        has a triangle; a parameter on which the cases do not agree is hatched and says so. Where the table tells what
+        the searches found before least squares (``search_value``), the bars show that, as they show how far the cases
+        spread; a diamond with whiskers shows the best case's final value with two standard deviations (``std``).
     """
     cases = list(dict.fromkeys(table["case"]))
     names = list(dict.fromkeys(table["parameter"]))
@@ -47,7 +49,7 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
     for k, case in enumerate(cases):
         rows = table[table["case"] == case].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(cases) - 1) / 2) * height
-        lengths = 100.0 * rows["ratio"].to_numpy(dtype=float)
+        lengths = 100.0 * _searched(rows).to_numpy(dtype=float)
         bars = ax.barh(y, lengths, height * 0.92, color=CASES[k % len(CASES)], label=str(case))
         for bar, name in zip(bars, names, strict=True):
             if unstable[name]:
@@ -73,8 +75,43 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
         ax.axhline(i - 0.5, color="#E3E3E3", linewidth=0.6)
     ax.set_xlabel("place between the lower (0) and the upper limit (100) (%)")
     _write_values(ax, table, names, unstable, best_case)
-    _legend(ax, cases, best_case, any(unstable.values()), any(flag is True for flag in _flags(table, "on_bound")))
+    final = _mark_final(ax, table, names, best_case)
+    bound_anywhere = any(flag is True for flag in _flags(table, "on_bound"))
+    _legend(ax, cases, best_case, any(unstable.values()), bound_anywhere, final)
     return ax
+
+
+def _searched(table: pd.DataFrame) -> pd.Series[float]:
+    """Place between the limits that a search found, or the final one where there is none."""
+    if "search_value" not in table:
+        return table["ratio"].astype(float)
+    span = table["upper"].astype(float) - table["lower"].astype(float)
+    return ((table["search_value"].astype(float) - table["lower"].astype(float)) / span).fillna(table["ratio"])
+
+
+def _mark_final(ax: Axes, table: pd.DataFrame, names: list[str], best_case: str | None) -> bool:
+    """The best case's final values with two standard deviations, where they are told apart from the search's."""
+    if "search_value" not in table or table["search_value"].isna().all() or best_case is None:
+        return False
+    best = table[table["case"] == best_case].set_index("parameter").reindex(names)
+    span = best["upper"].astype(float) - best["lower"].astype(float)
+    reach = (200.0 * best["std"].astype(float) / span).fillna(0.0)
+    ax.errorbar(
+        100.0 * best["ratio"].astype(float),
+        np.arange(len(names)),
+        xerr=reach,
+        fmt="D",
+        markersize=4.5,
+        color="black",
+        markeredgecolor="white",
+        markeredgewidth=0.7,
+        elinewidth=1.3,
+        capsize=3.0,
+        label=f"final, {best_case}, with 2 standard deviations",
+        zorder=5,
+        gid="final",
+    )
+    return True
 
 
 def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:
@@ -115,7 +152,9 @@ def _beside(ax: Axes, row: int, text: str, shift: float, colour: str) -> None:
     )
 
 
-def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: bool, any_bound: bool) -> None:
+def _legend(
+    ax: Axes, cases: list[str], best_case: str | None, any_unstable: bool, any_bound: bool, final: bool
+) -> None:
     note = " (best; values at the right)" if len(cases) > 1 else " (values at the right)"
     handles: list[Artist] = [
         Patch(color=CASES[k % len(CASES)], label=f"{case}{note if case == best_case else ''}")
@@ -125,6 +164,9 @@ def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: boo
         handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="/////", label="not stable: the cases disagree"))
     if any_bound:
         handles.append(Line2D([], [], linestyle="none", marker="<", color="black", markersize=4.5, label="on a bound"))
+    if final:
+        words = "least squares ± 2 std"
+        handles.append(Line2D([], [], linestyle="-", marker="D", color="black", markersize=4.5, label=words))
     legend_above(ax, handles)
 
 

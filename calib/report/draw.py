@@ -64,6 +64,7 @@ def read_table(
     complete: Sequence[str] = (),
     unbounded: Sequence[str] = (),
     flags: Sequence[str] = (),
+    if_there: Sequence[str] = (),
     others_are_numbers: bool = False,
     unique: str | None = None,
 ) -> pd.DataFrame:
@@ -78,6 +79,8 @@ def read_table(
         Those of `numbers` that must not be unknown.
     unbounded : sequence of str
         Those of `numbers` that may be infinite.
+    if_there : sequence of str
+        Further columns of numbers that a table may have.
     others_are_numbers : bool
         Whether every other column is kept and holds numbers.
     unique : str, optional
@@ -98,6 +101,7 @@ def read_table(
             raise InputError(f"column {column!r} is missing", place=path, remedy="run the study again to write it anew")
     if raw.empty:
         raise InputError("the table has no rows", place=path, remedy="run the study again to write it anew")
+    wanted += [column for column in if_there if column in raw.columns]
     others = [c for c in raw.columns if c not in wanted] if others_are_numbers else []
     if others_are_numbers and not others:
         raise InputError(f"there is no column beside {', '.join(text)}", place=path)
@@ -194,6 +198,7 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
             ["value", "ratio", "spread"],
             complete=["ratio"],
             flags=["on_bound", "stable"],
+            if_there=["lower", "upper", "std", "search_value"],
         )
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
         add("parameters", "parameters found", lambda: _owner(draw_parameters(found, best_case=best)))

@@ -2,9 +2,9 @@
 
     python tests/benchmarks/speed.py [--repeats 60] [--workers 1 2]
 
-Prints milliseconds with their ratios, all taken in turn in one run, evaluations a second for one and two worker processes,
-and where the time of an evaluation goes. OpenSees solves the undamped problem only and is left out where it cannot be
-loaded. One BLAS thread everywhere.
+Prints milliseconds with their ratios, all taken in turn in one run, evaluations a second for one and two worker
+processes, and where the time of an evaluation goes. OpenSees solves the undamped problem only and is left out where it
+cannot be loaded. One BLAS thread everywhere.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 import numpy as np
+import pandas as pd
 import pytest
 
 from calib.report.calibration import draw_convergence, draw_parameters
@@ -95,3 +96,21 @@ def test_one_case_and_one_generation(convergence):
 def test_a_case_without_feasible_point(convergence):
     ax = draw_convergence(convergence.assign(best=np.nan, mean=np.nan))
     assert legend(ax) == ["GB1 (nothing feasible)", "GB2 (nothing feasible)"]
+
+
+def test_bars_show_the_searches_and_a_diamond_the_final_value():
+    rows = []
+    for case, found in (("A", 2.0), ("B", 4.0)):
+        rows.append(
+            {
+                "case": case, "parameter": "k", "value": 6.0, "unit": "-", "lower": 0.0, "upper": 10.0, "ratio": 0.6,
+                "on_bound": False, "spread": 0.2, "stable": False, "std": 0.5, "search_value": found,
+            }
+        )  # fmt: skip
+    ax = draw_parameters(pd.DataFrame(rows), best_case="B")
+    bars = [p.get_width() for c in ax.containers if hasattr(c, "patches") for p in c.patches]
+    assert bars == [20.0, 40.0]
+    final = next(line for line in ax.lines if line.get_marker() == "D")
+    assert final.get_xdata().tolist() == [60.0]
+    ends = [segment for c in ax.collections for segment in c.get_segments()]
+    assert any(sorted(e[:, 0].tolist()) == [50.0, 70.0] for e in ends)
