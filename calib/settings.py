@@ -110,6 +110,7 @@ class CalibrationSettings(_Section):
     method: Literal["genetic", "gauss-newton"] = "genetic"
     polish: bool = True
     starts: int = Field(default=6, ge=1)
+    time_limit: float = Field(default=3600.0, gt=0)
     weight_freq: float = Field(default=1.0, ge=0)
     weight_mac: float = Field(default=1.0, ge=0)
     population: int = Field(default=30, ge=4)

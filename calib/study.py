@@ -152,7 +152,7 @@ class _Reader:
             raise
         except TypeError as fault:
             raise InputError(f"{name} cannot be called with these model_options ({fault})", place=place) from None
-        except Exception as fault:
+        except (Exception, SystemExit) as fault:
             # The function is the user's own: its mistakes are input, told without our traceback.
             raise InputError(f"{name} failed with {type(fault).__name__}: {fault}", place=place) from fault
         if not isinstance(model, StructuralModel | FunctionModel):
@@ -186,7 +186,7 @@ class _Reader:
             raise InputError(f"{where!r} needs the module {fault.name!r}", place=place, remedy="install it") from None
         except InputError:
             raise
-        except Exception as fault:
+        except (Exception, SystemExit) as fault:
             raise InputError(f"{where!r} failed with {type(fault).__name__}: {fault}", place=place) from fault
 
     # -- measurement ---------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ RANKS = (
     {"report"},
     {"console", "example"},
     {"cli"},
+    {"__main__"},
 )
 RANK = {name: k for k, names in enumerate(RANKS) for name in names}
 # Apart from ranks: searches know neither finite elements nor files, pictures know tables only.

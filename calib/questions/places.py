@@ -55,14 +55,11 @@ def open_evaluator(
     source = EvaluationSource(
         str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve())
     )
-    return Evaluator(source, chosen, PATIENCE)
+    return Evaluator(source, chosen, study.settings.calibration.time_limit)
 
 
 _WORTHWHILE = 20.0
 """Seconds of work from which on a process pool is started."""
-
-PATIENCE = 3600.0
-"""Seconds after which a worker process gives a point up: it hangs, or a search would have no end anyway."""
 
 
 def available_cores() -> int:

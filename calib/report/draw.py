@@ -211,7 +211,7 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
 
 
 def _comparison(path: Path) -> pd.DataFrame | None:
-    if not path.exists():
+    if not path.exists() or _of_plain_responses(path):
         return None
     numbers = ["natural_freq_measured", "natural_freq_model", "freq_error", "mac"]
     return read_table(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
@@ -226,6 +226,15 @@ def _square(path: Path) -> pd.DataFrame:
             remedy="run the study again to write it anew",
         )
     return table
+
+
+def _of_plain_responses(path: Path) -> bool:
+    """Whether a comparison is of plain responses, which have no modes to draw."""
+    try:
+        with path.open(encoding="utf-8") as stream:
+            return stream.readline().startswith("response,")
+    except (OSError, UnicodeDecodeError):
+        return False  # whoever reads it whole tells what is wrong
 
 
 def _comac(path: Path) -> pd.DataFrame | None:

@@ -11,7 +11,6 @@ from calib import cli
 from calib.errors import InputError
 from calib.evaluate import TOOK_TOO_LONG, WORKER_DIED, Evaluator
 from calib.ledger import Ledger
-from calib.questions import places
 
 # One integer parameter chooses what goes wrong.
 KINDS = """
@@ -130,9 +129,10 @@ def test_every_fault_in_this_process_is_a_row(faulty, here):
 
 
 @pytest.mark.slow
-def test_every_fault_in_worker_processes_is_a_row(faulty, monkeypatch):
-    monkeypatch.setattr(places, "PATIENCE", 2.0)
+def test_every_fault_in_worker_processes_is_a_row(faulty):
     faulty(14)
+    study = Path("faulty/study.toml")
+    study.write_text(study.read_text().replace("[calibration]", "[calibration]\ntime_limit = 2.0", 1))
     assert cli.answer(["sensitivity", "faulty", "--workers", "2"]) == 0
     check_rows(14)
     assert len(evaluations()) == 30
