@@ -16,16 +16,11 @@ from calib.ledger import Ledger
 from calib.questions.compare import responses_at
 from calib.space import ParameterSpace
 from calib.study import Problem, Study
-from calib.updating.gauss_newton import DifferencedResponses, FitResult, MixedResult, fit_mixed
-from calib.updating.identify import (
-    Identification,
-    WholeNumber,
-    identify,
-    parameter_verdicts,
-    prediction_interval,
-    whole_number,
-    within_scatter,
-)
+from calib.updating.differences import DifferencedResponses
+from calib.updating.gauss_newton import FitResult
+from calib.updating.identify import Identification, identify, prediction_interval
+from calib.updating.verdicts import WholeNumber, parameter_verdicts, whole_number, within_scatter
+from calib.updating.whole_numbers import MixedResult, fit_mixed
 
 FitProgress = Callable[[int, int, float], None]
 

@@ -12,14 +12,9 @@ from hypothesis import strategies as st
 
 from calib.errors import EvaluationError, InputError
 from calib.space import LinearConstraint, Parameter, ParameterSpace
-from calib.updating.gauss_newton import (
-    DifferencedResponses,
-    FitSettings,
-    Prior,
-    central_jacobian,
-    fit,
-    fit_mixed,
-)
+from calib.updating.differences import DifferencedResponses, central_jacobian
+from calib.updating.gauss_newton import FitSettings, Prior, fit
+from calib.updating.whole_numbers import fit_mixed
 
 
 @dataclass

@@ -17,15 +17,11 @@ from calib.correlation.residual import ModalResidual
 from calib.errors import InputError
 from calib.space import Parameter, ParameterSpace
 from calib.study import Study
-from calib.updating.gauss_newton import DifferencedResponses, Prior, fit, fit_mixed
-from calib.updating.identify import (
-    WholeNumber,
-    identify,
-    parameter_verdicts,
-    posterior,
-    prediction_interval,
-    whole_number,
-)
+from calib.updating.differences import DifferencedResponses
+from calib.updating.gauss_newton import Prior, fit
+from calib.updating.identify import identify, posterior, prediction_interval
+from calib.updating.verdicts import WholeNumber, parameter_verdicts, whole_number
+from calib.updating.whole_numbers import fit_mixed
 
 
 def box(names, lower=0.0, upper=10.0, **options):

@@ -1,0 +1,137 @@
+"""Limits and linear constraints in scaled parameters, and the best step within them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from calib.errors import InputError
+from calib.space import ParameterSpace
+
+ACTIVE = 1e-6
+"""Distance to a limit, over the range, below which it is active."""
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Limits and constraints over parameters scaled to 0..1 between their limits: ``rows @ x >= least``."""
+
+    space: ParameterSpace
+    names: tuple[str, ...]
+    fixed: dict[str, float]
+    start: np.ndarray
+    lower: np.ndarray
+    span: np.ndarray
+    rows: np.ndarray
+    least: np.ndarray
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, space: ParameterSpace, start: dict[str, float]) -> Region:
+        """Of the free parameters that are not whole numbers; all others stay at the start."""
+        chosen = [p for p in space.free if not p.integer]
+        if not chosen:
+            raise InputError("no parameter is free to be fitted", place="fit", remedy="free one (not a whole number)")
+        names = tuple(p.name for p in chosen)
+        lower = np.array([p.lower for p in chosen])
+        span = np.array([p.upper - p.lower for p in chosen])
+        rows, least, labels = [], [], []
+        for con in space.constraints:
+            weights = dict(con.coefficients)
+            row = np.array([weights.get(n, 0.0) for n in names])
+            shift = sum(c * start[n] for n, c in con.coefficients if n not in names) + float(row @ lower)
+            row = row * span
+            size = float(np.linalg.norm(row))
+            for sign, limit, word in ((1.0, con.lower, "lower"), (-1.0, con.upper, "upper")):
+                if math.isfinite(limit):
+                    if size == 0:
+                        if sign * (shift - limit) < -1e-9 * max(1.0, abs(limit)):
+                            raise InputError("the fixed values break it", place=f"constraint {con.name}")
+                        continue
+                    rows.append(sign * row / size)
+                    least.append(sign * (limit - shift) / size)
+                    labels.append(f"{con.name} at its {word} limit")
+        return cls(
+            space=space,
+            names=names,
+            fixed={n: v for n, v in start.items() if n not in names},
+            start=(np.array([start[n] for n in names]) - lower) / span,
+            lower=lower,
+            span=span,
+            rows=np.array(rows).reshape(-1, len(names)),
+            least=np.array(least),
+            labels=tuple(labels),
+        )
+
+    @property
+    def _walls(self) -> tuple[np.ndarray, np.ndarray]:
+        """All limits and constraints."""
+        one = np.eye(len(self.names))
+        return (
+            np.vstack([one, -one, self.rows]),
+            np.concatenate([np.zeros(len(one)), -np.ones(len(one)), self.least]),
+        )
+
+    def values(self, x: np.ndarray) -> dict[str, float]:
+        """All parameters at a point (n_params,) of the unit box, each in its own unit."""
+        return self.fixed | dict(zip(self.names, (self.lower + self.span * x).tolist(), strict=True))
+
+    def inside(self, x: np.ndarray) -> np.ndarray:
+        """The point without the rounding that would leave the limits."""
+        return np.clip(x, 0.0, 1.0)
+
+    def nearest(self, x: np.ndarray) -> np.ndarray:
+        """The feasible point nearest to a given one, which is itself where it is feasible."""
+        rows, least = self._walls
+        if np.all(rows @ x >= least - 1e-12):
+            return self.inside(x)
+        moved = _least_distance(rows, least - rows @ x)
+        if moved is None:
+            self.space.require_feasible()
+            raise InputError("no point keeps the limits and constraints", place="constraints")
+        return self.inside(x + moved)
+
+    def step(self, matrix: np.ndarray, right: np.ndarray, mu: float, x: np.ndarray) -> np.ndarray:
+        """Minimum of ``|matrix d + right|^2 + mu |d|^2`` with x + d within all limits and constraints."""
+        n = len(x)
+        ridge = max(mu, 1e-14 * float(np.max(np.sum(matrix**2, axis=0), initial=1e-300)))
+        whole = np.vstack([matrix, math.sqrt(ridge) * np.eye(n)])
+        q, r = np.linalg.qr(whole)
+        target = -(q.T @ np.concatenate([right, np.zeros(n)]))
+        rows, least = self._walls
+        room = np.minimum(least - rows @ x, 0.0)  # the present point is feasible up to rounding
+        # With z = r d - target the problem is to find the shortest z behind all walls.
+        turned = np.linalg.solve(r.T, rows.T).T
+        size = np.linalg.norm(turned, axis=1)
+        z = _least_distance(turned / size[:, None], (room - turned @ target) / size)
+        if z is None:
+            return np.zeros(n)
+        return np.linalg.solve(r, z + target)
+
+    def active(self, x: np.ndarray) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Limits and constraints that hold a point, in words."""
+        limits = [f"{n} at its lower limit" for n, v in zip(self.names, x, strict=True) if v < ACTIVE]
+        limits += [f"{n} at its upper limit" for n, v in zip(self.names, x, strict=True) if v > 1 - ACTIVE]
+        gap = self.rows @ x - self.least
+        return tuple(limits), tuple(label for label, g in zip(self.labels, gap, strict=True) if g < ACTIVE)
+
+
+def _least_distance(rows: np.ndarray, least: np.ndarray) -> np.ndarray | None:
+    """The shortest z with ``rows @ z >= least``, or None when there is none (Lawson and Hanson 1974, ch. 23)."""
+    if np.all(least <= 0):
+        return np.zeros(rows.shape[1])
+    scale = float(np.max(least))  # distances of all sizes are solved alike
+    matrix = np.vstack([rows.T, least / scale])
+    goal = np.zeros(len(matrix))
+    goal[-1] = 1.0
+    try:
+        weights, _ = nnls(matrix, goal, maxiter=50 * matrix.shape[1])
+    except RuntimeError:
+        return None
+    rest = matrix @ weights - goal
+    if abs(rest[-1]) < 1e-12:
+        return None
+    return -scale * rest[:-1] / rest[-1]

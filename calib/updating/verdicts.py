@@ -1,0 +1,201 @@
+"""Verdicts in words: on a limit, stable, identified, confounded, and whether the fit is as good as the scatter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from calib.errors import InputError
+from calib.space import ParameterSpace
+from calib.updating.cases import AT_BOUND, STABLE
+from calib.updating.identify import IDENTIFIED, Identification
+
+
+@dataclass(frozen=True)
+class WholeNumber:
+    """What the misfit over neighbouring values says about a whole-number parameter.
+
+    Attributes
+    ----------
+    best : float
+    std : float
+        Of the distribution over the values tried.
+    probability : float
+        Of the best one.
+    """
+
+    best: float
+    std: float
+    probability: float
+
+
+def whole_number(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> WholeNumber:
+    """Distribution of a whole number from the lowest misfit at each value.
+
+    ``p(n) ~ exp(-misfit(n)/2 - ((n - centre)/sd)^2/2)``: the misfit is a sum of squares in units of the scatter, lowest
+    over all other parameters (profile likelihood). A parabola through the neighbours, the usual way for continuous
+    parameters, would claim a scatter of half a step where a neighbour is in fact excluded.
+
+    Parameters
+    ----------
+    numbers, misfits : ndarray (n,)
+        Values tried, the best one and its neighbours at least; infinite misfits are impossible values.
+    centre, sd : float
+        Prior; default none.
+
+    Raises
+    ------
+    InputError
+        When no value has a finite misfit.
+    """
+    numbers, misfits = np.asarray(numbers, dtype=float), np.asarray(misfits, dtype=float)
+    total = misfits + ((numbers - centre) / sd) ** 2
+    if not np.any(np.isfinite(total)):
+        raise InputError("no value of the whole number could be evaluated", place="identifiability")
+    weight = np.exp(-0.5 * (np.where(np.isfinite(total), total, np.inf) - np.nanmin(total)))
+    weight /= weight.sum()
+    mean = float(weight @ numbers)
+    std = math.sqrt(max(float(weight @ (numbers - mean) ** 2), 0.0))
+    return WholeNumber(float(numbers[np.argmax(weight)]), std, float(weight.max()))
+
+
+def within_scatter(misfit: float, freedom: float, scatter_freedom: float = math.inf) -> bool:
+    """Whether a fit is as good as the measurement's scatter allows.
+
+    A sum of squares of a whitened residual over its degrees of freedom, whitened by standard deviations that were
+    estimated themselves, is an F variate when the model is right; beyond its 95 % quantile something else is wrong, and
+    standard deviations of parameters are too small.
+    """
+    known = min(scatter_freedom, 1e9)
+    return bool(misfit <= freedom * stats.f.ppf(0.95, max(freedom, 1e-9), known))
+
+
+def parameter_verdicts(
+    space: ParameterSpace,
+    values: Mapping[str, float],
+    found: Identification,
+    spread: Mapping[str, float] | None = None,
+    whole: Mapping[str, WholeNumber] | None = None,
+    misfit: float | None = None,
+    freedom: float | None = None,
+    scatter_freedom: float = math.inf,
+) -> pd.DataFrame:
+    """One verdict and sentence for every free parameter.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    values : mapping
+        At the optimum.
+    found : Identification
+    spread : mapping, optional
+        Largest difference between cases over the range, from several searches or starts.
+    whole : mapping, optional
+        What the misfit says about whole-number parameters; without it they are not judged.
+    misfit, freedom : float, optional
+        Sum of squares of the whitened residual and its degrees of freedom; see `within_scatter`.
+    scatter_freedom : float
+        Degrees of freedom behind the standard deviations of the measurement; infinite when they are known.
+
+    Returns
+    -------
+    DataFrame
+        ``parameter, value, unit, lower, upper, ratio, on_bound, suggested_limit, spread, stable, std, std_of_range,
+        identified, confounded_with, fits_within_scatter, sentence``; missing where nothing can be told. A limit is
+        suggested half a range further out; a limit of 0 is physical and stays.
+    """
+    fits = None
+    if misfit is not None and freedom is not None:
+        fits = within_scatter(misfit, freedom, scatter_freedom)
+    stds = dict(zip(found.posterior.names, found.posterior.std.tolist(), strict=True))
+    rows = []
+    for p in space.free:
+        ratio = (values[p.name] - p.lower) / (p.upper - p.lower)
+        limit, side = _suggested(p.lower, p.upper, ratio)
+        if p.integer and math.isfinite(limit):
+            limit = float(math.floor(limit) if side == "lower" else math.ceil(limit))
+        width = None if spread is None or not math.isfinite(spread.get(p.name, math.nan)) else spread[p.name]
+        std, identified = math.nan, None
+        if p.name in stds:
+            std = stds[p.name]
+        elif whole is not None and p.name in whole:
+            std = whole[p.name].std
+        if not math.isnan(std):
+            identified = std / (p.upper - p.lower) <= IDENTIFIED
+        others = [] if identified else found.confounded_with(p.name)
+        stable = None if width is None else bool(width <= STABLE)
+        rows.append(
+            {
+                "parameter": p.name,
+                "value": values[p.name],
+                "unit": p.unit,
+                "lower": p.lower,
+                "upper": p.upper,
+                "ratio": ratio,
+                "on_bound": side is not None,
+                "suggested_limit": limit,
+                "spread": math.nan if width is None else width,
+                "stable": stable,
+                "std": std,
+                "std_of_range": std / (p.upper - p.lower),
+                "identified": identified,
+                "confounded_with": ", ".join(others),
+                "fits_within_scatter": fits,
+                "sentence": _sentence(
+                    p.unit, p.integer, p.upper - p.lower, side, limit, width, std, identified, others
+                ),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _suggested(lower: float, upper: float, ratio: float) -> tuple[float, str | None]:
+    """A limit further out, NaN where there is none, and the side the value sits on."""
+    half = 0.5 * (upper - lower)
+    if ratio > 1 - AT_BOUND:
+        return (0.0 if upper < 0 < upper + half else upper + half) if upper != 0 else math.nan, "upper"
+    if ratio < AT_BOUND:
+        if lower == 0:
+            return math.nan, "lower"
+        return (lower - half if lower < 0 else max(lower - half, lower / 2)), "lower"
+    return math.nan, None
+
+
+def _sentence(
+    unit: str,
+    integer: bool,
+    span: float,
+    side: str | None,
+    limit: float,
+    width: float | None,
+    std: float,
+    identified: bool | None,
+    others: Sequence[str],
+) -> str:
+    scale = "" if unit == "-" else f" {unit}"
+    words = []
+    if side is not None:
+        cure = f"widen it to {limit:.4g}{scale} if possible" if math.isfinite(limit) else "the limit is physical"
+        words.append(f"Sits on its {side} limit: {cure}, or suspect something missing in the model.")
+    if identified is None:
+        kind = "is a whole number and is not judged by derivatives" if integer else "was not judged"
+        words.append(f"It {kind}.")
+    elif identified and integer:
+        words.append("Identified: its other values fit much worse.")
+    elif identified:
+        part = f"{std:.3g}{scale} ({100 * std / span:.1f} % of its range)"
+        words.append(f"Identified, standard deviation {part}.")
+    elif math.isinf(std):
+        words.append("Not determined at all.")
+    else:
+        words.append(f"Not identified: standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its range.")
+    if others:
+        words.append(f"It cannot be told apart from {', '.join(others)}.")
+    if width is not None and width > STABLE:
+        words.append(f"The cases differ by {100 * width:.0f} % of its range.")
+    return " ".join(words)
