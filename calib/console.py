@@ -127,13 +127,14 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
         (
             c.name,
             "" if c.search is None else f"{c.search.misfit:.5g}",
+            "" if c.search is None else f"{c.search_full_order:.5g}",
             f"{c.result.misfit:.5g}",
             *(str(getattr(c.result, name)) for name in counts),
             f"{c.result.seconds:.0f} s",
         )
         for c in answer.cases
     ]
-    _table(("case", "search", "reported", *counts, "time"), cases)
+    _table(("case", "search", "at full order", "reported", *counts, "time"), cases)
     best = answer.best
     rows = []
     for r in answer.verdicts.to_dict("records"):

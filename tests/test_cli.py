@@ -120,6 +120,26 @@ def test_a_changed_measurement_makes_old_rows_stale_and_says_so(mast, capsys):
     assert "another state of model or measurement" in capsys.readouterr().out
 
 
+def test_the_measures_can_choose_the_parameters(mast, capsys):
+    text = Path("mast/study.toml").read_text()
+    Path("mast/study.toml").write_text(text.replace('["E", "m_top", "K_base"]', '"from sensitivity"', 1))
+    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 2
+    assert "calib sensitivity" in capsys.readouterr().err
+    assert cli.answer(["sensitivity", "mast", "--workers", "1"]) == 0
+    table = read("results/mast", "selection.csv").set_index("parameter")
+    table["selected"] = [name != "E" for name in table.index]
+    table.to_csv("results/mast/selection.csv")
+    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+    assert set(read("results/mast", "parameters.csv")["parameter"]) == {"m_top", "K_base"}
+
+
+def test_morris_and_sobol_on_request(mast):
+    for method, column in (("morris", "mu_star"), ("sobol", "ST")):
+        assert cli.answer(["sensitivity", "mast", "--method", method, "--quick", "--workers", "1"]) == 0
+        table = read("results/mast/quick", f"{method}.csv")
+        assert column in table and set(table["parameter"]) == {"E", "m_top", "K_base"}
+
+
 def test_report_draws_from_tables_alone(mast, monkeypatch):
     assert cli.answer(["run", "mast", "--workers", "1"]) == 0
     for figure in Path("results/mast").glob("*.png"):

@@ -47,6 +47,8 @@ class CaseFound:
         Reported values, with the misfit of the objective there; counts and time of the whole case.
     search : CaseResult or None
         Where the genetic algorithm ended; None without one.
+    search_full_order : float
+        Misfit of the objective there at full order, whatever the search worked on; NaN without a search.
     judgement : Judgement
         What is known about the parameters at the reported values.
     answer : Answer
@@ -55,6 +57,7 @@ class CaseFound:
 
     result: CaseResult
     search: CaseResult | None
+    search_full_order: float
     judgement: Judgement
     answer: Answer
 
@@ -292,7 +295,8 @@ def _reported(
     answer = answer_at(study, judgement.values)
     responses = responses_at(study.problem, judgement.values)
     final = replace(result, values=judgement.values, misfit=objective(responses), responses=responses)
-    return CaseFound(final, search, judgement, answer)
+    full = float("nan") if search is None else objective(responses_at(study.problem, search.values))
+    return CaseFound(final, search, full, judgement, answer)
 
 
 def _parameters(study: Study, found: Sequence[CaseFound], searched: Sequence[CaseResult]) -> pd.DataFrame:
@@ -340,6 +344,7 @@ def _summary(
         return {
             "misfit": case.result.misfit,
             "search_misfit": None if case.search is None else case.search.misfit,
+            "search_misfit_full_order": case.search_full_order,
             "mean_freq_error_before": before.mean_freq_error,
             "mean_freq_error_after": case.answer.mean_freq_error,
             "mean_mac_before": before.mean_mac,
