@@ -1,0 +1,39 @@
+"""Derivatives hold on the reduced basis too: against differences there, and against full order on the bogie."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.correlation.residual import ModalResidual
+from calib.structure.training import train_basis
+from calib.study import Study
+
+STUDY = Path(__file__).resolve().parents[2] / "studies/bogie"
+
+
+@pytest.fixture(scope="module")
+def pair():
+    study = Study.load(STUDY)
+    names = tuple(p.name for p in study.search_space.free if not p.integer)
+    basis = train_basis(study.model, study.search_space, study.problem.mode_count, seed=3, freq_max=50.0)
+    return study, names, ModalResidual(study.problem), ModalResidual(study.problem.reduced(basis))
+
+
+def test_residual_and_jacobian_agree_with_full_order(pair):
+    study, names, full, reduced = pair
+    values = {"K_primary": 700.0, "pos_long_left": 6.0}
+    assert np.abs(full.residual(values) - reduced.residual(values)).max() < 0.05  # in units of the scatter
+    exact, near = full.jacobian(values, names), reduced.jacobian(values, names)
+    assert np.all(np.linalg.norm(exact - near, axis=0) < 5e-3 * np.linalg.norm(exact, axis=0))
+
+
+def test_frequency_derivatives_on_the_basis_are_those_of_its_own_frequencies(pair):
+    study, names, _, reduced = pair
+    values = study.model.space.values
+    _, freq, slope = reduced.freq_jacobian(values, names)
+    for k, name in enumerate(names):
+        step = 1e-4 * (study.search_space[name].upper - study.search_space[name].lower)
+        up, down = (reduced.freq_jacobian({**values, name: values[name] + s * step}, [name])[1] for s in (1, -1))
+        difference = np.log(up / down) / (2 * step)
+        assert np.allclose(slope[:, k], difference, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
