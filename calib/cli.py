@@ -18,6 +18,7 @@ from calib.questions import calibrate as calibration
 from calib.questions import compare as comparison
 from calib.questions import places
 from calib.questions import sensitivity as influence
+from calib.questions.reduction import fingerprints
 from calib.report.draw import draw_all
 from calib.results import Results
 from calib.study import Study
@@ -174,7 +175,7 @@ def _compare(study: Study, folder: Results) -> None:
 def _sensitivity(study: Study, folder: Results, root: Path, workers: int | None, quick: bool) -> None:
     console.head(study, "sensitivity")
     with places.ledger_of(study, root) as ledger, console.sample_progress() as progress:
-        console.tell_stale(places.stale_rows(study, ledger))
+        console.tell_stale(ledger.other_fingerprints(*fingerprints(study, places.results_of(study, root))))
         answer = influence.sensitivity(study, folder, ledger, workers, quick, progress)
     console.tell_sensitivity(study, answer, folder)
 
@@ -207,7 +208,7 @@ def _calibrate(
     study = influence.selected_by_measures(study, places.results_of(study, root, quick))
     console.head(study, "calibrate")
     with places.ledger_of(study, root) as ledger, console.search_progress() as progress:
-        console.tell_stale(places.stale_rows(study, ledger))
+        console.tell_stale(ledger.other_fingerprints(*fingerprints(study, places.results_of(study, root))))
         home = places.results_of(study, root)
         answer = calibration.calibrate(study, folder, ledger, workers, case, quick, method, progress, home)
     console.tell_calibration(study, answer, folder)

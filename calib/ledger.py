@@ -247,9 +247,9 @@ class Ledger:
         """Number of points evaluated with this state of model and measurement."""
         return self._number("SELECT COUNT(DISTINCT key) FROM evaluation WHERE fingerprint = ?", fingerprint)
 
-    def other_fingerprints(self, fingerprint: str) -> int:
-        """Number of rows that belong to other states of model and measurement."""
-        return self._number("SELECT COUNT(*) FROM evaluation WHERE fingerprint <> ?", fingerprint)
+    def other_fingerprints(self, *current: str) -> int:
+        """Number of rows that belong to other states of model and measurement than the current ones."""
+        return self._number(f"SELECT COUNT(*) FROM evaluation WHERE fingerprint NOT IN ({_marks(current)})", *current)
 
     # -- history -------------------------------------------------------------------------------------------------------
 

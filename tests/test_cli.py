@@ -140,6 +140,17 @@ def test_morris_and_sobol_on_request(mast):
         assert column in table and set(table["parameter"]) == {"E", "m_top", "K_base"}
 
 
+def test_rows_of_the_reduced_problem_are_not_called_stale(here, capsys):
+    question = ["calibrate", str(ROOT / "studies/bogie"), "--quick", "--case", "GB1", "--workers", "1"]
+    assert cli.answer(question) == 0
+    first = capsys.readouterr().out
+    rows = sqlite3.connect("results/bogie/ledger.sqlite").execute("select count(distinct fingerprint) from evaluation")
+    assert rows.fetchone() == (2,)  # on the basis and at full order
+    assert cli.answer(question) == 0
+    again = capsys.readouterr().out
+    assert "another state" not in first + again
+
+
 def test_report_draws_from_tables_alone(mast, monkeypatch):
     assert cli.answer(["run", "mast", "--workers", "1"]) == 0
     for figure in Path("results/mast").glob("*.png"):

@@ -33,11 +33,6 @@ def ledger_of(study: Study, root: Path) -> Ledger:
     return Ledger.open(Results.at(root, study.name).path / LEDGER)
 
 
-def stale_rows(study: Study, ledger: Ledger) -> int:
-    """Rows of the ledger that belong to another state of model or measurement and are ignored."""
-    return ledger.other_fingerprints(study.problem.fingerprint)
-
-
 def is_modal(study: Study) -> bool:
     """Whether the study compares modes."""
     return isinstance(study.problem, ModalProblem)

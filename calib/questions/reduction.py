@@ -119,6 +119,16 @@ def reduction_of(study: Study, home: Results) -> Reduction | None:
     return _on(problem, basis, home, settings.tolerance)
 
 
+def fingerprints(study: Study, home: Results) -> tuple[str, ...]:
+    """The study's own fingerprint, and those of its reduced problems on the bases kept there."""
+    problem, own = study.problem, [study.problem.fingerprint]
+    if isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel):
+        kept = [_loaded(path) for path in sorted(home.path.glob(_file(home, "*").name))]
+        fitting = [b for b in kept if b is not None and b.model_fingerprint == problem.model.fingerprint]
+        own += [problem.reduced(basis).fingerprint for basis in fitting]
+    return tuple(own)
+
+
 def _on(problem: ModalProblem, basis: Basis, home: Results, tolerance: float) -> Reduction:
     path = _file(home, basis.version)
     basis.save(path)
@@ -129,7 +139,7 @@ def _reduced(problem: ModalProblem, basis: Basis, path: Path, tolerance: float) 
     return Reduction(problem, problem.reduced(basis), path, tolerance)
 
 
-def _file(home: Results, version: int) -> Path:
+def _file(home: Results, version: int | str) -> Path:
     return home.path / f"basis_v{version}.npz"
 
 
