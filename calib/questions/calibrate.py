@@ -17,7 +17,7 @@ from calib.errors import EvaluationError, InputError
 from calib.evaluate import Outcome
 from calib.ledger import Ledger
 from calib.questions.compare import Answer, answer_at, compare, responses_at, write_answer
-from calib.questions.judge import Judgement, RecordedResidual, fitted, judged
+from calib.questions.judge import FitProgress, Judgement, RecordedResidual, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
 from calib.results import Results
@@ -33,8 +33,8 @@ SearchProgress = Callable[[str, int, int, float], None]
 
 QUICK_STARTS = 2
 
-POLISH_REFITS = 12
-"""Fits after a search: its whole numbers and their nearest neighbours."""
+REFITS, POLISH_REFITS = 25, 12
+"""Combinations of whole numbers fitted from a start, and after a search: its own and their nearest neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,9 +157,8 @@ def calibrate(
     chosen: Method = method or study.settings.calibration.method
     cases = chosen_cases(study, only)
     before = compare(study, results)
-    home = home or results
-    find = _by_search if chosen == "genetic" else _by_least_squares
-    found = tuple(find(study, home, ledger, cases, workers, quick, progress))
+    finder = _Finder(study, home or results, ledger, workers, quick, progress)
+    found = tuple((finder.by_search if chosen == "genetic" else finder.by_least_squares)(cases))
     best = min(found, key=lambda case: case.result.misfit)
     reported = [case.result for case in found]
     searched = [case.search for case in found if case.search is not None]
@@ -181,83 +180,98 @@ def calibrate(
     return Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen)
 
 
-def _by_search(
-    study: Study,
-    home: Results,
-    ledger: Ledger,
-    cases: Sequence[Case],
-    workers: int | None,
-    quick: bool,
-    progress: SearchProgress,
-) -> Iterator[CaseFound]:
-    """Genetic algorithm, then least squares from its best point unless the study does without."""
-    settings, objective, space = genetic_settings(study, quick), objective_of(study), study.search_space
-    reduction = reduction_of(study, home)
-    remaining = list(cases)
-    while remaining:
-        problem = study.problem if reduction is None else reduction.problem
-        basis = None if reduction is None else reduction.path
-        certify = _as_it_is if reduction is None else reduction.certifier(ledger)
-        count = settings.population * settings.generations
-        with open_evaluator(study, workers, count, problem, basis) as evaluator, _told(study):
-            while remaining:
-                case = remaining.pop(0)
-                initial = sample(space, settings.population, case.seed).points
-                search = run_case(
-                    case, space, objective, settings, evaluator, ledger, problem.fingerprint, initial,
-                    progress=partial(progress, case.name), certify=certify,
-                )  # fmt: skip
-                yield _reported(study, objective, search, search, _polished(study, ledger, reduction, search.values))
-                before = reduction
-                reduction = None if reduction is None else reduction.after_case(search.values, home)
-                if reduction is not before:
-                    break  # the next cases work on the next version of the basis
+@dataclass(frozen=True, eq=False)
+class _Finder:
+    """Finds one case after the other.
+
+    Attributes
+    ----------
+    study : Study
+    home : Results
+        Where the reduced basis is kept.
+    ledger : Ledger
+    workers : int or None
+    quick : bool
+    progress : SearchProgress
+    """
+
+    study: Study
+    home: Results
+    ledger: Ledger
+    workers: int | None
+    quick: bool
+    progress: SearchProgress
+
+    @property
+    def exact(self) -> RecordedResidual:
+        """The residual at full order."""
+        return RecordedResidual(self.study.problem, self.ledger)
+
+    def by_search(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
+        """Genetic algorithm, then least squares from its best point unless the study does without."""
+        study, space = self.study, self.study.search_space
+        settings, objective = genetic_settings(study, self.quick), objective_of(study)
+        reduction = reduction_of(study, self.home)
+        remaining = list(cases)
+        while remaining:
+            problem = study.problem if reduction is None else reduction.problem
+            basis = None if reduction is None else reduction.path
+            certify = _as_it_is if reduction is None else reduction.certifier(self.ledger)
+            count = settings.population * settings.generations
+            with open_evaluator(study, self.workers, count, problem, basis) as evaluator, _told(study):
+                while remaining:
+                    case = remaining.pop(0)
+                    initial = sample(space, settings.population, case.seed).points
+                    search = run_case(
+                        case, space, objective, settings, evaluator, self.ledger, problem.fingerprint, initial,
+                        progress=partial(self.progress, case.name), certify=certify,
+                    )  # fmt: skip
+                    if study.settings.calibration.polish:
+                        judgement = self.polished(reduction, [search.values], POLISH_REFITS)
+                    else:
+                        judgement = judged(study, self.exact, search.values)
+                    yield _reported(study, objective, search, search, judgement)
+                    before = reduction
+                    reduction = None if reduction is None else reduction.after_case(search.values, self.home)
+                    if reduction is not before:
+                        break  # the next cases work on the next version of the basis
+
+    def by_least_squares(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
+        """Least squares from several starting points, the cases' own."""
+        study, space = self.study, self.study.search_space
+        reduction = reduction_of(study, self.home)
+        given = study.settings.calibration.starts
+        count = min(given, QUICK_STARTS) if self.quick else given
+        for case in cases:
+            started = time.perf_counter()
+            starts = [space.complete(x) for x in sample(space, count, case.seed).points]
+            steps = _Steps(case.name, count, self.progress)
+            with _told(study):
+                judgement = self.polished(reduction, starts, REFITS, steps)
+                self.progress(case.name, count, count, judgement.misfit)
+            asked = len(steps.lowest)
+            here = CaseResult(
+                name=case.name, values=judgement.values, misfit=np.nan, responses={}, convergence=steps.table(),
+                asked=asked, solved=asked, reused=0, infeasible=0, failed=0, seconds=time.perf_counter() - started,
+            )  # fmt: skip
+            yield _reported(study, objective_of(study), here, None, judgement)
+
+    def polished(
+        self,
+        reduction: Reduction | None,
+        starts: Sequence[dict[str, float]],
+        refits: int,
+        progress: FitProgress = lambda start, fits, misfit: None,
+    ) -> Judgement:
+        """Least squares from some points; first on a reduced basis where there is one, then at full order."""
+        if reduction is None:
+            return fitted(self.study, self.exact, starts, refits, progress)
+        near = fitted(self.study, RecordedResidual(reduction.problem, self.ledger), starts, refits, progress)
+        return fitted(self.study, self.exact, [near.values], 1, whole=near.whole)
 
 
 def _as_it_is(outcome: Outcome) -> Outcome:
     return outcome
-
-
-def _polished(study: Study, ledger: Ledger, reduction: Reduction | None, values: dict[str, float]) -> Judgement:
-    """Least squares from where a search ended; neighbouring whole numbers are tried on the reduced basis."""
-    exact = RecordedResidual(study.problem, ledger)
-    if not study.settings.calibration.polish:
-        return judged(study, exact, values)
-    if reduction is None:
-        return fitted(study, exact, [values], POLISH_REFITS)
-    near = fitted(study, RecordedResidual(reduction.problem, ledger), [values], POLISH_REFITS)
-    return fitted(study, exact, [near.values], 1, whole=near.whole)
-
-
-def _by_least_squares(
-    study: Study,
-    home: Results,
-    ledger: Ledger,
-    cases: Sequence[Case],
-    workers: int | None,
-    quick: bool,
-    progress: SearchProgress,
-) -> Iterator[CaseFound]:
-    """Least squares from several starting points, the cases' own."""
-    objective, space = objective_of(study), study.search_space
-    exact = RecordedResidual(study.problem, ledger)
-    reduction = reduction_of(study, home)
-    coarse = exact if reduction is None else RecordedResidual(reduction.problem, ledger)
-    count = min(study.settings.calibration.starts, QUICK_STARTS) if quick else study.settings.calibration.starts
-    for case in cases:
-        started = time.perf_counter()
-        starts = [space.complete(x) for x in sample(space, count, case.seed).points]
-        steps = _Steps(case.name, count, progress)
-        with _told(study):
-            near = fitted(study, coarse, starts, progress=steps)
-            judgement = near if reduction is None else fitted(study, exact, [near.values], 1, whole=near.whole)
-            progress(case.name, count, count, judgement.misfit)
-        asked = len(steps.lowest)
-        here = CaseResult(
-            name=case.name, values=judgement.values, misfit=np.nan, responses={}, convergence=steps.table(),
-            asked=asked, solved=asked, reused=0, infeasible=0, failed=0, seconds=time.perf_counter() - started,
-        )  # fmt: skip
-        yield _reported(study, objective, here, None, judgement)
 
 
 @dataclass(frozen=True)

@@ -146,7 +146,7 @@ def fitted(
     study: Study,
     residual: RecordedResidual,
     starts: Sequence[Mapping[str, float]],
-    refits: int = 25,
+    refits: int,
     progress: FitProgress = lambda start, fits, misfit: None,
     whole: Mapping[str, WholeNumber] | None = None,
 ) -> Judgement:
