@@ -288,6 +288,22 @@ class ParameterSpace:
                 values[name] = float(round(value))
         return values
 
+    def from_unit(self, unit: np.ndarray) -> np.ndarray:
+        """Points of the unit cube brought to the limits; whole numbers own equal parts of the unit interval.
+
+        Parameters
+        ----------
+        unit : ndarray (n, n_free)
+
+        Returns
+        -------
+        ndarray (n, n_free)
+            Each column in its parameter's own unit.
+        """
+        lower, upper = self.lower, self.upper
+        whole = np.minimum(lower + np.floor(unit * (upper - lower + 1.0)), upper)
+        return np.where(self.integer, whole, lower + unit * (upper - lower))
+
     def si(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values in SI; the one place where parameter units are converted."""
         return {name: value * self[name].si_factor for name, value in values.items()}

@@ -76,7 +76,7 @@ def sample(space: ParameterSpace, count: int, seed: int) -> Sample:
     asked = accepted = 0
     batch = count
     while accepted < count:
-        points = _scale(space, engine.random(batch))
+        points = space.from_unit(engine.random(batch))
         good = points[space.feasible(points)]
         kept.append(good)
         asked, accepted = asked + batch, accepted + len(good)
@@ -89,10 +89,3 @@ def sample(space: ParameterSpace, count: int, seed: int) -> Sample:
         missing = (count - accepted) * asked / max(accepted, 1)
         batch = int(np.clip(1.1 * missing, max(count, 100), _BATCH_MAX))
     return Sample(np.concatenate(kept)[:count], asked, accepted)
-
-
-def _scale(space: ParameterSpace, unit: np.ndarray) -> np.ndarray:
-    """Points of the unit cube brought to the limits; whole numbers own equal parts of the unit interval."""
-    lower, upper = space.lower, space.upper
-    whole = np.minimum(lower + np.floor(unit * (upper - lower + 1.0)), upper)
-    return np.where(space.integer, whole, lower + unit * (upper - lower))

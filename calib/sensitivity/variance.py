@@ -143,7 +143,7 @@ def sobol_design(space: ParameterSpace, base: int, seed: int, ignore_constraints
     if base < 2 or base & (base - 1):
         raise InputError(f"{base} base points are asked", place="Sobol", remedy="ask for a power of 2, such as 512")
     unit = sobol_sampling.sample(_problem(space), base, calc_second_order=False, seed=seed)
-    points = _equal_parts(space, unit)
+    points = space.from_unit(unit)
     return Design("sobol", space.free_names, points, (points - space.lower) / (space.upper - space.lower), note)
 
 
@@ -214,13 +214,6 @@ def _independent(space: ParameterSpace, what: str, ignore: bool) -> str:
 def _problem(space: ParameterSpace) -> dict[str, Any]:
     names = list(space.free_names)
     return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
-
-
-def _equal_parts(space: ParameterSpace, unit: np.ndarray) -> np.ndarray:
-    """Points of the unit cube brought to the limits; every whole number owns an equal part of the interval."""
-    lower, upper = space.lower, space.upper
-    whole = np.minimum(lower + np.floor(unit * (upper - lower + 1.0)), upper)
-    return np.where(space.integer, whole, lower + unit * (upper - lower))
 
 
 def _rows(design: Design, method: str, responses: pd.DataFrame) -> np.ndarray:
