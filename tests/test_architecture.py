@@ -8,7 +8,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
     {"errors"},
-    {"space"},
+    {"space", "mac"},
     {"measurement"},
     {"structure"},
     {"function", "correlation"},

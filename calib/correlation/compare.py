@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from calib.correlation.mac import align, comac, is_real, noise_mac
 from calib.correlation.pairing import Pairing
+from calib.mac import align, comac, is_real, noise_mac
 from calib.measurement.modal import MeasuredModes
 from calib.structure.model import ModalModel
 from calib.structure.modes import Modes

@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.correlation.compare import Comparison
 from calib.correlation.energy import emac
-from calib.correlation.mac import mac
 from calib.correlation.pairing import check_override, in_window, pair_by_order, pair_by_shape
 from calib.errors import EvaluationError, InputError
+from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis

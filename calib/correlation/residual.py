@@ -10,9 +10,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from calib.correlation.compare import Comparison
-from calib.correlation.mac import is_real
 from calib.correlation.problem import ModalProblem
 from calib.errors import InputError
+from calib.mac import is_real
 from calib.measurement.modal import MeasuredModes
 from calib.structure.derivatives import ModeDerivatives, mode_derivatives
 

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calib.errors import InputError
+from calib.mac import mac
 
 StdOf = Literal["mean", "repeat"]
 MAC_LOWEST = 0.5
@@ -106,25 +107,6 @@ class Combined:
     shapes: np.ndarray
     shape_std: np.ndarray
     notes: tuple[str, ...]
-
-
-def mac(one: np.ndarray, other: np.ndarray) -> float:
-    """Modal assurance criterion of two shapes over the sensors both have (Allemang and Brown 1982).
-
-    Parameters
-    ----------
-    one, other : ndarray (n_sensors,)
-        Real or complex; NaN where not measured.
-
-    Returns
-    -------
-    float
-        Between 0 and 1; NaN when a shape is zero or nothing is shared.
-    """
-    both = np.isfinite(one) & np.isfinite(other)
-    a, b = one[both], other[both]
-    size = np.linalg.norm(a) * np.linalg.norm(b)
-    return float(abs(np.vdot(a, b)) ** 2 / size**2) if size > 0 else float("nan")
 
 
 def combine_repeats(
@@ -313,7 +295,7 @@ def _average_shapes(sets: Sequence[ShapeSet], names: Sequence[str]) -> tuple[np.
                     notes.append(f"mode {name} of {sets[k].source} shares no sensor with {sets[reference].source}")
                 stack[k, :, m] = np.nan
                 continue
-            agreement = mac(target, column)
+            agreement = float(mac(target[:, None], column[:, None])[0, 0])
             if agreement < MAC_LOWEST:
                 notes.append(
                     f"mode {name} of {sets[k].source} has a MAC of only {agreement:.2f} with that of "

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calib.correlation.mac import mac
 from calib.limits import search_space, sensitivity_space
+from calib.mac import mac
 from calib.measurement.modal import Sensor
 from calib.measurement.uff_write import write_uff
 from calib.sensitivity.sampling import sample

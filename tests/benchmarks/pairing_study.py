@@ -35,8 +35,8 @@ from scipy.optimize import linear_sum_assignment
 from threadpoolctl import threadpool_limits
 
 from calib.correlation.energy import emac
-from calib.correlation.mac import mac
 from calib.correlation.pairing import in_window, pair_by_order, pair_by_shape
+from calib.mac import mac
 from calib.sensitivity.sampling import sample
 from calib.space import ParameterSpace
 from calib.structure.energy import strain_energy_shares

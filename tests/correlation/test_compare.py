@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calib.correlation.compare import BEYOND, UNKNOWN, UNPAIRED, WITHIN
-from calib.correlation.mac import mac
 from calib.correlation.problem import ModalProblem
+from calib.mac import mac
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0}
 OFF = {"k_along": 40.0, "k_across": 11.0, "c_end": 300.0}

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.correlation.mac import align, auto_mac, comac, is_real, mac, macx, most_real, noise_mac
 from calib.errors import InputError
+from calib.mac import align, auto_mac, comac, is_real, mac, macx, most_real, noise_mac
 
 seeds = st.integers(0, 2**32 - 1)
 
