@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from calib.effect import Effect
+from calib.errors import InputError
 from calib.space import ParameterSpace
 from calib.structure.model import Assumption
 
@@ -39,3 +41,33 @@ class FunctionModel:
         except (TypeError, OSError):  # built-in or interactively defined: only its name is left to tell it by
             digest.update(repr(getattr(self.function, "__qualname__", self.function)).encode())
         return digest.hexdigest()[:16]
+
+
+def extend_function(model: FunctionModel, effects: Sequence[Effect]) -> FunctionModel:
+    """The model with effects, their strengths and nuisance parameters after its own parameters.
+
+    What an effect builds from a `FunctionModel` is a function of all values, its own included; None when the model's
+    function knows the effect's parameters itself (optional ones, absent from the base model's space). Effects are built
+    one upon the other.
+
+    Raises
+    ------
+    InputError
+        When an effect is in the model already, or builds no function.
+    """
+    for effect in effects:
+        for p in effect.parameters:
+            if p.name in model.space:
+                raise InputError(
+                    f"the model {model.name} has {p.name!r} already", place=f"effect {effect.name}",
+                    remedy="leave it out",
+                )  # fmt: skip
+        built = effect.build(model)
+        if built is not None and not callable(built):
+            raise InputError(
+                f"it builds {type(built).__name__}", place=f"effect {effect.name}",
+                remedy="return a function of named values, or None",
+            )  # fmt: skip
+        space = ParameterSpace(model.space.parameters + effect.parameters, model.space.constraints)
+        model = replace(model, space=space, function=built or model.function)
+    return model

@@ -27,6 +27,8 @@ SI_FACTORS: Mapping[str, float] = {
     "N/m": 1.0,
     "kN/m": 1e3,
     "MN/m": 1e6,
+    "mm/kN": 1e-6,
+    "mm/MN": 1e-9,
     "Nm/rad": 1.0,
     "kNm/rad": 1e3,
     "MNm/rad": 1e6,

@@ -9,13 +9,14 @@ ROOT = Path(__file__).resolve().parent.parent
 RANKS = (
     {"errors"},
     {"space", "mac"},
-    {"measurement"},
+    {"effect", "measurement"},
     {"structure"},
     {"function", "correlation"},
     {"settings", "evaluate", "results"},
     {"limits", "ledger"},
     {"study"},
     {"sensitivity", "updating"},
+    {"missing"},
     {"questions"},
     {"report"},
     {"console", "example"},
@@ -27,6 +28,7 @@ RANK = {name: k for k, names in enumerate(RANKS) for name in names}
 FORBIDDEN = {
     "updating": {"structure", "measurement", "correlation", "study", "settings"},
     "sensitivity": {"structure", "measurement", "correlation", "study", "settings"},
+    "missing": {"structure", "measurement", "correlation", "study", "settings"},
     "report": set(RANK) - {"errors", "report"},
     "structure": {"correlation", "study", "updating", "sensitivity"},
 }
@@ -78,7 +80,7 @@ def test_the_method_knows_no_structure_and_models_no_study():
             head = name.split(".")
             assert head[0] != "studies", file
             if head[0] == "calib" and len(head) > 1:
-                assert head[1] in ("structure", "space", "errors", "function"), f"{file} imports {name}"
+                assert head[1] in ("structure", "space", "errors", "function", "effect"), f"{file} imports {name}"
 
 
 def test_only_pictures_import_matplotlib():

@@ -5,11 +5,24 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from calib.errors import InputError
+
+
+class Coefficient(Protocol):
+    """A number that follows from parameters in SI; its ``repr`` tells it from any other."""
+
+    def __call__(self, values: Mapping[str, float]) -> float:
+        """Value at parameters in SI."""
+        ...
+
+    def derivative(self, values: Mapping[str, float], name: str) -> float:
+        """Derivative with respect to one parameter in SI."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -52,12 +65,37 @@ def parameter(name: str, factor: float = 1.0) -> Monomial:
 
 
 @dataclass(frozen=True)
+class SeriesLoss:
+    """What a stiffness k loses by a flexibility f in series: ``1/(1/k + f) - k = -k^2 f/(1 + k f)``.
+
+    Attributes
+    ----------
+    stiffness, flexibility : Coefficient
+        In N/m and m/N (or Nm/rad and rad/Nm).
+    """
+
+    stiffness: Coefficient
+    flexibility: Coefficient
+
+    def __call__(self, values: Mapping[str, float]) -> float:
+        """Value at parameters in SI; 0 without flexibility."""
+        k, f = self.stiffness(values), self.flexibility(values)
+        return -(k**2) * f / (1 + k * f)
+
+    def derivative(self, values: Mapping[str, float], name: str) -> float:
+        """Derivative with respect to one parameter in SI."""
+        k, f = self.stiffness(values), self.flexibility(values)
+        dk, df = self.stiffness.derivative(values, name), self.flexibility.derivative(values, name)
+        return (dk - k**2 * df) / (1 + k * f) ** 2 - dk
+
+
+@dataclass(frozen=True)
 class Term:
     """One affine term: a coefficient times a constant symmetric matrix, shape (n_dof, n_dof)."""
 
     name: str
     matrix: sp.csr_array
-    coefficient: Monomial = Monomial()
+    coefficient: Coefficient = Monomial()
 
 
 @dataclass(frozen=True)
@@ -67,7 +105,7 @@ class SelectedTerm:
     Attributes
     ----------
     name : str
-    coefficient : Monomial
+    coefficient : Coefficient
     selectors : tuple of str
         Names of the discrete parameters.
     vectors : mapping from tuple of int to ndarray (n_dof,)
@@ -75,7 +113,7 @@ class SelectedTerm:
     """
 
     name: str
-    coefficient: Monomial
+    coefficient: Coefficient
     selectors: tuple[str, ...]
     vectors: Mapping[tuple[int, ...], np.ndarray]
 
@@ -104,7 +142,7 @@ class AffineMatrix:
     selected: tuple[SelectedTerm, ...] = ()
     _indptr: np.ndarray = field(init=False, repr=False, compare=False)
     _indices: np.ndarray = field(init=False, repr=False, compare=False)
-    _stack: np.ndarray = field(init=False, repr=False, compare=False)
+    _stack: sp.csr_array = field(init=False, repr=False, compare=False)
     _picks: tuple[Mapping[tuple[int, ...], tuple[np.ndarray, np.ndarray]], ...] = field(
         init=False, repr=False, compare=False
     )
@@ -126,9 +164,9 @@ class AffineMatrix:
         entries += [(rows, cols) for options in blocks for rows, cols, _ in options.values()]
         # Positions column by column: their order is that of a compressed sparse column matrix.
         keys = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(_key(r, c, n) for r, c in entries)]))
-        stack = np.zeros((len(coos), len(keys)))
-        for q, coo in enumerate(coos):
-            np.add.at(stack[q], np.searchsorted(keys, _key(coo.row, coo.col, n)), coo.data)
+        # Entries over terms, (n_entries, n_terms): most terms touch few of the entries.
+        rows = [np.searchsorted(keys, _key(coo.row, coo.col, n)) for coo in coos]
+        stack = _stacked(rows, [coo.data for coo in coos], len(keys))
         picks = [
             {key: (np.searchsorted(keys, _key(rows, cols, n)), data) for key, (rows, cols, data) in options.items()}
             for options in blocks
@@ -147,7 +185,7 @@ class AffineMatrix:
     def __call__(self, values: Mapping[str, float]) -> sp.csc_array:
         """The matrix at parameters in SI, shape (n_dof, n_dof)."""
         coefficients = np.array([t.coefficient(values) for t in self.terms])
-        data = coefficients @ self._stack if len(coefficients) else np.zeros(len(self._indices))
+        data = self._stack @ coefficients
         for term, pick in zip(self.selected, self._picks, strict=True):
             where, entries = pick[term.choice(values)]
             data[where] += term.coefficient(values) * entries
@@ -159,7 +197,7 @@ class AffineMatrix:
         A discrete parameter that selects a vector has none: it counts as fixed.
         """
         slopes = np.array([t.coefficient.derivative(values, name) for t in self.terms])
-        data = slopes @ self._stack if len(slopes) else np.zeros(len(self._indices))
+        data = self._stack @ slopes
         for term, pick in zip(self.selected, self._picks, strict=True):
             slope = term.coefficient.derivative(values, name)
             if slope:
@@ -170,13 +208,22 @@ class AffineMatrix:
     def digest(self) -> bytes:
         """Hash over every term, for the model's fingerprint."""
         out = hashlib.sha256(repr((self.n_dof, [(t.name, t.coefficient) for t in self.terms])).encode())
-        for array in (self._indptr, self._indices, np.ascontiguousarray(self._stack)):
-            out.update(array.tobytes())
+        stack = self._stack
+        for array in (self._indptr, self._indices, stack.indptr, stack.indices, stack.data):
+            out.update(np.ascontiguousarray(array).tobytes())
         for term in self.selected:
             out.update(repr((term.name, term.coefficient, term.selectors, sorted(term.vectors))).encode())
             for key in sorted(term.vectors):
                 out.update(np.ascontiguousarray(term.vectors[key], dtype=float).tobytes())
         return out.digest()
+
+
+def _stacked(rows: list[np.ndarray], entries: list[np.ndarray], size: int) -> sp.csr_array:
+    columns = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
+    if not len(columns):
+        return sp.csr_array((size, len(rows)))
+    where = (np.concatenate(rows), columns)
+    return sp.csr_array(sp.coo_array((np.concatenate(entries), where), shape=(size, len(rows))))
 
 
 def _key(rows: np.ndarray, cols: np.ndarray, n: int) -> np.ndarray:

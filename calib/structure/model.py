@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from calib.errors import InputError
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import ParameterSpace
-from calib.structure.affine import AffineMatrix
+from calib.structure.affine import AffineMatrix, Monomial
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.modes import Modes
 from calib.structure.solve import solve_modes
@@ -69,6 +69,32 @@ class Assumption:
     value: str
     unit: str
     reason: str
+
+
+PartKind = Literal["stiffness", "damping", "mass"]
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A piece of a model that may be off by itself: the stiffness or mass of an element group, a spring, a damper.
+
+    Attributes
+    ----------
+    name : str
+        Where it is, such as ``crossbar front``.
+    kind : {"stiffness", "damping", "mass"}
+    matrix : csr_array (n_dof, n_dof)
+        Its share of K, C or M over the coefficient.
+    coefficient : Monomial
+    place : (3,) float
+        Its middle, m, for maps.
+    """
+
+    name: str
+    kind: PartKind
+    matrix: sp.csr_array
+    coefficient: Monomial
+    place: tuple[float, float, float]
 
 
 Matrix = sp.csc_array | np.ndarray
@@ -195,6 +221,8 @@ class StructuralModel:
     assumptions : tuple of Assumption
     sensor_tolerance : float
         Largest distance in metres between a sensor and the part that carries it.
+    parts : tuple of Part
+        What the matrices are made of; a search for what is missing looks at each. No answer depends on them.
     """
 
     name: str
@@ -208,6 +236,7 @@ class StructuralModel:
     locator: Locator
     assumptions: tuple[Assumption, ...] = ()
     sensor_tolerance: float = 0.25
+    parts: tuple[Part, ...] = ()
 
     @property
     def n_dof(self) -> int:

@@ -32,6 +32,8 @@ class Spring:
         Acts between rotations about ``direction``.
     weight : float
         Multiplies the stiffness or damping value of its term.
+    name : str
+        Springs of one name and term are one part of the model.
     """
 
     end: End
@@ -39,6 +41,7 @@ class Spring:
     direction: Point
     rotational: bool = False
     weight: float = 1.0
+    name: str = ""
 
     def row(self, frame: Frame) -> np.ndarray:
         """Elongation over all nodal motions, shape (n_full,)."""
@@ -61,10 +64,10 @@ class Spring:
         return out
 
 
-def rod(end: End, other: End, weight: float = 1.0) -> Spring:
+def rod(end: End, other: End, weight: float = 1.0, name: str = "") -> Spring:
     """A spring along the line between its two points."""
     along = np.subtract(end[1], other[1])
-    return Spring(end, other, (float(along[0]), float(along[1]), float(along[2])), weight=weight)
+    return Spring(end, other, (float(along[0]), float(along[1]), float(along[2])), weight=weight, name=name)
 
 
 def spring_matrix(frame: Frame, springs: Iterable[Spring]) -> sp.csr_array:
@@ -88,12 +91,15 @@ class PointMass:
         About the global axes through its own centre, kg m2.
     spread : tuple of points
         Offsets over which the mass is shared out evenly; one zero offset means a point.
+    name : str
+        Masses of one name are one part of the model.
     """
 
     at: End
     mass: float
     inertia: tuple[float, float, float] = (0.0, 0.0, 0.0)
     spread: tuple[Point, ...] = ((0.0, 0.0, 0.0),)
+    name: str = ""
 
 
 def mass_matrix(frame: Frame, masses: Sequence[PointMass]) -> sp.csr_array:

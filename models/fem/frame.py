@@ -54,6 +54,8 @@ class Member:
         Rigid arm from the nodes to the beam's axis, m.
     released_start, released_end : tuple of int
         Local motions 0..5 (ux, uy, uz, rx, ry, rz) hinged at either end.
+    part : str
+        Members of one part are one piece of the model in maps of where it is off; without it the group.
     """
 
     body: str
@@ -67,6 +69,7 @@ class Member:
     arm: Point = (0.0, 0.0, 0.0)
     released_start: tuple[int, ...] = ()
     released_end: tuple[int, ...] = ()
+    part: str = ""
 
     def stations(self) -> np.ndarray:
         """Node places along the member, shape (n_nodes, 3)."""
@@ -254,15 +257,21 @@ class Frame:
         """Nodes and lines for pictures."""
         return Mesh(self.points, self.ends, tuple(self.members[m].group for m in self.member_of))
 
-    def beams(self, groups: Iterable[str] | None = None) -> tuple[sp.csr_array, sp.csr_array]:
-        """Stiffness and consistent mass (n_full, n_full) of the named groups, all by default."""
+    def beams(
+        self, groups: Iterable[str] | None = None, chosen: np.ndarray | None = None
+    ) -> tuple[sp.csr_array, sp.csr_array]:
+        """Stiffness and consistent mass (n_full, n_full) of the named groups, all by default.
+
+        ``chosen`` (n_elements,), bool, keeps only some of their elements.
+        """
         stiff, heavy = [], []
         for elements, member, length, rotation, arms in self._chunks(groups):
             k, m = beam.stiffness(member.section, length), beam.mass(member.section, length)
             for where, released in self._releases(member, len(elements)):
                 k[where], m[where] = beam.release(k[where], m[where], released)
-            stiff.append((elements, beam.to_global(k, rotation, arms)))
-            heavy.append((elements, beam.to_global(m, rotation, arms)))
+            kept = np.ones(len(elements), dtype=bool) if chosen is None else chosen[elements]
+            stiff.append((elements[kept], beam.to_global(k, rotation, arms)[kept]))
+            heavy.append((elements[kept], beam.to_global(m, rotation, arms)[kept]))
         return self._assemble(stiff), self._assemble(heavy)
 
     def added_mass(self, groups: Iterable[str], distributed: bool) -> sp.csr_array:

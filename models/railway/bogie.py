@@ -114,29 +114,30 @@ def box_name(end: str, side: str) -> str:
 
 def _members(size: float) -> tuple[Member, ...]:
     members = []
-    for _, z in SIDES:
+    for side, z in SIDES:
         z = z * GIRDER_Z
         marks = {0.0, SEAT_X, SPRING_SEAT, ROD_LOWER_X}
         outer = {AXLE_X - SPRING_SEAT, AXLE_X, AXLE_X + SPRING_SEAT}
         members.append(
             Member(
                 "frame", "girder_centre", GIRDER_CENTRE, (-CROSSBAR_X, GIRDER_Y, z), (CROSSBAR_X, GIRDER_Y, z), size,
-                through=tuple((s * x, GIRDER_Y, z) for x in sorted(marks) for s in (-1, 1)),
+                through=tuple((s * x, GIRDER_Y, z) for x in sorted(marks) for s in (-1, 1)), part=f"girder {side}",
             )
         )  # fmt: skip
-        for _, s in ENDS:
+        for end, s in ENDS:
             members.append(
                 Member(
                     "frame", "girder_end", GIRDER_END, (s * CROSSBAR_X, GIRDER_Y, z), (s * GIRDER_TIP, GIRDER_Y, z),
-                    size, through=tuple((s * x, GIRDER_Y, z) for x in sorted(outer)),
+                    size, through=tuple((s * x, GIRDER_Y, z) for x in sorted(outer)), part=f"girder end {end} {side}",
                 )
             )  # fmt: skip
-    for _, s in ENDS:
+    for end, s in ENDS:
         members.append(
             Member(
                 "frame", "crossbar", CROSSBAR, (s * CROSSBAR_X, GIRDER_Y, -CROSSBAR_TIP),
                 (s * CROSSBAR_X, GIRDER_Y, CROSSBAR_TIP), size,
                 through=((s * CROSSBAR_X, GIRDER_Y, -GIRDER_Z), (s * CROSSBAR_X, GIRDER_Y, GIRDER_Z)),
+                part=f"crossbar {end}",
             )
         )  # fmt: skip
     for end, s in ENDS:
@@ -144,7 +145,7 @@ def _members(size: float) -> tuple[Member, ...]:
         members.append(
             Member(
                 f"axle_{end}", "axle", AXLE, (x, AXLE_Y, -AXLE_END), (x, AXLE_Y, AXLE_END), size,
-                through=((x, AXLE_Y, -WHEEL_Z), (x, AXLE_Y, 0.0), (x, AXLE_Y, WHEEL_Z)),
+                through=((x, AXLE_Y, -WHEEL_Z), (x, AXLE_Y, 0.0), (x, AXLE_Y, WHEEL_Z)), part=f"axle {end}",
             )
         )  # fmt: skip
         for side, t in SIDES:
@@ -155,7 +156,8 @@ def _members(size: float) -> tuple[Member, ...]:
                 ((x, AXLE_Y + BOX_UP, t * AXLE_END), (1.0, 0.0, 0.0)),
                 ((x, AXLE_Y - BOX_DOWN, t * AXLE_END), (1.0, 0.0, 0.0)),
             )
-            members += [Member(box_name(end, side), "box", BOX_ARM, centre, tip, size, up=up) for tip, up in tips]
+            body, part = box_name(end, side), f"axle box {end} {side}"
+            members += [Member(body, "box", BOX_ARM, centre, tip, size, up=up, part=part) for tip, up in tips]
     return tuple(members)
 
 
@@ -187,15 +189,32 @@ def _masses(distributed: bool) -> tuple[PointMass, ...]:
         x = s * AXLE_X
         for side, t in SIDES:
             masses += [
-                PointMass((f"axle_{end}", (x, AXLE_Y, t * WHEEL_Z)), 330.0, (24.0, 24.0, 48.0), spread(2, 0.09)),
-                PointMass((box_name(end, side), (x, AXLE_Y, t * AXLE_END)), 80.0, (1.5, 1.5, 1.5)),
-                PointMass(("crossbar", (s * CROSSBAR_X, GIRDER_Y, t * CROSSBAR_TIP)), 40.0, spread=spread(2, 0.04)),
-                PointMass(("frame", (s * SEAT_X, GIRDER_Y, t * (GIRDER_Z + OUTWARD))), 150.0, spread=spread(0, 0.10)),
-            ]
+                PointMass(
+                    (f"axle_{end}", (x, AXLE_Y, t * WHEEL_Z)), 330.0, (24.0, 24.0, 48.0), spread(2, 0.09),
+                    f"wheel {end} {side}",
+                ),
+                PointMass(
+                    (box_name(end, side), (x, AXLE_Y, t * AXLE_END)), 80.0, (1.5, 1.5, 1.5),
+                    name=f"axle box {end} {side}",
+                ),
+                PointMass(
+                    ("crossbar", (s * CROSSBAR_X, GIRDER_Y, t * CROSSBAR_TIP)), 40.0, spread=spread(2, 0.04),
+                    name=f"crossbar tip {end} {side}",
+                ),
+                PointMass(
+                    ("frame", (s * SEAT_X, GIRDER_Y, t * (GIRDER_Z + OUTWARD))), 150.0, spread=spread(0, 0.10),
+                    name=f"spring seat {end} {side}",
+                ),
+            ]  # fmt: skip
     masses += [
-        PointMass(("frame", (0.0, GIRDER_Y, t * (GIRDER_Z + OUTWARD))), 220.0, spread=spread(0, 0.10)) for _, t in SIDES
-    ]
-    masses.append(PointMass(("axle_front", (AXLE_X, AXLE_Y, 0.0)), 300.0, (15.0, 120.0, 30.0), spread(2, 0.12)))
+        PointMass(
+            ("frame", (0.0, GIRDER_Y, t * (GIRDER_Z + OUTWARD))), 220.0, spread=spread(0, 0.10),
+            name=f"girder middle {side}",
+        )
+        for side, t in SIDES
+    ]  # fmt: skip
+    gear_case: Point = (AXLE_X, AXLE_Y, 0.0)
+    masses.append(PointMass(("axle_front", gear_case), 300.0, (15.0, 120.0, 30.0), spread(2, 0.12), "gear case"))
     return tuple(masses)
 
 
@@ -204,17 +223,22 @@ def _springs() -> dict[str, tuple[Spring, ...]]:
     for end, s in ENDS:
         x = s * AXLE_X
         for side, t in SIDES:
-            box, z = box_name(end, side), t * GIRDER_Z
+            box, z, corner = box_name(end, side), t * GIRDER_Z, f"{end} {side}"
             for seat in (x - SPRING_SEAT, x + SPRING_SEAT):
-                primary.append(Spring((box, (seat, AXLE_Y, z)), ("frame", (seat, GIRDER_Y, z)), (0, 1, 0)))
+                above, name = (seat, GIRDER_Y, z), f"primary springs {corner}"
+                primary.append(Spring((box, (seat, AXLE_Y, z)), ("frame", above), (0, 1, 0), name=name))
                 meet: Point = (seat, (AXLE_Y + GIRDER_Y) / 2, z)
                 for direction in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
-                    fixed.append(Spring((box, meet), ("frame", meet), direction, weight=K_PRIMARY_LATERAL))
+                    lateral = f"primary springs {corner}, {'x' if direction[0] else 'z'}"
+                    fixed.append(Spring((box, meet), ("frame", meet), direction, False, K_PRIMARY_LATERAL, lateral))
             centre: Point = (x, (AXLE_Y + GIRDER_Y) / 2, z)
-            fixed.append(Spring((box, centre), ("frame", centre), (0, 0, 1), weight=K_GUIDANCE))
-            upper.append(rod((box, (x, AXLE_Y + BOX_UP, z)), ("frame", (s * GIRDER_TIP, ROD_UPPER_Y, z))))
-            lower.append(rod((box, (x, AXLE_Y - BOX_DOWN, z)), ("frame", (s * ROD_LOWER_X, ROD_LOWER_Y, z))))
-            rail.append(Spring((f"axle_{end}", (x, AXLE_Y, t * WHEEL_Z)), None, (0, 1, 0)))
+            guidance = f"guidance {corner}"
+            fixed.append(Spring((box, centre), ("frame", centre), (0, 0, 1), weight=K_GUIDANCE, name=guidance))
+            high, low = (s * GIRDER_TIP, ROD_UPPER_Y, z), (s * ROD_LOWER_X, ROD_LOWER_Y, z)
+            upper.append(rod((box, (x, AXLE_Y + BOX_UP, z)), ("frame", high), name=f"upper rod {corner}"))
+            lower.append(rod((box, (x, AXLE_Y - BOX_DOWN, z)), ("frame", low), name=f"lower rod {corner}"))
+            wheel = (x, AXLE_Y, t * WHEEL_Z)
+            rail.append(Spring((f"axle_{end}", wheel), None, (0, 1, 0), name=f"wheel-rail contact {corner}"))
     return {
         "primary": tuple(primary),
         "suspension_fixed": tuple(fixed),
@@ -230,6 +254,7 @@ def _dampers() -> tuple[Spring, ...]:
             (box_name(end, side), (s * AXLE_X, AXLE_Y, t * GIRDER_Z)),
             ("frame", (s * AXLE_X, GIRDER_Y, t * GIRDER_Z)),
             (0, 1, 0),
+            name=f"primary damper {end} {side}",
         )
         for end, s in ENDS
         for side, t in SIDES

@@ -14,6 +14,7 @@ from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, Term, p
 from calib.structure.model import Assumption, DofMap, StructuralModel
 from models.fem.discrete import FrameLocator, Spring, mass_matrix, spring_matrix
 from models.fem.frame import Frame, Member
+from models.fem.parts import beam_parts, mass_parts, spring_parts
 from models.fem.section import Section
 from models.railway.bogie import ASSUMPTIONS as BOGIE_ASSUMPTIONS
 from models.railway.bogie import GIRDER_Y, SIDES, UY, bogie
@@ -72,14 +73,15 @@ def bogie_on_rig(element_size: float = 0.075, distributed: bool = False) -> Stru
         Term("suspension_fixed", reduced(spring_matrix(frame, parts.springs["suspension_fixed"]))),
         Term("restraint", reduced(spring_matrix(frame, restraint)), Monomial(K_RESTRAINT)),
     ]
-    for name, springs in (
-        ("K_primary", parts.springs["primary"]),
-        ("K_rod_upper", parts.springs["rod_upper"]),
-        ("K_rod_lower", parts.springs["rod_lower"]),
-        ("K_rail", parts.springs["rail"]),
-        ("K_block", block),
-        ("K_contact", contact),
-    ):
+    driven = {
+        "K_primary": parts.springs["primary"],
+        "K_rod_upper": parts.springs["rod_upper"],
+        "K_rod_lower": parts.springs["rod_lower"],
+        "K_rail": parts.springs["rail"],
+        "K_block": block,
+        "K_contact": contact,
+    }
+    for name, springs in driven.items():
         stiffness.append(Term(name, reduced(spring_matrix(frame, springs)), parameter(name)))
     mass = [Term("beams", reduced(steel_mass + wood_mass)), Term("points", reduced(mass_matrix(frame, parts.masses)))]
     for name, group in (
@@ -90,6 +92,13 @@ def bogie_on_rig(element_size: float = 0.075, distributed: bool = False) -> Stru
     ):
         mass.append(Term(name, reduced(frame.added_mass((group,), distributed)), parameter(name)))
     damping = (Term("c_primary", reduced(spring_matrix(frame, parts.dampers)), parameter("c_primary")),)
+    pieces = beam_parts(frame, reduced, {"block": parameter("E_wood")})
+    pieces += spring_parts(frame, reduced, parts.springs["suspension_fixed"], Monomial())
+    pieces += spring_parts(frame, reduced, restraint, Monomial(K_RESTRAINT))
+    for name, springs in driven.items():
+        pieces += spring_parts(frame, reduced, springs, parameter(name))
+    pieces += spring_parts(frame, reduced, parts.dampers, parameter("c_primary"), "damping")
+    pieces += mass_parts(frame, reduced, parts.masses)
     supports = tuple(_support(frame, dofs, side, z) for side, z in SIDES)
     n = dofs.n_dof
     return StructuralModel(
@@ -104,6 +113,7 @@ def bogie_on_rig(element_size: float = 0.075, distributed: bool = False) -> Stru
         locator=FrameLocator(frame, dofs.expansion),
         assumptions=BOGIE_ASSUMPTIONS + ASSUMPTIONS,
         sensor_tolerance=0.05,
+        parts=tuple(pieces),
     )
 
 
@@ -111,7 +121,7 @@ def _blocks(size: float) -> tuple[Member, ...]:
     return tuple(
         Member(
             f"block_{side}", "block", WOOD, (-BLOCK_HALF, BLOCK_Y, s * BLOCK_Z), (BLOCK_HALF, BLOCK_Y, s * BLOCK_Z),
-            min(size, POSITION_SPACING),
+            min(size, POSITION_SPACING), part=f"distribution block {side}",
             through=tuple((POSITION_SPACING * k, BLOCK_Y, s * BLOCK_Z) for k in range(-3, 4)),
         )
         for side, s in SIDES
@@ -124,12 +134,16 @@ def _rig_springs() -> tuple[tuple[Spring, ...], tuple[Spring, ...], tuple[Spring
         body, z = f"block_{side}", s * BLOCK_Z
         for x in (-BLOCK_HALF, BLOCK_HALF):
             below = (x, GIRDER_Y, z)  # an arm of 0.12 m reaches out from the girder
-            block.append(Spring((body, (x, BLOCK_Y, z)), ("frame", below), (0, 1, 0), weight=0.5))
+            block.append(
+                Spring((body, (x, BLOCK_Y, z)), ("frame", below), (0, 1, 0), False, 0.5, f"elastic block {side}")
+            )
             meet = (x, CONTACT_Y, z)
             for direction in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
-                contact.append(Spring((body, meet), ("frame", meet), direction, weight=0.5))
+                name = f"block contact {side} {'x' if direction[0] else 'z'}"
+                contact.append(Spring((body, meet), ("frame", meet), direction, weight=0.5, name=name))
         for direction in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
-            restraint.append(Spring((body, (0.0, BLOCK_Y, z)), None, direction))
+            name = f"restraint of block {side} {'x' if direction[0] else 'z'}"
+            restraint.append(Spring((body, (0.0, BLOCK_Y, z)), None, direction, name=name))
     return tuple(block), tuple(contact), tuple(restraint)
 
 

@@ -1,0 +1,156 @@
+"""A structural model with effects added: more terms, more parameters, where needed more degrees of freedom."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from calib.effect import Effect
+from calib.errors import InputError
+from calib.space import ParameterSpace
+from calib.structure.affine import AffineMatrix, SelectedTerm, Term
+from calib.structure.model import Assumption, DofMap, Locator, StructuralModel
+
+
+@dataclass(frozen=True)
+class Addition:
+    """What one effect adds to a model.
+
+    Matrices and vectors are over the model's ``n_dof`` degrees of freedom followed by ``n_added`` of the effect's own.
+    At strength 0 every coefficient that reaches the model's own degrees of freedom is 0; those added are then decoupled
+    and keep a stiffness, so that the problem stays regular.
+
+    Attributes
+    ----------
+    stiffness, damping, mass : tuple of Term
+    selected : tuple of SelectedTerm
+        Stiffness at places that discrete parameters pick.
+    n_added : int
+    assumptions : tuple of Assumption
+    """
+
+    stiffness: tuple[Term, ...] = ()
+    damping: tuple[Term, ...] = ()
+    mass: tuple[Term, ...] = ()
+    selected: tuple[SelectedTerm, ...] = ()
+    n_added: int = 0
+    assumptions: tuple[Assumption, ...] = ()
+
+
+def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel:
+    """The model with effects, their strengths and nuisance parameters after its own parameters.
+
+    Every effect is built from the base model, so that their order does not matter to the answers.
+
+    Raises
+    ------
+    InputError
+        When an effect is in the model already, or what it adds does not fit the model.
+    """
+    for effect in effects:
+        for p in effect.parameters:
+            if p.name in model.space:
+                raise InputError(
+                    f"the model {model.name} has {p.name!r} already", place=f"effect {effect.name}",
+                    remedy="leave it out",
+                )  # fmt: skip
+    additions = [(effect, _built(model, effect)) for effect in effects]
+    total = model.n_dof + sum(a.n_added for _, a in additions)
+    placed, first = [], model.n_dof
+    for _, addition in additions:
+        placed.append(_Placed(model.n_dof, first, total, addition))
+        first += addition.n_added
+    base = _Placed(model.n_dof, model.n_dof, total, Addition())
+
+    def matrix(kind: str) -> AffineMatrix:
+        own: AffineMatrix = getattr(model, kind)
+        terms = [base.term(t) for t in own.terms]
+        terms += [p.term(t) for p in placed for t in getattr(p.addition, kind)]
+        selected = [base.selected(t) for t in own.selected]
+        if kind == "stiffness":
+            selected += [p.selected(t) for p in placed for t in p.addition.selected]
+        return AffineMatrix(total, tuple(terms), tuple(selected))
+
+    more = total - model.n_dof
+    parameters = model.space.parameters + tuple(p for effect in effects for p in effect.parameters)
+    dofs = DofMap(
+        sp.csr_array(sp.hstack([model.dofs.expansion, sp.csr_array((model.dofs.expansion.shape[0], more))])),
+        np.concatenate([model.dofs.node, np.full(more, -1)]),
+        np.concatenate([model.dofs.direction, np.zeros(more, dtype=int)]),
+    )
+    return replace(
+        model,
+        space=ParameterSpace(parameters, model.space.constraints),
+        stiffness=matrix("stiffness"),
+        damping=matrix("damping"),
+        mass=matrix("mass"),
+        dofs=dofs,
+        locator=_WiderLocator(model.locator, more) if more else model.locator,
+        assumptions=model.assumptions + tuple(a for _, addition in additions for a in addition.assumptions),
+        parts=tuple(replace(part, matrix=base.wider(part.matrix)) for part in model.parts),
+    )
+
+
+def _built(model: StructuralModel, effect: Effect) -> Addition:
+    place = f"effect {effect.name}"
+    addition = effect.build(model)
+    if not isinstance(addition, Addition):
+        raise InputError(f"it builds {type(addition).__name__}", place=place, remedy="return an Addition")
+    n = model.n_dof + addition.n_added
+    for term in (*addition.stiffness, *addition.damping, *addition.mass):
+        if term.matrix.shape != (n, n):
+            raise InputError(
+                f"its term {term.name!r} is {term.matrix.shape}, not ({n}, {n})", place=place,
+                remedy="give matrices over the model's degrees of freedom and those it adds",
+            )  # fmt: skip
+    for selected in addition.selected:
+        for b in selected.vectors.values():
+            if b.shape != (n,):
+                raise InputError(f"a vector of {selected.name!r} is {b.shape}, not ({n},)", place=place)
+    return addition
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """Where the degrees of freedom of one addition come to lie among all."""
+
+    own: int
+    first: int
+    total: int
+    addition: Addition
+
+    def index(self, at: np.ndarray) -> np.ndarray:
+        return np.where(at < self.own, at, at - self.own + self.first)
+
+    def wider(self, matrix: sp.csr_array) -> sp.csr_array:
+        if matrix.shape == (self.total, self.total):
+            return matrix
+        coo = sp.coo_array(matrix)
+        where = (self.index(coo.row), self.index(coo.col))
+        return sp.csr_array(sp.coo_array((coo.data, where), shape=(self.total, self.total)))
+
+    def term(self, term: Term) -> Term:
+        return replace(term, matrix=self.wider(term.matrix))
+
+    def selected(self, term: SelectedTerm) -> SelectedTerm:
+        vectors = {}
+        for key, b in term.vectors.items():
+            vectors[key] = np.zeros(self.total)
+            vectors[key][self.index(np.arange(len(b)))] = b
+        return replace(term, vectors=vectors)
+
+
+@dataclass(frozen=True)
+class _WiderLocator:
+    """Places of the base model over the degrees of freedom of an extended one."""
+
+    inner: Locator
+    more: int
+
+    def row(self, point: Sequence[float], direction: int, on: str | None = None) -> tuple[np.ndarray, float]:
+        """See `calib.structure.model.Locator`."""
+        row, distance = self.inner.row(point, direction, on)
+        return np.concatenate([row, np.zeros(self.more)]), distance
