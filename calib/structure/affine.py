@@ -16,6 +16,11 @@ from calib.errors import InputError
 class Coefficient(Protocol):
     """A number that follows from parameters in SI; its ``repr`` tells it from any other."""
 
+    @property
+    def names(self) -> frozenset[str]:
+        """Parameters it depends on."""
+        ...
+
     def __call__(self, values: Mapping[str, float]) -> float:
         """Value at parameters in SI."""
         ...
@@ -37,6 +42,11 @@ class Monomial:
 
     factor: float = 1.0
     powers: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Parameters it depends on."""
+        return frozenset(name for name, _ in self.powers)
 
     def __call__(self, values: Mapping[str, float]) -> float:
         """Value at parameters in SI."""
@@ -76,6 +86,11 @@ class SeriesLoss:
 
     stiffness: Coefficient
     flexibility: Coefficient
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Parameters it depends on."""
+        return self.stiffness.names | self.flexibility.names
 
     def __call__(self, values: Mapping[str, float]) -> float:
         """Value at parameters in SI; 0 without flexibility."""

@@ -115,7 +115,7 @@ def train_basis(
         checks=np.zeros((0, len(CHECK_COLUMNS))),
         seed=seed,
     )
-    growth = _Growth(model, basis)
+    growth = Growth(model, basis)
     vectors = growth.statics()
     points = [p for space in several for p in covering_points(space, samples or _sample_count(space), rng)]
     snapshots = np.hstack([growth.snapshots(model.modes(p, count), target) for p in points])
@@ -139,7 +139,7 @@ def enrich_basis(model: StructuralModel, basis: Basis, points: Sequence[Mapping[
 
     A basis must not change during a search, since its answers would then depend on their order.
     """
-    growth = _Growth(model, basis)
+    growth = Growth(model, basis)
     target = _Target(basis.count, basis.freq_max, basis.damping_max, basis.tolerance)
     number = int(basis.checks[:, 0].max(initial=0)) + 1
     complete = [model.space.complete(p) for p in points]
@@ -150,7 +150,7 @@ def enrich_basis(model: StructuralModel, basis: Basis, points: Sequence[Mapping[
 # -- vectors -----------------------------------------------------------------------------------------------------------
 
 
-class _Growth:
+class Growth:
     """The inner product of a basis, and what is made with it."""
 
     def __init__(self, model: StructuralModel, basis: Basis):
@@ -229,6 +229,10 @@ class _Growth:
         size = int(np.argmax(left.max(axis=0) < error)) + 1
         size = min(size, int(np.count_nonzero(energies > 1e-13 * energies[0])))
         return self.spanned(self.outside(rest @ (turn[:, :size] / np.sqrt(energies[:size])), basis), 0.0)
+
+    def widened(self, basis: np.ndarray, vectors: np.ndarray, error: float) -> np.ndarray:
+        """An orthonormal basis with what represents every one of some vectors to a squared error."""
+        return np.hstack([basis, self.decomposed(vectors, basis, error)])
 
     def enriched(
         self, basis: Basis, points: Sequence[Mapping[str, float]], target: _Target, number: int

@@ -1,0 +1,1 @@
+"""What physical effect a model may lack."""

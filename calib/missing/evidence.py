@@ -1,0 +1,90 @@
+"""How much better a model with an effect is supported than one without."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.linalg as la
+from scipy.special import log_ndtr
+
+from calib.effect import Effect
+from calib.missing.state import State
+
+CREDIBLE = 3.0
+"""Effects whose log evidence is within this of the best belong to the credible set (odds of 20:1)."""
+
+
+def ln_evidence(state: State, added: Sequence[Effect]) -> float:
+    """Log evidence of a fitted model, up to a constant that all models of the same data share.
+
+    Laplace's approximation ``-(|e|^2 + |shift|^2)/2 - ln|S G^T G S + I|/2`` (MacKay 1992). A strength that cannot be
+    negative has a half-normal prior: twice the density, and only the part of the posterior above 0. Where the fit ended
+    at such a limit, the Gaussian is that about the minimum it would have without the limit.
+
+    Parameters
+    ----------
+    state : State
+    added : sequence of Effect
+        Effects that the state's model has.
+    """
+    information = state.scaled_information
+    factor = la.cho_factor(information)
+    total = -0.5 * state.misfit - float(np.sum(np.log(np.diag(factor[0]))))
+    centre = np.array([state.values[n] for n in state.names])
+    gradient = (state.slope * state.prior_sd).T @ state.residual - state.shift
+    step = la.cho_solve(factor, gradient)
+    at_limit = [_at_lower(state, effect) for effect in added]
+    if any(at_limit):
+        total += 0.5 * float(gradient @ step)
+        centre = centre + state.prior_sd * step
+    std = np.sqrt(np.diag(state.covariance))
+    for effect in added:
+        if not effect.signed:
+            k = state.names.index(effect.name)
+            total += float(np.log(2.0) + log_ndtr(centre[k] / std[k]))
+    return total
+
+
+def _at_lower(state: State, effect: Effect) -> bool:
+    p = effect.strength
+    return not effect.signed and state.values[effect.name] - p.lower <= 1e-6 * (p.upper - p.lower)
+
+
+def ln_bayes_linear(z: np.ndarray, size: np.ndarray, plausible: np.ndarray) -> np.ndarray:
+    """Log Bayes factor of a strength with a normal prior in a linear model, (m,).
+
+    ``z^2/2 q/(1 + q) - ln(1 + q)/2`` with ``q = (plausible size)^2``; negative scores count as 0.
+    """
+    q = (plausible * size) ** 2
+    return np.maximum(z, 0.0) ** 2 / 2 * q / (1 + q) - 0.5 * np.log1p(q)
+
+
+def rescaled(ln_bayes: float, strength: float, std: float, prior_sd: float, factor: float) -> float:
+    """What a log Bayes factor becomes when the plausible strength is multiplied by a factor.
+
+    Exact for a Gaussian posterior of the strength: the likelihood ``N(m, v)`` that turns the prior into that posterior
+    is integrated over the other prior.
+    """
+    precision = 1 / std**2 - 1 / prior_sd**2
+    if precision <= 0:
+        return ln_bayes
+    v = 1 / precision
+    m = strength * v / std**2
+
+    def ln(sd: float) -> float:
+        return -0.5 * (np.log(v + sd**2) + m**2 / (v + sd**2))
+
+    return float(ln_bayes + ln(factor * prior_sd) - ln(prior_sd))
+
+
+def posterior(ln_bayes: np.ndarray) -> tuple[float, np.ndarray]:
+    """Probability of the base model and of each effect within the library.
+
+    Half of the prior belongs to the base model, the other half is shared by all effects, so that a longer library does
+    not raise false alarms (multiplicity; Scott and Berger 2010).
+    """
+    weights = np.concatenate([[np.log(0.5)], ln_bayes + np.log(0.5 / max(len(ln_bayes), 1))])
+    weights = np.exp(weights - weights.max())
+    weights /= weights.sum()
+    return float(weights[0]), weights[1:]

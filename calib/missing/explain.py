@@ -1,0 +1,393 @@
+"""Which physical effect is missing: calibrate, test, refit, check what is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pandas as pd
+
+from calib.effect import Effect
+from calib.errors import EvaluationError, InputError
+from calib.missing.alike import Group, grouped
+from calib.missing.evidence import CREDIBLE, ln_bayes_linear, ln_evidence
+from calib.missing.goodness import goodness, noise_scale, overall
+from calib.missing.hypotheses import Hypotheses, Question, Scaled
+from calib.missing.plausible import implausible
+from calib.missing.score import Scores, family_p, scores
+from calib.missing.state import State, fitted
+
+LEAST_MODES = 4
+"""Fewer modes cannot tell an effect from a parameter."""
+GUARD = 1.11
+"""Factor on the scatter from which it counts as understated (two and a half standard errors with 8 modes)."""
+SAME = 0.98
+"""Correlation of fingerprints from which a local change says the same as a named effect."""
+PAIRS_OF_BEST, PAIRS_OF_NEXT = 4, 2
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How an explanation decides.
+
+    Attributes
+    ----------
+    alpha : float
+        Family-wise level of every test.
+    refits : int
+        Effects that are fitted, best first.
+    merge : float
+        Correlation of fingerprints from which two effects are one group.
+    seed : int
+        Of the draws behind family-wise probabilities.
+    """
+
+    alpha: float = 0.01
+    refits: int = 6
+    merge: float = 0.98
+    seed: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """Tests of one fitted model.
+
+    Attributes
+    ----------
+    named, atoms : Scores
+    p_named, p_atoms : float
+        Family-wise.
+    kinds, modes : DataFrame
+        Goodness of fit.
+    p_fit : float
+    """
+
+    named: Scores
+    atoms: Scores
+    p_named: float
+    p_atoms: float
+    kinds: pd.DataFrame
+    modes: pd.DataFrame
+    p_fit: float
+
+    @property
+    def p_family(self) -> float:
+        """Of the largest score among named effects and local changes."""
+        return min(1.0, 2 * min(self.p_named, self.p_atoms))
+
+    def passes(self, alpha: float) -> bool:
+        """Whether nothing organised is left."""
+        return self.p_family > alpha and self.p_fit > alpha
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A model with effects, fitted.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+    state : State
+    ln_evidence : float
+    implausible : str
+        Why it is not believable although it may fit; empty when it is.
+    """
+
+    effects: tuple[Effect, ...]
+    state: State
+    ln_evidence: float
+    implausible: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects."""
+        return tuple(e.name for e in self.effects)
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """Everything an explanation found.
+
+    Attributes
+    ----------
+    verdict : str
+        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``partial``, ``none_explains`` or
+        ``noise_underestimated``.
+    base : Trial
+        Without effects.
+    base_check : Check
+    groups : tuple of Group
+        Candidates, those that no such data can tell apart taken together.
+    trials : tuple of Trial
+        Every effect and pair that was fitted, best first among the single ones, then pairs.
+    atom : Trial or None
+        The best unnamed local change.
+    chosen : Trial or None
+        The explanation: one effect or two; the best attempt when none explains.
+    chosen_check : Check or None
+    credible : tuple of str
+        Effects that explain about as well as the best.
+    noise_scale : float
+        Factor on the scatter that was used: 1 unless it was found understated.
+    measured_scale : float
+        What the shapes ask for at the best fit.
+    evaluations : int
+    """
+
+    verdict: str
+    base: Trial
+    base_check: Check
+    groups: tuple[Group, ...]
+    trials: tuple[Trial, ...]
+    atom: Trial | None
+    chosen: Trial | None
+    chosen_check: Check | None
+    credible: tuple[str, ...]
+    noise_scale: float
+    measured_scale: float
+    evaluations: int
+
+    def ln_bayes(self, trial: Trial) -> float:
+        """Log Bayes factor of a trial against the base model."""
+        return trial.ln_evidence - self.base.ln_evidence
+
+    @property
+    def singles(self) -> tuple[Trial, ...]:
+        """Trials with one named effect, best first."""
+        return tuple(t for t in self.trials if len(t.effects) == 1)
+
+
+def explain(
+    hypotheses: Hypotheses, settings: Settings = Settings(), progress: Progress = lambda words: None
+) -> Findings:
+    """Decide which effect, if any, the base model lacks.
+
+    Calibrate; test whether the largest score among named effects and among unnamed local changes, or the goodness of
+    fit, could be chance; fit the most promising effects; take the scatter for understated when most modes ask for it,
+    and begin anew; accept an effect, or two, when the evidence outweighs the length of the library, no parameter has to
+    take an unbelievable value, no local change fits better, and nothing organised is left.
+
+    Raises
+    ------
+    InputError
+        Without candidates, or with too few measured modes to name anything.
+    EvaluationError
+        When the base model cannot be fitted.
+    """
+    if not hypotheses.effects:
+        raise InputError("there is no effect to look for", place="explain", remedy="name a library with effects = ...")
+    modes = {row.mode for row in hypotheses.rows if row.mode}
+    if modes and len(modes) < LEAST_MODES:
+        raise InputError(
+            f"{len(modes)} measured modes cannot tell a missing effect from a parameter",
+            place="explain",
+            remedy=f"measure at least {LEAST_MODES}, or withhold fewer",
+        )
+    round_one = _Round(hypotheses, settings, 1.0, progress)
+    found = round_one.findings({})
+    if found.measured_scale > GUARD and found.verdict != "nothing_detectable":
+        progress(f"the scatter seems understated by a factor of {found.measured_scale:.2f}: beginning anew")
+        starts = {(): found.base.state.values, **{t.names: t.state.values for t in found.singles}}
+        again = _Round(hypotheses, settings, found.measured_scale, progress).findings(starts)
+        verdict = "noise_underestimated" if again.verdict == "nothing_detectable" else again.verdict
+        found = replace(again, verdict=verdict)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """One pass with one scale of the scatter."""
+
+    hypotheses: Hypotheses
+    settings: Settings
+    scale: float
+    progress: Progress
+    _by_name: dict[str, Effect] = field(init=False)
+
+    def __post_init__(self) -> None:
+        known = {e.name: e for e in (*self.hypotheses.effects, *self.hypotheses.atoms)}
+        object.__setattr__(self, "_by_name", known)
+
+    def question(self, names: tuple[str, ...]) -> Question:
+        inner = self.hypotheses.question(names)
+        return inner if self.scale == 1.0 else Scaled(inner, self.scale)
+
+    # -- the decision --------------------------------------------------------------------------------------------------
+
+    def findings(self, starts: dict[tuple[str, ...], dict[str, float]]) -> Findings:
+        hypotheses, alpha = self.hypotheses, self.settings.alpha
+        self.progress("calibrating the base model")
+        start = starts.get((), hypotheses.question(()).space.values)
+        base = self.trial((), start, whole=1 if starts else 100)
+        self.progress("testing whether anything is missing")
+        groups = grouped(hypotheses.effects, self._scores(base, hypotheses.effects), self.settings.merge)
+        candidates = tuple(g.effect for g in groups)
+        check = self.check(base, candidates)
+        plain = Findings(
+            verdict="nothing_detectable", base=base, base_check=check, groups=groups, trials=(), atom=None,
+            chosen=None, chosen_check=None, credible=(), noise_scale=self.scale,
+            measured_scale=noise_scale(check.modes), evaluations=hypotheses.evaluations,
+        )  # fmt: skip
+        if check.passes(alpha):
+            return plain
+        singles = self.singles(base, candidates, check.named, starts)
+        atom = self.best_atom(base, check.atoms, check.named, singles)
+        rival = -math.inf
+        if atom is not None:
+            rival = atom.ln_evidence - math.log(len(hypotheses.atoms)) + math.log(len(candidates))
+        best = singles[0]
+        best_check = self.check(best, candidates)
+        scale = self._scale((base, check), (best, best_check))
+        plain = replace(plain, trials=tuple(singles), atom=atom, measured_scale=scale)
+        if scale > GUARD and not starts:
+            return replace(plain, verdict="none_explains", chosen=best, evaluations=hypotheses.evaluations)
+        needed = base.ln_evidence + math.log(len(candidates)) + CREDIBLE
+        supported = best.ln_evidence > needed and best.ln_evidence > rival
+        if supported and not best.implausible and best_check.passes(alpha):
+            credible = self.credible(singles)
+            verdict = "effect" if len(credible) == 1 else "indistinguishable"
+            return replace(
+                plain, verdict=verdict, chosen=best, chosen_check=best_check, credible=credible,
+                evaluations=hypotheses.evaluations,
+            )  # fmt: skip
+        pairs = self.pairs(singles, candidates, best_check)
+        plain = replace(plain, trials=(*singles, *pairs))
+        for pair in pairs[:2]:
+            fits = pair.ln_evidence > best.ln_evidence + CREDIBLE
+            if not fits or pair.implausible or pair.ln_evidence - math.log(max(len(candidates) - 1, 1)) <= rival:
+                continue
+            pair_check = self.check(pair, candidates)
+            if pair_check.passes(alpha):
+                return replace(
+                    plain, verdict="two_effects", chosen=pair, chosen_check=pair_check, credible=pair.names,
+                    evaluations=hypotheses.evaluations,
+                )  # fmt: skip
+        partial = supported and not best.implausible and best_check.p_family <= alpha
+        return replace(
+            plain, verdict="partial" if partial else "none_explains", chosen=best, chosen_check=best_check,
+            evaluations=hypotheses.evaluations,
+        )  # fmt: skip
+
+    def credible(self, singles: Sequence[Trial]) -> tuple[str, ...]:
+        """Effects whose evidence is near the best one's and that a careful reader would believe."""
+        lowest = singles[0].ln_evidence - CREDIBLE
+        return tuple(t.names[0] for t in singles if t.ln_evidence > lowest and not t.implausible)
+
+    def _scale(self, *fits: tuple[Trial, Check]) -> float:
+        """What the shapes ask for at the best of some fits."""
+        best = max(fits, key=lambda pair: pair[0].ln_evidence)
+        return noise_scale(best[1].modes)
+
+    # -- fits ----------------------------------------------------------------------------------------------------------
+
+    def trial(self, names: tuple[str, ...], start: dict[str, float], whole: int = 0) -> Trial:
+        effects = tuple(self._by_name[n] for n in names)
+        state = fitted(self.question(names), names, start, whole)
+        return Trial(effects, state, ln_evidence(state, effects), implausible(state, effects))
+
+    def singles(
+        self,
+        base: Trial,
+        candidates: Sequence[Effect],
+        named: Scores,
+        starts: dict[tuple[str, ...], dict[str, float]],
+    ) -> list[Trial]:
+        """The most promising effects, fitted; best first."""
+        plausible = np.array([self._by_name[n].plausible for n in named.owners])
+        promise = ln_bayes_linear(named.strength, named.size, plausible)
+        by_effect = {e.name: max(promise[k] for k, n in enumerate(named.owners) if n == e.name) for e in candidates}
+        order = sorted(by_effect, key=lambda n: -by_effect[n])[: self.settings.refits]
+        out = []
+        for name in order:
+            self.progress(f"fitting {self._by_name[name].title}")
+            known = [starts[(name,)]] if (name,) in starts else None
+            found = self.best_of((name,), known or self._starts(base.state, named, name))
+            if found is not None:
+                out.append(found)
+        if not out:
+            raise EvaluationError("no effect could be fitted")
+        out.sort(key=lambda t: -t.ln_evidence)
+        # Places of whole-number parameters may have followed what was missing: the best are allowed to move them back.
+        for k, one in enumerate(out[:2]):
+            out[k] = self.trial(one.names, one.state.values, whole=1)
+        return sorted(out, key=lambda t: -t.ln_evidence)
+
+    def best_of(self, names: tuple[str, ...], starts: Sequence[dict[str, float]]) -> Trial | None:
+        """The best fit from some starts; None when no start can be evaluated."""
+        fits = []
+        for start in starts:
+            try:
+                fits.append(self.trial(names, start))
+            except EvaluationError:
+                continue
+        return min(fits, key=lambda t: t.state.misfit) if fits else None
+
+    def _starts(self, state: State, found: Scores, name: str) -> list[dict[str, float]]:
+        """Where to start the fit of an effect: one step from the state, of the best points of its grid."""
+        effect, out = self._by_name[name], []
+        for k in found.steps(name, 2 if effect.nuisance else 1):
+            p, point = effect.strength, found.points[k]
+            size = found.z[k] / found.size[k] if found.size[k] > 0 else 0.0
+            least = 0.1 * abs(point[name]) if point else p.lower
+            size = min(max(size, least, p.lower), p.upper)
+            step = state.follow(-found.raw[:, k] * size)
+            moved = {n: state.values[n] + d for n, d in zip(state.names, step, strict=True)}
+            out.append({**state.values, **moved, **point, name: size})
+        return out
+
+    def best_atom(self, base: Trial, found: Scores, named: Scores, singles: Sequence[Trial]) -> Trial | None:
+        """The unnamed local change with the largest score, fitted; not one that only says what the best effect says."""
+        usable = np.array(found.strength)
+        column = named.unit[:, named.best(singles[0].names[0])]
+        usable[np.abs(found.unit.T @ column) > SAME] = -np.inf
+        if not len(usable) or not usable.max() > 0:
+            return None
+        name = found.owners[int(np.argmax(usable))]
+        return self.best_of((name,), self._starts(base.state, found, name))
+
+    def pairs(self, singles: Sequence[Trial], candidates: Sequence[Effect], best_check: Check) -> list[Trial]:
+        """Two effects at a time: the best with what then stands out, the runner-up likewise; best first."""
+        wanted: dict[frozenset[str], list[dict[str, float]]] = {}
+        tests = [(singles[0], best_check, PAIRS_OF_BEST)]
+        if len(singles) > 1:
+            tests.append((singles[1], self.check(singles[1], candidates), PAIRS_OF_NEXT))
+        for first, check, count in tests:
+            others = [e.name for e in candidates if e.name not in first.names]
+            others.sort(key=lambda n: -float(check.named.strength[check.named.best(n)]))
+            for name in others[:count]:
+                key = frozenset((first.names[0], name))
+                wanted.setdefault(key, []).extend(self._starts(first.state, check.named, name)[:1])
+        out = []
+        for key, starts in wanted.items():
+            names = tuple(e.name for e in candidates if e.name in key)
+            self.progress("fitting " + " with ".join(self._by_name[n].title for n in names))
+            found = self.best_of(names, starts)
+            if found is not None:
+                out.append(found)
+        return sorted(out, key=lambda t: -t.ln_evidence)
+
+    # -- tests ---------------------------------------------------------------------------------------------------------
+
+    def check(self, trial: Trial, candidates: Sequence[Effect]) -> Check:
+        hypotheses, seed = self.hypotheses, self.settings.seed
+        named = self._scores(trial, [e for e in candidates if e.name not in trial.names])
+        local = self._scores(trial, [a for a in hypotheses.atoms if a.name not in trial.names])
+        freedom = hypotheses.scatter_freedom
+        kinds, modes = goodness(trial.state, hypotheses.rows, hypotheses.fitted_factors, freedom)
+        return Check(
+            named=named,
+            atoms=local,
+            p_named=family_p(named, hypotheses.rows, freedom, seed),
+            p_atoms=family_p(local, hypotheses.rows, freedom, seed),
+            kinds=kinds,
+            modes=modes,
+            p_fit=overall(kinds, modes),
+        )
+
+    def _scores(self, trial: Trial, candidates: Sequence[Effect]) -> Scores:
+        with_grid = {e.name: self.question((*trial.names, e.name)) for e in candidates if e.grid}
+        return scores(trial.state, candidates, with_grid)

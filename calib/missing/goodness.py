@@ -1,0 +1,78 @@
+"""Goodness of fit by kind of response and by mode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from calib.missing.hypotheses import Label
+from calib.missing.state import State
+
+_LEAST = 1.0
+"""Fewer degrees of freedom say nothing."""
+
+
+def goodness(
+    state: State,
+    rows: Sequence[Label],
+    fitted_factors: Mapping[tuple[str, str], int],
+    scatter_freedom: Mapping[str, float],
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Sum of squares of every kind, and of every mode and kind, against what the scatter allows.
+
+    The degrees of freedom of a block b are ``n_b - tr(G_b V G_b^T)`` less the factors fitted to its shapes. The scatter
+    was itself estimated, so that the ratio is an F variate.
+
+    Returns
+    -------
+    kinds : DataFrame
+        ``kind, chi2, freedom, p``.
+    modes : DataFrame
+        ``mode, kind, chi2, freedom, p``.
+    """
+    pulled = np.einsum("ij,jk,ik->i", state.slope, state.covariance, state.slope)
+    frame = pd.DataFrame(
+        {
+            "mode": [row.mode for row in rows],
+            "kind": [row.kind for row in rows],
+            "chi2": state.residual**2,
+            "freedom": 1.0 - pulled,
+        }
+    )
+    modes = frame.groupby(["mode", "kind"], sort=False, as_index=False)[["chi2", "freedom"]].sum()
+    modes["freedom"] -= [fitted_factors.get((m, k), 0) for m, k in zip(modes["mode"], modes["kind"], strict=True)]
+    kinds = modes.groupby("kind", sort=False, as_index=False)[["chi2", "freedom"]].sum()
+    for table in (kinds, modes):
+        table["p"] = [
+            _p(chi2, freedom, scatter_freedom.get(kind, np.inf))
+            for chi2, freedom, kind in zip(table["chi2"], table["freedom"], table["kind"], strict=True)
+        ]
+    return kinds, modes
+
+
+def _p(chi2: float, freedom: float, scatter: float) -> float:
+    if freedom < _LEAST:
+        return 1.0
+    return float(stats.f.sf(chi2 / freedom, freedom, min(scatter, 1e9)))
+
+
+def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
+    """Chance of the worst kind or the worst single-mode shape being as bad as found (Bonferroni)."""
+    shapes = modes.loc[modes["kind"] == "shape", "p"]
+    tests = [*kinds["p"].tolist(), float(shapes.min()) * len(shapes) if len(shapes) else 1.0]
+    return float(min(1.0, len(tests) * min(tests)))
+
+
+def noise_scale(modes: pd.DataFrame) -> float:
+    """Common factor on the scatter that the shapes of most modes ask for: root of the median of chi2 over freedom.
+
+    What a model lacks spoils a few modes; a scatter that is stated too small spoils all of them, and the median with
+    them. NaN without shapes of at least 4 modes. The median of chi-square variates lies 1.5 % below their mean.
+    """
+    shapes = modes[(modes["kind"] == "shape") & (modes["freedom"] >= 5)]
+    if len(shapes) < 4:
+        return float("nan")
+    return float(np.sqrt(np.median(shapes["chi2"] / shapes["freedom"]) / 0.985))

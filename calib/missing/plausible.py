@@ -1,0 +1,63 @@
+"""Whether a fitted model can be believed: no parameter strained, no strength or nuisance out of its physical range."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from calib.effect import Effect
+from calib.missing.state import State
+
+STRAIN = 0.05
+"""Family-wise level at which a parameter counts as strained."""
+NUISANCE = 2.0
+"""Largest distance of a nuisance parameter from its middle value, in prior standard deviations."""
+_AT = 1e-3
+
+
+def strain(state: State, added: Sequence[Effect] = ()) -> pd.DataFrame:
+    """How far each calibration parameter had to go, against how far it would go in a right model.
+
+    In a right model ``theta - c`` scatters by ``sqrt(s^2 - V)``: the prior's standard deviation less what the data
+    leave open. Beyond the normal quantile for all parameters together, something that is missing is being absorbed.
+
+    Returns
+    -------
+    DataFrame
+        ``parameter, unit, adopted, value, prior_sd, standardised, limit, strained``.
+    """
+    own = {name for effect in added for name in effect.names}
+    index = [k for k, name in enumerate(state.names) if name not in own]
+    limit = float(stats.norm.isf(STRAIN / (2 * max(len(index), 1))))
+    rows = []
+    for k in index:
+        name, s = state.names[k], float(state.prior_sd[k])
+        p = state.question.space[name]
+        told = max(s**2 - float(state.covariance[k, k]), 1e-6 * s**2)
+        score = float(state.shift[k]) * s / np.sqrt(told)
+        rows.append((name, p.unit, p.value, state.values[name], s, score, limit, bool(abs(score) > limit)))
+    columns = ["parameter", "unit", "adopted", "value", "prior_sd", "standardised", "limit", "strained"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def implausible(state: State, added: Sequence[Effect]) -> str:
+    """Why a fitted model is not believable, in words; empty when it is."""
+    reasons = []
+    table = strain(state, added)
+    for row in table[table["strained"]].itertuples():
+        reasons.append(f"{row.parameter} had to move {row.standardised:+.1f} prior standard deviations")
+    for effect in added:
+        p, value = effect.strength, state.values[effect.name]
+        span = p.upper - p.lower
+        if p.upper - value <= _AT * span or (effect.signed and value - p.lower <= _AT * span):
+            reasons.append(f"{effect.name} is on its limit of {value:.4g} {p.unit}")
+        for q in effect.nuisance:
+            here = state.values[q.name]
+            if not (q.lower + _AT * (q.upper - q.lower) < here < q.upper - _AT * (q.upper - q.lower)):
+                reasons.append(f"{q.name} is on its limit of {here:.4g} {q.unit}")
+            elif abs(here - q.value) > NUISANCE * q.prior_width:
+                reasons.append(f"{q.name} = {here:.4g} {q.unit} is far from {q.value:.4g}")
+    return "; ".join(reasons)

@@ -1,0 +1,174 @@
+"""A model fitted to the measurement: its residual there, and what its parameters can absorb of any change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg as la
+
+from calib.errors import EvaluationError
+from calib.missing.hypotheses import Question
+from calib.updating.gauss_newton import FitSettings, Prior, fit
+
+_FIT = FitSettings(iterations=15, gain=2e-3, rejections=8)
+"""A thousandth of the sum of squares is far below anything that decides."""
+_WORTH = 0.5
+"""Smallest promised decrease for which another whole number is tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where a fit ended, with its linearisation.
+
+    Prior knowledge is appended to the residual: ``r = [e; -(theta - c)/s]`` and ``A = [G; diag(1/s)]`` with
+    ``G = -de/dtheta``.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Effects and atoms that the model has.
+    question : Question
+    names : tuple of str
+        Fitted parameters, length p; whole-number ones are not among them.
+    values : dict
+        All parameters, each in its own unit.
+    residual : ndarray (n_rows,)
+    slope : ndarray (n_rows, p)
+        G, per one of each parameter's own unit.
+    prior_sd, shift : ndarray (p,)
+        Prior standard deviation s, and how far the parameter moved in units of it.
+    """
+
+    effects: tuple[str, ...]
+    question: Question
+    names: tuple[str, ...]
+    values: dict[str, float]
+    residual: np.ndarray
+    slope: np.ndarray
+    prior_sd: np.ndarray
+    shift: np.ndarray
+
+    @property
+    def misfit(self) -> float:
+        """Sum of squares, data and prior."""
+        return float(self.residual @ self.residual + self.shift @ self.shift)
+
+    @cached_property
+    def augmented(self) -> np.ndarray:
+        """r, (n_rows + p,)."""
+        return np.concatenate([self.residual, -self.shift])
+
+    @cached_property
+    def _orthonormal(self) -> np.ndarray:
+        # Columns scaled by the prior: the span is the same, the numbers do not depend on units.
+        scaled = np.vstack([self.slope * self.prior_sd, np.eye(len(self.names))])
+        return la.qr(scaled, mode="economic")[0]
+
+    @cached_property
+    def scaled_information(self) -> np.ndarray:
+        """``S G^T G S + I`` with S the prior standard deviations, (p, p)."""
+        g = self.slope * self.prior_sd
+        return g.T @ g + np.eye(len(self.names))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance ``(G^T G + diag(1/s^2))^-1`` in the parameters' own units, (p, p)."""
+        inverse = la.inv(self.scaled_information)
+        return inverse * np.outer(self.prior_sd, self.prior_sd)
+
+    def outside(self, columns: np.ndarray) -> np.ndarray:
+        """What of changes of the data, (n_rows, m), the parameters cannot absorb: ``P [g; 0]``, (n_rows + p, m)."""
+        wide = np.vstack([columns, np.zeros((len(self.names), columns.shape[1]))])
+        rest = wide - self._orthonormal @ (self._orthonormal.T @ wide)
+        return rest - self._orthonormal @ (self._orthonormal.T @ rest)
+
+    def absorbed(self, residual: np.ndarray) -> float:
+        """Sum of squares left of another residual (n_rows,) once the parameters have followed, to first order."""
+        r = np.concatenate([residual, -self.shift])
+        r = r - self._orthonormal @ (self._orthonormal.T @ r)
+        return float(r @ r)
+
+    def follow(self, change: np.ndarray) -> np.ndarray:
+        """Change of the fitted parameters (p,) after the residual has changed by ``change`` (n_rows,), own units."""
+        right = (self.slope * self.prior_sd).T @ change
+        return self.prior_sd * la.solve(self.scaled_information, right, assume_a="pos")
+
+
+def fitted(
+    question: Question,
+    effects: tuple[str, ...],
+    start: Mapping[str, float],
+    whole: int = 0,
+    settings: FitSettings = _FIT,
+) -> State:
+    """Fit a question from a start.
+
+    Parameters
+    ----------
+    question : Question
+    effects : tuple of str
+    start : mapping
+        Moved inside the limits where it is outside.
+    whole : int
+        How far whole-number parameters may be from the start's: 0 leaves them, 1 tries their neighbours, and so on.
+        Another number is judged by the sum of squares left once the other parameters have followed to first order, and
+        fitted when that promises a decrease.
+
+    Raises
+    ------
+    EvaluationError
+        When the start cannot be evaluated.
+    """
+    state = _fitted(question, effects, start, settings)
+    for _ in range(20 if whole else 0):
+        better = _better_whole(question, state, whole)
+        if better is None:
+            break
+        there = _fitted(question, effects, better, settings)
+        if there.misfit >= state.misfit:
+            break
+        state = there
+    return state
+
+
+def _fitted(question: Question, effects: tuple[str, ...], start: Mapping[str, float], settings: FitSettings) -> State:
+    space = question.space
+    inside = {n: min(max(v, space[n].lower), space[n].upper) for n, v in start.items() if n in space.free_names}
+    prior = Prior.of(space)
+    result = fit(question, space, {**start, **inside}, prior, settings)
+    return State(
+        effects=effects,
+        question=question,
+        names=result.names,
+        values=result.values,
+        residual=result.residual,
+        slope=-result.jacobian,
+        prior_sd=prior.widths(result.names),
+        shift=prior.residual(result.values, result.names),
+    )
+
+
+def _better_whole(question: Question, state: State, reach: int) -> dict[str, float] | None:
+    """The most promising other value of one whole-number parameter; None when there is none."""
+    best, lowest = None, state.misfit - _WORTH
+    for p in question.space.free:
+        if not p.integer:
+            continue
+        here = round(state.values[p.name])
+        for number in range(max(here - reach, round(p.lower)), min(here + reach, round(p.upper)) + 1):
+            if number == here:
+                continue
+            there = {**state.values, p.name: float(number)}
+            try:
+                residual = question.residual(there)
+            except EvaluationError:
+                continue
+            left = state.absorbed(residual)
+            if left < lowest:
+                step = state.follow(residual - state.residual)
+                moved = {n: there[n] + d for n, d in zip(state.names, step, strict=True)}
+                best, lowest = {**there, **moved}, left
+    return best

@@ -1,0 +1,135 @@
+"""What a study can be asked about missing effects, for models with modes and for plain functions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from calib.correlation.compare import Comparison
+from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import Floors, ModalResidual, Row
+from calib.effect import Effect
+from calib.space import ParameterSpace
+from calib.structure.variants import Variants
+
+_REMEMBERED = 64
+"""Points kept, so that a derivative does not solve a model again."""
+
+
+@dataclass(eq=False)
+class Counter:
+    """How many models were solved."""
+
+    count: int = 0
+
+
+def question_space(space: ParameterSpace, effects: Sequence[Effect]) -> ParameterSpace:
+    """What is free in a question: the parameters of a calibration, and those of the effects in the model."""
+    return ParameterSpace(space.parameters + tuple(p for e in effects for p in e.parameters), space.constraints)
+
+
+@dataclass(frozen=True, eq=False)
+class ModalQuestion:
+    """The whitened residual of one variant; a point is solved once, for residual and derivative."""
+
+    inner: ModalResidual
+    space: ParameterSpace
+    counter: Counter
+    _found: dict[tuple[float, ...], Comparison] = field(init=False, repr=False, default_factory=dict)
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Vector (n_rows,) at named values; EvaluationError where the model cannot be solved."""
+        return self.inner.of(self.at(values))
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params)."""
+        found = self.at(values)
+        return self.inner.slope_of(found, names, self.inner.derivatives(found, names))
+
+    def at(self, values: Mapping[str, float]) -> Comparison:
+        """Model against measurement at named values."""
+        complete = self.inner.problem.space.complete(values)
+        key = tuple(complete.values())
+        if key not in self._found:
+            self.counter.count += 1
+            while len(self._found) >= _REMEMBERED:
+                del self._found[next(iter(self._found))]
+            self._found[key] = self.inner.problem.compare(complete)
+        return self._found[key]
+
+
+@dataclass(frozen=True, eq=False)
+class ModalHypotheses:
+    """A modal measurement against all variants of a model.
+
+    Attributes
+    ----------
+    problem : ModalProblem
+        Measurement and pairing; its model is the base model.
+    variants : Variants
+    space : ParameterSpace
+        Parameters of the base model; free are those that a calibration would fit.
+    floors : Floors
+    """
+
+    problem: ModalProblem
+    variants: Variants
+    space: ParameterSpace
+    floors: Floors = field(default_factory=Floors)
+    counter: Counter = field(init=False, repr=False, default_factory=Counter)
+    _questions: dict[tuple[str, ...], ModalQuestion] = field(init=False, repr=False, default_factory=dict)
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Named candidates."""
+        return self.variants.effects
+
+    @property
+    def atoms(self) -> tuple[Effect, ...]:
+        """Unnamed local changes."""
+        return self.variants.atoms
+
+    @property
+    def evaluations(self) -> int:
+        """Models solved so far."""
+        return self.counter.count
+
+    @cached_property
+    def rows(self) -> tuple[Row, ...]:
+        """Rows of every residual."""
+        return self.question(()).inner.rows
+
+    @cached_property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """Real numbers that scale and turn each shape."""
+        parts = {(row.mode, row.part) for row in self.rows if row.kind == "shape"}
+        modes = [mode for mode, _ in parts]
+        return {(mode, "shape"): modes.count(mode) for mode in modes}
+
+    @cached_property
+    def scatter_freedom(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the scatter of each kind."""
+        repeats = self.problem.measured.n_repeats
+        kinds = [row.kind for row in self.rows]
+        lost = {"shape": sum(self.fitted_factors.values())}
+        return {
+            kind: math.inf if repeats == 1 else float((repeats - 1) * (kinds.count(kind) - lost.get(kind, 0)))
+            for kind in dict.fromkeys(kinds)
+        }
+
+    def question(self, names: tuple[str, ...]) -> ModalQuestion:
+        """The model with the named effects or atoms added."""
+        key = tuple(sorted(names))
+        if key not in self._questions:
+            known = {e.name: e for e in (*self.effects, *self.atoms)}
+            model = self.variants.with_effects(names)
+            problem = replace(
+                self.problem, model=model, mode_count=self.problem.mode_count + self.variants.added(names)
+            )
+            space = question_space(self.space, [known[n] for n in key])
+            self._questions[key] = ModalQuestion(ModalResidual(problem, self.floors), space, self.counter)
+        return self._questions[key]

@@ -1,0 +1,125 @@
+"""A reduced basis that also holds what effects and local changes do to the modes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.effect import Effect
+from calib.space import ParameterSpace
+from calib.structure.basis import Basis
+from calib.structure.cover import covering_points
+from calib.structure.derivatives import mode_derivatives
+from calib.structure.extend import extend
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+from calib.structure.training import Growth
+
+_POINTS = 2
+"""Points of the space, beside its middle, at which effects are looked at."""
+_STRONG = 2.0
+"""Effects are represented up to this multiple of their plausible strength."""
+_ERROR = 3e-5
+"""Squared projection error of every vector, over the strain energy of its mode."""
+_BATCH = 20
+"""Atoms taken together: the principal directions of all of them at once would cost far more and save few vectors."""
+
+
+def effect_basis(
+    model: StructuralModel,
+    basis: Basis,
+    space: ParameterSpace,
+    effects: Sequence[Effect],
+    atoms: Sequence[Effect],
+    seed: int,
+) -> Basis:
+    """The next version of a basis, which represents modes with effects and the derivatives by atoms.
+
+    Added are the principal directions of: shapes of the model with each effect, at its plausible and at twice its
+    plausible strength or at all points of its grid, at a few points of the space; and derivatives of the shapes by
+    every atom, times its plausible strength, at the middle.
+
+    Parameters
+    ----------
+    model : StructuralModel
+        The base model, for which ``basis`` was trained.
+    basis : Basis
+    space : ParameterSpace
+        Where effects are looked at: its middle and a few points.
+    effects, atoms : sequence of Effect
+        Modes are solved for each of the first, derivatives taken for each of the second.
+    seed : int
+    """
+    growth = Growth(model, basis)
+    middle = {p.name: p.value for p in space.parameters}
+    points = [middle, *covering_points(space, _POINTS, np.random.default_rng(seed))[:_POINTS]]
+    vectors = basis.vectors
+    for effect in effects:
+        extended = extend(model, [effect])
+        count = basis.count + extended.n_dof - model.n_dof
+        solved = [extended.modes({**point, **own}, count) for point in points for own in _looked_at(effect)]
+        vectors = growth.widened(vectors, np.hstack([_unit(growth, m, model.n_dof, basis) for m in solved]), _ERROR)
+    for k in range(0, len(atoms), _BATCH):
+        some = atoms[k : k + _BATCH]
+        vectors = growth.widened(vectors, _derivatives(growth, extend(model, some), middle, some, basis), _ERROR)
+    return replace(basis, vectors=vectors, version=basis.version + 1)
+
+
+def carried(basis: Basis, model: StructuralModel) -> Basis:
+    """A basis of a model for an extension of that model: degrees of freedom that were added stand for themselves."""
+    n = len(basis.vectors)
+    more = model.n_dof - n
+    vectors = np.zeros((model.n_dof, basis.size + more))
+    vectors[:n, : basis.size] = basis.vectors
+    vectors[n:, basis.size :] = np.eye(more)
+    own = model.space.parameters[len(basis.names) :]
+
+    def wider(array: np.ndarray, ends: list[float]) -> np.ndarray:
+        return np.hstack([array, np.broadcast_to(ends, (*array.shape[:-1], len(own)))])
+
+    return replace(
+        basis,
+        vectors=vectors,
+        model_fingerprint=model.fingerprint,
+        names=model.space.names,
+        reference=wider(basis.reference, [p.value for p in own]),
+        lower=wider(basis.lower, [p.lower for p in own]),
+        upper=wider(basis.upper, [p.upper for p in own]),
+        samples=wider(basis.samples, [p.value for p in own]),
+        count=basis.count + more,
+    )
+
+
+def _looked_at(effect: Effect) -> Iterator[Mapping[str, float]]:
+    """Strengths and nuisance values at which modes are solved."""
+    if effect.grid:
+        yield from effect.grid
+        return
+    for factor in (1.0, _STRONG) + ((-1.0,) if effect.signed else ()):
+        strength = min(max(factor * effect.plausible, effect.strength.lower), effect.strength.upper)
+        yield {effect.name: strength}
+
+
+def _unit(growth: Growth, modes: Modes, rows: int, basis: Basis) -> np.ndarray:
+    """Shapes at the model's own degrees of freedom, each of unit energy or, where it hardly moves them, of less."""
+    shapes = modes.shapes[:rows, modes.natural_freq <= basis.freq_max]
+    energy = np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real
+    moving = energy > 1e-6 * energy.max(initial=0.0)
+    kept = shapes[:, moving] / np.sqrt(energy[moving])
+    return np.hstack([kept.real, kept.imag]) if modes.is_complex else kept
+
+
+def _derivatives(
+    growth: Growth, model: StructuralModel, point: Mapping[str, float], atoms: Sequence[Effect], basis: Basis
+) -> np.ndarray:
+    modes = model.modes(point, basis.count)
+    chosen = np.flatnonzero(modes.natural_freq <= basis.freq_max)
+    slopes = mode_derivatives(model, point, modes, [a.name for a in atoms], chosen)
+    shapes = modes.shapes[:, chosen]
+    size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real)
+    usable = slopes.regular & (modes.damping_ratio[chosen] < basis.damping_max)
+    columns = [a.plausible * slopes.shapes[q][:, usable] / size[usable] for q, a in enumerate(atoms)]
+    stacked = np.hstack(columns)
+    return np.hstack([stacked.real, stacked.imag]) if np.iscomplexobj(stacked) else stacked

@@ -1,0 +1,67 @@
+"""One model with any of its possible effects, ready to be asked for modes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from calib.effect import Effect
+from calib.errors import InputError
+from calib.structure.basis import Basis
+from calib.structure.effect_basis import carried
+from calib.structure.extend import extend
+from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
+
+
+@dataclass(frozen=True, eq=False)
+class Variants:
+    """A base model extended by effects and local changes.
+
+    Effects that add no degrees of freedom, and all local changes, are terms of one common model, of strength 0 until
+    they are asked for; only those with degrees of freedom of their own need another model.
+
+    Attributes
+    ----------
+    model : StructuralModel
+        The base model.
+    effects, atoms : tuple of Effect
+    basis : Basis or None
+        Of the base model, see `calib.structure.effect_basis`; None for full order.
+    """
+
+    model: StructuralModel
+    effects: tuple[Effect, ...]
+    atoms: tuple[Effect, ...]
+    basis: Basis | None = None
+    _made: dict[tuple[str, ...], StructuralModel | ReducedModel] = field(init=False, repr=False, default_factory=dict)
+
+    @cached_property
+    def _added(self) -> dict[str, int]:
+        """Degrees of freedom that each effect adds."""
+        return {e.name: extend(self.model, [e]).n_dof - self.model.n_dof for e in self.effects}
+
+    def added(self, names: Sequence[str]) -> int:
+        """Degrees of freedom that the named effects add together."""
+        return sum(self._added.get(name, 0) for name in names)
+
+    def with_effects(self, names: Sequence[str]) -> StructuralModel | ReducedModel:
+        """A model whose parameters include those of the named effects and of every local change.
+
+        Raises InputError for an unknown name.
+        """
+        known = set(self._added) | {a.name for a in self.atoms}
+        for name in names:
+            if name not in known:
+                raise InputError(f"there is no effect {name!r}", place=f"model {self.model.name}")
+        key = tuple(e.name for e in self.effects if e.name in names and self._added[e.name])
+        if key not in self._made:
+            self._made[key] = self._make(key)
+        return self._made[key]
+
+    def _make(self, with_dofs: tuple[str, ...]) -> StructuralModel | ReducedModel:
+        plain = [e for e in self.effects if not self._added[e.name]]
+        own = [e for e in self.effects if e.name in with_dofs]
+        model = extend(self.model, [*plain, *self.atoms, *own])
+        return model if self.basis is None else ReducedModel(model, carried(self.basis, model))
