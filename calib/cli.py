@@ -16,9 +16,12 @@ from calib.errors import InputError
 from calib.example import write_example
 from calib.questions import calibrate as calibration
 from calib.questions import compare as comparison
+from calib.questions import explain as explanation
+from calib.questions import extend as extension
 from calib.questions import places
 from calib.questions import sensitivity as influence
 from calib.questions.reduction import fingerprints
+from calib.questions.versions import write_versions
 from calib.report.draw import draw_all
 from calib.results import Results
 from calib.study import Study
@@ -127,13 +130,37 @@ def calibrate(
 
 
 @app.command()
+def explain(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
+    """Find which physical effect the model lacks: a verdict, what supports it, and what to measure next.
+
+    Calibrates by least squares, tests every effect of the study's library and every local change of the model, fits
+    the promising ones, and checks what is left.
+    """
+    loaded = Study.load(study)
+    folder = places.results_of(loaded, results)
+    _explain(loaded, folder)
+    _draw(loaded, folder)
+
+
+@app.command()
+def extend(
+    study: StudyPath,
+    effect: Annotated[str, typer.Argument(metavar="EFFECT", help="One of the study's library of effects.")],
+    into: Annotated[Path, typer.Option("--into", metavar="FOLDER", help="A folder that does not exist yet.")],
+) -> None:
+    """Write a new study whose model has one more effect; the old one stays as it is."""
+    console.tell_extension(extension.extend(Study.load(study), effect, into))
+
+
+@app.command()
 def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
-    """Draw every figure anew from the tables of earlier answers."""
+    """Draw every figure anew from the tables of earlier answers, and the errors over the versions of the model."""
     loaded = Study.load(study)
     home = results / loaded.name
     folders = [home, *sorted(p for p in home.glob("*") if p.is_dir() and any(p.glob("*.csv")))]
     if not any(home.glob("*.csv")) and len(folders) == 1:
         raise InputError("there are no results to draw", place=home, remedy=f"ask first, such as 'calib run {study}'")
+    console.tell_versions(write_versions(loaded, results))
     for folder in folders:
         _draw(loaded, Results(folder))
 
@@ -142,12 +169,14 @@ def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
 def run(
     study: StudyPath, results: ResultsPath = DEFAULT_RESULTS, workers: Workers = None, quick: Quick = False
 ) -> None:
-    """Ask everything: compare, sensitivity, calibrate, and draw."""
+    """Ask everything: compare, sensitivity, calibrate, explain where effects are named, and draw."""
     loaded = Study.load(study)
     folder = places.results_of(loaded, results, quick)
     _compare(loaded, folder)
     _sensitivity(loaded, folder, results, workers, quick)
     _calibrate(loaded, folder, results, workers, None, quick, None)
+    if loaded.candidates:
+        _explain(loaded, folder)
     _draw(loaded, folder)
 
 
@@ -212,6 +241,13 @@ def _calibrate(
         home = places.results_of(study, root)
         answer = calibration.calibrate(study, folder, ledger, workers, case, quick, method, progress, home)
     console.tell_calibration(study, answer, folder)
+
+
+def _explain(study: Study, folder: Results) -> None:
+    console.head(study, "explain")
+    with console.told_progress() as progress:
+        answer = explanation.explain(study, folder, progress)
+    console.tell_explanation(study, answer, folder)
 
 
 def _draw(study: Study, folder: Results) -> None:

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pandas as pd
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from calib.questions.calibrate import Calibration
 from calib.questions.compare import Answer
+from calib.questions.explain import Explanation
+from calib.questions.extend import Extension
 from calib.questions.places import is_modal
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.results import Results
@@ -170,6 +172,74 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     _tell_withheld(study)
 
 
+def tell_extension(extension: Extension) -> None:
+    """The new study that was written, and what to ask of it."""
+    effect, folder = extension.effect, extension.file.parent
+    say(f"Written: {folder}, the same study with one more effect in its model: {effect.title} ({effect.name}).")
+    if extension.selected:
+        say(f"Its calibration may change {', '.join(extension.selected)} too.")
+    else:
+        say(f"Its model has {', '.join(effect.names)} too; the study leaves the selection to 'calib sensitivity'.")
+    for before, after in extension.moved:
+        say(f"Not copied, still read from where it is: {before}, from there {after}.")
+    say(f"Calibrate it with: calib calibrate {folder if extension.file.name == 'study.toml' else extension.file}")
+
+
+def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None:
+    """The verdict, the ranked effects, and the errors on data that were used and not used."""
+    _tell_withheld(study)
+    for note in answer.notes:
+        _out.print(note, style="yellow")
+    _out.print(f"\n{answer.verdict}", style="bold")
+    say(answer.sentence)
+    say()
+    rows = []
+    for r in answer.effects.to_dict("records"):
+        unit = "" if r["unit"] == "-" else f" {r['unit']}"
+        phi = f"{r['phi']:.3g} [{r['phi_low']:.3g}, {r['phi_high']:.3g}]{unit}" if r["refitted"] else ""
+        least = f"{r['phi_min']:.2g}{unit}" + ("" if r["visible"] else ", not visible")
+        remark = "credible" if r["credible"] else r["implausible"]
+        numbers = (_number(r["z"], 1), f"{r['ln_bayes']:.1f}" + ("" if r["refitted"] else " (linear)"))
+        rows.append((r["name"], *numbers, _number(r["gamma"], 2), phi, least, remark))
+    heads = ("effect", "z", "ln Bayes", "gamma", "strength, 95 %", "smallest visible", "remark")
+    _table(heads, rows, left=("remark",))
+    found = answer.findings
+    tests = (
+        f"{len(found.groups)} effects and {len(answer.atoms)} local changes tested, {len(answer.tried)} models fitted"
+    )
+    say(f"\n{tests}, {found.evaluations} model evaluations, {answer.seconds:.0f} s.")
+    say("z is a score and no probability; ln Bayes is against the base model, for the plausible size of each effect.")
+    if len(answer.errors):
+        errors = [
+            (
+                str(r["group"]),
+                str(r["stage"]),
+                str(r["rows"]),
+                _number(r["rms"], 2),
+                _number(r["expected"], 2),
+                f"{r['p']:.2g}",
+            )
+            for r in answer.errors.to_dict("records")
+        ]
+        label = "" if found.chosen is None else f" with {' and '.join(found.chosen.names)}"
+        say(f"\nErrors in units of the scatter, before and after{label}:")
+        _table(("data", "stage", "rows", "rms", "of a right model", "p"), errors)
+    if found.verdict in ("effect", "indistinguishable"):
+        say(f"Add it with: calib extend {study.file.parent} {found.credible[0]} --into FOLDER")
+
+
+def tell_versions(table: pd.DataFrame) -> None:
+    """Errors over the versions of a model that has been extended."""
+    if table.empty:
+        return
+    rows = [
+        (str(r["study"]), str(r["effects"]) or "none", str(r["group"]), _number(r["rms"], 2), _number(r["expected"], 2))
+        for r in table.to_dict("records")
+    ]
+    say("\nErrors in units of the scatter over the versions of the model:")
+    _table(("study", "effects", "data", "rms", "of a right model"), rows, left=("effects", "data"))
+
+
 def tell_figures(paths: Sequence[Path]) -> None:
     """Where the pictures are."""
     if paths:
@@ -259,6 +329,20 @@ def search_progress() -> Iterator[Callable[[str, int, int, float], None]]:
             bar.update(tasks[case], completed=generation, best=f"{best:.5g}" if math.isfinite(best) else "-")
 
         yield step
+
+
+@contextmanager
+def told_progress() -> Iterator[Callable[[str], None]]:
+    """What is being done at the moment; nothing when the output is no terminal."""
+    with Progress(
+        TextColumn("{task.description}"),
+        TimeElapsedColumn(),
+        console=_err,
+        disable=not _err.is_terminal,
+        transient=True,
+    ) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda words: bar.update(task, description=words)
 
 
 def _bar(*columns: TextColumn) -> Progress:

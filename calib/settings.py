@@ -13,6 +13,8 @@ from calib.errors import InputError
 
 Pair = tuple[float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
+FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
+"""Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
 
 
 class _Section(BaseModel):
@@ -131,12 +133,38 @@ class CalibrationSettings(_Section):
         return cases
 
 
+class ExplainSettings(_Section):
+    """``[explain]``: which physical effect is missing.
+
+    Attributes
+    ----------
+    alpha : float
+        Chance of calling something missing when nothing is.
+    refits : int
+        Most promising effects that are calibrated with the whole model.
+    merge : float
+        Correlation from which on effects of the same sign count as one.
+    finer_options : dict
+        Model options of a finer discretisation.
+    seed : int
+    """
+
+    alpha: float = Field(default=0.01, gt=0, lt=0.5)
+    refits: int = Field(default=6, ge=1)
+    merge: float = Field(default=0.98, gt=0, le=1)
+    finer_options: dict[str, Any] = {}
+    seed: int = Field(default=1, ge=0)
+
+
 class StudySettings(_Section):
     """The whole file."""
 
     title: str
-    model: str = Field(pattern=r"^[^:]+:[A-Za-z_]\w*$")
+    model: str = Field(pattern=FUNCTION)
     model_options: dict[str, Any] = {}
+    effects: str | None = Field(default=None, pattern=FUNCTION)
+    with_effects: tuple[str, ...] = ()
+    extended_from: str | None = None
     measurement: MeasurementSettings
     withheld: WithheldSettings = WithheldSettings()
     pairing: PairingSettings = PairingSettings()
@@ -146,6 +174,7 @@ class StudySettings(_Section):
     reduction: ReductionSettings = ReductionSettings()
     sensitivity: SensitivitySettings = SensitivitySettings()
     calibration: CalibrationSettings
+    explain: ExplainSettings = ExplainSettings()
 
 
 def read_settings(file: Path) -> StudySettings:

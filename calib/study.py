@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib
-import importlib.util
 import math
-import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
 
 import pandas as pd
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.effect import Effect
 from calib.errors import InputError
 from calib.function import FunctionModel
 from calib.limits import search_space, sensitivity_space
+from calib.loading import Model, Sources, fingerprint_of, with_effects
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_measurement
 from calib.settings import StudySettings, line_of, read_settings
@@ -41,7 +38,7 @@ class Study:
         Its ``study.toml``.
     settings : StudySettings
     model : StructuralModel or FunctionModel
-        With the study's parameter values, limits and constraints.
+        With the study's effects, parameter values, limits and constraints.
     measured : MeasuredModes or None
         None for a model without modes.
     targets : mapping from response name to (value, standard deviation or None)
@@ -50,22 +47,67 @@ class Study:
         Named parameters in, named responses out.
     sensitivity_space, search_space : ParameterSpace
         All free parameters within their limits; the selected ones within the limits of the search.
+    whole : MeasuredModes or None
+        The measurement with nothing withheld. For verification only: never given to a fit.
+    whole_targets : mapping from response name to (value, standard deviation or None)
+        Likewise for plain responses.
+    library : tuple of Effect
+        Every effect that the study knows, in its model or not.
     """
 
     name: str
     file: Path
     settings: StudySettings
-    model: StructuralModel | FunctionModel
+    model: Model
     measured: MeasuredModes | None
     targets: Targets
     problem: Problem
     sensitivity_space: ParameterSpace
     search_space: ParameterSpace
+    whole: MeasuredModes | None = None
+    whole_targets: Targets = field(default_factory=dict)
+    library: tuple[Effect, ...] = ()
 
     @property
     def synthetic(self) -> bool:
         """Whether the measurement was made by a computer."""
         return self.settings.measurement.synthetic
+
+    @property
+    def included(self) -> tuple[Effect, ...]:
+        """Effects of the library that are in the model, in the order they were added."""
+        known = {effect.name: effect for effect in self.library}
+        return tuple(known[name] for name in self.settings.with_effects)
+
+    @property
+    def candidates(self) -> tuple[Effect, ...]:
+        """Effects of the library that the model lacks."""
+        return tuple(effect for effect in self.library if effect.name not in self.settings.with_effects)
+
+    def whole_problem(self) -> ModalProblem | None:
+        """The modal problem over everything measured, what is withheld included; None for plain responses.
+
+        For verification only: never given to a fit. As many more model modes are solved as the withheld modes need.
+
+        Raises
+        ------
+        InputError
+            When a withheld sensor has no place on the model, or a withheld mode an impossible pair.
+        """
+        problem, whole, pairing = self.problem, self.whole, self.settings.pairing
+        if not isinstance(problem, ModalProblem) or whole is None:
+            return None
+        if pairing.mode_count is None:
+            more = 2 * (whole.n_modes - problem.measured.n_modes)
+            count = min(problem.mode_count + more, problem.model.n_dof)
+        else:
+            count = problem.mode_count + max(0, whole.n_modes - pairing.mode_count)
+        try:
+            return replace(
+                problem, measured=whole, mode_clusters=pairing.clusters, override=pairing.override, mode_count=count
+            )
+        except InputError as fault:
+            raise _Reader(self.file, self.settings).misfit(fault) from None
 
     def selecting(self, names: tuple[str, ...]) -> Study:
         """The same study whose search is over the named parameters; only for one that leaves it to the sensitivity."""
@@ -125,69 +167,29 @@ class _Reader:
         return f"{self.file}, line {line}" if line else str(self.file)
 
     def study(self) -> Study:
-        model = self._model()
+        sources = Sources(self.settings, self.folder, self.place)
+        base = sources.model()
+        library = sources.library(base)
+        included = sources.included(library)
+        model = with_effects(base, included, self.place("with_effects"))
         space = sensitivity_space(model.space, self.settings, self.place)
         model = replace(model, space=space)
-        measured, targets = self._measurement(model)
-        problem = self._problem(model, measured, targets)
+        whole, whole_targets = self._measurement(model)
+        measured, targets = self._used(whole, whole_targets)
+        problem: Problem
+        if isinstance(model, FunctionModel):
+            assert isinstance(base, FunctionModel)
+            problem = FunctionProblem(space, model.function, targets, fingerprint_of(base, included, model))
+        else:
+            assert measured is not None and not isinstance(base, FunctionModel)
+            problem = self._problem(model, measured, model.n_dof - base.n_dof)
         selected = search_space(space, self.settings, self.place)
         if not self.settings.calibration.weight_freq + self.settings.calibration.weight_mac > 0:
             raise InputError("both weights are zero", place=self.place("calibration"), remedy="give one of them weight")
         return Study(
-            self.folder.name, self.file, self.settings, model, measured, targets, problem, space, selected
+            self.folder.name, self.file, self.settings, model, measured, targets, problem, space, selected,
+            whole, whole_targets, library,
         )  # fmt: skip
-
-    # -- model ---------------------------------------------------------------------------------------------------------
-
-    def _model(self) -> StructuralModel | FunctionModel:
-        where, _, name = self.settings.model.rpartition(":")
-        place = self.place("model")
-        module = self._module(where, place)
-        build = getattr(module, name, None)
-        if not callable(build):
-            raise InputError(f"{where!r} has no function {name!r}", place=place, remedy="correct the key 'model'")
-        try:
-            model = build(**self.settings.model_options)
-        except InputError:
-            raise
-        except TypeError as fault:
-            raise InputError(f"{name} cannot be called with these model_options ({fault})", place=place) from None
-        except (Exception, SystemExit) as fault:
-            # The function is the user's own: its mistakes are input, told without our traceback.
-            raise InputError(f"{name} failed with {type(fault).__name__}: {fault}", place=place) from fault
-        if not isinstance(model, StructuralModel | FunctionModel):
-            raise InputError(
-                f"{name} returns {type(model).__name__}",
-                place=place,
-                remedy="return a StructuralModel or a FunctionModel",
-            )
-        return model
-
-    def _module(self, where: str, place: str) -> ModuleType:
-        try:
-            if not where.endswith(".py"):
-                return importlib.import_module(where)
-            path = self.folder / where
-            if not path.is_file():
-                raise InputError(f"there is no model file {where!r}", place=place, remedy="correct the key 'model'")
-            unique = f"calib_study_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
-            spec = importlib.util.spec_from_file_location(unique, path)
-            if spec is None or spec.loader is None:
-                raise InputError(f"{where!r} cannot be loaded", place=place)
-            module = importlib.util.module_from_spec(spec)
-            sys.modules[unique] = module
-            spec.loader.exec_module(module)
-            return module
-        except ModuleNotFoundError as fault:
-            if fault.name and where.startswith(fault.name):
-                raise InputError(
-                    f"unknown model: there is no module {where!r}", place=place, remedy="correct the key 'model'"
-                ) from None
-            raise InputError(f"{where!r} needs the module {fault.name!r}", place=place, remedy="install it") from None
-        except InputError:
-            raise
-        except (Exception, SystemExit) as fault:
-            raise InputError(f"{where!r} failed with {type(fault).__name__}: {fault}", place=place) from fault
 
     # -- measurement ---------------------------------------------------------------------------------------------------
 
@@ -199,7 +201,8 @@ class _Reader:
             )
         return path
 
-    def _measurement(self, model: StructuralModel | FunctionModel) -> tuple[MeasuredModes | None, Targets]:
+    def _measurement(self, model: Model) -> tuple[MeasuredModes | None, Targets]:
+        """Everything that was measured."""
         given = self.settings.measurement
         if isinstance(model, FunctionModel) != bool(given.responses):
             words = (
@@ -209,12 +212,7 @@ class _Reader:
                 f"the model {model.name!r} is compared with measured {words}", place=self.place("measurement")
             )
         if given.responses:
-            targets = read_targets(self._path(given.responses, "measurement", "responses"))
-            for name in self.settings.withheld.modes + self.settings.withheld.sensors:
-                if name not in targets:
-                    raise InputError(f"withheld response {name!r} was not measured", place=self.place("withheld"))
-            withheld = set(self.settings.withheld.modes + self.settings.withheld.sensors)
-            return None, {k: v for k, v in targets.items() if k not in withheld}
+            return None, read_targets(self._path(given.responses, "measurement", "responses"))
         measured = read_measurement(
             [self._path(f, "measurement", "files") for f in given.files],
             shape_files=[self._path(f, "measurement", "shapes") for f in given.shapes],
@@ -224,22 +222,43 @@ class _Reader:
             mode_names=given.mode_names,
             synthetic=given.synthetic,
         )
+        return measured, {}
+
+    def _used(self, whole: MeasuredModes | None, whole_targets: Targets) -> tuple[MeasuredModes | None, Targets]:
+        """What was measured and is not withheld."""
+        held = self.settings.withheld
+        if whole is None:
+            names = held.modes + held.sensors
+            for name in names:
+                if name not in whole_targets:
+                    raise InputError(f"withheld response {name!r} was not measured", place=self.place("withheld"))
+            targets = {name: target for name, target in whole_targets.items() if name not in names}
+            if not targets:
+                raise InputError(
+                    "every measured response is withheld", place=self.place("withheld"), remedy="leave some to fit"
+                )
+            return None, targets
         try:
-            used = measured.without(self.settings.withheld.modes, self.settings.withheld.sensors)
+            used = whole.without(held.modes, held.sensors)
         except InputError as fault:
             raise InputError(fault.problem, place=self.place("withheld"), remedy=fault.remedy) from None
         if not used.n_modes:
-            raise InputError("every measured mode is withheld", place=self.place("withheld"))
+            raise InputError(
+                "every measured mode is withheld", place=self.place("withheld"), remedy="leave some to fit"
+            )
+        if whole.has_shapes and not used.has_shapes:
+            raise InputError(
+                "every sensor is withheld",
+                place=self.place("withheld", "sensors"),
+                remedy="leave some to tell the modes apart by",
+            )
         return used, {}
 
-    def _problem(
-        self, model: StructuralModel | FunctionModel, measured: MeasuredModes | None, targets: Targets
-    ) -> Problem:
-        if isinstance(model, FunctionModel):
-            return FunctionProblem(model.space, model.function, targets, model.fingerprint)
-        assert measured is not None
+    def _problem(self, model: StructuralModel, measured: MeasuredModes, n_added: int) -> ModalProblem:
+        """Problem over what is used; the degrees of freedom that effects added bring as many modes more."""
         pairing = self.settings.pairing
-        count = pairing.mode_count if pairing.mode_count is not None else min(2 * measured.n_modes, model.n_dof)
+        default = min(2 * measured.n_modes, model.n_dof - n_added)
+        count = pairing.mode_count if pairing.mode_count is not None else default
         if count < measured.n_modes:
             raise InputError(
                 f"mode_count is {count}, but {measured.n_modes} modes were measured",
@@ -259,15 +278,19 @@ class _Reader:
                 model=model,
                 measured=measured,
                 mode_clusters={m: c for m, c in pairing.clusters.items() if m not in withheld},
-                mode_count=count,
+                mode_count=count + n_added,
                 threshold=pairing.threshold,
                 freq_window=pairing.freq_window,
                 override={m: k for m, k in pairing.override.items() if m not in withheld},
             )
         except InputError as fault:
-            where = fault.place if fault.place and fault.place.startswith("sensor") else None
-            place = f"{self.file}, {where}" if where else self.place("pairing")
-            raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
+            raise self.misfit(fault) from None
+
+    def misfit(self, fault: InputError) -> InputError:
+        """What does not fit between model and measurement, with its place in the study."""
+        where = fault.place if fault.place and fault.place.startswith("sensor") else None
+        place = f"{self.file}, {where}" if where else self.place("pairing")
+        return InputError(fault.problem, place=place, remedy=fault.remedy)
 
 
 def read_targets(path: Path) -> dict[str, tuple[float, float | None]]:

@@ -13,7 +13,7 @@ RANKS = (
     {"structure"},
     {"function", "correlation"},
     {"settings", "evaluate", "results"},
-    {"limits", "ledger"},
+    {"limits", "ledger", "loading"},
     {"study"},
     {"sensitivity", "updating"},
     {"missing"},

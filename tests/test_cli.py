@@ -223,7 +223,7 @@ def test_unexpected_failures_leave_their_traceback_in_a_log(mast, capsys, monkey
 
 
 def test_help_texts_read_well(capsys):
-    for verb in ("new", "compare", "sensitivity", "calibrate", "report", "run"):
+    for verb in ("new", "compare", "sensitivity", "calibrate", "extend", "report", "run"):
         assert cli.answer([verb, "--help"]) == 0
         assert "Usage: calib" in capsys.readouterr().out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -159,6 +159,8 @@ class ModalResidual:
         See `scatter_of`.
     use_damping, use_shapes : bool
         False leaves those rows out.
+    factor_sensors : tuple of str or None
+        Names of the sensors that the factors of shapes are fitted on; the others are then predicted. None for all.
     scatter : Scatter
     rows : tuple of Row
         Length n_rows.
@@ -169,6 +171,7 @@ class ModalResidual:
     pool: bool | None = None
     use_damping: bool = True
     use_shapes: bool = True
+    factor_sensors: tuple[str, ...] | None = None
     scatter: Scatter = field(init=False, repr=False)
     rows: tuple[Row, ...] = field(init=False, repr=False)
     _damped: tuple[int, ...] = field(init=False, repr=False)
@@ -224,6 +227,10 @@ class ModalResidual:
     def n_fitted_factors(self) -> int:
         """Real numbers fitted to scale and turn the model's shapes; they are no degrees of freedom of the residual."""
         return len(self._parts)
+
+    def n_fitted_factors_of(self, modes: Collection[str]) -> int:
+        """The same for some measured modes."""
+        return sum(self.problem.measured.names[i] in modes for i, _ in self._parts)
 
     # -- at named values -----------------------------------------------------------------------------------------------
 
@@ -326,6 +333,24 @@ class ModalResidual:
             blocks.append(turned[i].real if part == "re" else turned[i].imag)
         return np.vstack(blocks)
 
+    def factor_spread(self, found: Comparison) -> np.ndarray:
+        """Change of the residual by one standard deviation of every fitted factor, (n_rows, n_fitted_factors).
+
+        The noise n of the sensors that a factor was fitted on moves it by ``v^H n/v^H v`` (whitened entries), in real
+        and imaginary part by ``1/|v|`` each, and so the prediction of all other sensors. It is independent of what that
+        noise does to the parameters, whose derivative is orthogonal to v. Rows of the fitted-on sensors are 0: their
+        own noise is in the residual.
+        """
+        blocks = [np.zeros((int(np.sum(self.kinds != "shape")), self.n_fitted_factors))]
+        for k, (i, part) in enumerate(self._parts):
+            fit, width = self._fit(found, i), 2 if (i, "im") in self._parts else 1
+            first = k if part == "re" else k - 1
+            moved = np.where(fit.on, 0.0, -fit.shape)[:, None] * np.array([1.0, 1.0j])[:width]
+            block = np.zeros((len(moved), self.n_fitted_factors))
+            block[:, first : first + width] = moved.real if part == "re" else moved.imag
+            blocks.append(block / (math.sqrt(fit.power) or 1.0))
+        return np.vstack(blocks)
+
     @staticmethod
     def _partner(found: Comparison, i: int) -> int:
         return int(found.pairing.model_index[i])
@@ -335,40 +360,53 @@ class ModalResidual:
         known = np.isfinite(measured.shapes[:, i])
         target, std = measured.shapes[known, i], self.scatter.shape[known, i]
         shape = found.sensor_shapes[known, j] if j >= 0 else np.zeros(len(target))
-        return _FittedShape.of(target, shape.astype(complex), std, known, (i, "im") not in self._parts)
+        on = np.ones(len(target), dtype=bool)
+        if self.factor_sensors is not None:
+            on = np.array([s.name in self.factor_sensors for s in measured.sensors])[known]
+        return _FittedShape.of(target, shape.astype(complex), std, known, on, (i, "im") not in self._parts)
 
 
 @dataclass(frozen=True, eq=False)
 class _FittedShape:
-    """One model shape laid over a measured one; ``turn`` is the phase factor of a real comparison."""
+    """One model shape laid over a measured one.
+
+    ``on`` marks the entries that factor and phase are fitted on, ``power`` is the square of the whitened shape there,
+    ``turn`` the phase factor of a real comparison.
+    """
 
     residual: np.ndarray
     shape: np.ndarray
     factor: complex
+    power: float
     std: np.ndarray
     known: np.ndarray
+    on: np.ndarray
     turn: complex | None
     raw: np.ndarray
 
     @classmethod
-    def of(cls, target: np.ndarray, raw: np.ndarray, std: np.ndarray, known: np.ndarray, as_real: bool) -> _FittedShape:
+    def of(
+        cls, target: np.ndarray, raw: np.ndarray, std: np.ndarray, known: np.ndarray, on: np.ndarray, as_real: bool
+    ) -> _FittedShape:
         turn, shape = None, raw
-        size = float(np.max(np.abs(raw), initial=0.0))
+        size = float(np.max(np.abs(raw[on]), initial=0.0))
         if as_real:
             target = np.real(target * np.exp(-0.5j * np.angle(np.sum(target**2)))).astype(complex)
-            turn = np.exp(-0.5j * np.angle(np.sum((raw / (size or 1.0)) ** 2)))
+            turn = np.exp(-0.5j * np.angle(np.sum((raw[on] / (size or 1.0)) ** 2)))
             shape = np.real(raw * turn).astype(complex)
         u, v = target / std, shape / std
-        power = np.vdot(v, v).real
-        factor = complex(np.vdot(v, u) / power) if size > 0 and power > 0 else 0j
-        return cls(u - factor * v, v, factor, std, known, turn, raw)
+        power = float(np.vdot(v[on], v[on]).real)
+        factor = complex(np.vdot(v[on], u[on]) / power) if size > 0 and power > 0 else 0j
+        return cls(u - factor * v, v, factor, power, std, known, on, turn, raw)
 
     def slope(self, shapes: np.ndarray) -> np.ndarray:
         """Projected derivative of the residual, (n_known, n_params), from the shapes' at all sensors."""
-        change = shapes[self.known]
+        if not self.power > 0:
+            return np.zeros((len(self.residual), shapes.shape[1]))
+        change, on = shapes[self.known], self.on
         if self.turn is not None:
-            phase = np.imag(self.raw @ change / (self.raw @ self.raw))
+            phase = np.imag(self.raw[on] @ change[on] / (self.raw[on] @ self.raw[on]))
             change = np.real(self.turn * (change - 1j * np.outer(self.raw, phase))).astype(complex)
         change = change / self.std[:, None]
-        along = np.outer(self.shape, self.shape.conj() @ change) / np.vdot(self.shape, self.shape).real
+        along = np.outer(self.shape, self.shape[on].conj() @ change[on]) / self.power
         return -self.factor * (change - along)

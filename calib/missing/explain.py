@@ -17,7 +17,8 @@ from calib.missing.goodness import goodness, noise_scale, overall
 from calib.missing.hypotheses import Hypotheses, Question, Scaled
 from calib.missing.plausible import implausible
 from calib.missing.score import Scores, family_p, scores
-from calib.missing.state import State, fitted
+from calib.missing.state import FINE, ROUGH, State, fitted
+from calib.updating.gauss_newton import FitSettings
 
 LEAST_MODES = 4
 """Fewer modes cannot tell an effect from a parameter."""
@@ -26,6 +27,8 @@ GUARD = 1.11
 SAME = 0.98
 """Correlation of fingerprints from which a local change says the same as a named effect."""
 PAIRS_OF_BEST, PAIRS_OF_NEXT = 4, 2
+_CLOSE = 10.0
+"""Effects whose log evidence is within this of the best are fitted to the end."""
 
 Progress = Callable[[str], None]
 
@@ -284,9 +287,11 @@ class _Round:
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 
-    def trial(self, names: tuple[str, ...], start: dict[str, float], whole: int = 0) -> Trial:
+    def trial(
+        self, names: tuple[str, ...], start: dict[str, float], whole: int = 0, settings: FitSettings = FINE
+    ) -> Trial:
         effects = tuple(self._by_name[n] for n in names)
-        state = fitted(self.question(names), names, start, whole)
+        state = fitted(self.question(names), names, start, whole, settings)
         return Trial(effects, state, ln_evidence(state, effects), implausible(state, effects))
 
     def singles(
@@ -312,8 +317,9 @@ class _Round:
             raise EvaluationError("no effect could be fitted")
         out.sort(key=lambda t: -t.ln_evidence)
         # Places of whole-number parameters may have followed what was missing: the best are allowed to move them back.
-        for k, one in enumerate(out[:2]):
-            out[k] = self.trial(one.names, one.state.values, whole=1)
+        for k, one in enumerate(out):
+            if out[0].ln_evidence - one.ln_evidence < _CLOSE:
+                out[k] = self.trial(one.names, one.state.values, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
 
     def best_of(self, names: tuple[str, ...], starts: Sequence[dict[str, float]]) -> Trial | None:
@@ -321,7 +327,7 @@ class _Round:
         fits = []
         for start in starts:
             try:
-                fits.append(self.trial(names, start))
+                fits.append(self.trial(names, start, settings=ROUGH))
             except EvaluationError:
                 continue
         return min(fits, key=lambda t: t.state.misfit) if fits else None
@@ -347,7 +353,10 @@ class _Round:
         if not len(usable) or not usable.max() > 0:
             return None
         name = found.owners[int(np.argmax(usable))]
-        return self.best_of((name,), self._starts(base.state, found, name))
+        atom = self.best_of((name,), self._starts(base.state, found, name))
+        if atom is not None and singles[0].ln_evidence - atom.ln_evidence < _CLOSE:
+            atom = self.trial(atom.names, atom.state.values)
+        return atom
 
     def pairs(self, singles: Sequence[Trial], candidates: Sequence[Effect], best_check: Check) -> list[Trial]:
         """Two effects at a time: the best with what then stands out, the runner-up likewise; best first."""
@@ -368,6 +377,9 @@ class _Round:
             found = self.best_of(names, starts)
             if found is not None:
                 out.append(found)
+        out.sort(key=lambda t: -t.ln_evidence)
+        for k, one in enumerate(out[:1]):
+            out[k] = self.trial(one.names, one.state.values, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
 
     # -- tests ---------------------------------------------------------------------------------------------------------

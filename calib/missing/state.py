@@ -13,8 +13,11 @@ from calib.errors import EvaluationError
 from calib.missing.hypotheses import Question
 from calib.updating.gauss_newton import FitSettings, Prior, fit
 
-_FIT = FitSettings(iterations=15, gain=2e-3, rejections=8)
-"""A thousandth of the sum of squares is far below anything that decides."""
+FINE = FitSettings(iterations=15, gain=2e-3, rejections=8)
+"""A thousandth of a unit of the sum of squares is far below anything that decides."""
+ROUGH = FitSettings(iterations=8, gain=0.05, rejections=4)
+"""To rank candidates: a hopeless one is not followed to its end."""
+_TURNS = 20
 _WORTH = 0.5
 """Smallest promised decrease for which another whole number is tried."""
 
@@ -102,7 +105,7 @@ def fitted(
     effects: tuple[str, ...],
     start: Mapping[str, float],
     whole: int = 0,
-    settings: FitSettings = _FIT,
+    settings: FitSettings = FINE,
 ) -> State:
     """Fit a question from a start.
 
@@ -123,8 +126,8 @@ def fitted(
         When the start cannot be evaluated.
     """
     state = _fitted(question, effects, start, settings)
-    for _ in range(20 if whole else 0):
-        better = _better_whole(question, state, whole)
+    for turn in range(_TURNS if whole else 0):
+        better = _better_whole(question, state, whole if turn == 0 else min(whole, 2))
         if better is None:
             break
         there = _fitted(question, effects, better, settings)
@@ -152,23 +155,39 @@ def _fitted(question: Question, effects: tuple[str, ...], start: Mapping[str, fl
 
 
 def _better_whole(question: Question, state: State, reach: int) -> dict[str, float] | None:
-    """The most promising other value of one whole-number parameter; None when there is none."""
-    best, lowest = None, state.misfit - _WORTH
+    """More promising whole numbers, each parameter by itself and all together; None when there are none."""
+    tried: dict[tuple[tuple[str, float], ...], np.ndarray] = {}
+    favourites: dict[str, float] = {}
     for p in question.space.free:
         if not p.integer:
             continue
         here = round(state.values[p.name])
+        lowest = state.misfit - _WORTH
         for number in range(max(here - reach, round(p.lower)), min(here + reach, round(p.upper)) + 1):
-            if number == here:
+            change = ((p.name, float(number)),)
+            if number == here or not _try(question, state, change, tried):
                 continue
-            there = {**state.values, p.name: float(number)}
-            try:
-                residual = question.residual(there)
-            except EvaluationError:
-                continue
-            left = state.absorbed(residual)
+            left = state.absorbed(tried[change])
             if left < lowest:
-                step = state.follow(residual - state.residual)
-                moved = {n: there[n] + d for n, d in zip(state.names, step, strict=True)}
-                best, lowest = {**there, **moved}, left
-    return best
+                favourites[p.name], lowest = float(number), left
+    if len(favourites) > 1:
+        _try(question, state, tuple(favourites.items()), tried)
+    if not favourites:
+        return None
+    best = min(tried, key=lambda change: state.absorbed(tried[change]))
+    step = state.follow(tried[best] - state.residual)
+    moved = {n: state.values[n] + d for n, d in zip(state.names, step, strict=True)}
+    return {**state.values, **moved, **dict(best)}
+
+
+def _try(
+    question: Question,
+    state: State,
+    change: tuple[tuple[str, float], ...],
+    tried: dict[tuple[tuple[str, float], ...], np.ndarray],
+) -> bool:
+    try:
+        tried[change] = question.residual({**state.values, **dict(change)})
+    except EvaluationError:
+        return False
+    return True

@@ -20,6 +20,7 @@ from calib.questions.compare import Answer, answer_at, compare, responses_at, wr
 from calib.questions.judge import FitProgress, Judgement, RecordedResidual, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
+from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.sensitivity.sampling import sample
 from calib.study import Study
@@ -175,6 +176,7 @@ def calibrate(
     results.write_table("unseen_directions", best.judgement.identification.directions)
     results.write_table("predictions", best.judgement.predictions)
     results.write_table("convergence", convergence_table(reported))
+    results.write_table("data_errors", errors_at(study, best.judgement.values))
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
     results.write_json("summary", summary)
     return Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen)

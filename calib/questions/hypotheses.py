@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,6 +12,7 @@ from calib.correlation.compare import Comparison
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import Floors, ModalResidual, Row
 from calib.effect import Effect
+from calib.questions.verify import scatter_freedom
 from calib.space import ParameterSpace
 from calib.structure.variants import Variants
 
@@ -113,13 +113,7 @@ class ModalHypotheses:
     @cached_property
     def scatter_freedom(self) -> Mapping[str, float]:
         """Degrees of freedom behind the scatter of each kind."""
-        repeats = self.problem.measured.n_repeats
-        kinds = [row.kind for row in self.rows]
-        lost = {"shape": sum(self.fitted_factors.values())}
-        return {
-            kind: math.inf if repeats == 1 else float((repeats - 1) * (kinds.count(kind) - lost.get(kind, 0)))
-            for kind in dict.fromkeys(kinds)
-        }
+        return scatter_freedom(self.question(()).inner)
 
     def question(self, names: tuple[str, ...]) -> ModalQuestion:
         """The model with the named effects or atoms added."""

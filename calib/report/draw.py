@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,12 +14,18 @@ from matplotlib.figure import Figure
 from calib.errors import InputError
 from calib.report.calibration import draw_convergence, draw_parameters
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
+from calib.report.explanation import draw_confounding, ranked_effects_figure
+from calib.report.misfit import draw_strain, where_it_fails_figure
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.style import add_heading, save, style
+from calib.report.tables import read_table
+from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
+from calib.report.where import atom_map_figure, sensor_misfit_figure
 
 _ENDS = ("x1", "y1", "z1", "x2", "y2", "z2", "u1", "v1", "w1", "u2", "v2", "w2")
 _STAGES = ("before", "after")
+_Add = Callable[[str, str, Callable[[], Figure]], None]
 
 
 def draw_all(folder: Path, title: str, synthetic: bool) -> list[Path]:
@@ -54,85 +60,6 @@ def draw_all(folder: Path, title: str, synthetic: bool) -> list[Path]:
             add_heading(figure, f"{title}: {caption}" if title else caption, synthetic)
             written.append(save(figure, folder / f"{name}.png"))
     return written
-
-
-def read_table(
-    path: Path,
-    text: Sequence[str],
-    numbers: Sequence[str] = (),
-    *,
-    complete: Sequence[str] = (),
-    unbounded: Sequence[str] = (),
-    flags: Sequence[str] = (),
-    if_there: Sequence[str] = (),
-    others_are_numbers: bool = False,
-    unique: str | None = None,
-) -> pd.DataFrame:
-    """Read a CSV table and check the columns that a figure needs; other columns are left out.
-
-    Parameters
-    ----------
-    path : Path
-    text, numbers, flags : sequence of str
-        Columns of words, of numbers (empty or nan where unknown) and of ``True``/``False`` (empty where unknown).
-    complete : sequence of str
-        Those of `numbers` that must not be unknown.
-    unbounded : sequence of str
-        Those of `numbers` that may be infinite.
-    if_there : sequence of str
-        Further columns of numbers that a table may have.
-    others_are_numbers : bool
-        Whether every other column is kept and holds numbers.
-    unique : str, optional
-        Column in which no value may occur twice.
-
-    Raises
-    ------
-    InputError
-        Naming the file, the column and the line.
-    """
-    try:
-        raw = pd.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True)
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as problem:
-        raise InputError(f"the table cannot be read: {' '.join(str(problem).split())}", place=path) from problem
-    wanted = [*text, *numbers, *flags]
-    for column in wanted:
-        if column not in raw.columns:
-            raise InputError(f"column {column!r} is missing", place=path, remedy="run the study again to write it anew")
-    if raw.empty:
-        raise InputError("the table has no rows", place=path, remedy="run the study again to write it anew")
-    wanted += [column for column in if_there if column in raw.columns]
-    others = [c for c in raw.columns if c not in wanted] if others_are_numbers else []
-    if others_are_numbers and not others:
-        raise InputError(f"there is no column beside {', '.join(text)}", place=path)
-    out: dict[str, pd.Series] = {}
-    for column in [*wanted, *others]:
-        cells = raw[column].fillna("").str.strip()
-        if column in text:
-            _reject(cells == "", cells, column, path, "a name")
-            out[column] = cells
-        elif column in flags:
-            known = cells.str.lower().map({"true": True, "false": False, "": None, "nan": None})
-            _reject(known.isna() & ~cells.str.lower().isin(["", "nan"]), cells, column, path, "True or False")
-            out[column] = known.astype(object)
-        else:
-            values = pd.to_numeric(cells, errors="coerce").astype(float)
-            unknown = cells.str.lower().isin(["", "nan"])
-            bad = (values.isna() & ~unknown) | (np.isinf(values) & (column not in unbounded))
-            _reject(bad | (unknown & (column in complete)), cells, column, path, "a number")
-            out[column] = values
-    if unique is not None and raw[unique].duplicated().any():
-        row = int(raw[unique].duplicated().to_numpy().argmax())
-        raise InputError(f"column {unique!r} holds {raw[unique].iloc[row]!r} twice", place=f"{path}, line {row + 2}")
-    return pd.DataFrame(out)
-
-
-def _reject(bad: pd.Series, cells: pd.Series, column: str, path: Path, expected: str) -> None:
-    if bad.any():
-        row = int(bad.to_numpy().argmax())
-        raise InputError(
-            f"column {column!r} holds {cells.iloc[row]!r}, which is not {expected}", place=f"{path}, line {row + 2}"
-        )
 
 
 def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
@@ -207,7 +134,62 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
         misfit = ["best", "mean"]
         runs = read_table(path, ["case"], ["generation", *misfit], complete=["generation"], unbounded=misfit)
         add("convergence", "convergence of the search", lambda: _owner(draw_convergence(runs)))
+    _plan_explanation(folder, add)
     return plan
+
+
+def _plan_explanation(folder: Path, add: _Add) -> None:
+    """Figures of the search for a missing effect; a table without rows has none."""
+
+    def read(name: str, text: list[str], numbers: list[str], **more: Any) -> pd.DataFrame | None:
+        path = folder / f"{name}.csv"
+        table = read_table(path, text, numbers, may_be_empty=True, **more) if path.exists() else None
+        return None if table is None or table.empty else table
+
+    kinds = read("misfit_kinds", ["stage", "mode", "kind"], ["chi2", "freedom", "p"])
+    if kinds is not None:
+        add("where_it_fails_sigma", "where the model fails, beyond noise", lambda: where_it_fails_figure(kinds))
+    ends = ["x0", "y0", "z0", "x1", "y1", "z1"]
+    mesh = read("structure", [], ends, complete=ends)
+    sensors = read("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
+    if mesh is not None and sensors is not None and (sensors["stage"] == "base").any():
+        add("sensor_misfit", "misfit at the sensors, base model", lambda: sensor_misfit_figure(sensors, mesh))
+    atoms = read("atoms", ["atom", "kind"], ["x", "y", "z", "score", "gamma"])
+    if mesh is not None and atoms is not None:
+        add("atom_map", "local changes that would fit, not causes", lambda: atom_map_figure(atoms, mesh))
+    shifts = ["adopted", "value", "standardised", "limit"]
+    strain = read(
+        "strain", ["model", "parameter"], shifts, flags=["strained"], blank=["unit"], unbounded=["standardised"]
+    )
+    if strain is not None:
+        add("parameters_under_strain", "parameters under strain", lambda: _owner(draw_strain(strain)))
+    evidence = ["z", "gamma", "phi_min", "plausible", "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "posterior"]
+    effects = read(
+        "effects",
+        ["name", "title"],
+        evidence,
+        flags=["visible", "refitted", "credible"],
+        blank=["implausible"],
+        unbounded=["phi_min"],
+        unique="name",
+    )
+    if effects is not None:
+        add("ranked_effects", "evidence for each effect", lambda: ranked_effects_figure(effects))
+    if (path := folder / "confounding.csv").exists():
+        alike = _square(path, "effect", may_be_empty=True)
+        if not alike.empty:
+            add("confounding", "which effects look alike", lambda: _owner(draw_confounding(alike, effects=effects)))
+    errors = read("errors", ["group", "stage"], ["rms", "expected", "p"])
+    if errors is not None:
+        add("errors_before_after", "errors before and after", lambda: _owner(draw_errors(errors)))
+    versions = read("versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["effects"])
+    if versions is not None:
+        caption = "errors over the versions of the model"
+        add("errors_over_versions", caption, lambda: _owner(draw_error_versions(versions)))
+    worth = ["gain", "ln_bayes"]
+    options = read("next_measurement", ["option", "kind"], worth, unbounded=worth, blank=["effect"])
+    if options is not None:
+        add("next_measurement", "what to measure next", lambda: next_measurement_figure(options))
 
 
 def _comparison(path: Path) -> pd.DataFrame | None:
@@ -217,11 +199,11 @@ def _comparison(path: Path) -> pd.DataFrame | None:
     return read_table(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
 
 
-def _square(path: Path) -> pd.DataFrame:
-    table = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
-    if table["parameter"].tolist() != [c for c in table.columns if c != "parameter"]:
+def _square(path: Path, key: str = "parameter", may_be_empty: bool = False) -> pd.DataFrame:
+    table = read_table(path, [key], others_are_numbers=True, unique=key, may_be_empty=may_be_empty)
+    if len(table) and table[key].tolist() != [c for c in table.columns if c != key]:
         raise InputError(
-            "rows and columns do not name the same parameters",
+            f"rows and columns do not name the same {key}s",
             place=path,
             remedy="run the study again to write it anew",
         )

@@ -53,19 +53,15 @@ def hung_masses(rows: Sequence[np.ndarray], mass: str, freq: str, damping_ratio:
     share : float
         Part of the mass that each of them takes, times their number.
     """
-    n, count = len(rows[0]), len(rows)
+    count = len(rows)
     part = share / count
-    own = sp.diags_array(np.concatenate([np.zeros(n), np.ones(count)])).tocsr()
-    cross = np.zeros((n + count, n + count))
-    for k, b in enumerate(rows):
-        cross[:n, n + k] = b
-        cross[n + k, :n] = b
+    own, cross = _beside(rows)
     return Addition(
         stiffness=(Term(f"{mass}: spring", own, Monomial((2 * math.pi) ** 2, ((freq, 2.0),))),),
         damping=(Term(f"{mass}: damper", own, Monomial(4 * math.pi * damping_ratio, ((freq, 1.0),))),),
         mass=(
             outer_term(f"{mass}: carried along", rows, Monomial(part, ((mass, 1.0),)), count),
-            Term(f"{mass}: coupling", sp.csr_array(cross), Monomial(math.sqrt(part), ((mass, 0.5),))),
+            Term(f"{mass}: coupling", cross, Monomial(math.sqrt(part), ((mass, 0.5),))),
             Term(f"{mass}: own", own),
         ),
         n_added=count,
@@ -85,17 +81,31 @@ def soft_mounts(rows: Sequence[np.ndarray], damping: str, flexibility: str) -> A
     damping, flexibility : str
         Names of the parameters: constant of each damper, flexibility of each mount.
     """
-    n, count = len(rows[0]), len(rows)
-    own = sp.diags_array(np.concatenate([np.zeros(n), np.ones(count)])).tocsr()
-    cross = np.zeros((n + count, n + count))
-    for k, b in enumerate(rows):
-        cross[:n, n + k] = b
-        cross[n + k, :n] = b
+    count = len(rows)
+    own, cross = _beside(rows)
     return Addition(
         stiffness=(Term(f"{flexibility}: mounts", own),),
         damping=(
             Term(f"{flexibility}: own", own, Monomial(1.0, ((damping, 1.0), (flexibility, 1.0)))),
-            Term(f"{flexibility}: coupling", sp.csr_array(cross), Monomial(-1.0, ((damping, 1.0), (flexibility, 0.5)))),
+            Term(f"{flexibility}: coupling", cross, Monomial(-1.0, ((damping, 1.0), (flexibility, 0.5)))),
         ),
         n_added=count,
     )
+
+
+def elongation(model: StructuralModel, one: Place, other: Place) -> np.ndarray:
+    """Elongation of a rod between two places, (n_dof,), along the line that joins them."""
+    along = np.subtract(one[1], other[1])
+    along = along / np.linalg.norm(along)
+    moves = [motion(model, one, d) - motion(model, other, d) for d in range(3)]
+    return np.asarray(along @ np.array(moves))
+
+
+def _beside(rows: Sequence[np.ndarray]) -> tuple[sp.csr_array, sp.csr_array]:
+    """Unit matrix of one added degree of freedom a row, and its coupling with that row; over all degrees of freedom."""
+    n, count = len(rows[0]), len(rows)
+    own = sp.csr_array(sp.diags_array(np.concatenate([np.zeros(n), np.ones(count)])))
+    own.eliminate_zeros()
+    motions = sp.csr_array(np.asarray(rows, dtype=float))
+    cross = sp.hstack([sp.csr_array((n + count, n)), sp.vstack([motions.T, sp.csr_array((count, count))])])
+    return own, sp.csr_array(cross + cross.T)

@@ -1,0 +1,292 @@
+"""How well a fitted model predicts what no fit has seen, in units of the scatter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from calib.correlation.compare import Comparison
+from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import Floors, ModalResidual, Row
+from calib.errors import InputError
+
+COLUMNS = ("group", "rows", "rms", "expected", "chi2", "freedom", "p", "unpaired")
+
+_FLOORS = Floors()
+
+_KNOWN = 1e9
+"""Degrees of freedom that stand for a scatter without an error of its own."""
+
+ScatterFreedom = Mapping[str, float]
+"""Degrees of freedom behind the scatter of each kind of row; a kind left out is known exactly."""
+
+
+def withheld_errors(
+    fitted: ModalProblem,
+    whole: ModalProblem,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    covariance: np.ndarray,
+    floors: Floors = _FLOORS,
+    scatter_freedom: ScatterFreedom | None = None,
+    pool: bool | None = None,
+) -> pd.DataFrame:
+    """Errors of a fitted model at withheld sensors and in withheld modes, beside what a right model would show.
+
+    - ``withheld_sensors``: shapes of used modes at the withheld sensors, ``(u - a v)/std`` with the factor a fitted on
+      the used sensors alone. The covariance for a right model is ``C = I + F F^T + G V G^T``: noise of the withheld
+      sensors, of the factors, and of the fitted parameters (V) through the derivative G of these rows with the factors
+      refitted.
+    - ``withheld_modes``: frequency, damping and shape of withheld modes, the factor fitted on all sensors of the mode,
+      so that ``C = P + G V G^T`` with P the projection across the model shape.
+
+    Used modes keep the partners that the used data gave them; withheld modes find theirs among the other model modes,
+    and one that finds none counts as in `ModalResidual`. All rows are in the scale and scatter of the whole
+    measurement; how the shapes of the used data are scaled does not matter. A shape without a derivative (see
+    `calib.structure.derivatives`) takes no part in ``G V G^T``.
+
+    Parameters
+    ----------
+    fitted : ModalProblem
+        With the used data only.
+    whole : ModalProblem
+        The same model with everything that was measured.
+    values : mapping
+        Fitted values.
+    names : sequence of str
+        Fitted parameters, length n_params, whole-number ones left out.
+    covariance : ndarray (n_params, n_params)
+        Of the fitted parameters given the used data, in their own units.
+    floors, pool
+        As in `ModalResidual`.
+    scatter_freedom : mapping from str to float, optional
+        Degrees of freedom behind the scatter of ``frequency``, ``damping`` and ``shape``, where it was estimated from
+        few repeats.
+
+    Returns
+    -------
+    DataFrame
+        ``group, rows, rms, expected, chi2, freedom, p, unpaired``, one row a group that has any. ``rms`` is in units of
+        the scatter and ``expected`` the root of the mean diagonal of C; ``chi2 = e^T C^-1 e`` with ``freedom`` rows
+        less fitted factors; ``p`` the chance of a right model being as bad or worse (chi-square, or F where the scatter
+        was estimated); ``unpaired`` counts the measured modes without a partner.
+
+    Raises
+    ------
+    InputError
+        When the used data are no part of the whole, or the covariance is not finite or of another size.
+    EvaluationError
+        When the model cannot be solved.
+    """
+    spread = _root(covariance, names)
+    used_modes, used_sensors = _used(fitted, whole)
+    measured = whole.measured
+    hidden = {s.name for s in measured.sensors} - set(used_sensors)
+    if set(measured.names) == set(used_modes) and not hidden:
+        return pd.DataFrame(columns=list(COLUMNS))
+    found = _joined(fitted, whole, values)
+    lost = {measured.names[i] for i in found.pairing.unpaired_measured}
+    at_used = np.array([s.name in used_sensors for s in measured.sensors], dtype=bool)
+    seen = {
+        m for m, known in zip(measured.names, np.isfinite(measured.shapes)[at_used].any(axis=0), strict=True) if known
+    }
+
+    own = ModalResidual(whole, floors, pool)
+    slopes = own.derivatives(found, names)
+    parts = []
+    rows = np.array([r.mode in used_modes and r.mode in seen and r.sensor in hidden for r in own.rows], dtype=bool)
+    if rows.any():
+        predicted = replace(own, factor_sensors=used_sensors)
+        wide = np.hstack([predicted.slope_of(found, names, slopes) @ spread, predicted.factor_spread(found)])
+        labels = [r for r, taken in zip(own.rows, rows, strict=True) if taken]
+        parts.append(
+            _errors("withheld_sensors", labels, predicted.of(found)[rows], wide[rows], 0, lost, scatter_freedom)
+        )
+    rows = np.array([r.mode not in used_modes for r in own.rows], dtype=bool)
+    if rows.any():
+        wide = own.slope_of(found, names, slopes) @ spread
+        labels = [r for r, taken in zip(own.rows, rows, strict=True) if taken]
+        factors = own.n_fitted_factors_of({r.mode for r in labels})
+        parts.append(_errors("withheld_modes", labels, own.of(found)[rows], wide[rows], factors, lost, scatter_freedom))
+    return pd.DataFrame(parts, columns=list(COLUMNS))
+
+
+def group_table(
+    rows: Sequence[Row],
+    used: np.ndarray,
+    freedom: float,
+    left_out: np.ndarray,
+    left_out_variance: np.ndarray,
+    withheld: pd.DataFrame,
+    fitted_factors: int = 0,
+    left_out_p: float = math.nan,
+    unpaired: int = 0,
+    scatter_freedom: ScatterFreedom | None = None,
+) -> pd.DataFrame:
+    """Errors of one model on data that were used, left out and withheld, in one table.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Of the residual of the used data, length n_rows.
+    used : ndarray (n_rows,)
+        Whitened residual at the fit.
+    freedom : float
+        Its degrees of freedom: rows less fitted factors and what the parameters take.
+    left_out : ndarray (n_rows,)
+        Residual that every row would have if its group had not been used.
+    left_out_variance : ndarray (n_rows,)
+        Its variance for a right model, fitted factors not regarded.
+    withheld : DataFrame
+        From `withheld_errors`.
+    fitted_factors : int
+        Numbers fitted to scale and turn the shapes of the used data.
+    left_out_p : float
+        Chance of a right model predicting the left-out groups as badly.
+    unpaired : int
+        Used modes without a partner.
+    scatter_freedom : mapping from str to float, optional
+        As in `withheld_errors`.
+
+    Returns
+    -------
+    DataFrame
+        ``group, rows, rms, expected, p, unpaired`` of the groups ``fit``, ``left_out`` and those of ``withheld``.
+    """
+    e, out, variance = (np.asarray(a, dtype=float) for a in (used, left_out, left_out_variance))
+    n = len(rows)
+    if not (n and e.shape == out.shape == variance.shape == (n,)):
+        raise InputError(f"{n} rows, but residuals {e.shape}, {out.shape}, {variance.shape}", place="errors by group")
+    counts = pd.Series([row.kind for row in rows]).value_counts()
+    behind = _behind({str(kind): float(count) for kind, count in counts.items()}, scatter_freedom)
+    expected = math.sqrt(max(float(variance.sum()) - fitted_factors, 0.0) / n)
+    table = pd.DataFrame(
+        [
+            ("fit", n, _rms(e), math.sqrt(max(freedom, 0.0) / n), _chance(float(e @ e), freedom, behind), unpaired),
+            ("left_out", n, _rms(out), expected, left_out_p, unpaired),
+        ],
+        columns=["group", "rows", "rms", "expected", "p", "unpaired"],
+    )
+    return table if withheld.empty else pd.concat([table, withheld[list(table.columns)]], ignore_index=True)
+
+
+def _root(covariance: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """Matrix B with ``B B^T`` the covariance, (n_params, n_params)."""
+    v = np.asarray(covariance, dtype=float)
+    if v.shape != (len(names), len(names)):
+        raise InputError(f"{len(names)} parameters, but a covariance {v.shape}", place="withheld data")
+    if not np.all(np.isfinite(v)):
+        raise InputError(
+            "the covariance of the fitted parameters is not finite",
+            place="withheld data",
+            remedy="give every fitted parameter a prior",
+        )
+    std = np.sqrt(np.diag(v))
+    size = np.where(std > 0, std, 1.0)
+    value, vector = np.linalg.eigh(v / np.outer(size, size))
+    return size[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
+
+
+def _used(fitted: ModalProblem, whole: ModalProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of used modes and sensors."""
+    modes, sensors = fitted.measured.names, tuple(s.name for s in fitted.measured.sensors)
+    foreign = [m for m in modes if m not in whole.measured.names]
+    known = {s.name for s in whole.measured.sensors}
+    foreign += [s for s in sensors if s not in known]
+    if foreign:
+        raise InputError(f"{', '.join(foreign)} is used but not part of the whole measurement", place="withheld data")
+    return modes, sensors
+
+
+def _joined(fitted: ModalProblem, whole: ModalProblem, values: Mapping[str, float]) -> Comparison:
+    """Everything measured against the model, with used modes paired by the used data alone."""
+    own = fitted.compare(values).pairing
+    partner = dict(zip(fitted.measured.names, own.model_index.tolist(), strict=True))
+    lost = [mode for mode, j in partner.items() if j < 0]
+    taken = {mode: j + 1 for mode, j in partner.items() if j >= 0}
+    free = {m: k for m, k in whole.override.items() if m not in partner and k not in taken.values()}
+    # A used mode that found no partner must not take one from a withheld mode.
+    asked = replace(
+        whole,
+        measured=whole.measured.without(modes=lost),
+        mode_clusters={m: c for m, c in whole.mode_clusters.items() if m not in lost},
+        mode_count=max(fitted.mode_count, whole.mode_count),
+        override={**taken, **free},
+    )
+    found = asked.compare(values)
+    if not lost:
+        return found
+    place = [whole.measured.names.index(mode) for mode in found.measured.names]
+
+    def widened(column: np.ndarray, fill: float) -> np.ndarray:
+        out = np.full((whole.measured.n_modes, *column.shape[1:]), fill, dtype=column.dtype)
+        out[place] = column
+        return out
+
+    pairing = found.pairing
+    return replace(
+        found,
+        measured=whole.measured,
+        pairing=replace(
+            pairing,
+            model_index=widened(pairing.model_index, -1),
+            mac=widened(pairing.mac, np.nan),
+            emac=widened(pairing.emac, np.nan),
+            margin=widened(pairing.margin, np.nan),
+        ),
+        mac=widened(found.mac, np.nan),
+        emac=widened(found.emac, np.nan),
+    )
+
+
+def _errors(
+    group: str,
+    labels: Sequence[Row],
+    e: np.ndarray,
+    wide: np.ndarray,
+    factors: int,
+    lost: set[str],
+    scatter_freedom: ScatterFreedom | None,
+) -> tuple[str, int, float, float, float, float, float, int]:
+    """One row of the table, for ``C = I + A A^T`` with A = ``wide``, less the directions of ``factors``."""
+    # Residual and A are orthogonal to those directions, so that I may stand for the projection across them.
+    u, s, _ = np.linalg.svd(wide, full_matrices=False)
+    inside = u.T @ e
+    outside = e - u @ inside
+    chi2 = float(outside @ outside + np.sum(inside**2 / (1.0 + s**2)))
+    n = len(labels)
+    freedom = float(n - factors)
+    expected = math.sqrt((freedom + float(np.sum(s**2))) / n)
+    counts: dict[str, float] = {}
+    for row in labels:
+        counts[row.kind] = counts.get(row.kind, 0.0) + 1.0
+    if factors:
+        counts["shape"] -= factors
+    unpaired = len({row.mode for row in labels} & lost)
+    p = _chance(chi2, freedom, _behind(counts, scatter_freedom))
+    return group, n, _rms(e), expected, chi2, freedom, p, unpaired
+
+
+def _rms(e: np.ndarray) -> float:
+    return math.sqrt(float(np.mean(e**2)))
+
+
+def _behind(counts: Mapping[str, float], scatter_freedom: ScatterFreedom | None) -> float:
+    """Degrees of freedom behind the scatter of rows of several kinds (Satterthwaite 1946), weighted by their number."""
+    given = scatter_freedom or {}
+    total = sum(counts.values())
+    spread = sum(count**2 / given.get(kind, math.inf) for kind, count in counts.items())
+    return min(total**2 / spread, _KNOWN) if spread > 0 else _KNOWN
+
+
+def _chance(chi2: float, freedom: float, behind: float) -> float:
+    if freedom < 1:
+        return 1.0
+    if behind >= _KNOWN:
+        return float(stats.chi2.sf(chi2, freedom))
+    return float(stats.f.sf(chi2 / freedom, freedom, behind))

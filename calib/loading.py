@@ -1,0 +1,206 @@
+"""What a study names as ``"module:function"``: its model and the library of effects that the model may lack."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from calib.effect import Effect
+from calib.errors import InputError
+from calib.function import FunctionModel, extend_function
+from calib.settings import StudySettings
+from calib.structure.extend import extend
+from calib.structure.model import StructuralModel
+
+Model = StructuralModel | FunctionModel
+Place = Callable[..., str]
+"""Tells file and line of a key of the study, such as ``place("model")``."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The code that one study names; every file of it is run once.
+
+    Attributes
+    ----------
+    settings : StudySettings
+    folder : Path
+        The study's; files are relative to it.
+    place : callable
+        See `Place`.
+    """
+
+    settings: StudySettings
+    folder: Path
+    place: Place
+    _modules: dict[Path, ModuleType] = field(init=False, repr=False, compare=False, default_factory=dict)
+
+    def model(self) -> Model:
+        """The model without effects; InputError for whatever is wrong with it."""
+        name, place = self.settings.model, self.place("model")
+        model = self._call("model", name, self.settings.model_options)
+        if not isinstance(model, StructuralModel | FunctionModel):
+            raise InputError(
+                f"{name.rpartition(':')[2]} returns {type(model).__name__}",
+                place=place,
+                remedy="return a StructuralModel or a FunctionModel",
+            )
+        return model
+
+    def library(self, base: Model) -> tuple[Effect, ...]:
+        """The effects that the model may lack, in the order of their library; none when the study names none.
+
+        Raises
+        ------
+        InputError
+            When the library cannot be loaded, is no tuple of effects, or two of its parameters, or one of them and one
+            of the model without effects, share a name.
+        """
+        if self.settings.effects is None:
+            return ()
+        place = self.place("effects")
+        library = self._call("effects", self.settings.effects, {})
+        if not isinstance(library, tuple) or not all(isinstance(effect, Effect) for effect in library):
+            found = type(library).__name__
+            if isinstance(library, tuple | list):
+                found += " of " + (", ".join(sorted({type(effect).__name__ for effect in library})) or "nothing")
+            name = self.settings.effects.rpartition(":")[2]
+            raise InputError(f"{name} returns {found}", place=place, remedy="return a tuple of Effect")
+        owner: dict[str, str] = {}
+        for effect in library:
+            for name in effect.names:
+                if name in base.space:
+                    raise InputError(
+                        f"the effect {effect.name!r} has a parameter {name!r}, as has the model {base.name!r}",
+                        place=place,
+                        remedy="rename it or leave the effect out of the library",
+                    )
+                if name in owner:
+                    raise InputError(
+                        f"the effects {owner[name]!r} and {effect.name!r} both have a parameter {name!r}",
+                        place=place,
+                        remedy="rename one of them",
+                    )
+                owner[name] = effect.name
+        return library
+
+    def included(self, library: Sequence[Effect]) -> tuple[Effect, ...]:
+        """The effects that the study's model has, in the order the study names them."""
+        names, place = self.settings.with_effects, self.place("with_effects")
+        if names and self.settings.effects is None:
+            raise InputError(
+                "effects are named, but no library that holds them", place=place, remedy="add the key 'effects'"
+            )
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"the effect {name!r} is named twice", place=place, remedy="name it once")
+        return tuple(pick(library, name, place) for name in names)
+
+    def _call(self, key: str, function: str, options: Mapping[str, Any]) -> Any:
+        """What the function named under a key returns."""
+        where, _, name = function.rpartition(":")
+        place = self.place(key)
+        build = getattr(self._module(key, where), name, None)
+        if not callable(build):
+            raise InputError(f"{where!r} has no function {name!r}", place=place, remedy=f"correct the key {key!r}")
+        try:
+            return build(**options)
+        except InputError:
+            raise
+        except TypeError as fault:
+            words = f"{name} cannot be called with these model_options" if key == "model" else f"{name} failed"
+            raise InputError(f"{words} ({fault})", place=place) from None
+        except (Exception, SystemExit) as fault:
+            # The function is the user's own: its mistakes are input, told without our traceback.
+            raise InputError(f"{name} failed with {type(fault).__name__}: {fault}", place=place) from fault
+
+    def _module(self, key: str, where: str) -> ModuleType:
+        place, remedy = self.place(key), f"correct the key {key!r}"
+        what = "model" if key == "model" else "library of effects"
+        try:
+            if not where.endswith(".py"):
+                return importlib.import_module(where)
+            path = self.folder / where
+            if path in self._modules:  # a second run would make other classes of the same names
+                return self._modules[path]
+            if not path.is_file():
+                raise InputError(f"there is no {what} file {where!r}", place=place, remedy=remedy)
+            unique = f"calib_study_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
+            spec = importlib.util.spec_from_file_location(unique, path)
+            if spec is None or spec.loader is None:
+                raise InputError(f"{where!r} cannot be loaded", place=place)
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[unique] = module
+            spec.loader.exec_module(module)
+            self._modules[path] = module
+            return module
+        except ModuleNotFoundError as fault:
+            if fault.name and where.startswith(fault.name):
+                raise InputError(f"unknown {what}: there is no module {where!r}", place=place, remedy=remedy) from None
+            raise InputError(f"{where!r} needs the module {fault.name!r}", place=place, remedy="install it") from None
+        except InputError:
+            raise
+        except (Exception, SystemExit) as fault:
+            raise InputError(f"{where!r} failed with {type(fault).__name__}: {fault}", place=place) from fault
+
+
+def pick(library: Sequence[Effect], name: str, place: str) -> Effect:
+    """The effect of that name; InputError with the nearest name when there is none."""
+    known = {effect.name: effect for effect in library}
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        raise InputError(
+            f"unknown effect {name!r}" + (f" (did you mean {near[0]!r}?)" if near else ""),
+            place=place,
+            remedy=f"the library's effects are {', '.join(known) or 'none'}",
+        )
+    return known[name]
+
+
+def with_effects(base: Model, effects: Sequence[Effect], place: str) -> Model:
+    """The model with effects added; InputError when one does not fit the model or fails."""
+    if not effects:
+        return base
+    try:
+        return extend(base, effects) if isinstance(base, StructuralModel) else extend_function(base, effects)
+    except InputError as fault:
+        where = f"{place}, {fault.place}" if fault.place else place
+        raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
+    except (Exception, SystemExit) as fault:
+        names = ", ".join(repr(effect.name) for effect in effects)
+        raise InputError(f"adding {names} failed with {type(fault).__name__}: {fault}", place=place) from fault
+
+
+def fingerprint_of(base: FunctionModel, effects: Sequence[Effect], extended: FunctionModel) -> str:
+    """Hash over the sources of a function and of the effects added to it; without effects that of the function."""
+    if not effects:
+        return base.fingerprint
+    digest = hashlib.sha256(base.fingerprint.encode())
+    digest.update(repr([effect.name for effect in effects]).encode())
+    for source in _sources([extended.function, *(effect.build for effect in effects)]):
+        digest.update(source)
+    return digest.hexdigest()[:16]
+
+
+def _sources(functions: Iterable[Callable[..., Any]]) -> list[bytes]:
+    """Content of the files that hold the functions, each once; a name where there is no file."""
+    found: dict[bytes, None] = {}
+    for function in functions:
+        while isinstance(function, functools.partial):
+            function = function.func
+        holder = function if hasattr(function, "__qualname__") else type(function)
+        try:
+            found[Path(inspect.getfile(holder)).read_bytes()] = None
+        except (TypeError, OSError):  # built-in or interactively defined
+            found[holder.__qualname__.encode()] = None
+    return list(found)

@@ -1,0 +1,146 @@
+"""What an explanation found, as tables: effects, confounding, parameters under strain, everything tried."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+
+from calib.missing.evidence import CREDIBLE, ln_bayes_linear, posterior, rescaled
+from calib.missing.explain import Findings, Trial
+from calib.missing.plausible import strain
+from calib.missing.score import DETECTABLE, Scores, correlation
+
+ALIKE = 0.9
+"""Correlation of fingerprints from which effects are named as confounded."""
+
+EFFECT_COLUMNS = (
+    "name", "title", "unit", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "plausible", "visible",
+    "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "posterior", "heldout_gain", "refitted", "credible",
+    "implausible", "confounded_with", "stands_for",
+)  # fmt: skip
+
+
+def smallest_visible(found: Scores, name: str) -> float:
+    """Strength of an effect from which it is found with about 90 % power; infinite where parameters absorb it all."""
+    sizes = [found.size[k] for k, owner in enumerate(found.owners) if owner == name]
+    largest = max(sizes, default=0.0)
+    return DETECTABLE / float(largest) if largest > 0 else math.inf
+
+
+def effects_table(found: Findings, intervals: dict[str, tuple[float, float]], gains: dict[str, float]) -> pd.DataFrame:
+    """One row a candidate, best first: see the columns of ``effects.csv`` in the README.
+
+    Parameters
+    ----------
+    found : Findings
+    intervals : mapping from str to (low, high)
+        95 % intervals by profile likelihood of the effects that were named; others are linearised.
+    gains : mapping from str to float
+        Gain in the log density of modes left out, for effects that were fitted.
+    """
+    named = found.base_check.named
+    singles = {t.names[0]: t for t in found.singles}
+    rows = []
+    for group in found.groups:
+        e = group.effect
+        k = named.best(e.name)
+        trial = singles.get(e.name)
+        size = smallest_visible(named, e.name)
+        row: dict[str, object] = {
+            "name": e.name, "title": e.title, "unit": e.strength.unit, "z": named.z[k], "gamma": named.gamma[k],
+            "phi": math.nan, "phi_low": math.nan, "phi_high": math.nan, "phi_min": size, "plausible": e.plausible,
+            "visible": size <= e.plausible, "heldout_gain": gains.get(e.name, math.nan), "refitted": trial is not None,
+            "credible": e.name in found.credible, "implausible": "" if trial is None else trial.implausible,
+            "confounded_with": ", ".join(confounded_with(found, e.name)), "stands_for": ", ".join(group.others),
+        }  # fmt: skip
+        factors = {"ln_bayes": 1.0, "ln_bayes_third": 1 / 3, "ln_bayes_triple": 3.0}
+        if trial is None:
+            own = [j for j, owner in enumerate(named.owners) if owner == e.name]
+            for column, factor in factors.items():
+                width = np.full(len(own), factor * e.plausible)
+                row[column] = float(np.max(ln_bayes_linear(named.strength[own], named.size[own], width)))
+        else:
+            phi, std = strength_of(trial, e.name)
+            low, high = intervals.get(e.name, (phi - 1.96 * std, phi + 1.96 * std))
+            p = e.strength
+            row |= {"phi": phi, "phi_low": max(low, p.lower), "phi_high": min(high, p.upper)}
+            for column, factor in factors.items():
+                row[column] = rescaled(found.ln_bayes(trial), phi, std, e.plausible, factor)
+        rows.append(row)
+    table = pd.DataFrame(rows)
+    table["posterior"] = posterior(table["ln_bayes"].to_numpy(dtype=float))[1]
+    return table.sort_values(["refitted", "ln_bayes"], ascending=False, ignore_index=True)[list(EFFECT_COLUMNS)]
+
+
+def strength_of(trial: Trial, name: str) -> tuple[float, float]:
+    """Fitted strength of an effect and its linearised standard deviation."""
+    k = trial.state.names.index(name)
+    return trial.state.values[name], float(np.sqrt(trial.state.covariance[k, k]))
+
+
+def confounded_with(found: Findings, name: str) -> list[str]:
+    """Effects whose fingerprints are alike beyond `ALIKE`, or that at its fitted strength odds of 20:1 cannot tell."""
+    named = found.base_check.named
+    names = [g.effect.name for g in found.groups]
+    columns = [named.best(n) for n in names]
+    rho = correlation(named, columns)[names.index(name)]
+    trial = next((t for t in found.singles if t.names == (name,)), None)
+    k = named.best(name)
+    strength = 0.0 if trial is None else strength_of(trial, name)[0] * float(named.size[k])
+    out = []
+    for other, r in zip(names, rho, strict=True):
+        told_apart = expected_ln_bayes(strength, float(r)) >= CREDIBLE
+        if other != name and (abs(r) > ALIKE or (abs(r) > 0.5 and strength > DETECTABLE and not told_apart)):
+            out.append(other)
+    return out
+
+
+def expected_ln_bayes(score: float, rho: float) -> float:
+    """Log Bayes factor to expect between an effect of an expected score and one of correlated fingerprint."""
+    return 0.5 * score**2 * (1 - rho**2)
+
+
+def confounding_table(found: Findings) -> pd.DataFrame:
+    """Correlation of fingerprints after projection; first column ``effect``, then one column an effect."""
+    named = found.base_check.named
+    names = [g.effect.name for g in found.groups]
+    matrix = correlation(named, [named.best(n) for n in names])
+    table = pd.DataFrame(matrix, columns=names)
+    table.insert(0, "effect", names)
+    return table
+
+
+def strain_table(found: Findings) -> pd.DataFrame:
+    """Parameters of the base model and of the explained one, in units of what a right model would need."""
+    parts = [strain(found.base.state).assign(model="base")]
+    if found.chosen is not None:
+        parts.append(strain(found.chosen.state, found.chosen.effects).assign(model=" + ".join(found.chosen.names)))
+    table = pd.concat(parts, ignore_index=True)
+    return table[["model", *[c for c in table.columns if c != "model"]]]
+
+
+def misfit_table(found: Findings) -> pd.DataFrame:
+    """Goodness of fit by mode and kind: ``stage, mode, kind, chi2, freedom, p``."""
+    parts = [found.base_check.modes.assign(stage="base")]
+    if found.chosen_check is not None:
+        parts.append(found.chosen_check.modes.assign(stage="explained"))
+    table = pd.concat(parts, ignore_index=True)
+    return table[["stage", "mode", "kind", "chi2", "freedom", "p"]]
+
+
+def tried_table(found: Findings) -> pd.DataFrame:
+    """Every model that was fitted: ``effects, misfit, ln_bayes, implausible``."""
+    trials = [found.base, *found.trials, *([found.atom] if found.atom is not None else [])]
+    return pd.DataFrame(
+        [
+            {
+                "effects": " + ".join(t.names) or "none",
+                "misfit": t.state.misfit,
+                "ln_bayes": found.ln_bayes(t),
+                "implausible": t.implausible,
+            }
+            for t in trials
+        ]
+    )

@@ -1,0 +1,195 @@
+"""The verdict in a sentence that an engineer can act on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import pandas as pd
+
+from calib.missing.explain import Findings
+
+_LEAST = 1 / 4000
+"""Probabilities below this are drawn too rarely to be told apart."""
+
+
+def sentence(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advice: str) -> str:
+    """Verdict with what supports it, what cannot be seen, and what to measure next.
+
+    Parameters
+    ----------
+    found : Findings
+    effects : DataFrame
+        From `calib.missing.tables.effects_table`.
+    errors : DataFrame
+        ``group, stage, rms, expected, p``; may be empty.
+    advice : str
+        What to measure next; may be empty.
+    """
+    parts = {
+        "nothing_detectable": _nothing,
+        "noise_underestimated": _noise,
+        "effect": _effect,
+        "indistinguishable": _indistinguishable,
+        "two_effects": _two,
+        "partial": _partial,
+        "none_explains": _none,
+    }[found.verdict](found, effects)
+    if found.noise_scale != 1 and found.verdict != "noise_underestimated":
+        parts.append(f"The scatter was taken {found.noise_scale:.2g} times as large as the repeats say.")
+    if found.verdict in ("effect", "indistinguishable", "two_effects"):
+        parts += _errors(errors)
+    parts += _unseen(effects)
+    if advice and found.verdict != "noise_underestimated":
+        parts.append(advice)
+    if found.verdict in ("effect", "indistinguishable", "two_effects", "partial"):
+        parts.append("Explanations outside the library cannot be excluded.")
+    return " ".join(parts)
+
+
+def _chance(p: float) -> str:
+    return f"< {_LEAST:.1g}" if p < _LEAST else f"{p:.2g}"
+
+
+def _family(found: Findings) -> str:
+    check = found.base_check
+    counts = f"{len(found.groups)} effects and {len(set(check.atoms.owners))} local changes"
+    p = min(check.p_family, check.p_fit)
+    return f"the chance of such a misfit with the model complete is {_chance(p)} (family-wise over {counts})"
+
+
+def _nothing(found: Findings, effects: pd.DataFrame) -> list[str]:
+    return [f"Nothing detectable is missing: {_family(found)}."]
+
+
+def _noise(found: Findings, effects: pd.DataFrame) -> list[str]:
+    return [
+        f"The misfit is spread over all modes by a common factor of {found.noise_scale:.2g}: check the scatter between "
+        f"set-ups, which repeats do not show. With the scatter {found.noise_scale:.2g} times as large nothing "
+        "detectable is missing."
+    ]
+
+
+def _strength(effects: pd.DataFrame, name: str) -> str:
+    row = effects[effects["name"] == name].iloc[0]
+    unit = "" if row["unit"] == "-" else f" {row['unit']}"
+    return f"{row['phi']:.3g}{unit} (95 %: {row['phi_low']:.3g} to {row['phi_high']:.3g}{unit})"
+
+
+def _titled(effects: pd.DataFrame, name: str) -> str:
+    row = effects[effects["name"] == name].iloc[0]
+    others = f", or what looks exactly the same here: {row['stands_for']}" if row["stands_for"] else ""
+    return f"{row['title']} ({name}{others})"
+
+
+def _look_for(found: Findings) -> list[str]:
+    chosen = found.chosen.effects if found.chosen is not None else ()
+    return ["Look for: " + " ".join(e.look_for for e in chosen)]
+
+
+def _clean(found: Findings) -> str:
+    assert found.chosen_check is not None
+    return f"After adding it nothing organised is left (p = {_chance(found.chosen_check.p_family)})."
+
+
+def _effect(found: Findings, effects: pd.DataFrame) -> list[str]:
+    name = found.credible[0]
+    row = effects[effects["name"] == name].iloc[0]
+    out = [
+        f"Something is missing: {_family(found)}.",
+        f"Best explanation: {_titled(effects, name)}, {_strength(effects, name)}; posterior "
+        f"{100 * row['posterior']:.0f} % within the library.",
+        _clean(found),
+    ]
+    return out + _look_for(found)
+
+
+def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
+    rows = effects[effects["name"].isin(found.credible)].sort_values("ln_bayes", ascending=False)
+    odds = math.exp(float(rows["ln_bayes"].iloc[0] - rows["ln_bayes"].iloc[1]))
+    named = "; or ".join(f"{_titled(effects, n)}, {_strength(effects, n)}" for n in rows["name"])
+    return [
+        f"Something is missing: {_family(found)}.",
+        f"These data cannot tell between: {named}. The odds of the first against the second are {odds:.2g}:1.",
+        _clean(found),
+    ]
+
+
+def _two(found: Findings, effects: pd.DataFrame) -> list[str]:
+    assert found.chosen is not None
+    values: Mapping[str, float] = found.chosen.state.values
+    told = []
+    for e in found.chosen.effects:
+        k = found.chosen.state.names.index(e.name)
+        std = float(found.chosen.state.covariance[k, k]) ** 0.5
+        unit = "" if e.strength.unit == "-" else f" {e.strength.unit}"
+        told.append(f"{e.title} ({e.name}), {values[e.name]:.3g} +- {1.96 * std:.2g}{unit} (95 %)")
+    return [
+        f"Two effects are missing: {_family(found)}, and no single effect leaves nothing organised.",
+        "Best explanation: " + " together with ".join(told) + ".",
+        _clean(found).replace("adding it", "adding both"),
+        *_look_for(found),
+    ]
+
+
+def _rest(found: Findings) -> str:
+    """What an organised misfit points at."""
+    atom = found.atom
+    if atom is None:
+        return ""
+    better = found.chosen is None or atom.ln_evidence > found.chosen.ln_evidence
+    words = "fits better than every listed effect" if better else "is where an unnamed local change would help most"
+    return f"A change of the {atom.effects[0].title} {words}; that is a place to look at, not a cause."
+
+
+def _partial(found: Findings, effects: pd.DataFrame) -> list[str]:
+    assert found.chosen is not None and found.chosen_check is not None
+    name = found.chosen.names[0]
+    before, after = found.base.state.misfit, found.chosen.state.misfit
+    return [
+        f"Organised misfit that no listed effect removes: {_family(found)}.",
+        f"{_titled(effects, name)}, {_strength(effects, name)}, lowers the sum of squares from {before:.0f} to "
+        f"{after:.0f} but leaves p = {_chance(found.chosen_check.p_family)}: it is part of the answer or stands in for "
+        "something that is not listed.",
+        _rest(found),
+    ]
+
+
+def _none(found: Findings, effects: pd.DataFrame) -> list[str]:
+    out = [f"Organised misfit that no listed effect explains: {_family(found)}."]
+    if found.chosen is not None:
+        name = found.chosen.names[0]
+        why = found.chosen.implausible
+        if not why and found.chosen_check is not None:
+            left = min(found.chosen_check.p_family, found.chosen_check.p_fit)
+            why = f"what is left still has p = {_chance(left)}"
+        out.append(f"The best attempt, {_titled(effects, name)}, is not believed: {why or 'too little evidence'}.")
+    return [*out, *([_rest(found)] if _rest(found) else [])]
+
+
+def _errors(errors: pd.DataFrame) -> list[str]:
+    words = {"left_out": "modes left out", "withheld_sensors": "withheld sensors", "withheld_modes": "withheld modes"}
+    numbers = {(str(r["group"]), str(r["stage"])): r for r in errors.to_dict("records")}
+    told, worse = [], []
+    for group, label in words.items():
+        if (group, "before") not in numbers or (group, "after") not in numbers:
+            continue
+        before, after = float(numbers[group, "before"]["rms"]), float(numbers[group, "after"]["rms"])
+        floor = float(numbers[group, "after"]["expected"])
+        told.append(f"{label} {before:.2f} -> {after:.2f} (noise floor {floor:.2f})")
+        if after > 1.02 * before:
+            worse.append(label)
+    if not told:
+        return []
+    out = ["Error in units of the scatter: " + ", ".join(told) + "."]
+    if worse:
+        out.append(f"It fits better but predicts no better: {', '.join(worse)} got worse.")
+    return out
+
+
+def _unseen(effects: pd.DataFrame) -> list[str]:
+    told = []
+    for row in effects[~effects["visible"].astype(bool)].to_dict("records"):
+        unit, least = "" if row["unit"] == "-" else f" {row['unit']}", float(row["phi_min"])
+        told.append(f"{row['name']} below {least:.2g}{unit}" if math.isfinite(least) else f"{row['name']} at all")
+    return ["Not visible with these data: " + ", ".join(told) + "."] if told else []

@@ -1,0 +1,343 @@
+"""What a study can be asked about missing effects when its model is a plain function."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.correlation.problem import FunctionProblem
+from calib.effect import Effect
+from calib.errors import EvaluationError, InputError
+from calib.evaluate import attempt
+from calib.function import FunctionModel, extend_function
+from calib.questions.hypotheses import question_space
+from calib.space import Parameter, ParameterSpace
+from calib.structure.model import Assumption
+from calib.updating.differences import DifferencedResponses
+
+LEAST_RESPONSES = 4
+"""Fewer responses cannot tell an effect from a parameter."""
+RELATIVE = 0.3
+"""Plausible relative change of a parameter that is held."""
+_ROUNDING = 1e-6
+"""Change of the residual at strength 0 up to which it counts as none."""
+
+Targets = Mapping[str, tuple[float, float | None]]
+
+
+class ResponseRow(NamedTuple):
+    """What one entry of the residual compares.
+
+    Attributes
+    ----------
+    mode : str
+        Empty.
+    kind : str
+        Beginning of the name up to the first underscore where several responses share it, else ``response``.
+    sensor : str
+        Name of the response.
+    """
+
+    mode: str
+    kind: str
+    sensor: str
+
+
+class Failure(NamedTuple):
+    """A point at which the function gave no answer.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Effects and local changes that were not 0.
+    values : dict
+        All parameters, those of these effects included, each in its own unit.
+    error : str
+    """
+
+    effects: tuple[str, ...]
+    values: dict[str, float]
+    error: str
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """The whitened residual of a function with any of its effects; no point is asked twice.
+
+    An effect of strength 0 is left out, so that all questions share what they have in common; whether it really changes
+    nothing is checked once, at the adopted values.
+
+    Attributes
+    ----------
+    model : FunctionModel
+    targets : mapping from response name to (value, std or None)
+    additions : tuple of Effect
+        Effects, then local changes, in the order they are built one upon the other.
+    failures : list of Failure
+    """
+
+    model: FunctionModel
+    targets: Targets
+    additions: tuple[Effect, ...]
+    failures: list[Failure] = field(init=False, repr=False, default_factory=list)
+    _found: dict[tuple[tuple[str, ...], tuple[float, ...]], np.ndarray | str] = field(
+        init=False, repr=False, default_factory=dict
+    )
+    _problems: dict[tuple[str, ...], FunctionProblem] = field(init=False, repr=False, default_factory=dict)
+    _neutral: set[str] = field(init=False, repr=False, default_factory=set)
+
+    @cached_property
+    def by_name(self) -> dict[str, Effect]:
+        """Effects and local changes."""
+        return {e.name: e for e in self.additions}
+
+    @cached_property
+    def _whitened(self) -> DifferencedResponses:
+        return DifferencedResponses(lambda responses: responses, self.targets, self.model.space)
+
+    @property
+    def evaluations(self) -> int:
+        """Calls of the function so far, failed ones included."""
+        return len(self._found)
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Vector (n_rows,) at all parameters of the model and of any effects; EvaluationError at a failed point."""
+        active = tuple(e.name for e in self.additions if values.get(e.name, 0.0) != 0)
+        for name in active:
+            self._require_neutral(self.by_name[name])
+        return self._ask(active, values)
+
+    def _ask(self, active: tuple[str, ...], values: Mapping[str, float]) -> np.ndarray:
+        if active not in self._problems:
+            extended = extend_function(self.model, [self.by_name[name] for name in active])
+            self._problems[active] = FunctionProblem(extended.space, extended.function, self.targets, "")
+        problem = self._problems[active]
+        given = {name: float(values[name]) for name in problem.space.names}
+        key = (active, tuple(given.values()))
+        if key not in self._found:
+            outcome = attempt(problem.evaluate, given)
+            if outcome.error:
+                self.failures.append(Failure(active, given, outcome.error))
+                self._found[key] = outcome.error
+            else:
+                residual = self._whitened.residual(outcome.responses)
+                residual.flags.writeable = False
+                self._found[key] = residual
+        found = self._found[key]
+        if isinstance(found, str):
+            raise EvaluationError(found)
+        return found
+
+    def _require_neutral(self, effect: Effect) -> None:
+        """InputError when strength 0 is not the base model: the derivative there would be that of a jump."""
+        if effect.name in self._neutral or effect.strength.value != 0:
+            return
+        self._neutral.add(effect.name)
+        adopted = self.model.space.values
+        try:
+            base = self._ask((), adopted)
+            change = self._ask((effect.name,), adopted | {p.name: p.value for p in effect.parameters}) - base
+        except EvaluationError:
+            return
+        if np.abs(change).max() > _ROUNDING:
+            row = list(self.targets)[int(np.argmax(np.abs(change)))]
+            raise InputError(
+                f"with strength 0 it changes {row!r} by {np.abs(change).max():.3g} standard deviations",
+                place=f"effect {effect.name}",
+                remedy="let what it builds give the base model's responses there",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionQuestion:
+    """The whitened residual of a function with some effects, and its derivative by differences.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        The model's parameters and those of the effects it has.
+    answers : Answers
+    step : float
+        Half a central difference, over the range between the limits.
+    """
+
+    space: ParameterSpace
+    answers: Answers
+    step: float
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Vector (n_rows,) at named values; EvaluationError where the function gives no answer."""
+        return self.answers.residual(self.space.complete(values))
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params).
+
+        Central differences within the limits. At a limit, or where one end fails, they are one-sided. Names may also be
+        those of effects or local changes that the model lacks; the derivative is then that at strength 0, and 0 where
+        the function gives no answer on either side (see `Answers.failures`).
+
+        Raises
+        ------
+        EvaluationError
+            When the function fails at the point, or on both sides of it along one of the model's own parameters.
+        """
+        complete = self.space.complete(values)
+        here = self.answers.residual(complete)
+        columns = []
+        for name in names:
+            if name in self.space:
+                columns.append(self._column(complete, self.space[name], here))
+                continue
+            effect = self.answers.by_name[name]
+            try:
+                columns.append(
+                    self._column(complete | {p.name: p.value for p in effect.parameters}, effect.strength, here)
+                )
+            except EvaluationError:
+                columns.append(np.zeros(len(here)))
+        return np.column_stack(columns) if columns else np.zeros((len(here), 0))
+
+    def _column(self, values: Mapping[str, float], p: Parameter, here: np.ndarray) -> np.ndarray:
+        middle, half = values[p.name], self.step * (p.upper - p.lower)
+        if p.integer or half == 0:
+            return np.zeros(len(here))
+        ends, fault = [], EvaluationError(f"no difference along {p.name!r} lies within its limits")
+        for at in (min(middle + half, p.upper), max(middle - half, p.lower)):
+            if at == middle:
+                continue
+            try:
+                ends.append((at, self.answers.residual({**values, p.name: at})))
+            except EvaluationError as failed:
+                fault = failed
+        if not ends:
+            raise fault
+        if len(ends) == 1:
+            ends.append((middle, here))
+        (a, high), (b, low) = ends
+        return (high - low) / (a - b)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionHypotheses:
+    """Plain responses against all variants of a function.
+
+    Attributes
+    ----------
+    model : FunctionModel
+        The base model.
+    targets : mapping from response name to (value, std or None)
+        Measured, with the standard deviation of the value; where it is unknown 1 % of the value is taken.
+    space : ParameterSpace
+        Parameters of the base model; free are those that a calibration would fit.
+    effects : tuple of Effect
+        Named candidates.
+    repeats : int or None
+        Repeats behind the standard deviations, when those are pooled over the responses of each kind; None takes the
+        deviations for known.
+    step : float
+        Half a central difference, over the range; to be raised for a function whose last digits are not exact.
+
+    Raises
+    ------
+    InputError
+        When there are too few responses to name anything, or a target is not usable.
+    """
+
+    model: FunctionModel
+    targets: Targets
+    space: ParameterSpace
+    effects: tuple[Effect, ...]
+    repeats: int | None = None
+    step: float = 1e-4
+
+    def __post_init__(self) -> None:
+        count, free = len(self.targets), len(self.space.free)
+        if count < LEAST_RESPONSES or count < free + 2:
+            raise InputError(
+                f"{count} measured responses cannot tell a missing effect from the {free} fitted parameters",
+                place="explain",
+                remedy=f"measure at least {max(LEAST_RESPONSES, free + 2)}, withhold fewer or fit fewer parameters",
+            )
+        if self.repeats is not None and self.repeats < 2:
+            raise InputError(f"repeats = {self.repeats}", place="explain", remedy="give at least 2 or none")
+
+    @cached_property
+    def answers(self) -> Answers:
+        """What was asked of the function so far."""
+        return Answers(replace(self.model, space=self.space), self.targets, (*self.effects, *self.atoms))
+
+    @cached_property
+    def atoms(self) -> tuple[Effect, ...]:
+        """Unnamed changes: every parameter that is held, by a share of its value.
+
+        Those that are fitted, that take whole numbers or that are 0 have none.
+        """
+        held = (p for p in self.space.parameters if p.distribution == "fixed" and not p.integer and p.value != 0)
+        return tuple(_atom(p) for p in held)
+
+    @property
+    def evaluations(self) -> int:
+        """Calls of the function so far."""
+        return self.answers.evaluations
+
+    @property
+    def failures(self) -> tuple[Failure, ...]:
+        """Points at which the function gave no answer."""
+        return tuple(self.answers.failures)
+
+    @cached_property
+    def rows(self) -> tuple[ResponseRow, ...]:
+        """Rows of every residual, in the order of the targets."""
+        heads = {name: name.split("_", 1)[0] for name in self.targets if "_" in name}
+        shared = Counter(heads.values())
+        kinds = {name: head for name, head in heads.items() if head and shared[head] > 1}
+        return tuple(ResponseRow("", kinds.get(name, "response"), name) for name in self.targets)
+
+    @property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """No response has a free factor."""
+        return {}
+
+    @cached_property
+    def scatter_freedom(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the scatter of each kind."""
+        counts = Counter(row.kind for row in self.rows)
+        each = math.inf if self.repeats is None else float(self.repeats - 1)
+        return {kind: each * count for kind, count in counts.items()}
+
+    @cached_property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """What had to be assumed about the scatter."""
+        unknown = [name for name, (_, std) in self.targets.items() if std is None]
+        if not unknown:
+            return ()
+        percent = f"{100 * DifferencedResponses.unknown_std:g}"
+        return (Assumption("scatter of " + ", ".join(unknown), percent, "%", "no standard deviation was measured"),)
+
+    def question(self, names: tuple[str, ...]) -> FunctionQuestion:
+        """The model with the named effects or local changes added; InputError for an unknown name."""
+        for name in names:
+            if name not in self.answers.by_name:
+                raise InputError(f"there is no effect {name!r}", place=f"model {self.model.name}")
+        added = [e for e in self.answers.additions if e.name in names]
+        return FunctionQuestion(question_space(self.space, added), self.answers, self.step)
+
+
+def _atom(p: Parameter) -> Effect:
+    name = f"change of {p.name}"
+
+    def build(model: FunctionModel) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
+        def changed(values: Mapping[str, float]) -> Mapping[str, float]:
+            rest = {n: v for n, v in values.items() if n != name}
+            return model.function(rest | {p.name: values[p.name] * (1 + values[name])})
+
+        return changed
+
+    strength = Parameter(name, 0.0, -0.9, 9.0, "-", prior_sd=RELATIVE)
+    return Effect(name, name, f"{p.name} is held at {p.value:g} {p.unit}", "its true value", strength, build)

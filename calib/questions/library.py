@@ -1,0 +1,95 @@
+"""The hypotheses of a study: its effects, the local changes of its model, and a reduced basis that holds them all."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import Floors
+from calib.effect import Effect
+from calib.errors import EvaluationError, InputError
+from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.reduction import WORTHWHILE_DOFS
+from calib.results import Results
+from calib.structure.atoms import Atom, atoms
+from calib.structure.basis import Basis
+from calib.structure.effect_basis import effect_basis
+from calib.structure.extend import extend
+from calib.structure.model import StructuralModel
+from calib.structure.training import train_basis
+from calib.structure.variants import Variants
+from calib.study import Study
+
+
+@dataclass(frozen=True, eq=False)
+class SettledModal:
+    """Hypotheses about a modal study, with the local changes and where they are.
+
+    Attributes
+    ----------
+    hypotheses : ModalHypotheses
+    atoms : tuple of Atom
+    """
+
+    hypotheses: ModalHypotheses
+    atoms: tuple[Atom, ...]
+
+
+def modal_hypotheses(
+    study: Study, results: Results, progress: Callable[[str], None] = lambda words: None
+) -> SettledModal:
+    """Hypotheses of a study whose model has modes; a basis trained before is taken from the results' folder."""
+    problem = study.problem
+    assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
+    model, measured = problem.model, problem.measured
+    placed = [s for s in measured.sensors if s.point is not None]
+    local = atoms(model, placed, study.search_space.values, float(measured.natural_freq.min()))
+    effects, plain = study.candidates, tuple(a.effect for a in local)
+    basis = None
+    if study.settings.reduction.use and model.n_dof >= WORTHWHILE_DOFS:
+        progress("reduced basis for the effects")
+        basis = _basis(study, problem, model, effects, plain, results.path)
+    variants = Variants(model, effects, plain, basis)
+    return SettledModal(ModalHypotheses(problem, variants, study.search_space, Floors()), local)
+
+
+def _basis(
+    study: Study,
+    problem: ModalProblem,
+    model: StructuralModel,
+    effects: tuple[Effect, ...],
+    local: tuple[Effect, ...],
+    folder: Path,
+) -> Basis:
+    settings = study.settings.reduction
+    freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
+    digest = hashlib.sha256(extend(model, [*effects, *local]).fingerprint.encode())
+    digest.update(repr([(e.name, e.parameters, e.grid) for e in effects]).encode())
+    digest.update(repr((problem.mode_count, freq_max, settings.tolerance, settings.seed)).encode())
+    digest.update(repr(study.search_space.parameters).encode())
+    path = folder / f"basis_effects_{digest.hexdigest()[:16]}.npz"
+    if path.exists():
+        try:
+            return Basis.load(path)
+        except InputError:
+            path.unlink(missing_ok=True)
+    try:
+        basis = train_basis(
+            model, study.search_space, problem.mode_count, seed=settings.seed, freq_max=freq_max,
+            tolerance=settings.tolerance,
+        )  # fmt: skip
+        basis = effect_basis(model, basis, study.search_space, effects, local, settings.seed)
+    except EvaluationError as fault:
+        raise InputError(
+            f"no reduced basis can be trained: {fault}", place=study.file,
+            remedy="check the model over the search limits, or set use = false under [reduction]",
+        ) from None  # fmt: skip
+    for old in folder.glob("basis_effects_*.npz"):
+        old.unlink(missing_ok=True)
+    basis.save(path)
+    return basis

@@ -1,0 +1,178 @@
+"""How well a fitted model does on data that were used, left out one mode at a time, and withheld."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.residual import Floors, ModalResidual
+from calib.correlation.unused import group_table, withheld_errors
+from calib.missing.left_out import left_out
+from calib.study import Study, Targets
+from calib.updating.differences import DifferencedResponses
+from calib.updating.identify import posterior
+
+ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
+
+
+def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
+    """Errors of a study's model by group of data, at fitted values of the selected parameters; see `modal_errors`."""
+    names = tuple(p.name for p in study.search_space.free if not p.integer)
+    prior_sd = np.array([study.search_space[n].prior_width for n in names])
+    problem = study.problem
+    if isinstance(problem, ModalProblem):
+        freedom = scatter_freedom(ModalResidual(problem))
+        return modal_errors(problem, study.whole_problem(), values, names, prior_sd, Floors(), freedom)
+    held = study.settings.withheld
+    parts = {"withheld_sensors": held.sensors, "withheld_modes": held.modes}
+    withheld = {
+        group: _whitened(study, {n: study.whole_targets[n] for n in own}, values, names) for group, own in parts.items()
+    }
+    e, g = _whitened(study, problem.targets, values, names)
+    return plain_errors(e, g, names, prior_sd, list(problem.targets), withheld)
+
+
+def _whitened(
+    study: Study, targets: Targets, values: Mapping[str, float], names: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    assert isinstance(study.problem, FunctionProblem)
+    if not targets:
+        return np.zeros(0), np.zeros((0, len(names)))
+    asked = DifferencedResponses(replace(study.problem, targets=targets).evaluate, targets, study.search_space)
+    return asked.residual(values), asked.jacobian(values, names)
+
+
+def scatter_freedom(residual: ModalResidual) -> dict[str, float]:
+    """Degrees of freedom behind the scatter of each kind of response; infinite where it is known."""
+    repeats = residual.problem.measured.n_repeats
+    kinds = residual.kinds.tolist()
+    lost = {"shape": residual.n_fitted_factors}
+    return {
+        kind: math.inf if repeats == 1 else float((repeats - 1) * (kinds.count(kind) - lost.get(kind, 0)))
+        for kind in dict.fromkeys(kinds)
+    }
+
+
+def modal_errors(
+    fitted: ModalProblem,
+    whole: ModalProblem | None,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    prior_sd: np.ndarray,
+    floors: Floors,
+    scatter_freedom: Mapping[str, float],
+    scale: float = 1.0,
+) -> pd.DataFrame:
+    """Errors of a fitted modal model by group of data, rms in units of the scatter.
+
+    Parameters
+    ----------
+    fitted : ModalProblem
+        With the data that were used.
+    whole : ModalProblem or None
+        The same model with all data.
+    values : mapping
+        Fitted values.
+    names : sequence of str
+        Fitted parameters, whole-number ones left out.
+    prior_sd : ndarray (n_params,)
+    floors : Floors
+    scatter_freedom : mapping from str to float
+        By kind of response; infinite where the scatter is known.
+    scale : float
+        Factor on the scatter.
+
+    Returns
+    -------
+    DataFrame
+        ``group, rows, rms, expected, p, unpaired``; groups ``fit``, ``left_out`` (each mode predicted from all others),
+        ``withheld_sensors``, ``withheld_modes``. ``expected`` is what a right model would show.
+    """
+    residual = ModalResidual(fitted, floors)
+    found = fitted.compare(values)
+    vector = residual.of(found) / scale
+    jacobian = residual.slope_of(found, names, residual.derivatives(found, names)) / scale
+    known = posterior(names, jacobian, prior_sd)
+    modes = [row.mode for row in residual.rows]
+    predicted = left_out(vector, -jacobian, prior_sd, modes)
+    own: dict[Hashable, int] = {mode: residual.n_fitted_factors_of({mode}) for mode in dict.fromkeys(modes)}
+    finite = {kind: freedom for kind, freedom in scatter_freedom.items() if np.isfinite(freedom)}
+    withheld = pd.DataFrame(columns=[*ERROR_COLUMNS, "chi2", "freedom"])
+    if whole is not None and (whole.measured.n_modes, len(whole.measured.sensors)) != (
+        fitted.measured.n_modes, len(fitted.measured.sensors),
+    ):  # fmt: skip
+        covariance = known.covariance / scale**2
+        withheld = withheld_errors(fitted, whole, values, names, covariance, floors, finite or None)
+        if scale != 1.0:
+            withheld = _scaled(withheld, scale)
+    absorbed = float(np.einsum("ij,jk,ik->", jacobian, known.covariance, jacobian))
+    freedom = len(vector) - residual.n_fitted_factors - absorbed
+    return group_table(
+        residual.rows,
+        vector,
+        freedom,
+        predicted.residual,
+        predicted.variance,
+        withheld,
+        fitted_factors=residual.n_fitted_factors,
+        left_out_p=predicted.p(own, min(finite.values(), default=np.inf)),
+        unpaired=fitted.measured.n_modes - len(found.pairing.paired),
+        scatter_freedom=finite or None,
+    )
+
+
+def _scaled(table: pd.DataFrame, scale: float) -> pd.DataFrame:
+    """Errors in units of a larger scatter; their probability is then taken as for a known one."""
+    table = table.assign(rms=table["rms"] / scale, chi2=table["chi2"] / scale**2)
+    return table.assign(p=stats.chi2.sf(table["chi2"], table["freedom"]))
+
+
+def plain_errors(
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    names: Sequence[str],
+    prior_sd: np.ndarray,
+    labels: Sequence[str],
+    withheld: Mapping[str, tuple[np.ndarray, np.ndarray]],
+) -> pd.DataFrame:
+    """The same for plain responses, each of which is left out by itself.
+
+    Parameters
+    ----------
+    residual : ndarray (n_rows,)
+        Whitened, of the responses that were used.
+    jacobian : ndarray (n_rows, n_params)
+        Its derivative.
+    names : sequence of str
+    prior_sd : ndarray (n_params,)
+    labels : sequence of str, length n_rows
+        Names of the responses.
+    withheld : mapping from group to (residual, jacobian)
+        Whitened residuals of withheld responses with their derivatives; empty groups are left out.
+    """
+    known = posterior(names, jacobian, prior_sd)
+    predicted = left_out(residual, -jacobian, prior_sd, list(labels))
+    pulled = np.einsum("ij,jk,ik->i", jacobian, known.covariance, jacobian)
+    freedom = len(residual) - float(pulled.sum())
+    chance = float(stats.chi2.sf(residual @ residual, freedom)) if freedom >= 1 else 1.0
+    rows: list[tuple[str, int, float, float, float, int]] = [
+        ("fit", len(residual), _rms(residual), float(np.sqrt(max(freedom, 0.0) / len(residual))), chance, 0),
+        ("left_out", len(residual), _rms(predicted.residual), _rms(np.sqrt(predicted.variance)), predicted.p(), 0),
+    ]
+    for group, (e, g) in withheld.items():
+        if len(e):
+            covariance = np.eye(len(e)) + g @ known.covariance @ g.T
+            chi2 = float(e @ np.linalg.solve(covariance, e))
+            expected = float(np.sqrt(np.trace(covariance) / len(e)))
+            rows.append((group, len(e), _rms(e), expected, float(stats.chi2.sf(chi2, len(e))), 0))
+    return pd.DataFrame(rows, columns=list(ERROR_COLUMNS))
+
+
+def _rms(e: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(e**2)))

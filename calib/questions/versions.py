@@ -1,0 +1,63 @@
+"""Errors over the versions of a model: the study as it is, and those it was extended from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from calib.results import Results
+from calib.settings import read_settings
+from calib.study import Study
+
+COLUMNS = ("version", "study", "effects", "group", "rms", "expected")
+MOST = 50
+"""Versions followed back; more of them can only be a circle."""
+
+
+def write_versions(study: Study, root: Path) -> pd.DataFrame:
+    """Write ``versions.csv`` of a study that was extended from another; an empty table for any other.
+
+    A version's errors are those of its last calibration, or of the base model of its explanation when it was never
+    calibrated; versions without either are left out.
+
+    Parameters
+    ----------
+    study : Study
+    root : Path
+        Where the folders with results are.
+
+    Returns
+    -------
+    DataFrame
+        ``version, study, effects, group, rms, expected``, the oldest version first.
+    """
+    chain = [(study.name, study.settings.with_effects)]
+    file, settings = study.file, study.settings
+    while settings.extended_from is not None and len(chain) < MOST:
+        file = (file.resolve().parent / settings.extended_from / "study.toml").resolve()
+        if not file.is_file():
+            break
+        settings = read_settings(file)
+        chain.append((file.parent.name, settings.with_effects))
+    if len(chain) == 1:
+        return pd.DataFrame(columns=list(COLUMNS))
+    parts = []
+    for number, (name, effects) in enumerate(reversed(chain), start=1):
+        errors = _errors(Results(root / name))
+        if errors is not None:
+            parts.append(errors.assign(version=number, study=name, effects=" + ".join(effects)))
+    if not parts:
+        return pd.DataFrame(columns=list(COLUMNS))
+    table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
+    Results.at(root, study.name).write_table("versions", table)
+    return table
+
+
+def _errors(results: Results) -> pd.DataFrame | None:
+    if results.has("data_errors.csv"):
+        return pd.read_csv(results.path / "data_errors.csv")
+    if results.has("errors.csv"):
+        table = pd.read_csv(results.path / "errors.csv")
+        return table[table["stage"] == "before"]
+    return None

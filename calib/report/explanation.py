@@ -1,0 +1,299 @@
+"""Which physical effect is missing: effects ranked, what the data can see of each, and which are alike."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+
+from calib.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    REST,
+    SKY,
+    VERMILLION,
+    legend_above,
+    new_figure,
+    own_axes,
+    separate_cells,
+)
+
+LEAST_ODDS = 3.0
+"""Natural logarithm of the odds from which one explanation counts as better than another."""
+_ALIKE = 0.9
+"""Correlation of two fingerprints from which they are outlined."""
+_WIDE = 60.0
+"""Largest ln Bayes factor that is drawn on a plain axis."""
+_LOOKS: dict[str, dict[str, Any]] = {
+    "credible set": {"facecolor": ORANGE},
+    "refitted": {"facecolor": BLUE},
+    "not refitted: linear estimate": {"facecolor": "#CFE6F5", "edgecolor": SKY, "linewidth": 0.8},
+    "not visible with these data": {"facecolor": REST},
+}
+
+
+def blank(ax: Axes, words: str) -> Axes:
+    """Say in empty Axes why nothing is drawn, and return them."""
+    ax.set_axis_off()
+    ax.text(0.5, 0.5, words, transform=ax.transAxes, ha="center", va="center", color=GREY)
+    return ax
+
+
+def ranked(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the effects by falling ``ln_bayes``, those without a value last."""
+    return table.sort_values("ln_bayes", ascending=False, kind="stable", na_position="last", ignore_index=True)
+
+
+def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: bool = True) -> Axes:
+    """Draw the evidence for every effect.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``name, title``, ``ln_bayes`` (against the base model), ``ln_bayes_third, ln_bayes_triple`` (the same
+        with a third and three times the prior width), the flags ``refitted, credible, visible``, and ``implausible``
+        (why the refitted model is, empty when it is not). NaN where unknown.
+    ax : Axes, optional
+    legend : bool
+        Whether a legend stands over the Axes.
+
+    Returns
+    -------
+    Axes
+        One horizontal bar an effect, the strongest first, with its value; thin lines span the prior widths. The dashed
+        line is the ln odds that one of n effects must pass, ln n + 3. Linear to 10 and logarithmic beyond when a value
+        is over 60 in size.
+    """
+    rows = ranked(table)
+    ax = own_axes(ax, _height(len(rows)))
+    if rows.empty:
+        return blank(ax, "no effect was tested")
+    values = rows["ln_bayes"].to_numpy(dtype=float)
+    looks, threshold = _looks(rows), _threshold(len(rows))
+    odd_ones = [bool(words) for words in rows["implausible"].fillna("")]
+    spans = rows[["ln_bayes_third", "ln_bayes", "ln_bayes_triple"]].to_numpy(dtype=float)
+    ax.axvline(0.0, color=BLACK, linewidth=0.8)
+    for row, (value, look, odd, span) in enumerate(zip(values, looks, odd_ones, spans, strict=True)):
+        ax.barh(
+            row,
+            value,
+            0.68,
+            gid=look,
+            hatch="//////" if odd else None,
+            **{**_LOOKS[look], **({"edgecolor": "white"} if odd else {})},
+        )
+        known = span[np.isfinite(span)]
+        if len(known) > 1:
+            ax.plot([known.min(), known.max()], [row, row], color=BLACK, linewidth=1.1, gid="prior", zorder=3)
+        words = f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
+        ax.annotate(
+            words + (" implausible" if odd else ""),
+            (max(0.0, *known) if len(known) else 0.0, row),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+            color=VERMILLION if odd else BLACK,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.6},
+            zorder=4,
+        )
+    ax.axvline(threshold, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
+    everything = np.append(spans[np.isfinite(spans)], [0.0, threshold])
+    low, high = float(everything.min()), float(everything.max())
+    label = "ln Bayes factor against the base model (–)"
+    if high > _WIDE or low < -_WIDE:
+        ax.set_xscale("symlog", linthresh=10.0)
+        # Beside the longest bar there must be room for its value and a word: about a decade.
+        ax.set_xlim(1.3 * low - 2.0, max(high, 10.0) * 12.0)
+        ax.xaxis.set_major_formatter("{x:g}")
+        label += "\nlinear up to 10"
+    else:
+        ax.set_xlim(low - 0.03 * (high - low), high + 0.3 * (high - low))
+    _name_rows(ax, rows)
+    ax.set_xlabel(label)
+    if legend:
+        legend_above(ax, _handles(rows))
+    return ax
+
+
+def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """Draw the smallest strength of every effect that these data show, over the largest plausible one.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``name, title, ln_bayes`` (for the order), ``z``, ``phi_min`` (infinite when never visible) and
+        ``plausible``, both in the unit of the effect, the flag ``visible``, and ``posterior`` (NaN where unknown).
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        One dot an effect on a logarithmic axis, open when the effect is not visible; an arrow at the edge where no
+        strength is. The score z and the posterior probability within the library stand at the right.
+    """
+    rows = ranked(table)
+    ax = own_axes(ax, _height(len(rows)))
+    if rows.empty:
+        return blank(ax, "no effect was tested")
+    ratio = (rows["phi_min"] / rows["plausible"]).to_numpy(dtype=float)
+    at, known = np.arange(len(rows)), np.isfinite(ratio) & (ratio > 0.0)
+    low, high = (min(0.1, *ratio[known]), max(10.0, *ratio[known])) if known.any() else (0.1, 10.0)
+    ax.set_xscale("log")
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.set_xlim(low / 1.6, high * 2.5)
+    ax.axvline(1.0, color=BLACK, linewidth=1.0, gid="plausible")
+    ax.axvspan(1.0, high * 2.5, color="#F2F2F2", zorder=0)
+    seen = np.array([bool(flag) for flag in rows["visible"]])
+    for flag, face in ((True, BLUE), (False, "white")):
+        shown = known & (seen == flag)
+        edge = BLUE if flag else GREY
+        gid = "visible" if flag else "not visible"
+        ax.plot(ratio[shown], at[shown], "o", color=edge, markerfacecolor=face, markersize=6, gid=gid, zorder=3)
+    never = np.isposinf(ratio)
+    ax.plot(np.full(never.sum(), high * 1.9), at[never], ">", color=GREY, markersize=6, gid="never")
+    for row, (z, posterior) in enumerate(zip(rows["z"], rows["posterior"], strict=True)):
+        colour = BLACK if seen[row] else GREY
+        _beside(
+            ax,
+            row,
+            "–" if pd.isna(z) else f"{z:.1f}",
+            "–" if pd.isna(posterior) else f"{100.0 * posterior:.1f} %",
+            colour,
+        )
+    _beside(ax, -0.8, "z", "posterior", GREY)
+    _name_rows(ax, rows)
+    ax.set_xlabel("smallest visible strength /\nlargest plausible strength (–)")
+    return ax
+
+
+def ranked_effects_figure(table: pd.DataFrame) -> Figure:
+    """Draw `draw_ranked_effects` and `draw_visibility` side by side, with one row an effect."""
+    figure = new_figure(_height(len(table)))
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(0.4, _height(len(table)) - 0.4))
+    over, left = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
+    right = figure.add_subplot(grid[1, 1], sharey=left)
+    draw_ranked_effects(table, left, legend=False)
+    draw_visibility(table, right)
+    right.tick_params(labelleft=False)
+    over.set_axis_off()
+    over.legend(handles=_handles(table), loc="upper left", borderaxespad=0.0, ncols=3)
+    return figure
+
+
+def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd.DataFrame | None = None) -> Axes:
+    """Draw how alike the fingerprints of the effects are once all that calibration can absorb is taken out.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Column ``effect`` and one column of every effect; correlations from -1 to 1, NaN where unknown.
+    ax : Axes, optional
+    effects : DataFrame, optional
+        Columns ``name, title, gamma`` (share of the fingerprint that calibration cannot absorb), for the labels.
+
+    Returns
+    -------
+    Axes
+        A matrix with the values in the cells; those over 0.9 in size, off the diagonal, are outlined.
+    """
+    names = table["effect"].astype(str).tolist()
+    count = len(names)
+    titles = {} if effects is None else dict(zip(effects["name"], effects["title"], strict=True))
+    gammas = {} if effects is None else dict(zip(effects["name"], effects["gamma"], strict=True))
+    if ax is None:
+        ax = new_figure(float(np.clip(0.36 * count, 1.2, 9.0)) + 1.9).add_subplot()
+    if not names:
+        return blank(ax, "no effect was tested")
+    values = table.set_index("effect").reindex(columns=names).to_numpy(dtype=float)
+    ax.imshow(np.ones_like(values), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
+    image = ax.imshow(values, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
+    size = 7.5 if count <= 14 else max(4.5, 7.5 * 14 / count)
+    for i, j in np.argwhere(np.isfinite(values)):
+        colour = "white" if abs(values[i, j]) > 0.65 else BLACK
+        text = f"{round(values[i, j], 2) + 0.0:.2f}".replace("-", "−")
+        ax.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
+    separate_cells(ax, count, count)
+    for i, j in np.argwhere((np.abs(values) > _ALIKE) & ~np.eye(count, dtype=bool)):
+        looks: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.8, "clip_on": False, "zorder": 4}
+        ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="alike", **looks))
+    known = {name: f" ({gammas[name]:.2f})" for name in names if not pd.isna(gammas.get(name, math.nan))}
+    ax.set_xticks(range(count), [textwrap.fill(str(titles.get(n, n)), 22) for n in names], rotation=90, fontsize=8)
+    ax.set_yticks(range(count), [textwrap.fill(f"{titles.get(n, n)}{known.get(n, '')}", 26) for n in names], fontsize=8)
+    note = f"outlined: |ρ| > {_ALIKE:g}, hard to tell apart"
+    ax.set_xlabel(note + ("; in brackets: γ, the share that calibration cannot absorb" if known else ""))
+    label = "correlation ρ of the fingerprints (–)"
+    ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
+    return ax
+
+
+def _threshold(count: int) -> float:
+    """Ln odds that one of so many effects must pass; the more there are, the better one of them fits by chance."""
+    return math.log(max(count, 1)) + LEAST_ODDS
+
+
+def _looks(rows: pd.DataFrame) -> list[str]:
+    """Which of the looks of a bar holds for every effect."""
+    credible, seen, refitted = (
+        [not pd.isna(flag) and bool(flag) for flag in rows[name]] for name in ("credible", "visible", "refitted")
+    )
+    names = list(_LOOKS)
+    return [
+        names[0] if c else names[3] if not s else names[1] if r else names[2]
+        for c, s, r in zip(credible, seen, refitted, strict=True)
+    ]
+
+
+def _handles(rows: pd.DataFrame) -> list[Artist]:
+    """What the legend of the evidence holds."""
+    there = _looks(rows)
+    handles: list[Artist] = [Patch(label=name, **look) for name, look in _LOOKS.items() if name in there]
+    words = f"threshold ln {len(rows)} + {LEAST_ODDS:g} = {_threshold(len(rows)):.1f}"
+    handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=1.0, label=words))
+    if rows[["ln_bayes_third", "ln_bayes_triple"]].notna().to_numpy().any():
+        handles.append(Line2D([], [], color=BLACK, linewidth=1.1, label="prior width ÷ 3 to × 3"))
+    return handles
+
+
+def _beside(ax: Axes, row: float, z: str, posterior: str, colour: str) -> None:
+    """Two columns of words at the right of a row."""
+    for words, shift in ((z, 32), (posterior, 84)):
+        ax.annotate(
+            words.replace("-", "−"),
+            (1.0, row),
+            xycoords=ax.get_yaxis_transform(),
+            xytext=(shift, 0),
+            textcoords="offset points",
+            ha="right",
+            va="center",
+            fontsize=8,
+            color=colour,
+            annotation_clip=False,
+        )
+
+
+def _height(count: int) -> float:
+    """Height in inches of a figure with one row an effect, whose name may take two lines."""
+    return 1.6 + 0.36 * max(count, 1)
+
+
+def _name_rows(ax: Axes, rows: pd.DataFrame) -> None:
+    """Names of the effects at the left, on two lines where they are long, with lines between the rows."""
+    titles = [str(title) or str(name) for name, title in zip(rows["name"], rows["title"], strict=True)]
+    ax.set_yticks(range(len(rows)), [textwrap.fill(title, 24) for title in titles])
+    ax.tick_params(axis="y", length=0)
+    ax.set_ylim(len(rows) - 0.45, -0.55)
+    ax.grid(axis="x")
+    for row in range(1, len(rows)):
+        ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)

@@ -1,0 +1,181 @@
+"""What the misfit says about a model: which responses it fails, and which parameters had to move too far."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from calib.report.explanation import blank
+from calib.report.style import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    GREEN,
+    GREY,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    legend_above,
+    matrix_height,
+    new_figure,
+    own_axes,
+    separate_cells,
+)
+
+KINDS = ("frequency", "damping", "shape")
+STAGES = {"base": "base model, calibrated", "explained": "with the missing effect"}
+_MOST = 16.0
+"""Largest -log10 p that is told apart."""
+_COLOURS = (BEFORE, AFTER, GREEN, PURPLE, SKY)
+
+
+def draw_where_it_fails(table: pd.DataFrame, ax: Axes | None = None, *, stage: str = "base", bar: bool = True) -> Axes:
+    """Draw how unlikely it is that noise alone made the misfit of every mode in every kind of response.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``stage, mode, kind``, ``chi2`` (sum of squared residuals in sigma), ``freedom`` (degrees of freedom
+        that are left) and ``p``; NaN where unknown.
+    ax : Axes, optional
+    stage : str
+        The rows to draw.
+    bar : bool
+        Whether a colour bar is added.
+
+    Returns
+    -------
+    Axes
+        Colours are -log10 p, at most 16; the cells hold chi2 over its degrees of freedom. A cell without p is grey.
+    """
+    modes = list(dict.fromkeys(table["mode"]))
+    there = list(dict.fromkeys(table["kind"]))
+    kinds = [*(k for k in KINDS if k in there), *(k for k in there if k not in KINDS)]
+    ax = own_axes(ax, matrix_height(len(modes), len(kinds)))
+    if not kinds:
+        return blank(ax, "no mode was compared")
+    rows = table[table["stage"] == stage].set_index(["mode", "kind"])
+    everywhere = pd.MultiIndex.from_product([modes, kinds])
+    chi2, freedom, p = (
+        rows[name].astype(float).reindex(everywhere).to_numpy().reshape(len(modes), len(kinds))
+        for name in ("chi2", "freedom", "p")
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unlikely = np.minimum(-np.log10(p), _MOST) + 0.0
+        ratio = np.where(freedom > 0.0, chi2 / freedom, np.nan)
+    ax.imshow(np.ones_like(unlikely), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
+    image = ax.imshow(unlikely, cmap="OrRd", norm=Normalize(0.0, _MOST), aspect="auto", gid="unlikely")
+    for i, j in np.ndindex(ratio.shape):
+        words = f"{ratio[i, j]:.3g}" if math.isfinite(ratio[i, j]) else "–"
+        colour = "white" if unlikely[i, j] > 0.6 * _MOST else BLACK
+        ax.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
+    ax.set_xticks(range(len(kinds)), kinds)
+    ax.set_yticks(range(len(modes)), [str(mode) for mode in modes])
+    separate_cells(ax, len(modes), len(kinds))
+    ax.set_title(STAGES.get(stage, stage))
+    ax.set_xlabel("in the cells: χ² / degrees of freedom")
+    ax.set_ylabel("mode")
+    if bar:
+        _unlikely_bar(image, [ax])
+    return ax
+
+
+def where_it_fails_figure(table: pd.DataFrame) -> Figure:
+    """Draw a panel of `draw_where_it_fails` for the base model and, where the table has it, for the explained one."""
+    stages = [stage for stage in STAGES if (table["stage"] == stage).any()] or ["base"]
+    figure = new_figure(0.2 + matrix_height(table["mode"].nunique(), len(KINDS)))
+    panels = list(np.atleast_1d(figure.subplots(1, len(stages), sharey=True)))
+    for ax, stage in zip(panels, stages, strict=True):
+        draw_where_it_fails(table, ax, stage=stage, bar=False)
+    for ax in panels[1:]:
+        ax.set_ylabel("")
+    if panels[0].images:
+        _unlikely_bar(panels[0].images[-1], panels)
+    return figure
+
+
+def _unlikely_bar(image: ScalarMappable, panels: list[Axes]) -> None:
+    bar = panels[0].figure.colorbar(image, ax=panels, label="−log₁₀ p", fraction=0.04, pad=0.02, aspect=30)
+    bar.set_ticks([0, 4, 8, 12, 16], labels=["0", "4", "8", "12", "≥ 16"])
+
+
+def draw_strain(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """Draw how far each parameter was pulled from its adopted value, in units of what chance would do.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``model`` (``base``, or the names of its effects), ``parameter, unit, adopted, value``,
+        ``standardised`` (shift over the root of prior less posterior variance), ``limit`` (of the normal distribution,
+        after Bonferroni) and ``strained`` (bool, or None).
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        One dot a parameter and model, dashed lines at the limits, and a ring round every strained dot. At the right
+        stand the adopted value and those of the models in turn.
+    """
+    models, names = list(dict.fromkeys(table["model"])), list(dict.fromkeys(table["parameter"]))
+    ax = own_axes(ax, 1.2 + 0.38 * max(1, len(names)))
+    if not names:
+        return blank(ax, "no parameter was calibrated")
+    plain = {"marker": "o", "linestyle": "none", "markersize": 11}
+    ring: dict[str, Any] = {**plain, "markerfacecolor": "none", "markeredgewidth": 1.6, "markeredgecolor": VERMILLION}
+    step = min(0.3, 0.7 / len(models))
+    handles: list[Artist] = []
+    for k, model in enumerate(models):
+        rows = table[table["model"] == model].set_index("parameter").reindex(names)
+        y = np.arange(len(names)) + (k - (len(models) - 1) / 2) * step
+        shift = rows["standardised"].to_numpy(dtype=float)
+        label = "base model" if model == "base" else f"with {model}"
+        colour = _COLOURS[k % len(_COLOURS)]
+        handles += ax.plot(
+            shift, y, "osD^v"[k % 5], color=colour, markersize=5.5, label=label, gid=f"shift {model}", zorder=3
+        )
+        ringed = np.array([not pd.isna(flag) and bool(flag) for flag in rows["strained"]])
+        ax.plot(shift[ringed], y[ringed], gid=f"strained {model}", zorder=4, **ring)
+    limits = sorted(set(table["limit"].astype(float).dropna().round(3)))
+    for limit in limits:
+        for side in (-limit, limit):
+            ax.axvline(side, color=BLACK, linestyle="--", linewidth=0.9, gid="limit")
+    ax.axvline(0.0, color=GREY, linewidth=0.8)
+    for row, name in enumerate(names):
+        words = _values(table[table["parameter"] == name], models)
+        ax.text(1.02, row, words, transform=ax.get_yaxis_transform(), va="center", fontsize=8)
+        if row:
+            ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
+    ax.set_yticks(range(len(names)), [str(name) for name in names])
+    ax.tick_params(axis="y", length=0)
+    size = np.abs([*table["standardised"].astype(float), *limits, 3.0])
+    reach = 1.12 * float(size[np.isfinite(size)].max())
+    ax.set(ylim=(len(names) - 0.4, -0.6), xlim=(-reach, reach))
+    ax.grid(axis="x")
+    ax.set_xlabel("shift from the adopted value, standardised (–)")
+    words = " → ".join(["adopted", *("base" if model == "base" else "explained" for model in models)])
+    ax.text(1.02, -0.75, words, transform=ax.get_yaxis_transform(), va="bottom", fontsize=8, color=GREY)
+    if limits:
+        label = "limit ± " + ", ".join(f"{limit:.2f}" for limit in limits)
+        handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9, label=label))
+    if any(not pd.isna(flag) and bool(flag) for flag in table["strained"]):
+        handles.append(Line2D([], [], label="strained", **ring))
+    legend_above(ax, handles)
+    return ax
+
+
+def _values(rows: pd.DataFrame, models: list[str]) -> str:
+    """Adopted value and those of the models, with the unit."""
+    by_model = rows.set_index("model")
+    values = [rows["adopted"].iloc[0], *by_model["value"].reindex(models)]
+    unit = str(rows["unit"].iloc[0])
+    text = " → ".join("–" if pd.isna(value) else f"{value:.4g}".replace("-", "−") for value in values)
+    return text if unit in ("", "-", "–") else f"{text} {unit}"

@@ -1,0 +1,254 @@
+"""Whether an explanation predicts better, and what to measure next."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from calib.report.explanation import LEAST_ODDS, blank
+from calib.report.style import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    CASES,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    legend_above,
+    new_figure,
+    own_axes,
+)
+
+GROUPS = {
+    "fit": "used in the fit",
+    "left_out": "each mode left out in turn",
+    "withheld_sensors": "withheld sensors",
+    "withheld_modes": "withheld modes",
+}
+_STAGES: dict[str, tuple[str, dict[str, Any]]] = {
+    "before": ("before: base model", {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"}),
+    "after": ("after: with the missing effect", {"facecolor": AFTER}),
+}
+_OPTIONS = {
+    "sensor": ("further sensor", SKY),
+    "mode": ("further mode", ORANGE),
+    "repeats": ("more repeats", GREEN),
+    "bench": ("bench test", PURPLE),
+}
+_RANGE = 20.0
+"""Ratio of the largest to the smallest error from which the axis is logarithmic."""
+_SHOWN = 10
+
+
+def draw_errors(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """Draw the error before and after an effect was added, in data that were used and in data that were not.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``group, stage`` (``before`` or ``after``), ``rms`` (sigma), ``expected`` (from noise alone, sigma) and
+        ``p``; NaN where unknown.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        Bars of the rms with a line at what is expected; logarithmic when the errors differ by more than 20 times.
+    """
+    groups = _groups(table)
+    ax = own_axes(ax, 3.6)
+    if not groups:
+        return blank(ax, "no error is known")
+    stages = [stage for stage in _STAGES if (table["stage"] == stage).any()]
+    width = 0.76 / len(stages)
+    handles: list[Artist] = []
+    for k, stage in enumerate(stages):
+        rows = table[table["stage"] == stage].set_index("group").reindex(groups)
+        x = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * width
+        rms, expected, p = (rows[name].to_numpy(dtype=float) for name in ("rms", "expected", "p"))
+        label, looks = _STAGES[stage]
+        bars = ax.bar(x, rms, 0.92 * width, label=label, gid=stage, **looks)
+        ax.bar_label(bars, [_error_words(r, q) for r, q in zip(rms, p, strict=True)], fontsize=7.5, padding=2)
+        floor = np.isfinite(expected)
+        ends = (x[floor] - 0.5 * width, x[floor] + 0.5 * width)
+        ax.hlines(expected[floor], *ends, color=BLACK, linewidth=1.6, gid=f"expected {stage}", zorder=4)
+        handles.append(Patch(label=label, **looks))
+    handles.append(Line2D([], [], color=BLACK, linewidth=1.6, label="expected from noise alone"))
+    _scale(ax, table, 1.2)
+    ax.set_xticks(range(len(groups)), [textwrap.fill(GROUPS.get(g, g), 18) for g in groups])
+    ax.set_xlim(-0.6, len(groups) - 0.4)
+    ax.grid(axis="y")
+    ax.set_ylabel("rms error (σ)")
+    legend_above(ax, handles)
+    return ax
+
+
+def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """Draw the error of every group of data over the versions of a model.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``version`` (number, in order), ``effects`` (names in the model, empty for the base model), ``group``,
+        ``rms`` and ``expected`` (sigma; NaN where unknown).
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        One line a group, dashed ones at what is expected; logarithmic when the errors differ by more than 20 times.
+    """
+    groups, versions = _groups(table), sorted(set(table["version"]))
+    ax = own_axes(ax, 3.8)
+    if not groups:
+        return blank(ax, "no version of the model is known")
+    x = np.arange(len(versions))
+    for k, group in enumerate(groups):
+        rows = table[table["group"] == group].groupby("version")[["rms", "expected"]].first().reindex(versions)
+        looks: dict[str, Any] = {
+            "color": CASES[k % len(CASES)],
+            "marker": "osD^v"[k % 5],
+            "markersize": 5.5,
+            "linewidth": 1.6,
+        }
+        ax.plot(x, rows["rms"].to_numpy(dtype=float), label=GROUPS.get(group, group), gid=group, zorder=3, **looks)
+        expected = rows["expected"].to_numpy(dtype=float)
+        ends = [np.repeat(expected, 2), np.ravel(np.column_stack([x - 0.2, x + 0.2]))]
+        ends = [np.insert(end, np.arange(2, len(end), 2), np.nan) for end in ends]
+        ax.plot(ends[1], ends[0], "--", color=looks["color"], linewidth=1.1, gid=f"expected {group}")
+    _scale(ax, table, 1.1)
+    effects = table.groupby("version")["effects"].first().reindex(versions).fillna("")
+    width = max(12, int(100 / len(versions)) - 4)
+    words = [textwrap.fill(str(e) or "base model", width) for e in effects]
+    ax.set_xticks(x, [f"{version:g}\n{text}" for version, text in zip(versions, words, strict=True)])
+    ax.set_xlim(-0.5, len(versions) - 0.5)
+    ax.grid(axis="y")
+    ax.set_xlabel("version of the model, and its added effects")
+    ax.set_ylabel("rms error (σ)")
+    handles: list[Artist] = list(ax.get_legend_handles_labels()[0])
+    handles.append(Line2D([], [], color=GREY, linestyle="--", linewidth=1.1, label="expected from noise alone"))
+    legend_above(ax, handles)
+    return ax
+
+
+def best_options(table: pd.DataFrame, count: int = _SHOWN) -> pd.DataFrame:
+    """Return the options of most worth, best first: by ``ln_bayes`` where any is known, otherwise by ``gain``."""
+    key = ["ln_bayes", "gain"] if table["ln_bayes"].notna().any() else ["gain"]
+    return table.sort_values(key, ascending=False, kind="stable", na_position="last", ignore_index=True).head(count)
+
+
+def draw_next_measurement(
+    table: pd.DataFrame, ax: Axes | None = None, *, measure: str = "gain", legend: bool = True
+) -> Axes:
+    """Draw what further measurements promise, the best ten.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``option, kind`` (sensor, mode, repeats or bench), ``effect`` (whose score grows), ``gain`` (factor in
+        the expected score z) and ``ln_bayes`` (expected ln odds between the two leading effects; NaN when one leads).
+    ax : Axes, optional
+    measure : str
+        ``gain``, drawn from 1, which is no gain, or ``ln_bayes``, drawn from 0.
+    legend : bool
+        Whether a legend stands over the Axes.
+    """
+    rows = best_options(table)
+    ax = own_axes(ax, _next_height(rows))
+    if rows.empty:
+        return blank(ax, "no further measurement was considered")
+    at = np.arange(len(rows))
+    values = rows[measure].to_numpy(dtype=float, copy=True)
+    start = 1.0 if measure == "gain" else 0.0
+    colours = [_OPTIONS.get(kind, (kind, GREY))[1] for kind in rows["kind"].astype(str)]
+    words = ["–" if np.isnan(v) else f"× {v:.2f}" if measure == "gain" else f"{v:.1f}" for v in values]
+    values[np.isinf(values)] = np.nan
+    bars = ax.barh(at, values - start, 0.66, left=start, color=colours, gid=measure)
+    ax.bar_label(bars, [w.replace("-", "−").replace("inf", "∞") for w in words], fontsize=8, padding=3)
+    ax.axvline(start, color=BLACK, linewidth=0.8)
+    known = np.append(values[np.isfinite(values)], [start, 2.0 if measure == "gain" else LEAST_ODDS])
+    span = float(known.max() - known.min())
+    ax.set_xlim(known.min() - 0.02 * span, known.max() + 0.24 * span)
+    if measure == "ln_bayes":
+        ax.axvline(LEAST_ODDS, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
+        ax.set_xlabel(f"expected ln odds between the two\nleading effects (–; dashed: {LEAST_ODDS:g})")
+    else:
+        ax.set_xlabel("factor in the expected score z (–)\n1: nothing is gained")
+    ax.set_yticks(at, _option_labels(rows), fontsize=8)
+    ax.tick_params(axis="y", length=0)
+    ax.set_ylim(len(rows) - 0.45, -0.55)
+    ax.grid(axis="x")
+    if legend:
+        legend_above(ax, _option_handles(rows))
+    return ax
+
+
+def next_measurement_figure(table: pd.DataFrame) -> Figure:
+    """Draw `draw_next_measurement`, and beside it the expected odds where two effects compete."""
+    rows = best_options(table)
+    figure = new_figure(_next_height(rows))
+    if not table["ln_bayes"].notna().any():
+        draw_next_measurement(table, figure.add_subplot())
+        return figure
+    grid = figure.add_gridspec(2, 2, height_ratios=(0.2, _next_height(rows) - 0.2))
+    over, left = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
+    right = figure.add_subplot(grid[1, 1], sharey=left)
+    draw_next_measurement(table, left, legend=False)
+    draw_next_measurement(table, right, measure="ln_bayes", legend=False)
+    right.tick_params(labelleft=False)
+    over.set_axis_off()
+    over.legend(handles=_option_handles(rows), loc="upper left", borderaxespad=0.0, ncols=4)
+    return figure
+
+
+def _groups(table: pd.DataFrame) -> list[str]:
+    """Groups of data in their order, without those of which no error is known."""
+    there = set(table["group"][table["rms"].notna()])
+    return [*(g for g in GROUPS if g in there), *sorted(there - set(GROUPS))]
+
+
+def _scale(ax: Axes, table: pd.DataFrame, room: float) -> None:
+    """Logarithmic axis for errors that differ much, otherwise from 0; with room over the highest."""
+    values = table[["rms", "expected"]].to_numpy(dtype=float)
+    values = values[np.isfinite(values)]
+    low, high = float(values.min()), float(values.max())
+    if low > 0.0 and high > _RANGE * low:
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
+        bottom = 0.5 * low
+        ax.set_ylim(bottom, high * (high / bottom) ** (room - 1.0))
+    else:
+        ax.set_ylim(0.0, (high or 1.0) * room)
+
+
+def _error_words(rms: float, p: float) -> str:
+    if np.isnan(rms):
+        return ""
+    chance = "" if np.isnan(p) else "\np < 0.001" if p < 1e-3 else f"\np = {p:.2g}"
+    return f"{rms:.3g}{chance}"
+
+
+def _option_handles(rows: pd.DataFrame) -> list[Artist]:
+    looks = [_OPTIONS.get(kind, (kind, GREY)) for kind in dict.fromkeys(rows["kind"].astype(str))]
+    return [Patch(facecolor=colour, label=words) for words, colour in looks]
+
+
+def _option_labels(rows: pd.DataFrame) -> list[str]:
+    several = rows["effect"].nunique() > 1
+    words = rows["option"].astype(str) + (" (for " + rows["effect"].astype(str) + ")" if several else "")
+    return [textwrap.fill(text, 40) for text in words]
+
+
+def _next_height(rows: pd.DataFrame) -> float:
+    lines = [label.count("\n") + 1 for label in _option_labels(rows)] if len(rows) else [1]
+    return 1.3 + sum(max(0.3, 0.17 * n + 0.06) for n in lines)

@@ -1,0 +1,296 @@
+"""Where on the structure a model fails: residuals at the sensors, and local changes that would fit."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Hashable
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from calib.report.scene import (
+    FOOT,
+    HEADING,
+    PLACE,
+    colour_bar,
+    draw_dots,
+    frame_panel,
+    new_axes,
+    new_figure,
+    number_points,
+    plot_lines,
+    seen_size,
+    segments,
+    show_axes,
+)
+from calib.report.shapes import measured_motions, motion_scale, plot_coordinates
+from calib.report.style import BLUE, GREY, REST, VERMILLION, WIDTH
+
+ATOM_KINDS = ("stiffness", "damping", "mass")
+
+
+def sensor_rms(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the root mean square of each sensor's residual over the modes, worst first.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``mode, sensor, direction, x, y, z`` (m), ``re, im`` (sigma; NaN where unknown).
+
+    Returns
+    -------
+    DataFrame
+        Columns ``sensor, direction, x, y, z, rms``; real and imaginary parts count alike, so that noise alone gives
+        about 1.
+    """
+    parts = table[["re", "im"]].astype(float)
+    counted = table.assign(total=(parts**2).sum(axis=1), parts=parts.notna().sum(axis=1))
+    by_sensor = counted.groupby("sensor", sort=False)
+    found = by_sensor.agg(
+        direction=("direction", "first"),
+        x=("x", "first"),
+        y=("y", "first"),
+        z=("z", "first"),
+        total=("total", "sum"),
+        parts=("parts", "sum"),
+    )
+    found["rms"] = np.sqrt(found.pop("total") / found.pop("parts"))
+    return found.reset_index().sort_values("rms", ascending=False, kind="stable", ignore_index=True)
+
+
+def draw_sensor_misfit(
+    table: pd.DataFrame, structure: pd.DataFrame, ax: Axes3D | None = None, *, stage: str = "base"
+) -> Axes3D:
+    """Draw every sensor's residual over all modes on the structure.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``stage, mode, sensor, direction`` (x, y or z), ``x, y, z`` (m), ``re, im`` (sigma). Sensors without a
+        place are not drawn.
+    structure : DataFrame
+        Lines of the mesh, ends ``x0, y0, z0, x1, y1, z1`` (m).
+    ax : Axes3D, optional
+    stage : str
+        The rows to draw.
+
+    Returns
+    -------
+    Axes3D
+        Lines with the gids ``structure`` and ``direction`` (a stick along the sensor's direction, the worst a tenth of
+        the structure's diagonal), circles with the gid ``rms`` at their ends, coloured and sized by the rms; the worst
+        three are numbered.
+    """
+    ax = new_axes(ax)
+    rest = segments(structure)
+    sensors = sensor_rms(table[table["stage"] == stage]).dropna()
+    place = sensors[PLACE].to_numpy(dtype=float)
+    rms = sensors["rms"].to_numpy(dtype=float)
+    along = np.array([[float(d == axis) for axis in PLACE] for d in sensors["direction"]]).reshape(-1, 3)
+    everything = np.concatenate([rest.reshape(-1, 3), place])
+    tips = place + motion_scale(everything, along * rms[:, None]) * along * rms[:, None]
+    plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
+    plot_lines(ax, np.stack([place, tips], axis=1), color=GREY, linewidth=1.0, gid="direction", zorder=2)
+    draw_dots(ax, tips, rms, Normalize(0.0, float(np.max(rms, initial=3.0))), "YlOrRd", "rms")
+    frame_panel(ax, np.concatenate([everything, tips]), f"all modes, sensors: {len(sensors)}")
+    number_points(ax, tips, {k: k + 1 for k in range(min(3, len(tips)))})
+    return ax
+
+
+def draw_mode_misfit(
+    table: pd.DataFrame, structure: pd.DataFrame, ax: Axes3D | None = None, *, scale: float | None = None
+) -> Axes3D:
+    """Draw one mode's residual at the sensors as arrows.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Rows of one mode and stage, columns as for `draw_sensor_misfit`. Sensors at one place make one arrow.
+    structure : DataFrame
+        Lines of the mesh, ends ``x0, y0, z0, x1, y1, z1`` (m).
+    ax : Axes3D, optional
+    scale : float, optional
+        Metres a sigma; without it, the longest arrow is a tenth of the structure's diagonal.
+
+    Returns
+    -------
+    Axes3D
+        Lines with the gids ``structure``, ``re`` and ``im`` (from the place to the tip), and ``re tip``, ``im tip``.
+    """
+    ax = new_axes(ax)
+    rest = segments(structure)
+    arrows = {part: measured_motions(table.assign(measured_re=table[part])) for part in ("re", "im")}
+    everything = np.concatenate([rest.reshape(-1, 3), *[place for place, _ in arrows.values()]])
+    if scale is None:
+        scale = motion_scale(everything, np.concatenate([motion for _, motion in arrows.values()]))
+    plot_lines(ax, rest, color=REST, linewidth=0.7, gid="structure", zorder=1)
+    for part, colour, marker, order in (("im", BLUE, "s", 2), ("re", VERMILLION, "o", 3)):
+        place, motion = arrows[part]
+        tips = place + scale * motion
+        plot_lines(ax, np.stack([place, tips], axis=1), color=colour, linewidth=0.9, gid=part, zorder=order)
+        ends = plot_coordinates(tips).T
+        ax.plot(*ends, marker, color=colour, markersize=2.6, gid=f"{part} tip", zorder=order)
+        everything = np.concatenate([everything, tips])
+    mode = str(table["mode"].iloc[0]) if len(table) else ""
+    frame_panel(ax, everything, f"{mode}   rms {_rms(table):.1f} σ" if mode else "no mode")
+    return ax
+
+
+def sensor_misfit_figure(table: pd.DataFrame, structure: pd.DataFrame, *, stage: str = "base") -> Figure:
+    """Draw the sensors over all modes, and under them the arrows of the three worst modes on one scale.
+
+    Parameters
+    ----------
+    table, structure : DataFrame
+        As for `draw_sensor_misfit`.
+    stage : str
+        The rows to draw.
+    """
+    rows = table[(table["stage"] == stage) & table[PLACE].notna().all(axis=1)]
+    by_mode = {str(mode): part for mode, part in rows.groupby("mode", sort=False)}
+    worst = sorted(by_mode, key=lambda mode: -np.nan_to_num(_rms(by_mode[mode])))[:3]
+    wide, high = seen_size(structure, rows, 0.1)
+    upper = min(WIDTH * high / wide + 2 * HEADING, 4.4)
+    lower = min(WIDTH / 3 * high / wide + 2 * HEADING, WIDTH / 3) if worst else 0.0
+    figure = new_figure(upper + lower + FOOT)
+    grid = figure.add_gridspec(2 if worst else 1, 3, height_ratios=[upper, lower] if worst else None)
+    main = draw_sensor_misfit(table, structure, figure.add_subplot(grid[0, :], projection="3d"), stage=stage)
+    shown = [by_mode[mode] for mode in worst]
+    motions = [measured_motions(t.assign(measured_re=t[part]))[1] for t in shown for part in ("re", "im")]
+    points = np.concatenate([segments(structure).reshape(-1, 3), rows[PLACE].to_numpy(dtype=float)])
+    scale = motion_scale(points, np.concatenate(motions)) if motions else None
+    for k, part in enumerate(shown):
+        draw_mode_misfit(part, structure, figure.add_subplot(grid[1, k], projection="3d"), scale=scale)
+    show_axes(figure)
+    height = float(figure.get_size_inches()[1])
+    if motions:
+        longest = float(np.linalg.norm(np.concatenate(motions), axis=1).max(initial=0.0))
+        handles = [
+            Line2D([], [], color=VERMILLION, marker="o", markersize=3.5, linewidth=0.9, label="real part"),
+            Line2D([], [], color=BLUE, marker="s", markersize=3.5, linewidth=0.9, label="imaginary part"),
+        ]
+        legend = figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.95 / WIDTH, 0.02 / height))
+        legend.set_title(f"arrows: longest {longest:.1f} σ", FontProperties(size=8.5))
+        legend.set_alignment("left")
+    worst_sensors = sensor_rms(rows).head(3).itertuples()
+    words = [f"{n}  {row.sensor}: {row.rms:.1f} σ" for n, row in enumerate(worst_sensors, start=1)]
+    figure.text(3.0 / WIDTH, 0.1 / height, "\n".join(["worst sensors:", *words]), fontsize=8.5, va="bottom")
+    (dots,) = main.collections
+    colour_bar(figure, cast(ScalarMappable, dots), "rms over the modes (σ; noise alone: about 1)")
+    return figure
+
+
+def draw_atoms(
+    table: pd.DataFrame,
+    structure: pd.DataFrame,
+    ax: Axes3D | None = None,
+    *,
+    kind: str = "stiffness",
+    limit: float | None = None,
+    best: pd.DataFrame | None = None,
+) -> Axes3D:
+    """Draw the scores of local changes of one kind where they would be made.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``atom, kind, x, y, z`` (m) and ``score`` (signed, in standard deviations; NaN where calibration absorbs
+        the change). Changes without a place are not drawn.
+    structure : DataFrame
+        Lines of the mesh, ends ``x0, y0, z0, x1, y1, z1`` (m).
+    ax : Axes3D, optional
+    kind : str
+        The rows to draw.
+    limit : float, optional
+        Score of the strongest colour; without it, that of `score_limit`.
+    best : DataFrame, optional
+        Rows to number, as from `best_atoms`.
+
+    Returns
+    -------
+    Axes3D
+        Circles with the gid ``score``, the largest at the back, and small crosses with the gid ``absorbed``.
+    """
+    ax = new_axes(ax)
+    rest = segments(structure)
+    rows = table[(table["kind"] == kind) & table[PLACE].notna().all(axis=1)]
+    rows = rows.iloc[np.argsort(-rows["score"].abs().to_numpy(dtype=float), kind="stable")]
+    limit = score_limit(table) if limit is None else limit
+    place, score = rows[PLACE].to_numpy(dtype=float), rows["score"].to_numpy(dtype=float)
+    known = np.isfinite(score)
+    plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
+    absorbed = plot_coordinates(place[~known]).T
+    ax.plot(*absorbed, "x", color=GREY, markersize=3.0, markeredgewidth=0.7, gid="absorbed", zorder=2)
+    draw_dots(ax, place[known], score[known], Normalize(-limit, limit), "RdBu_r", "score")
+    frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place]), f"{kind}, local changes: {len(rows)}")
+    marked = list((best_atoms(table) if best is None else best).index)
+    number_points(ax, place, {k: marked.index(label) + 1 for k, label in enumerate(rows.index) if label in marked})
+    return ax
+
+
+def score_limit(table: pd.DataFrame) -> float:
+    """Return the score of the strongest colour: the largest size there is, at least 5."""
+    return float(np.nanmax(np.append(table["score"].abs().to_numpy(dtype=float), 5.0)))
+
+
+def best_atoms(table: pd.DataFrame, count: int = 3) -> pd.DataFrame:
+    """Return the rows with the largest sizes of ``score`` among those that have a place."""
+    placed = table[table[[*PLACE, "score"]].notna().all(axis=1)]
+    return placed.iloc[np.argsort(-placed["score"].abs().to_numpy(dtype=float), kind="stable")[:count]]
+
+
+def atom_map_figure(table: pd.DataFrame, structure: pd.DataFrame) -> Figure:
+    """Draw one panel of `draw_atoms` a kind and name the three best; they are places that would fit, not causes.
+
+    Parameters
+    ----------
+    table, structure : DataFrame
+        As for `draw_atoms`, and a column ``gamma`` (share of the fingerprint that calibration cannot absorb).
+    """
+    kinds = [k for k in (*ATOM_KINDS, *sorted(set(table["kind"]) - {*ATOM_KINDS})) if (table["kind"] == k).any()]
+    kinds = kinds or [ATOM_KINDS[0]]
+    wide, high = seen_size(structure, table, 0.03)
+    # A long low structure is seen best with the panels over one another.
+    columns = 1 if high < 0.28 * wide or len(kinds) == 1 else min(len(kinds), 2)
+    count = math.ceil(len(kinds) / columns)
+    panel = WIDTH / columns
+    best = best_atoms(table)
+    named = [_in_words(n, row) for n, row in enumerate(best.to_dict("records"), start=1)]
+    words = "\n".join(["largest scores:", *named] if named else ["no local change has a score"])
+    words += "\n×  absorbed by the calibration" if table["score"].isna().any() else ""
+    # The words stand over the colour bar, in the place of a panel where one is free.
+    foot = FOOT + (0.0 if count * columns > len(kinds) else 0.1 + 0.15 * (words.count("\n") + 1))
+    figure = new_figure(count * min(panel * high / wide + 3 * HEADING, panel, 4.4) + foot, foot)
+    grid = figure.add_gridspec(count, columns)
+    limit = score_limit(table)
+    for k, kind in enumerate(kinds):
+        ax = figure.add_subplot(grid[k // columns, k % columns], projection="3d")
+        draw_atoms(table, structure, ax, kind=kind, limit=limit, best=best)
+    show_axes(figure)
+    height = float(figure.get_size_inches()[1])
+    figure.text(4.5 / WIDTH, (FOOT + 0.02) / height, words, fontsize=8.5, va="bottom")
+    colours = ScalarMappable(Normalize(-limit, limit), "RdBu_r")
+    colour_bar(figure, colours, "score z (–)")
+    return figure
+
+
+def _in_words(number: int, row: dict[Hashable, Any]) -> str:
+    """Name, kind, score and gamma of one of the best, on as many lines as it takes."""
+    name = textwrap.fill(f"{number}  {row['atom']}", 46, subsequent_indent="     ")
+    facts = f"{row['kind']}, z = {row['score']:+.1f}, γ = {row.get('gamma', math.nan):.2f}"
+    return f"{name}\n     {facts.replace('-', '−')}"
+
+
+def _rms(table: pd.DataFrame) -> float:
+    """Root mean square of the real and imaginary parts there are; NaN without any."""
+    parts = table[["re", "im"]].to_numpy(dtype=float)
+    parts = parts[np.isfinite(parts)]
+    return math.sqrt(float(np.mean(parts**2))) if parts.size else math.nan

@@ -1,0 +1,219 @@
+"""What primary suspension, wheelsets and connecting rods may lack."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from calib.effect import Effect
+from calib.errors import InputError
+from calib.space import Parameter
+from calib.structure.affine import Monomial, Term, parameter
+from calib.structure.attach import Place, between, elongation, motion, outer_term, soft_mounts
+from calib.structure.extend import Addition
+from calib.structure.model import Assumption, StructuralModel
+from models.fem.discrete import PointMass
+from models.railway.bogie import AXLE_Y, CROSSBAR_X, GIRDER_Y, RX, RY, RZ, UX, UY, bogie
+
+GEAR_CASE = "gear case"
+
+
+def suspension_effects() -> tuple[Effect, ...]:
+    """Effects of primary springs and dampers, rods, wheelsets and the gear case."""
+    return (
+        Effect(
+            name="primary_uneven",
+            title="Primary springs of one corner stiffer or softer",
+            lacks="All four corners have the same primary springs.",
+            look_for="A wrong, broken or shimmed spring at the front left axle box; unequal heights of the corners.",
+            strength=Parameter(
+                "primary_uneven", 0.0, -0.9, 2.0, "-", prior_sd=0.15,
+                description="relative change of the front left primary springs",
+            ),
+            build=_primary_uneven,
+        ),
+        Effect(
+            name="weak_damper",
+            title="One primary damper weak",
+            lacks="All four primary dampers work alike.",
+            look_for="A leaking front left damper: oil on its body, a stroke without resistance by hand.",
+            strength=Parameter(
+                "weak_damper", 0.0, 0.0, 1.0, "-", prior_sd=0.4,
+                description="share of its damping that the front left damper has lost",
+            ),
+            build=_weak_damper,
+        ),
+        Effect(
+            name="damper_mount",
+            title="Soft mounts of the primary dampers",
+            lacks="The dampers are fixed rigidly at both ends, so that they dissipate at any frequency.",
+            look_for="Soft or worn rubber bushes and thin brackets at the eyes of the primary dampers.",
+            strength=Parameter(
+                "damper_mount", 0.2, 0.2, 5000.0, "mm/MN", prior_sd=200.0,
+                description="flexibility in series with each primary damper",
+            ),
+            build=_damper_mount,
+            grid=tuple({"damper_mount": s} for s in (100.0, 200.0, 400.0)),
+        ),
+        Effect(
+            name="wheel_contact",
+            title="Unequal wheel-rail contact of the front axle",
+            lacks="All wheels stand equally firmly on their rails.",
+            look_for="Unequal wheel loads, a gap under a rail pad or dirt on the rail at the front axle.",
+            strength=Parameter(
+                "wheel_contact", 0.0, -0.95, 0.95, "-", prior_sd=0.3,
+                description="relative stiffening of the front left contact, and softening of the front right one",
+            ),
+            build=_wheel_contact,
+        ),
+        Effect(
+            name="rolling_wheels",
+            title="Wheels roll as the axles move lengthwise",
+            lacks="Axles move lengthwise without turning their wheels.",
+            look_for="Whether the wheels are free to roll: brakes released, no wedges, clean rails.",
+            strength=Parameter(
+                "rolling_wheels", 0.0, 0.0, 1.3, "-", prior_sd=0.5,
+                description="share of the wheels' polar inertia that turns with the lengthwise motion",
+            ),
+            build=_rolling_wheels,
+        ),
+        Effect(
+            name="gear_case_offset",
+            title="Gear case off the middle of the front axle",
+            lacks="The gear case sits in the middle of the axle.",
+            look_for="Where the gear case really sits: measure from either wheel, to the left positive.",
+            strength=Parameter(
+                "gear_case_offset", 0.0, -600.0, 600.0, "mm", prior_sd=150.0,
+                description="place of the gear case across the bogie",
+            ),
+            build=_gear_case_offset,
+        ),
+        Effect(
+            name="torque_link",
+            title="Torque link between gear case and front crossbar",
+            lacks="The gear case touches nothing but the axle.",
+            look_for="A reaction link with rubber bushes between gear case and front crossbar.",
+            strength=Parameter(
+                "torque_link", 0.0, 0.0, 10_000.0, "kN/m", prior_sd=300.0, description="its vertical stiffness"
+            ),
+            build=_torque_link,
+        ),
+        Effect(
+            name="rod_damping",
+            title="Rubber bushes of the connecting rods dissipate",
+            lacks="The connecting rods are elastic without loss.",
+            look_for="Warm, cracked or oil-soaked rubber bushes at the ends of the connecting rods.",
+            strength=Parameter(
+                "rod_damping", 0.0, 0.0, 50.0, "kNs/m", prior_sd=2.0, description="damping along each rod"
+            ),
+            build=_rod_damping,
+        ),
+        Effect(
+            name="stiff_bushes",
+            title="Bushes of the connecting rods resist turning",
+            lacks="The connecting rods carry force along their own line only, as between frictionless hinges.",
+            look_for="Seized or over-tightened joints and wide rubber bushes at the ends of the connecting rods.",
+            strength=Parameter(
+                "stiff_bushes", 0.0, 0.0, 500.0, "kNm/rad", prior_sd=15.0,
+                description="stiffness of each bush against turning about the transverse axis",
+            ),
+            build=_stiff_bushes,
+        ),
+    )  # fmt: skip
+
+
+def _primary_uneven(model: StructuralModel) -> Addition:
+    return Addition(stiffness=(_scaled(model, "primary springs front left", "primary_uneven"),))
+
+
+def _weak_damper(model: StructuralModel) -> Addition:
+    return Addition(damping=(_scaled(model, "primary damper front left", "weak_damper", -1.0),))
+
+
+def _wheel_contact(model: StructuralModel) -> Addition:
+    left = _scaled(model, "wheel-rail contact front left", "wheel_contact")
+    return Addition(stiffness=(left, _scaled(model, "wheel-rail contact front right", "wheel_contact", -1.0)))
+
+
+def _scaled(model: StructuralModel, name: str, strength: str, sign: float = 1.0) -> Term:
+    """A named part times a strength."""
+    (part,) = (p for p in model.parts if p.name == name)
+    powers = (*part.coefficient.powers, (strength, 1.0))
+    return Term(f"{strength}: {name}", part.matrix, Monomial(sign * part.coefficient.factor, powers))
+
+
+def _damper_mount(model: StructuralModel) -> Addition:
+    rows = [elongation(model, d.end, d.other) for d in bogie(1.0).dampers if d.other is not None]
+    return soft_mounts(rows, "c_primary", "damper_mount")
+
+
+def _rolling_wheels(model: StructuralModel) -> Addition:
+    """Rolling couples a wheel's turning to its motion, ``ux = r rz``: its polar inertia acts as a mass ``J/r^2``."""
+    wheels = [m for m in bogie(1.0).masses if m.name.startswith("wheel ")]
+    rows = [np.sqrt(m.inertia[2]) / AXLE_Y * motion(model, m.at, UX) for m in wheels]
+    return Addition(mass=(outer_term("rolling_wheels", rows, parameter("rolling_wheels")),))
+
+
+def _gear_case_offset(model: StructuralModel) -> Addition:
+    """A mass that moves by e along z turns with the axle on an arm: ``ux + e ry``, ``uy - e rx``."""
+    name, case = "gear_case_offset", _gear_case(model)
+    share = case.mass / len(case.spread)
+    moved, turned = [], []
+    for x, y, z in (np.array(case.at[1]) + case.spread).tolist():
+        moves = [motion(model, (case.at[0], (x, y, z)), direction) for direction in range(6)]
+        moved += [moves[UX], moves[UY]]
+        turned += [moves[RY], -moves[RX]]
+    a, b = sp.csr_array(np.array(moved)), sp.csr_array(np.array(turned))
+    return Addition(
+        mass=(
+            Term(f"{name}: moment", sp.csr_array(a.T @ b + b.T @ a), Monomial(share, ((name, 1.0),))),
+            Term(f"{name}: inertia", sp.csr_array(b.T @ b), Monomial(share, ((name, 2.0),))),
+        )
+    )
+
+
+def _gear_case(model: StructuralModel) -> PointMass:
+    """The gear case as this model has it: at one point or shared out along the axle."""
+    (part,) = (p for p in model.parts if p.name == GEAR_CASE)
+    for distributed in (False, True):
+        (case,) = (m for m in bogie(1.0, distributed).masses if m.name == GEAR_CASE)
+        moves = [
+            np.sqrt(weight / len(case.spread)) * motion(model, (case.at[0], (x, y, z)), direction)
+            for x, y, z in (np.array(case.at[1]) + case.spread).tolist()
+            for direction, weight in enumerate((case.mass,) * 3 + case.inertia)
+        ]
+        gap = outer_term(GEAR_CASE, moves, Monomial()).matrix - part.matrix
+        if abs(gap).max() <= 1e-9 * abs(part.matrix).max():
+            return case
+    raise InputError("the model's gear case is not the bogie's", place="effect gear_case_offset")
+
+
+def _torque_link(model: StructuralModel) -> Addition:
+    end, other = (CROSSBAR_X, AXLE_Y, 0.0), (CROSSBAR_X, GIRDER_Y, 0.0)
+    row = elongation(model, ("axle_front", end), ("crossbar", other))
+    return Addition(
+        stiffness=(outer_term("torque_link", [row], parameter("torque_link")),),
+        assumptions=(Assumption("torque link: x, z", f"{CROSSBAR_X}, 0", "m", "below the front crossbar"),),
+    )
+
+
+def _rod_damping(model: StructuralModel) -> Addition:
+    rows = [elongation(model, box, bracket) for box, bracket in _rods()]
+    return Addition(damping=(outer_term("rod_damping", rows, parameter("rod_damping")),))
+
+
+def _stiff_bushes(model: StructuralModel) -> Addition:
+    """Both ends of a rod turn against its own line, whose slope is the motion across it over its length."""
+    rows = []
+    for box, bracket in _rods():
+        x, y, _ = np.subtract(bracket[1], box[1]).tolist()
+        across = [between(model, bracket, box, direction) for direction in (UX, UY)]
+        slope = (x * across[1] - y * across[0]) / (x**2 + y**2)
+        rows += [slope - motion(model, end, RZ) for end in (box, bracket)]
+    return Addition(stiffness=(outer_term("stiff_bushes", rows, parameter("stiff_bushes")),))
+
+
+def _rods() -> list[tuple[Place, Place]]:
+    """Ends of all connecting rods at the axle box and at the bracket on the girder."""
+    springs = bogie(1.0).springs
+    return [(s.end, s.other) for s in (*springs["rod_upper"], *springs["rod_lower"]) if s.other is not None]

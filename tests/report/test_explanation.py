@@ -1,0 +1,266 @@
+import os
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.colors import to_hex
+
+from calib.errors import InputError
+from calib.report import draw
+from calib.report.draw import draw_all
+from calib.report.explanation import (
+    draw_confounding,
+    draw_ranked_effects,
+    draw_visibility,
+    ranked,
+    ranked_effects_figure,
+)
+from calib.report.style import BLUE, ORANGE, REST, SYNTHETIC, new_figure
+
+nan = np.nan
+FIGURES = [
+    "where_it_fails_sigma",
+    "sensor_misfit",
+    "atom_map",
+    "parameters_under_strain",
+    "ranked_effects",
+    "confounding",
+    "errors_before_after",
+    "errors_over_versions",
+    "next_measurement",
+]
+
+
+@pytest.fixture
+def effects():
+    rows = [
+        ("shear", "shear flexibility", 0.6, 0.4, 2.9, 1.0, False, -1.8, nan, nan, nan, False, False, ""),
+        ("seats", "seats", 9.0, 0.8, 0.02, 0.2, True, 30.0, 29.0, 28.5, 0.2, True, False, "body mass has to move"),
+        ("arb", "anti-roll bar", 10.0, 0.5, 0.1, 2.0, True, 40.0, 41.0, 39.0, 0.8, True, True, ""),
+        ("track", "track compliance", nan, 0.0, np.inf, 1.0, False, nan, nan, nan, nan, False, False, ""),
+        ("rod", "rod", -1.2, 0.9, 0.5, 1.0, True, -0.5, nan, nan, nan, False, False, ""),
+    ]
+    names = "name title z gamma phi_min plausible visible ln_bayes ln_bayes_third ln_bayes_triple posterior refitted"
+    return pd.DataFrame(rows, columns=[*names.split(), "credible", "implausible"])
+
+
+ORDER = ["anti-roll bar", "seats", "rod", "shear flexibility", "track compliance"]
+
+
+def bars(ax):
+    return [bar for container in ax.containers for bar in container]
+
+
+def words(ax):
+    return [t.get_text() for t in ax.texts]
+
+
+def labels(axis):
+    return [t.get_text() for t in axis]
+
+
+def test_effects_are_ranked_by_their_evidence(effects):
+    assert list(ranked(effects)["title"]) == ORDER
+    ax = draw_ranked_effects(effects)
+    assert labels(ax.get_yticklabels()) == ORDER
+    np.testing.assert_array_equal([bar.get_width() for bar in bars(ax)], [40.0, 30.0, -0.5, -1.8, nan])
+    assert ax.get_ylim()[0] > ax.get_ylim()[1]
+    assert words(ax) == ["40", "30 implausible", "−0.5", "−1.8", "no value"]
+
+
+def test_looks_tell_what_was_done_with_an_effect(effects):
+    ax = draw_ranked_effects(effects)
+    faces = [to_hex(bar.get_facecolor()).upper() for bar in bars(ax)]
+    assert faces[0] == ORANGE and faces[1] == BLUE and faces[3] == faces[4] == REST
+    assert len(set(faces)) == 4
+    assert [bool(bar.get_hatch()) for bar in bars(ax)] == [False, True, False, False, False]
+    assert [bar.get_gid() for bar in bars(ax)][:3] == ["credible set", "refitted", "not refitted: linear estimate"]
+    assert labels(ax.get_legend().get_texts()) == [
+        "credible set",
+        "refitted",
+        "not refitted: linear estimate",
+        "not visible with these data",
+        "threshold ln 5 + 3 = 4.6",
+        "prior width ÷ 3 to × 3",
+    ]
+
+
+def test_the_threshold_pays_for_the_number_of_effects(effects):
+    for table in (effects, effects.iloc[:1]):
+        (line,) = [x for x in draw_ranked_effects(table).lines if x.get_gid() == "threshold"]
+        assert line.get_xdata()[0] == pytest.approx(np.log(len(table)) + 3.0)
+
+
+def test_thin_lines_span_the_prior_widths(effects):
+    spans = [list(x.get_xdata()) for x in draw_ranked_effects(effects).lines if x.get_gid() == "prior"]
+    assert spans == [[39.0, 41.0], [28.5, 30.0]]
+
+
+@pytest.mark.parametrize(("factor", "scale"), [(1.0, "linear"), (100.0, "symlog")])
+def test_overwhelming_evidence_is_drawn_on_another_axis(effects, factor, scale):
+    wide = effects.assign(ln_bayes=factor * effects["ln_bayes"])
+    ax = draw_ranked_effects(wide)
+    assert ax.get_xscale() == scale
+    assert ax.get_xlim()[0] < factor * -1.8 and ax.get_xlim()[1] > factor * 40.0
+
+
+def test_visibility_is_the_smallest_over_the_plausible_strength(effects):
+    ax = draw_visibility(effects)
+    lines = {x.get_gid(): x for x in ax.lines}
+    np.testing.assert_allclose(lines["visible"].get_xdata(), [0.05, 0.1, 0.5])
+    np.testing.assert_allclose(lines["visible"].get_ydata(), [0, 1, 2])
+    np.testing.assert_allclose(lines["not visible"].get_xdata(), [2.9])
+    assert list(lines["never"].get_ydata()) == [4]
+    assert ax.get_xscale() == "log" and lines["plausible"].get_xdata()[0] == 1.0
+    beside = [t.get_text() for t in sorted(ax.texts, key=lambda t: t.xy[1])]
+    assert beside == ["z", "posterior", "10.0", "80.0 %", "9.0", "20.0 %", "−1.2", "–", "0.6", "–", "–", "–"]
+
+
+def test_both_panels_have_the_same_rows(effects):
+    figure = ranked_effects_figure(effects)
+    _, left, right = figure.axes
+    assert left.get_ylim() == right.get_ylim()
+    figure.savefig(os.devnull, format="png")
+    assert left.get_position().y0 == pytest.approx(right.get_position().y0)
+    assert not [t for t in right.get_yticklabels() if t.get_visible()]
+
+
+def test_no_words_of_the_ranking_overlap():
+    table = pd.DataFrame({"name": [f"e{k}" for k in range(14)], "title": "an effect with a rather long title"})
+    table["ln_bayes"] = np.geomspace(4000.0, 0.1, 14)
+    table = table.assign(z=-10.5, gamma=0.5, phi_min=np.inf, plausible=1.0, ln_bayes_third=-5.0, ln_bayes_triple=nan)
+    table = table.assign(posterior=1.0, visible=True, refitted=True, credible=True, implausible="because")
+    figure = ranked_effects_figure(table)
+    figure.savefig(os.devnull, format="png")
+    over, left, right = figure.axes
+    boxes = [t.get_window_extent() for ax in (left, right) for t in [*ax.texts, *ax.get_xticklabels()] if t.get_text()]
+    boxes += [t.get_window_extent() for t in left.get_yticklabels()]
+    boxes.append(over.get_legend().get_window_extent())
+    for k, box in enumerate(boxes):
+        assert box.x0 >= 0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1
+        assert not any(box.overlaps(other) for other in boxes[:k])
+
+
+@pytest.fixture
+def alike():
+    cells = [[1.0, 0.95, -0.2], [0.95, 1.0, nan], [-0.2, nan, 1.0]]
+    table = pd.DataFrame(cells, columns=["arb", "seats", "rod"])
+    table.insert(0, "effect", ["arb", "seats", "rod"])
+    return table
+
+
+def test_confounding_cells_hold_the_correlations(alike, effects):
+    ax = draw_confounding(alike[["effect", "rod", "seats", "arb"]], effects=effects)
+    values = alike.drop(columns="effect").to_numpy()
+    np.testing.assert_array_equal(ax.images[-1].get_array().filled(nan), values)
+    cells = {(round(t.get_position()[1]), round(t.get_position()[0])): t.get_text() for t in ax.texts}
+    assert cells[0, 1] == "0.95" and cells[0, 2] == "−0.20" and (1, 2) not in cells
+    assert labels(ax.get_yticklabels()) == ["anti-roll bar (0.50)", "seats (0.80)", "rod (0.90)"]
+    assert labels(ax.get_xticklabels()) == ["anti-roll bar", "seats", "rod"]
+
+
+def test_confounded_pairs_are_outlined(alike):
+    ax = draw_confounding(alike)
+    centres = [(p.get_x() + p.get_width() / 2, p.get_y() + p.get_height() / 2) for p in ax.patches]
+    np.testing.assert_allclose(sorted(centres), [(0, 1), (1, 0)])
+    assert "brackets" not in ax.get_xlabel() and labels(ax.get_yticklabels()) == ["arb", "seats", "rod"]
+    assert len(draw_confounding(alike.replace(0.95, -0.95)).patches) == 2
+    assert not draw_confounding(alike.replace(0.95, 0.85)).patches
+
+
+def test_one_effect_or_none(alike, effects):
+    ranked_effects_figure(effects.iloc[:1]).savefig(os.devnull, format="png")
+    ranked_effects_figure(effects.iloc[:0]).savefig(os.devnull, format="png")
+    draw_confounding(alike.iloc[:1, :2]).figure.savefig(os.devnull, format="png")
+    for empty in (draw_ranked_effects(effects.iloc[:0]), draw_visibility(effects.iloc[:0])):
+        assert words(empty) == ["no effect was tested"]
+    assert words(draw_confounding(alike.iloc[:0, :1])) == ["no effect was tested"]
+
+
+def test_a_given_axes_is_drawn_on_and_returned(alike, effects):
+    for plot, table in ((draw_ranked_effects, effects), (draw_visibility, effects), (draw_confounding, alike)):
+        ax = new_figure(3.0).add_subplot()
+        assert plot(table, ax) is ax
+
+
+TABLES = {
+    "misfit_kinds": "stage,mode,kind,chi2,freedom,p\nbase,1BT,shape,88,44,1e-4\n",
+    "structure": "x0,y0,z0,x1,y1,z1,group\n0,0,0,4,1,2,frame\n",
+    "sensor_misfit": "stage,mode,sensor,node,direction,x,y,z,re,im\nbase,1BT,1y,1,y,0,0,0,1.5,nan\n",
+    "atoms": "atom,kind,x,y,z,sensor,score,gamma\nspring 1,stiffness,0,0,0,,-8,0.5\n",
+    "strain": "model,parameter,unit,adopted,value,prior_sd,standardised,limit,strained\nbase,K,,1,1.2,0.1,2.8,2.5,True\n",
+    "confounding": "effect,arb\narb,1.0\n",
+    "errors": "group,stage,rms,expected,p\nfit,before,4.4,1.0,0.0\nfit,after,0.9,1.0,\n",
+    "versions": "version,study,effects,group,rms,expected\n0,bogie,,fit,4.4,1.0\n1,bogie_2,arb,fit,0.9,1.0\n",
+    "next_measurement": "option,kind,effect,gain,ln_bayes,words\ntwice,repeats,arb,inf,,more\n",
+}
+
+
+@pytest.fixture
+def folder(tmp_path, effects):
+    for name, text in TABLES.items():
+        (tmp_path / f"{name}.csv").write_text(text)
+    effects.to_csv(tmp_path / "effects.csv", index=False)
+    return tmp_path
+
+
+@pytest.fixture
+def saved(monkeypatch):
+    figures = {}
+    monkeypatch.setattr(draw, "save", lambda figure, path: figures.setdefault(path.stem, figure) and path)
+    return figures
+
+
+def test_every_table_of_a_folder_has_its_figure(folder):
+    written = draw_all(folder, "Bogie", True)
+    assert [p.stem for p in written] == FIGURES
+    assert all(p.parent == folder and p.read_bytes().startswith(b"\x89PNG") for p in written)
+
+
+def test_headings_say_that_local_changes_are_no_causes_and_what_is_synthetic(folder, saved):
+    draw_all(folder, "Bogie", True)
+    for figure in saved.values():
+        assert SYNTHETIC in [t.get_text() for t in figure.texts]
+    heading = [t.get_text().replace("\n", " ") for t in saved["atom_map"].texts]
+    assert "Bogie: local changes that would fit, not causes" in heading
+
+
+@pytest.mark.parametrize(
+    ("gone", "figures"),
+    [
+        ("structure", {"sensor_misfit", "atom_map"}),
+        ("versions", {"errors_over_versions"}),
+        ("effects", {"ranked_effects"}),
+        ("confounding", {"confounding"}),
+    ],
+)
+def test_without_its_table_a_figure_is_left_out(folder, saved, gone, figures):
+    (folder / f"{gone}.csv").unlink()
+    draw_all(folder, "Bogie", False)
+    assert set(FIGURES) - set(saved) == figures
+
+
+def test_tables_without_rows_have_no_figure(folder):
+    for path in folder.glob("*.csv"):
+        path.write_text(path.read_text().split("\n")[0] + "\n")
+    assert draw_all(folder, "Bogie", False) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "column"),
+    [
+        ("effects", "anti-roll bar,10.0", "anti-roll bar,ten", "z"),
+        ("atoms", "-8", "-inf", "score"),
+        ("strain", "True", "perhaps", "strained"),
+        ("confounding", "arb,1.0", "seats,1.0", "effect"),
+        ("structure", "0,0,0,4", "0,0,,4", "z0"),
+    ],
+)
+def test_a_damaged_table_is_named(folder, name, old, new, column):
+    path = folder / f"{name}.csv"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(InputError, match=rf"{name}\.csv") as problem:
+        draw_all(folder, "Bogie", False)
+    assert column in str(problem.value)
+    assert not list(folder.glob("*.png"))

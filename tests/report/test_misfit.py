@@ -1,0 +1,109 @@
+import os
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.report.misfit import draw_strain, draw_where_it_fails, where_it_fails_figure
+
+
+@pytest.fixture
+def kinds():
+    """Not sorted; the explained model has no damping of mode 2."""
+    rows = [
+        ("base", "2BT", "shape", 88.0, 44.0, 1e-4),
+        ("base", "1BT", "frequency", 9.0, 0.9, 0.0),
+        ("base", "1BT", "shape", 44.0, 44.0, 1.0),
+        ("base", "2BT", "frequency", 0.5, 0.0, np.nan),
+        ("base", "2BT", "damping", 1.0, 1.0, 0.1),
+        ("explained", "2BT", "shape", 22.0, 44.0, 0.01),
+    ]
+    return pd.DataFrame(rows, columns="stage mode kind chi2 freedom p".split())
+
+
+def cells(ax):
+    rows, columns = ([t.get_text() for t in labels] for labels in (ax.get_yticklabels(), ax.get_xticklabels()))
+    words = {(rows[round(t.get_position()[1])], columns[round(t.get_position()[0])]): t.get_text() for t in ax.texts}
+    values = ax.images[-1].get_array().filled(np.nan)
+    colours = {(r, c): values[i, j] for i, r in enumerate(rows) for j, c in enumerate(columns)}
+    return words, colours
+
+
+def test_cells_hold_chi_square_over_freedom_and_colours_the_chance(kinds):
+    ax = draw_where_it_fails(kinds)
+    words, colours = cells(ax)
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["frequency", "damping", "shape"]
+    assert words == {
+        ("2BT", "frequency"): "–",
+        ("2BT", "damping"): "1",
+        ("2BT", "shape"): "2",
+        ("1BT", "frequency"): "10",
+        ("1BT", "damping"): "–",
+        ("1BT", "shape"): "1",
+    }
+    assert colours["2BT", "shape"] == pytest.approx(4.0) and colours["2BT", "damping"] == pytest.approx(1.0)
+    assert colours["1BT", "frequency"] == 16.0 and colours["1BT", "shape"] == 0.0
+    assert np.isnan(colours["2BT", "frequency"]) and np.isnan(colours["1BT", "damping"])
+
+
+def test_the_explained_model_stands_beside_the_base_model(kinds):
+    figure = where_it_fails_figure(kinds)
+    panels = [ax for ax in figure.axes if ax.images]
+    assert [ax.get_title(loc="left") or ax.get_title() for ax in panels[:2]] == [
+        "base model, calibrated",
+        "with the missing effect",
+    ]
+    words, colours = cells(panels[1])
+    assert words["2BT", "shape"] == "0.5" and colours["2BT", "shape"] == pytest.approx(2.0)
+    assert len(where_it_fails_figure(kinds[kinds["stage"] == "base"]).axes) == 2  # one panel and the colour bar
+
+
+def test_nothing_compared(kinds):
+    where_it_fails_figure(kinds.iloc[:0]).savefig(os.devnull, format="png")
+    assert [t.get_text() for t in draw_where_it_fails(kinds.iloc[:0]).texts] == ["no mode was compared"]
+
+
+@pytest.fixture
+def strain():
+    rows = [
+        ("base", "K", "MN/m", 1.5, 1.2, 0.2, -3.5, 2.5, True),
+        ("base", "rho", "-", 1.0, 1.05, 0.1, 0.5, 2.5, False),
+        ("arb + seats", "K", "MN/m", 1.5, 1.49, 0.2, -0.1, 2.5, False),
+        ("arb + seats", "rho", "-", 1.0, np.nan, 0.1, np.inf, 2.5, None),
+    ]
+    return pd.DataFrame(rows, columns="model parameter unit adopted value prior_sd standardised limit strained".split())
+
+
+def line(ax, gid):
+    return [(x.get_xdata(), x.get_ydata()) for x in ax.lines if x.get_gid() == gid]
+
+
+def test_dots_are_the_standardised_shifts_and_strained_ones_have_a_ring(strain):
+    ax = draw_strain(strain)
+    ((base, y),) = line(ax, "shift base")
+    ((explained, below),) = line(ax, "shift arb + seats")
+    np.testing.assert_array_equal(base, [-3.5, 0.5])
+    np.testing.assert_array_equal(explained, [-0.1, np.inf])
+    assert (np.round(y) == [0, 1]).all() and (below > y).all()
+    ((ringed, at),) = line(ax, "strained base")
+    assert list(ringed) == [-3.5] and list(at) == [y[0]]
+    assert len(line(ax, "strained arb + seats")[0][0]) == 0
+    assert sorted(x[0] for x, _ in line(ax, "limit")) == [-2.5, 2.5]
+    low, high = ax.get_xlim()
+    assert low == -high and 3.5 < high < 5.0
+
+
+def test_values_stand_beside_the_dots_with_their_unit(strain):
+    words = [t.get_text() for t in draw_strain(strain).texts]
+    assert words == ["1.5 → 1.2 → 1.49 MN/m", "1 → 1.05 → –", "adopted → base → explained"]
+
+
+def test_the_legend_says_what_is_there(strain):
+    words = [t.get_text() for t in draw_strain(strain).get_legend().get_texts()]
+    assert words == ["base model", "with arb + seats", "limit ± 2.50", "strained"]
+    calm = strain[strain["model"] != "base"].assign(limit=np.nan)
+    assert [t.get_text() for t in draw_strain(calm).get_legend().get_texts()] == ["with arb + seats"]
+
+
+def test_no_parameter(strain):
+    assert [t.get_text() for t in draw_strain(strain.iloc[:0]).texts] == ["no parameter was calibrated"]

@@ -1,0 +1,137 @@
+import os
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.report.style import new_figure
+from calib.report.verification import (
+    best_options,
+    draw_error_versions,
+    draw_errors,
+    draw_next_measurement,
+    next_measurement_figure,
+)
+
+nan = np.nan
+
+
+@pytest.fixture
+def errors():
+    rows = [
+        ("withheld_sensors", "after", 1.0, 0.9, 0.4),
+        ("withheld_sensors", "before", 2.0, 1.1, 1e-9),
+        ("fit", "before", 4.0, 0.95, 0.0),
+        ("fit", "after", 0.9, nan, nan),
+        ("withheld_modes", "before", nan, nan, nan),
+    ]
+    return pd.DataFrame(rows, columns="group stage rms expected p".split())
+
+
+def bars(ax, stage):
+    (container,) = [c for c in ax.containers if c[0].get_gid() == stage]
+    return list(container)
+
+
+def labels(axis):
+    return [t.get_text() for t in axis]
+
+
+def test_bars_are_the_errors_of_the_groups_there_are(errors):
+    ax = draw_errors(errors)
+    assert labels(ax.get_xticklabels()) == ["used in the fit", "withheld sensors"]
+    np.testing.assert_array_equal([b.get_height() for b in bars(ax, "before")], [4.0, 2.0])
+    np.testing.assert_array_equal([b.get_height() for b in bars(ax, "after")], [0.9, 1.0])
+    assert labels(ax.texts) == ["4\np < 0.001", "2\np < 0.001", "0.9", "1\np = 0.4"]
+    assert ax.get_yscale() == "linear" and ax.get_ylim()[0] == 0.0
+
+
+def test_the_noise_floor_is_marked_at_every_bar(errors):
+    ax = draw_errors(errors)
+    marks = {c.get_gid(): c.get_segments() for c in ax.collections}
+    np.testing.assert_allclose([s[0][1] for s in marks["expected before"]], [0.95, 1.1])
+    (after,) = marks["expected after"]
+    bar = bars(ax, "after")[1]
+    assert after[0][1] == 0.9 and after[0][0] < bar.get_x() and after[1][0] > bar.get_x() + bar.get_width()
+
+
+def test_errors_that_differ_much_have_a_logarithmic_axis(errors):
+    ax = draw_errors(errors.assign(rms=10.0 * errors["rms"]))
+    assert ax.get_yscale() == "log"
+    assert ax.get_ylim()[0] < 0.9 and ax.get_ylim()[1] > 40.0
+
+
+def test_no_errors(errors):
+    for table in (errors.iloc[:0], errors.assign(rms=nan)):
+        ax = draw_errors(table)
+        ax.figure.savefig(os.devnull, format="png")
+        assert labels(ax.texts) == ["no error is known"]
+
+
+@pytest.fixture
+def versions():
+    rows = [
+        (2, "arb + seats", "fit", 1.0, 0.9),
+        (0, "", "fit", 4.0, 0.95),
+        (0, "", "withheld_modes", 8.0, 1.0),
+        (1, nan, "fit", 2.0, nan),
+        (2, "arb + seats", "withheld_modes", 1.2, 1.1),
+    ]
+    return pd.DataFrame(rows, columns="version effects group rms expected".split())
+
+
+def test_lines_are_the_errors_in_the_order_of_the_versions(versions):
+    ax = draw_error_versions(versions)
+    lines = {line.get_gid(): line for line in ax.lines}
+    np.testing.assert_array_equal(lines["fit"].get_ydata(), [4.0, 2.0, 1.0])
+    np.testing.assert_array_equal(lines["withheld_modes"].get_ydata(), [8.0, nan, 1.2])
+    assert labels(ax.get_xticklabels()) == ["0\nbase model", "1\nbase model", "2\narb + seats"]
+    x, y = lines["expected fit"].get_data()
+    np.testing.assert_allclose(x, [-0.2, 0.2, nan, 0.8, 1.2, nan, 1.8, 2.2])
+    np.testing.assert_allclose(y, [0.95, 0.95, nan, nan, nan, nan, 0.9, 0.9])
+
+
+def test_one_version_or_none(versions):
+    draw_error_versions(versions[versions["version"] == 0]).figure.savefig(os.devnull, format="png")
+    assert labels(draw_error_versions(versions.iloc[:0]).texts) == ["no version of the model is known"]
+
+
+@pytest.fixture
+def options():
+    rows = [(f"sensor {k}", "sensor", "arb", 1.0 + 0.1 * k, nan) for k in range(12)]
+    rows += [("twice", "repeats", "arb", np.inf, nan), ("weigh", "bench", "arb", nan, nan)]
+    return pd.DataFrame(rows, columns="option kind effect gain ln_bayes".split())
+
+
+def test_the_ten_best_options_are_drawn_from_no_gain(options):
+    ax = draw_next_measurement(options)
+    assert labels(ax.get_yticklabels()) == ["twice", *(f"sensor {k}" for k in range(11, 2, -1))]
+    (container,) = ax.containers
+    np.testing.assert_allclose([b.get_x() for b in container], 1.0)
+    np.testing.assert_allclose([b.get_width() for b in container][1:], np.arange(1.1, 0.2, -0.1))
+    assert labels(ax.texts)[:2] == ["× ∞", "× 2.10"]
+    assert labels(ax.get_legend().get_texts()) == ["more repeats", "further sensor"]
+    assert len(next_measurement_figure(options).axes) == 1
+
+
+def test_with_two_leading_effects_the_expected_odds_rank(options):
+    two = options.assign(ln_bayes=np.arange(14.0)[::-1], effect=["arb", "seats"] * 7)
+    assert list(best_options(two)["option"])[:3] == ["sensor 0", "sensor 1", "sensor 2"]
+    figure = next_measurement_figure(two)
+    _, left, right = figure.axes
+    np.testing.assert_allclose([b.get_width() for b in right.containers[0]], np.arange(13.0, 3.0, -1.0))
+    np.testing.assert_allclose([b.get_width() for b in left.containers[0]], np.arange(0.0, 1.0, 0.1), atol=1e-12)
+    assert labels(left.get_yticklabels())[1] == "sensor 1 (for seats)"
+    assert [line.get_xdata()[0] for line in right.lines if line.get_gid() == "threshold"] == [3.0]
+    figure.savefig(os.devnull, format="png")
+
+
+def test_no_option(options):
+    next_measurement_figure(options.iloc[:0]).savefig(os.devnull, format="png")
+    assert labels(draw_next_measurement(options.iloc[:0]).texts) == ["no further measurement was considered"]
+
+
+def test_a_given_axes_is_drawn_on_and_returned(errors, versions, options):
+    for plot, table in ((draw_errors, errors), (draw_error_versions, versions), (draw_next_measurement, options)):
+        ax = new_figure(3.0).add_subplot()
+        assert plot(table, ax) is ax
