@@ -57,6 +57,14 @@ class Sources:
             )
         return model
 
+    def finer(self) -> StructuralModel | None:
+        """The structural model without effects on a finer mesh; None when the study names no options for one."""
+        options = self.settings.explain.finer_options
+        if not options:
+            return None
+        model = self._call("explain", self.settings.model, {**self.settings.model_options, **options})
+        return model if isinstance(model, StructuralModel) else None
+
     def library(self, base: Model) -> tuple[Effect, ...]:
         """The effects that the model may lack, in the order of their library; none when the study names none.
 

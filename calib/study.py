@@ -20,6 +20,7 @@ from calib.measurement.read import read_measurement
 from calib.settings import StudySettings, line_of, read_settings
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
+from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
 
 Problem = ModalProblem | FunctionProblem
@@ -108,6 +109,12 @@ class Study:
             )
         except InputError as fault:
             raise _Reader(self.file, self.settings).misfit(fault) from None
+
+    def finer_model(self) -> StructuralModel | None:
+        """The model on a finer mesh, effects included; None when the study names no options for one."""
+        reader = _Reader(self.file, self.settings)
+        finer = Sources(self.settings, reader.folder, reader.place).finer()
+        return None if finer is None else extend(finer, self.included)
 
     def selecting(self, names: tuple[str, ...]) -> Study:
         """The same study whose search is over the named parameters; only for one that leaves it to the sensitivity."""

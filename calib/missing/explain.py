@@ -17,7 +17,7 @@ from calib.missing.goodness import goodness, noise_scale, overall
 from calib.missing.hypotheses import Hypotheses, Question, Scaled
 from calib.missing.plausible import implausible
 from calib.missing.score import Scores, family_p, scores
-from calib.missing.state import FINE, ROUGH, State, fitted
+from calib.missing.state import FINE, ROUGH, State, fitted, nearest_whole
 from calib.updating.gauss_newton import FitSettings
 
 LEAST_MODES = 4
@@ -224,8 +224,9 @@ class _Round:
     def findings(self, starts: dict[tuple[str, ...], dict[str, float]]) -> Findings:
         hypotheses, alpha = self.hypotheses, self.settings.alpha
         self.progress("calibrating the base model")
-        start = starts.get((), hypotheses.question(()).space.values)
-        base = self.trial((), start, whole=1 if starts else 100)
+        question = self.question(())
+        start = starts.get(()) or nearest_whole(question, question.space.values)
+        base = self.trial((), start, whole=1)
         self.progress("testing whether anything is missing")
         groups = grouped(hypotheses.effects, self._scores(base, hypotheses.effects), self.settings.merge)
         candidates = tuple(g.effect for g in groups)

@@ -13,6 +13,8 @@ from calib.missing.state import State
 
 _LEAST = 1.0
 """Fewer degrees of freedom say nothing."""
+_FOLLOWED = 0.02
+"""Part of a row's variance left by the parameters below which it says nothing."""
 
 
 def goodness(
@@ -24,7 +26,8 @@ def goodness(
     """Sum of squares of every kind, and of every mode and kind, against what the scatter allows.
 
     The degrees of freedom of a block b are ``n_b - tr(G_b V G_b^T)`` less the factors fitted to its shapes. The scatter
-    was itself estimated, so that the ratio is an F variate.
+    was itself estimated, so that the ratio is an F variate. A single row is studentised, ``e^2/(1 - h)`` with one
+    degree of freedom (Cook and Weisberg 1982), unless the parameters follow it nearly everywhere.
 
     Returns
     -------
@@ -43,8 +46,12 @@ def goodness(
         }
     )
     modes = frame.groupby(["mode", "kind"], sort=False, as_index=False)[["chi2", "freedom"]].sum()
+    single = frame.groupby(["mode", "kind"], sort=False).size().to_numpy() == 1
     modes["freedom"] -= [fitted_factors.get((m, k), 0) for m, k in zip(modes["mode"], modes["kind"], strict=True)]
     kinds = modes.groupby("kind", sort=False, as_index=False)[["chi2", "freedom"]].sum()
+    studied = single & (modes["freedom"] > _FOLLOWED)
+    modes.loc[studied, "chi2"] /= modes.loc[studied, "freedom"]
+    modes.loc[studied, "freedom"] = 1.0
     for table in (kinds, modes):
         table["p"] = [
             _p(chi2, freedom, scatter_freedom.get(kind, np.inf))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +20,8 @@ FINE = FitSettings(iterations=15, gain=2e-3, rejections=8)
 ROUGH = FitSettings(iterations=8, gain=0.05, rejections=4)
 """To rank candidates: a hopeless one is not followed to its end."""
 _TURNS = 20
+_ALL_AT_ONCE = 3
+"""Up to so many whole-number parameters are moved together: 26 neighbours."""
 _WORTH = 0.5
 """Smallest promised decrease for which another whole number is tried."""
 
@@ -135,6 +139,53 @@ def fitted(
             break
         state = there
     return state
+
+
+def nearest_whole(question: Question, start: Mapping[str, float]) -> dict[str, float]:
+    """A start with the whole numbers from which one Gauss-Newton step promises the lowest sum of squares.
+
+    Every combination is linearised by itself, at the start's other values: a derivative does not know what another
+    place of a support does to all other parameters. From the start's own numbers the best neighbour is taken, each
+    number at most one off, until no neighbour promises less.
+    """
+    space = question.space
+    whole = [p for p in space.free if p.integer]
+    complete = space.complete(dict(start))
+    names = [p.name for p in space.free if not p.integer]
+    prior = Prior.of(space)
+    sd, shift = prior.widths(names), prior.residual(complete, names)
+    promised: dict[tuple[int, ...], float] = {}
+
+    def promise(numbers: tuple[int, ...]) -> float:
+        if numbers not in promised:
+            here = {**complete, **{p.name: float(n) for p, n in zip(whole, numbers, strict=True)}}
+            try:
+                slope, residual = question.jacobian(here, names) * sd, question.residual(here)
+            except EvaluationError:
+                promised[numbers] = math.inf
+                return math.inf
+            matrix = np.vstack([slope, np.eye(len(names))])
+            right = np.concatenate([residual, shift])
+            basis = la.qr(matrix, mode="economic")[0]
+            promised[numbers] = float(right @ right - np.sum((basis.T @ right) ** 2))
+        return promised[numbers]
+
+    if not whole:
+        return complete
+    here = tuple(round(complete[p.name]) for p in whole)
+    moves = list(itertools.product((-1, 0, 1), repeat=len(whole))) if len(whole) <= _ALL_AT_ONCE else _axes(len(whole))
+    while True:
+        near = [tuple(n + d for n, d in zip(here, move, strict=True)) for move in moves]
+        inside = [n for n in near if all(p.lower <= k <= p.upper for k, p in zip(n, whole, strict=True))]
+        best = min([here, *inside], key=promise)
+        if best == here:
+            return {**complete, **{p.name: float(n) for p, n in zip(whole, here, strict=True)}}
+        here = best
+
+
+def _axes(count: int) -> list[tuple[int, ...]]:
+    """One number at a time."""
+    return [tuple(d if j == k else 0 for j in range(count)) for k in range(count) for d in (-1, 1)]
 
 
 def _fitted(question: Question, effects: tuple[str, ...], start: Mapping[str, float], settings: FitSettings) -> State:

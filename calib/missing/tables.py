@@ -16,7 +16,7 @@ ALIKE = 0.9
 """Correlation of fingerprints from which effects are named as confounded."""
 
 EFFECT_COLUMNS = (
-    "name", "title", "unit", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "plausible", "visible",
+    "name", "title", "unit", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "plausible", "largest", "visible",
     "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "posterior", "heldout_gain", "refitted", "credible",
     "implausible", "confounded_with", "stands_for",
 )  # fmt: skip
@@ -51,7 +51,8 @@ def effects_table(found: Findings, intervals: dict[str, tuple[float, float]], ga
         row: dict[str, object] = {
             "name": e.name, "title": e.title, "unit": e.strength.unit, "z": named.z[k], "gamma": named.gamma[k],
             "phi": math.nan, "phi_low": math.nan, "phi_high": math.nan, "phi_min": size, "plausible": e.plausible,
-            "visible": size <= e.plausible, "heldout_gain": gains.get(e.name, math.nan), "refitted": trial is not None,
+            "largest": max(abs(e.strength.lower), e.strength.upper), "visible": size <= e.plausible,
+            "heldout_gain": gains.get(e.name, math.nan), "refitted": trial is not None,
             "credible": e.name in found.credible, "implausible": "" if trial is None else trial.implausible,
             "confounded_with": ", ".join(confounded_with(found, e.name)), "stands_for": ", ".join(group.others),
         }  # fmt: skip

@@ -191,5 +191,6 @@ def _unseen(effects: pd.DataFrame) -> list[str]:
     told = []
     for row in effects[~effects["visible"].astype(bool)].to_dict("records"):
         unit, least = "" if row["unit"] == "-" else f" {row['unit']}", float(row["phi_min"])
-        told.append(f"{row['name']} below {least:.2g}{unit}" if math.isfinite(least) else f"{row['name']} at all")
+        possible = least <= float(row["largest"])
+        told.append(f"{row['name']} below {least:.2g}{unit}" if possible else f"{row['name']} of any possible strength")
     return ["Not visible with these data: " + ", ".join(told) + "."] if told else []

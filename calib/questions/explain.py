@@ -26,6 +26,7 @@ from calib.missing.tables import (
     tried_table,
 )
 from calib.missing.verdict import sentence
+from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import SettledModal, modal_hypotheses
 from calib.questions.prospects import modal_prospects
@@ -53,6 +54,8 @@ class Explanation:
         What a reader must know, such as a scatter that had to be assumed.
     effects, atoms, confounding, strain, misfit, sensors, errors, tried, next_measurement : DataFrame
         The tables of the same names.
+    budget : Budget or None
+        What the discretisation alone would look like; None without a finer mesh.
     basis_error : float
         Largest difference of the whitened residual from full order, at the base model and at the explanation.
     seconds : float
@@ -70,6 +73,7 @@ class Explanation:
     errors: pd.DataFrame
     tried: pd.DataFrame
     next_measurement: pd.DataFrame
+    budget: Budget | None
     basis_error: float
     seconds: float
 
@@ -125,13 +129,14 @@ def _answer(study: Study, settled: SettledModal, found: Findings, progress: Prog
     progress("withheld data")
     errors, basis_error = _errors(study, hypotheses, found)
     progress("what to measure next")
-    table, advice = _next(hypotheses, found, effects)
+    table, advice = _next(study, hypotheses, found, effects)
     found = replace(found, evaluations=hypotheses.evaluations)
+    budget = _budget(study, hypotheses, found, progress)
     told = sentence(found, effects, errors if named else errors.head(0), advice)
     return Explanation(
         findings=found,
         sentence=told,
-        notes=_notes(study, basis_error),
+        notes=_notes(study, basis_error, budget),
         effects=effects,
         atoms=_atoms(settled, found),
         confounding=confounding_table(found),
@@ -141,13 +146,22 @@ def _answer(study: Study, settled: SettledModal, found: Findings, progress: Prog
         errors=errors,
         tried=tried_table(found),
         next_measurement=table,
+        budget=budget,
         basis_error=basis_error,
         seconds=time.perf_counter() - started,
     )
 
 
-def _notes(study: Study, basis_error: float) -> tuple[str, ...]:
-    out = []
+def _budget(study: Study, hypotheses: ModalHypotheses, found: Findings, progress: Progress) -> Budget | None:
+    finer = study.finer_model()
+    if finer is None:
+        return None
+    progress("what the discretisation alone would look like")
+    return discretisation_budget(hypotheses, found.base.state, finer)
+
+
+def _notes(study: Study, basis_error: float, budget: Budget | None) -> tuple[str, ...]:
+    out = [] if budget is None else [budget.sentence]
     measured = study.measured
     if measured is not None and measured.n_repeats == 1:
         known = np.isfinite(measured.freq_std).any()
@@ -198,11 +212,17 @@ def _errors(study: Study, hypotheses: ModalHypotheses, found: Findings) -> tuple
     return errors[["group", "stage", "rows", "rms", "expected", "p", "unpaired"]], worst
 
 
-def _next(hypotheses: ModalHypotheses, found: Findings, effects: pd.DataFrame) -> tuple[pd.DataFrame, str]:
+def _next(
+    study: Study, hypotheses: ModalHypotheses, found: Findings, effects: pd.DataFrame
+) -> tuple[pd.DataFrame, str]:
     """What to measure next, seen from the base model."""
     candidates = [g.effect for g in found.groups]
     named = found.base_check.named
-    prospects = modal_prospects(hypotheses, found.base.state, candidates, named, found.noise_scale)
+    held = set(study.settings.withheld.modes)
+    whole = study.whole
+    withheld = {} if whole is None else dict(zip(whole.names, whole.natural_freq.tolist(), strict=True))
+    withheld = {name: freq for name, freq in withheld.items() if name in held}
+    prospects = modal_prospects(hypotheses, found.base.state, candidates, named, found.noise_scale, withheld)
     fitted = {t.names[0]: strength_of(t, t.names[0])[0] for t in found.singles}
     strengths = [fitted.get(e.name, e.plausible) for e in candidates]
     pair = (found.credible[0], found.credible[1]) if found.verdict == "indistinguishable" else None
@@ -256,6 +276,8 @@ def _write(study: Study, results: Results, settled: SettledModal, answer: Explan
     results.write_table("misfit_kinds", answer.misfit)
     results.write_table("sensor_misfit", answer.sensors)
     results.write_table("structure", structure_table(study))
+    if answer.budget is not None:
+        results.write_table("discretisation", answer.budget.table)
     results.write_json("explanation", summary(study, answer))
 
 
@@ -301,6 +323,7 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "local_changes": len(set(check.atoms.owners)),
         "evaluations": found.evaluations,
         "basis_error": answer.basis_error,
+        "discretisation": None if answer.budget is None else answer.budget.largest,
         "errors": errors,
         "seconds": answer.seconds,
     }

@@ -77,14 +77,15 @@ class Answers:
     ----------
     model : FunctionModel
     targets : mapping from response name to (value, std or None)
-    additions : tuple of Effect
-        Effects, then local changes, in the order they are built one upon the other.
+    effects, atoms : tuple of Effect
+        Named effects, then local changes, in the order they are built one upon the other.
     failures : list of Failure
     """
 
     model: FunctionModel
     targets: Targets
-    additions: tuple[Effect, ...]
+    effects: tuple[Effect, ...]
+    atoms: tuple[Effect, ...]
     failures: list[Failure] = field(init=False, repr=False, default_factory=list)
     _found: dict[tuple[tuple[str, ...], tuple[float, ...]], np.ndarray | str] = field(
         init=False, repr=False, default_factory=dict
@@ -94,8 +95,8 @@ class Answers:
 
     @cached_property
     def by_name(self) -> dict[str, Effect]:
-        """Effects and local changes."""
-        return {e.name: e for e in self.additions}
+        """Effects and local changes, in their order."""
+        return {e.name: e for e in (*self.effects, *self.atoms)}
 
     @cached_property
     def _whitened(self) -> DifferencedResponses:
@@ -108,9 +109,10 @@ class Answers:
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Vector (n_rows,) at all parameters of the model and of any effects; EvaluationError at a failed point."""
-        active = tuple(e.name for e in self.additions if values.get(e.name, 0.0) != 0)
-        for name in active:
-            self._require_neutral(self.by_name[name])
+        active = tuple(name for name in self.by_name if values.get(name, 0.0) != 0)
+        for effect in self.effects:
+            if effect.name in active:
+                self._require_neutral(effect)
         return self._ask(active, values)
 
     def _ask(self, active: tuple[str, ...], values: Mapping[str, float]) -> np.ndarray:
@@ -270,7 +272,7 @@ class FunctionHypotheses:
     @cached_property
     def answers(self) -> Answers:
         """What was asked of the function so far."""
-        return Answers(replace(self.model, space=self.space), self.targets, (*self.effects, *self.atoms))
+        return Answers(replace(self.model, space=self.space), self.targets, self.effects, self.atoms)
 
     @cached_property
     def atoms(self) -> tuple[Effect, ...]:
@@ -325,7 +327,7 @@ class FunctionHypotheses:
         for name in names:
             if name not in self.answers.by_name:
                 raise InputError(f"there is no effect {name!r}", place=f"model {self.model.name}")
-        added = [e for e in self.answers.additions if e.name in names]
+        added = [e for name, e in self.answers.by_name.items() if name in names]
         return FunctionQuestion(question_space(self.space, added), self.answers, self.step)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.residual import ModalResidual, Scatter
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
@@ -17,6 +17,7 @@ from calib.missing.advice import Option, Prospects
 from calib.missing.score import Scores
 from calib.missing.state import State
 from calib.questions.hypotheses import ModalHypotheses
+from calib.structure.modes import Modes
 
 PLACES = 40
 """Places on the structure at which a further sensor is tried, in three directions each."""
@@ -24,12 +25,19 @@ TOGETHER = 4
 """Sensors that make one option."""
 MORE_MODES = 3
 """Modes beyond those measured that are tried."""
+NEAR = 0.1
+"""Relative distance in frequency within which a model mode is taken for a withheld one."""
 BENCH = 0.03
 """Standard deviation of a parameter, over its value, after a test of that part by itself."""
 
 
 def modal_prospects(
-    hypotheses: ModalHypotheses, state: State, effects: Sequence[Effect], found: Scores, scale: float
+    hypotheses: ModalHypotheses,
+    state: State,
+    effects: Sequence[Effect],
+    found: Scores,
+    scale: float,
+    withheld: Mapping[str, float] | None = None,
 ) -> Prospects:
     """Further measurements of a modal test, linearised at a fitted model.
 
@@ -46,8 +54,10 @@ def modal_prospects(
         Scores of the candidates, for the point of a grid that speaks for each of them.
     scale : float
         Factor on the scatter.
+    withheld : mapping from str to float, optional
+        Natural frequency (Hz) of every withheld mode, which can be used without measuring it.
     """
-    imagined = _Imagined(hypotheses, state)
+    imagined = _Imagined(hypotheses, state, withheld or {})
     residual = imagined.residual(state.effects)
     slope = -residual.jacobian(state.values, state.names)
     columns = []
@@ -117,10 +127,54 @@ def _best_sensors(
     return tuple(sorted(sorted(gains, key=lambda n: -gains[n])[:TOGETHER]))
 
 
+def imagined_measurement(
+    known: MeasuredModes,
+    scatter: Scatter,
+    names: tuple[str, ...],
+    modes: Modes,
+    which: Sequence[int],
+    sensors: tuple[Sensor, ...],
+    shapes: np.ndarray,
+) -> MeasuredModes:
+    """Modes of a model as if they had been measured without error, with the scatter of a measurement.
+
+    Parameters
+    ----------
+    known : MeasuredModes
+        What was measured.
+    scatter : Scatter
+        Its standard deviations; their root mean squares are taken.
+    names : tuple of str
+        Length n_modes.
+    modes : Modes
+    which : sequence of int
+        Indices of the modes that are measured, length n_modes.
+    sensors : tuple of Sensor
+    shapes : ndarray (n_sensors, n_modes)
+        In the scale of the measured shapes: largest modulus 1 at the sensors that were there.
+    """
+    freq, ratio = modes.natural_freq[list(which)], modes.damping_ratio[list(which)]
+    sizes = [float(np.sqrt(np.mean(s**2))) if s.size else np.nan for s in (scatter.freq, scatter.damping)]
+    spread = float(np.sqrt(np.nanmean(scatter.shape**2))) if scatter.shape.size else np.nan
+    return replace(
+        known,
+        names=names,
+        natural_freq=freq,
+        damped_freq=modes.damped_freq[list(which)],
+        freq_std=sizes[0] * freq,
+        damping_ratio=ratio,
+        damping_std=sizes[1] * ratio,
+        sensors=sensors,
+        shapes=shapes,
+        shape_std=np.full(shapes.shape, spread),
+        n_repeats=1,
+    )
+
+
 class _Imagined:
     """A measurement without error of the fitted model, with more sensors and more modes."""
 
-    def __init__(self, hypotheses: ModalHypotheses, state: State):
+    def __init__(self, hypotheses: ModalHypotheses, state: State, withheld: Mapping[str, float]):
         question = hypotheses.question(state.effects)
         self.hypotheses, self.found = hypotheses, question.at(state.values)
         problem, measured = hypotheses.problem, hypotheses.problem.measured
@@ -133,7 +187,7 @@ class _Imagined:
         freq, window = self.found.modes.natural_freq, problem.freq_window or (0.0, np.inf)
         free = [j for j in range(len(freq)) if j not in self.columns and window[0] <= freq[j] <= window[1]]
         further = [j for j in free if self.found.modes.damping_ratio[j] < 0.9][:MORE_MODES]
-        self.more = [f"model mode at {freq[j]:.3g} Hz" for j in further]
+        self.more = [_mode_in_words(float(freq[j]), withheld) for j in further]
         self.columns += further
         self.places = self._places() if measured.has_shapes else ()
         self.extra = {s.name: _in_words(s) for s in self.places}
@@ -165,29 +219,14 @@ class _Imagined:
         return True
 
     def _measurement(self) -> MeasuredModes:
-        problem, modes = self.hypotheses.problem, self.found.modes
-        measured, cols = problem.measured, self.columns
-        freq, ratio = modes.natural_freq[cols], modes.damping_ratio[cols]
+        modes, cols, known = self.found.modes, self.columns, self.hypotheses.problem.measured
         shapes = np.zeros((0, len(cols)), dtype=complex)
-        if measured.has_shapes:
+        if known.has_shapes:
             model = self.found.model
             shapes = (model.sensor_rows((*self.sensors, *self.places)) @ modes.shapes[:, cols]).astype(complex)
             shapes = shapes / np.abs(shapes[: len(self.sensors)]).max(axis=0)
-        sizes = [float(np.sqrt(np.mean(s**2))) if s.size else np.nan for s in (self.scatter.freq, self.scatter.damping)]
-        spread = float(np.sqrt(np.nanmean(self.scatter.shape**2))) if self.scatter.shape.size else np.nan
-        return replace(
-            measured,
-            names=(*self.modes, *self.more),
-            natural_freq=freq,
-            damped_freq=modes.damped_freq[cols],
-            freq_std=sizes[0] * freq,
-            damping_ratio=ratio,
-            damping_std=sizes[1] * ratio,
-            sensors=(*self.sensors, *self.places),
-            shapes=shapes,
-            shape_std=np.full(shapes.shape, spread),
-            n_repeats=1,
-        )
+        names, sensors = (*self.modes, *self.more), (*self.sensors, *self.places)
+        return imagined_measurement(known, self.scatter, names, modes, cols, sensors, shapes)
 
     def residual(self, effects: tuple[str, ...]) -> ModalResidual:
         """Against a variant of the model; modes are paired by what they are."""
@@ -196,6 +235,11 @@ class _Imagined:
         imagined = replace(problem, measured=self.measurement, mode_clusters=kept, override={}, threshold=0.05)
         floors = replace(self.hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)
         return ModalResidual(imagined, floors)
+
+
+def _mode_in_words(freq: float, withheld: Mapping[str, float]) -> str:
+    near = [name for name, own in withheld.items() if abs(own / freq - 1) < NEAR]
+    return f"mode {near[0]}, withheld so far" if len(near) == 1 else f"the mode computed at {freq:.3g} Hz"
 
 
 def _in_words(sensor: Sensor) -> str:

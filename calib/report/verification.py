@@ -142,9 +142,13 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
 
 
 def best_options(table: pd.DataFrame, count: int = _SHOWN) -> pd.DataFrame:
-    """Return the options of most worth, best first: by ``ln_bayes`` where any is known, otherwise by ``gain``."""
+    """Return the options of most worth, best first, each with the effect whose score it raises most.
+
+    They are ranked by ``ln_bayes`` where any is known, otherwise by ``gain``.
+    """
     key = ["ln_bayes", "gain"] if table["ln_bayes"].notna().any() else ["gain"]
-    return table.sort_values(key, ascending=False, kind="stable", na_position="last", ignore_index=True).head(count)
+    rows = table.sort_values("gain", ascending=False, kind="stable").drop_duplicates("option")
+    return rows.sort_values(key, ascending=False, kind="stable", ignore_index=True).head(count)
 
 
 def draw_next_measurement(
@@ -168,22 +172,22 @@ def draw_next_measurement(
     if rows.empty:
         return blank(ax, "no further measurement was considered")
     at = np.arange(len(rows))
-    values = rows[measure].to_numpy(dtype=float, copy=True)
+    values = rows[measure].to_numpy(dtype=float)
     start = 1.0 if measure == "gain" else 0.0
     colours = [_OPTIONS.get(kind, (kind, GREY))[1] for kind in rows["kind"].astype(str)]
     words = ["–" if np.isnan(v) else f"× {v:.2f}" if measure == "gain" else f"{v:.1f}" for v in values]
-    values[np.isinf(values)] = np.nan
+    values = np.where(np.isfinite(values), values, start)
     bars = ax.barh(at, values - start, 0.66, left=start, color=colours, gid=measure)
     ax.bar_label(bars, [w.replace("-", "−").replace("inf", "∞") for w in words], fontsize=8, padding=3)
     ax.axvline(start, color=BLACK, linewidth=0.8)
-    known = np.append(values[np.isfinite(values)], [start, 2.0 if measure == "gain" else LEAST_ODDS])
+    known = np.append(values, [start, 2.0 if measure == "gain" else LEAST_ODDS])
     span = float(known.max() - known.min())
     ax.set_xlim(known.min() - 0.02 * span, known.max() + 0.24 * span)
     if measure == "ln_bayes":
         ax.axvline(LEAST_ODDS, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
         ax.set_xlabel(f"expected ln odds between the two\nleading effects (–; dashed: {LEAST_ODDS:g})")
     else:
-        ax.set_xlabel("factor in the expected score z (–)\n1: nothing is gained")
+        ax.set_xlabel("factor in the expected score z of the\neffect named (–); 1: nothing is gained")
     ax.set_yticks(at, _option_labels(rows), fontsize=8)
     ax.tick_params(axis="y", length=0)
     ax.set_ylim(len(rows) - 0.45, -0.55)
@@ -244,9 +248,8 @@ def _option_handles(rows: pd.DataFrame) -> list[Artist]:
 
 
 def _option_labels(rows: pd.DataFrame) -> list[str]:
-    several = rows["effect"].nunique() > 1
-    words = rows["option"].astype(str) + (" (for " + rows["effect"].astype(str) + ")" if several else "")
-    return [textwrap.fill(text, 40) for text in words]
+    named = zip(rows["option"], rows["effect"].fillna(""), strict=True)
+    return [textwrap.fill(f"{option} (for {effect})" if effect else str(option), 40) for option, effect in named]
 
 
 def _next_height(rows: pd.DataFrame) -> float:
