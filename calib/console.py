@@ -204,9 +204,8 @@ def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None
     heads = ("effect", "z", "ln Bayes", "gamma", "strength, 95 %", "smallest visible", "remark")
     _table(heads, rows, left=("remark",))
     found = answer.findings
-    tests = (
-        f"{len(found.groups)} effects and {len(answer.atoms)} local changes tested, {len(answer.tried)} models fitted"
-    )
+    counts = len(answer.tables["atoms"]), len(answer.tables["tried"])
+    tests = f"{len(found.groups)} effects and {counts[0]} local changes tested, {counts[1]} models fitted"
     say(f"\n{tests}, {found.evaluations} model evaluations, {answer.seconds:.0f} s.")
     say("z is a score and no probability; ln Bayes is against the base model, for the plausible size of each effect.")
     if len(answer.errors):

@@ -150,12 +150,19 @@ class ParameterSpace:
     parameters: tuple[Parameter, ...]
     constraints: tuple[LinearConstraint, ...] = ()
     _by_name: Mapping[str, Parameter] = field(init=False, repr=False, compare=False)
+    # What every point needs of every parameter, at hand: hundreds of parameters are completed thousands of times.
+    _adopted: Mapping[str, float] = field(init=False, repr=False, compare=False)
+    _factors: Mapping[str, float] = field(init=False, repr=False, compare=False)
+    _whole: tuple[str, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         by_name = {p.name: p for p in self.parameters}
         if len(by_name) != len(self.parameters):
             raise InputError("two parameters share a name", place="parameter space")
         object.__setattr__(self, "_by_name", by_name)
+        object.__setattr__(self, "_adopted", {p.name: float(p.value) for p in self.parameters})
+        object.__setattr__(self, "_factors", {p.name: p.si_factor for p in self.parameters})
+        object.__setattr__(self, "_whole", tuple(p.name for p in self.parameters if p.integer))
         for constraint in self.constraints:
             for name, _ in constraint.coefficients:
                 self._require(name, f"constraint {constraint.name}")
@@ -280,14 +287,15 @@ class ParameterSpace:
             if isinstance(x, np.ndarray)
             else x
         )
-        for name in given:
-            self._require(name, "parameter values")
-        values = {p.name: float(given.get(p.name, p.value)) for p in self.parameters}
-        for name, value in values.items():
-            if not math.isfinite(value):
-                raise InputError(f"value of {name!r} is {value}", place="parameter values")
-            if self[name].integer:
-                values[name] = float(round(value))
+        if not given.keys() <= self._adopted.keys():
+            for name in given:
+                self._require(name, "parameter values")
+        values = {name: float(given.get(name, value)) for name, value in self._adopted.items()}
+        if not all(map(math.isfinite, values.values())):
+            name, value = next((n, v) for n, v in values.items() if not math.isfinite(v))
+            raise InputError(f"value of {name!r} is {value}", place="parameter values")
+        for name in self._whole:
+            values[name] = float(round(values[name]))
         return values
 
     def from_unit(self, unit: np.ndarray) -> np.ndarray:
@@ -308,7 +316,10 @@ class ParameterSpace:
 
     def si(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values in SI; the one place where parameter units are converted."""
-        return {name: value * self[name].si_factor for name, value in values.items()}
+        if not values.keys() <= self._factors.keys():
+            for name in values:
+                self._require(name, "parameter values")
+        return {name: value * self._factors[name] for name, value in values.items()}
 
     def _constraint_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Coefficients over the free parameters (n_con, n_free), and limits less what the fixed ones add (n_con,)."""

@@ -136,7 +136,8 @@ def _modes(stiffness: np.ndarray, damping: np.ndarray, mass: np.ndarray) -> tupl
 def chain_effects() -> tuple[Effect, ...]:
     """Effects that `five_mass_chain` leaves out; its function knows their parameters itself.
 
-    Plausible sizes are 5 % of a spring or mass, 10 % of a spring's flexibility, 30 % of a damper.
+    Plausible sizes are engineering estimates: 5 % of a spring or a mass, 10 % of the flexibility of spring 1, 30 % of a
+    damper, a brake of a sixteenth of a damper.
     """
     return (
         _effect(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -195,9 +195,10 @@ class ModalResidual:
     def _damping_modes(self) -> tuple[int, ...]:
         """Measured modes with a damping row."""
         model, space = self.problem.model, self.problem.space
-        candidates: list[Any] = [model.matrices(space.values)[1]]
-        candidates += [model.matrix_derivatives(space.values, name)[1] for name in space.names]
-        if not self.use_damping or not any(abs(c).max() > 0 for c in candidates):
+        first: tuple[Any, Any, Any] = model.matrices(space.values)
+        slopes: Iterator[Any] = (model.matrix_derivatives(space.values, name)[1] for name in space.names)
+        damped = abs(first[1]).max() > 0 or any(abs(slope).max() > 0 for slope in slopes)
+        if not self.use_damping or not damped:
             return ()
         return tuple(np.flatnonzero(self.problem.measured.damping_ratio > 0).tolist())
 

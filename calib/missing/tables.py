@@ -127,7 +127,7 @@ def misfit_table(found: Findings) -> pd.DataFrame:
     parts = [found.base_check.modes.assign(stage="base")]
     if found.chosen_check is not None:
         parts.append(found.chosen_check.modes.assign(stage="explained"))
-    table = pd.concat(parts, ignore_index=True)
+    table = pd.concat(parts, ignore_index=True).replace({"mode": {"": "responses"}})
     return table[["stage", "mode", "kind", "chi2", "freedom", "p"]]
 
 

@@ -168,7 +168,11 @@ def _none(found: Findings, effects: pd.DataFrame) -> list[str]:
 
 
 def _errors(errors: pd.DataFrame) -> list[str]:
-    words = {"left_out": "modes left out", "withheld_sensors": "withheld sensors", "withheld_modes": "withheld modes"}
+    words = {
+        "left_out": "data left out in turn",
+        "withheld_sensors": "withheld sensors",
+        "withheld_modes": "withheld modes",
+    }
     numbers = {(str(r["group"]), str(r["stage"])): r for r in errors.to_dict("records")}
     told, worse = [], []
     for group, label in words.items():

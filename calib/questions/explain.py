@@ -5,16 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
 
-from calib.correlation.problem import FunctionProblem, ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
 from calib.missing import explain as engine
-from calib.missing.advice import advice_sentence, advise, expected_odds
+from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
+from calib.missing.advice import Prospects, advice_sentence, advise, expected_odds
 from calib.missing.explain import Findings, Trial
+from calib.missing.hypotheses import Hypotheses
 from calib.missing.left_out import left_out
 from calib.missing.profile import profile_interval
 from calib.missing.tables import (
@@ -26,20 +28,48 @@ from calib.missing.tables import (
     tried_table,
 )
 from calib.missing.verdict import sentence
-from calib.questions.budget import Budget, discretisation_budget
-from calib.questions.hypotheses import ModalHypotheses
-from calib.questions.library import SettledModal, modal_hypotheses
-from calib.questions.prospects import modal_prospects
-from calib.questions.verify import modal_errors
+from calib.questions.budget import Budget
+from calib.questions.modal_side import ModalSide
+from calib.questions.plain_side import PlainSide
 from calib.results import Results
-from calib.structure.extend import extend
-from calib.structure.model import StructuralModel
 from calib.study import Study
 
 Progress = Callable[[str], None]
 NAMES_SOMETHING = ("effect", "indistinguishable", "two_effects")
-BASIS_ERROR = 0.05
-"""Largest difference of whitened residuals on the reduced basis from full order, in units of the scatter."""
+GROUPS = ("fit", "left_out", "withheld_sensors", "withheld_modes")
+
+
+class Side(Protocol):
+    """What the two kinds of study answer each in its own way; see `ModalSide` and `PlainSide`."""
+
+    @property
+    def hypotheses(self) -> Hypotheses:
+        """What the decision asks."""
+        ...
+
+    def notes(self) -> list[str]:
+        """What a reader must know beforehand."""
+        ...
+
+    def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
+        """Errors by stage and group of data, notes, and figures for the summary."""
+        ...
+
+    def prospects(self, found: Findings) -> Prospects | None:
+        """What else could be measured."""
+        ...
+
+    def budget(self, found: Findings) -> Budget | None:
+        """What the discretisation alone would look like."""
+        ...
+
+    def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
+        """Kind, place and sensor of every local change."""
+        ...
+
+    def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:
+        """Further tables by name."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +82,12 @@ class Explanation:
     sentence : str
     notes : tuple of str
         What a reader must know, such as a scatter that had to be assumed.
-    effects, atoms, confounding, strain, misfit, sensors, errors, tried, next_measurement : DataFrame
-        The tables of the same names.
-    budget : Budget or None
-        What the discretisation alone would look like; None without a finer mesh.
-    basis_error : float
-        Largest difference of the whitened residual from full order, at the base model and at the explanation.
+    effects, errors : DataFrame
+        ``effects.csv`` and ``errors.csv``.
+    tables : mapping from str to DataFrame
+        All others by the name of their file.
+    figures : mapping from str to object
+        Further numbers of the summary.
     seconds : float
     """
 
@@ -65,16 +95,9 @@ class Explanation:
     sentence: str
     notes: tuple[str, ...]
     effects: pd.DataFrame
-    atoms: pd.DataFrame
-    confounding: pd.DataFrame
-    strain: pd.DataFrame
-    misfit: pd.DataFrame
-    sensors: pd.DataFrame
     errors: pd.DataFrame
-    tried: pd.DataFrame
-    next_measurement: pd.DataFrame
-    budget: Budget | None
-    basis_error: float
+    tables: dict[str, pd.DataFrame]
+    figures: dict[str, object]
     seconds: float
 
     @property
@@ -98,133 +121,84 @@ def explain(study: Study, results: Results, progress: Progress = lambda words: N
         )  # fmt: skip
     if not study.candidates:
         raise InputError("every effect of the library is in the model already", place=study.file)
-    if isinstance(study.problem, FunctionProblem):
-        raise NotImplementedError
     started = time.perf_counter()
-    settled = modal_hypotheses(study, results, progress)
-    hypotheses = settled.hypotheses
+    side: Side
+    if isinstance(study.problem, FunctionProblem):
+        side = PlainSide.of(study)
+    else:
+        side = ModalSide.of(study, results, progress)
     given = study.settings.explain
     settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed)
     try:
-        found = engine.explain(hypotheses, settings, progress)
+        found = engine.explain(side.hypotheses, settings, progress)
     except EvaluationError as fault:
         raise InputError(
             f"the model cannot be fitted: {fault}", place=study.file, remedy="check values, limits and supports"
         ) from None
-    answer = _answer(study, settled, found, progress, started)
-    _write(study, results, settled, answer)
+    answer = _answer(side, found, progress, started)
+    results.write_table("effects", answer.effects)
+    results.write_table("errors", answer.errors)
+    for name, table in answer.tables.items():
+        results.write_table(name, table)
+    results.write_json("explanation", summary(study, answer))
     return answer
 
 
-def _answer(study: Study, settled: SettledModal, found: Findings, progress: Progress, started: float) -> Explanation:
-    hypotheses = settled.hypotheses
-    named = found.verdict in NAMES_SOMETHING
+def _answer(side: Side, found: Findings, progress: Progress, started: float) -> Explanation:
     progress("intervals and data that were left out")
     intervals = {}
     if found.verdict in ("effect", "indistinguishable"):
         by_name = {t.names[0]: t for t in found.singles}
         intervals = {name: profile_interval(by_name[name].state, name) for name in found.credible}
-    gains = _gains(hypotheses, found)
-    effects = effects_table(found, intervals, gains)
+    effects = effects_table(found, intervals, _gains(side.hypotheses, found))
     progress("withheld data")
-    errors, basis_error = _errors(study, hypotheses, found)
+    before, after = {"before": found.base}, {} if found.chosen is None else {"after": found.chosen}
+    errors, more_notes, figures = side.errors({**before, **after}, found.noise_scale)
+    errors = errors[["group", "stage", "rows", "rms", "expected", "p", "unpaired"]]
     progress("what to measure next")
-    table, advice = _next(study, hypotheses, found, effects)
-    found = replace(found, evaluations=hypotheses.evaluations)
-    budget = _budget(study, hypotheses, found, progress)
-    told = sentence(found, effects, errors if named else errors.head(0), advice)
-    return Explanation(
-        findings=found,
-        sentence=told,
-        notes=_notes(study, basis_error, budget),
-        effects=effects,
-        atoms=_atoms(settled, found),
-        confounding=confounding_table(found),
-        strain=strain_table(found),
-        misfit=misfit_table(found),
-        sensors=_sensors(hypotheses, found),
-        errors=errors,
-        tried=tried_table(found),
-        next_measurement=table,
-        budget=budget,
-        basis_error=basis_error,
-        seconds=time.perf_counter() - started,
-    )
-
-
-def _budget(study: Study, hypotheses: ModalHypotheses, found: Findings, progress: Progress) -> Budget | None:
-    finer = study.finer_model()
-    if finer is None:
-        return None
+    next_table, advice = _next(side, found, effects)
+    found = replace(found, evaluations=side.hypotheses.evaluations)
     progress("what the discretisation alone would look like")
-    return discretisation_budget(hypotheses, found.base.state, finer)
+    budget = side.budget(found)
+    notes = [*([] if budget is None else [budget.sentence]), *side.notes(), *more_notes]
+    told = sentence(found, effects, errors if found.verdict in NAMES_SOMETHING else errors.head(0), advice)
+    stages = {"base": found.base} | ({} if found.chosen is None else {"explained": found.chosen})
+    tables = {
+        "atoms": _atoms(side, found),
+        "confounding": confounding_table(found),
+        "strain": strain_table(found),
+        "misfit_kinds": misfit_table(found),
+        "tried": tried_table(found),
+        "next_measurement": next_table,
+        **side.tables(stages),
+    }
+    if budget is not None:
+        tables["discretisation"] = budget.table
+        figures["discretisation"] = budget.largest
+    seconds = time.perf_counter() - started
+    return Explanation(found, told, tuple(notes), effects, errors, tables, figures, seconds)
 
 
-def _notes(study: Study, basis_error: float, budget: Budget | None) -> tuple[str, ...]:
-    out = [] if budget is None else [budget.sentence]
-    measured = study.measured
-    if measured is not None and measured.n_repeats == 1:
-        known = np.isfinite(measured.freq_std).any()
-        out.append(
-            "There are no repeats: the scatter is the one the file states."
-            if known
-            else "There are no repeats and no standard deviations: a scatter of 0.5 % of frequencies, 10 % of damping "
-            "ratios and 3 % of the largest entry of shapes is assumed. Probabilities are as good as this assumption."
-        )
-    if basis_error > BASIS_ERROR:
-        out.append(f"The reduced basis errs by {basis_error:.2g} standard deviations; set use = false in [reduction].")
-    return tuple(out)
-
-
-def _gains(hypotheses: ModalHypotheses, found: Findings) -> dict[str, float]:
-    """Gain of every fitted effect in the log density of modes that are left out one by one."""
-    modes = [row.mode for row in hypotheses.rows]
+def _gains(hypotheses: Hypotheses, found: Findings) -> dict[str, float]:
+    """Gain of every fitted effect in the log density of data that are left out, mode by mode or one by one."""
+    groups = [row.mode or row.sensor for row in hypotheses.rows]
 
     def density(trial: Trial) -> float:
         s = trial.state
-        return float(np.sum(left_out(s.residual, s.slope, s.prior_sd, modes).elpd))
+        return float(np.sum(left_out(s.residual, s.slope, s.prior_sd, groups).elpd))
 
     base = density(found.base)
     return {t.names[0]: density(t) - base for t in found.singles}
 
 
-def _errors(study: Study, hypotheses: ModalHypotheses, found: Findings) -> tuple[pd.DataFrame, float]:
-    """Errors before and after at full order, and how far the reduced residual was from it."""
-    assert isinstance(study.problem, ModalProblem) and isinstance(study.model, StructuralModel)
-    whole = study.whole_problem()
-    parts, worst = [], 0.0
-    stages = [("before", found.base)] + ([("after", found.chosen)] if found.chosen is not None else [])
-    for stage, trial in stages:
-        state = trial.state
-        named = [e for e in trial.effects if e.name in {c.name for c in study.candidates}]
-        model = extend(study.model, named)
-        more = model.n_dof - study.model.n_dof
-        fitted = replace(study.problem, model=model, mode_count=study.problem.mode_count + more)
-        everything = None if whole is None else replace(whole, model=model, mode_count=whole.mode_count + more)
-        table = modal_errors(
-            fitted, everything, state.values, state.names, state.prior_sd, hypotheses.floors,
-            hypotheses.scatter_freedom, found.noise_scale,
-        )  # fmt: skip
-        parts.append(table.assign(stage=stage))
-        full = ModalResidual(fitted, hypotheses.floors).residual(state.values) / found.noise_scale
-        worst = max(worst, float(np.abs(full - state.residual).max()))
-    errors = pd.concat(parts, ignore_index=True)
-    return errors[["group", "stage", "rows", "rms", "expected", "p", "unpaired"]], worst
-
-
-def _next(
-    study: Study, hypotheses: ModalHypotheses, found: Findings, effects: pd.DataFrame
-) -> tuple[pd.DataFrame, str]:
-    """What to measure next, seen from the base model."""
-    candidates = [g.effect for g in found.groups]
-    named = found.base_check.named
-    held = set(study.settings.withheld.modes)
-    whole = study.whole
-    withheld = {} if whole is None else dict(zip(whole.names, whole.natural_freq.tolist(), strict=True))
-    withheld = {name: freq for name, freq in withheld.items() if name in held}
-    prospects = modal_prospects(hypotheses, found.base.state, candidates, named, found.noise_scale, withheld)
+def _next(side: Side, found: Findings, effects: pd.DataFrame) -> tuple[pd.DataFrame, str]:
+    """What to measure next, in a table and in words."""
+    prospects = side.prospects(found)
+    if prospects is None:
+        return pd.DataFrame(columns=list(ADVICE_COLUMNS)), ""
     fitted = {t.names[0]: strength_of(t, t.names[0])[0] for t in found.singles}
-    strengths = [fitted.get(e.name, e.plausible) for e in candidates]
+    plausible = {g.effect.name: g.effect.plausible for g in found.groups}
+    strengths = [fitted.get(name, plausible[name]) for name in prospects.effects]
     pair = (found.credible[0], found.credible[1]) if found.verdict == "indistinguishable" else None
     table = advise(prospects, strengths, pair)
     unseen = effects.loc[~effects["visible"].astype(bool), "name"].tolist()
@@ -235,58 +209,13 @@ def _next(
     return table, told
 
 
-def _atoms(settled: SettledModal, found: Findings) -> pd.DataFrame:
-    scores = found.base_check.atoms
-    where = {name: k for k, name in enumerate(scores.owners)}
+def _atoms(side: Side, found: Findings) -> pd.DataFrame:
+    scores, places = found.base_check.atoms, side.places()
     rows = []
-    for atom in settled.atoms:
-        k = where[atom.effect.name]
-        rows.append((atom.effect.name, atom.kind, *atom.place, atom.sensor, scores.z[k], scores.gamma[k]))
+    for k, name in enumerate(scores.owners):
+        kind, place, sensor = places[name]
+        rows.append((name, kind, *place, sensor, scores.z[k], scores.gamma[k]))
     return pd.DataFrame(rows, columns=["atom", "kind", "x", "y", "z", "sensor", "score", "gamma"])
-
-
-def _sensors(hypotheses: ModalHypotheses, found: Findings) -> pd.DataFrame:
-    """Whitened residuals of shapes by sensor: ``stage, mode, sensor, node, direction, x, y, z, re, im``."""
-    sensors = {s.name: s for s in hypotheses.problem.measured.sensors}
-    stages = [("base", found.base)] + ([("explained", found.chosen)] if found.chosen is not None else [])
-    parts: dict[tuple[str, str, str], dict[str, float]] = {}
-    for stage, trial in stages:
-        for row, e in zip(hypotheses.rows, trial.state.residual, strict=True):
-            if row.kind == "shape":
-                parts.setdefault((stage, row.mode, row.sensor), {})[row.part] = float(e)
-    rows = []
-    for (stage, mode, name), entry in parts.items():
-        s = sensors[name]
-        point = s.point or (np.nan, np.nan, np.nan)
-        rows.append((stage, mode, name, s.node, s.direction, *point, entry.get("re", 0.0), entry.get("im", 0.0)))
-    columns = ["stage", "mode", "sensor", "node", "direction", "x", "y", "z", "re", "im"]
-    return pd.DataFrame(rows, columns=columns)
-
-
-# -- files -------------------------------------------------------------------------------------------------------------
-
-TABLES = (
-    "effects", "atoms", "confounding", "strain", "errors", "tried", "next_measurement",
-)  # fmt: skip
-
-
-def _write(study: Study, results: Results, settled: SettledModal, answer: Explanation) -> None:
-    for name in TABLES:
-        results.write_table(name, getattr(answer, name))
-    results.write_table("misfit_kinds", answer.misfit)
-    results.write_table("sensor_misfit", answer.sensors)
-    results.write_table("structure", structure_table(study))
-    if answer.budget is not None:
-        results.write_table("discretisation", answer.budget.table)
-    results.write_json("explanation", summary(study, answer))
-
-
-def structure_table(study: Study) -> pd.DataFrame:
-    """Lines of the model's mesh: ``x0, y0, z0, x1, y1, z1, group``."""
-    assert isinstance(study.model, StructuralModel)
-    mesh = study.model.mesh
-    ends = np.hstack([mesh.points[mesh.lines[:, 0]], mesh.points[mesh.lines[:, 1]]])
-    return pd.DataFrame(ends, columns=["x0", "y0", "z0", "x1", "y1", "z1"]).assign(group=list(mesh.groups))
 
 
 def summary(study: Study, answer: Explanation) -> dict[str, object]:
@@ -296,13 +225,10 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "name", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "ln_bayes", "posterior", "heldout_gain",
         "implausible", "confounded_with",
     )  # fmt: skip
-    table = answer.effects[list(columns)].to_dict("records")
-    errors: dict[str, dict[str, float | None]] = {
-        group: {"before": None, "after": None}
-        for group in ("fit", "left_out", "withheld_sensors", "withheld_modes")
-    }  # fmt: skip
+    errors: dict[str, dict[str, float | None]] = {group: {"before": None, "after": None} for group in GROUPS}
     for row in answer.errors.to_dict("records"):
         errors[str(row["group"])][str(row["stage"])] = float(row["rms"])
+    chosen, fits = found.chosen, found.chosen_check
     return {
         "study": study.name,
         "synthetic": study.synthetic,
@@ -312,22 +238,15 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "p_family": check.p_family,
         "p_fit": check.p_fit,
         "credible_set": list(found.credible),
-        "effects": table,
-        "chosen": [] if found.chosen is None else list(found.chosen.names),
-        "chosen_values": {} if found.chosen is None else _own_values(found.chosen),
-        "adequacy_p": None
-        if found.chosen_check is None
-        else min(found.chosen_check.p_family, found.chosen_check.p_fit),
+        "effects": answer.effects[list(columns)].to_dict("records"),
+        "chosen": [] if chosen is None else list(chosen.names),
+        "chosen_values": {} if chosen is None else {n: chosen.state.values[n] for e in chosen.effects for n in e.names},
+        "adequacy_p": None if fits is None else min(fits.p_family, fits.p_fit),
         "noise_scale": found.noise_scale,
         "measured_noise_scale": found.measured_scale,
         "local_changes": len(set(check.atoms.owners)),
         "evaluations": found.evaluations,
-        "basis_error": answer.basis_error,
-        "discretisation": None if answer.budget is None else answer.budget.largest,
         "errors": errors,
         "seconds": answer.seconds,
+        **answer.figures,
     }
-
-
-def _own_values(trial: Trial) -> dict[str, float]:
-    return {name: trial.state.values[name] for effect in trial.effects for name in effect.names}

@@ -229,13 +229,18 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
         looks: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.8, "clip_on": False, "zorder": 4}
         ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="alike", **looks))
     known = {name: f" ({gammas[name]:.2f})" for name in names if not pd.isna(gammas.get(name, math.nan))}
-    ax.set_xticks(range(count), [textwrap.fill(str(titles.get(n, n)), 22) for n in names], rotation=90, fontsize=8)
-    ax.set_yticks(range(count), [textwrap.fill(f"{titles.get(n, n)}{known.get(n, '')}", 26) for n in names], fontsize=8)
+    ax.set_xticks(range(count), names, rotation=90, fontsize=8)
+    ax.set_yticks(range(count), [_two_lines(str(titles.get(n, n)), known.get(n, "")) for n in names], fontsize=7.5)
     note = f"outlined: |ρ| > {_ALIKE:g}, hard to tell apart"
     ax.set_xlabel(note + ("; in brackets: γ, the share that calibration cannot absorb" if known else ""))
     label = "correlation ρ of the fingerprints (–)"
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
     return ax
+
+
+def _two_lines(title: str, end: str = "") -> str:
+    """A title that fills at most two lines, however long."""
+    return textwrap.fill(title + end, max(26, math.ceil(0.58 * len(title + end))), break_long_words=False)
 
 
 def _threshold(count: int) -> float:
@@ -291,7 +296,7 @@ def _height(count: int) -> float:
 def _name_rows(ax: Axes, rows: pd.DataFrame) -> None:
     """Names of the effects at the left, on two lines where they are long, with lines between the rows."""
     titles = [str(title) or str(name) for name, title in zip(rows["name"], rows["title"], strict=True)]
-    ax.set_yticks(range(len(rows)), [textwrap.fill(title, 24) for title in titles])
+    ax.set_yticks(range(len(rows)), [_two_lines(title) for title in titles], fontsize=8)
     ax.tick_params(axis="y", length=0)
     ax.set_ylim(len(rows) - 0.45, -0.55)
     ax.grid(axis="x")

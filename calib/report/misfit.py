@@ -162,7 +162,7 @@ def draw_strain(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.grid(axis="x")
     ax.set_xlabel("shift from the adopted value, standardised (–)")
     words = " → ".join(["adopted", *("base" if model == "base" else "explained" for model in models)])
-    ax.text(1.02, -0.75, words, transform=ax.get_yaxis_transform(), va="bottom", fontsize=8, color=GREY)
+    ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=GREY)
     if limits:
         label = "limit ± " + ", ".join(f"{limit:.2f}" for limit in limits)
         handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9, label=label))

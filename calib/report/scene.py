@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from calib.report.shapes import _frame, plot_coordinates, view_directions
-from calib.report.shapes import _plot_lines as plot_lines
+from calib.report.shapes import frame_scene, plot_coordinates, plot_lines, view_directions
 from calib.report.style import BLACK, DPI, WIDTH
 
 PLACE = ["x", "y", "z"]
@@ -71,7 +70,7 @@ def draw_dots(ax: Axes3D, points: np.ndarray, values: np.ndarray, norm: Normaliz
 
 def frame_panel(ax: Axes3D, points: np.ndarray, title: str) -> None:
     """Fill the panel with the view of points (n, 3), in metres, and write the title over it."""
-    _frame(ax, plot_coordinates(points) if len(points) else np.zeros((1, 3)), heading=HEADING)
+    frame_scene(ax, plot_coordinates(points) if len(points) else np.zeros((1, 3)), heading=HEADING)
     ax.text2D(0.5, 1.0, title, transform=ax.transAxes, ha="center", va="top", fontsize=8.5)
 
 
@@ -135,7 +134,7 @@ def show_axes(figure: Figure) -> None:
     plot_lines(corner, np.stack([0.0 * arrows, arrows], axis=1), color=BLACK, linewidth=1.0)
     for name, (x, y, z) in zip("xyz", plot_coordinates(1.35 * arrows), strict=True):
         corner.text(x, y, z, name, fontsize=8.5, ha="center", va="center")
-    _frame(corner, plot_coordinates(1.4 * np.concatenate([0.0 * arrows, arrows])))
+    frame_scene(corner, plot_coordinates(1.4 * np.concatenate([0.0 * arrows, arrows])))
 
 
 def colour_bar(figure: Figure, colours: ScalarMappable, label: str) -> None:

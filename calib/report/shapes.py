@@ -76,11 +76,11 @@ def draw_mode_shape(
         np.concatenate([rest.reshape(-1, 3), place]), np.concatenate([motion.reshape(-1, 3), measured])
     )
 
-    _plot_lines(ax, rest, color=REST, linewidth=0.8, gid="undeformed", zorder=1)
+    plot_lines(ax, rest, color=REST, linewidth=0.8, gid="undeformed", zorder=1)
     if len(deflection):
-        _plot_lines(ax, rest + scale * motion, color=BLUE, linewidth=1.2, gid="deformed", zorder=2)
+        plot_lines(ax, rest + scale * motion, color=BLUE, linewidth=1.2, gid="deformed", zorder=2)
     moved = place + scale * measured
-    _plot_lines(ax, np.stack([place, moved], axis=1), color=MEASURED, linewidth=0.8, gid="motion", zorder=3)
+    plot_lines(ax, np.stack([place, moved], axis=1), color=MEASURED, linewidth=0.8, gid="motion", zorder=3)
     ax.plot(
         *plot_coordinates(moved).T,
         linestyle="none",
@@ -93,7 +93,7 @@ def draw_mode_shape(
     everything = np.concatenate(
         [rest.reshape(-1, 3), (rest + scale * motion).reshape(-1, 3) if len(motion) else place, moved]
     )
-    _frame(ax, plot_coordinates(everything), heading=_HEADING)
+    frame_scene(ax, plot_coordinates(everything), heading=_HEADING)
     ax.text2D(0.5, 1.0, title, transform=ax.transAxes, ha="center", va="top", fontsize=8.5)
     return ax
 
@@ -175,7 +175,7 @@ def motion_scale(points: np.ndarray, motions: np.ndarray) -> float:
     return _LARGEST_MOTION * (diagonal or 1.0) / largest if largest > 0.0 else 0.0
 
 
-def _plot_lines(ax: Axes3D, segments: np.ndarray, **looks: object) -> None:
+def plot_lines(ax: Axes3D, segments: np.ndarray, **looks: object) -> None:
     """Segments (n, 2, 3) as one line with gaps, which draws quickly and whose data can be read back."""
     gap = np.full((len(segments), 1, 3), np.nan)
     path = plot_coordinates(np.concatenate([segments, gap], axis=1).reshape(-1, 3))
@@ -193,7 +193,7 @@ def view_directions() -> np.ndarray:
     )
 
 
-def _frame(ax: Axes3D, points: np.ndarray, heading: float = 0.0) -> None:
+def frame_scene(ax: Axes3D, points: np.ndarray, heading: float = 0.0) -> None:
     """Parallel view with equal scale on all axes that fills the panel below a heading of that height in inches."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 0.02 * float((high - low).max() or 1.0))
@@ -228,10 +228,10 @@ def _explain(figure: Figure, deflection: pd.DataFrame | None) -> None:
     figure.legend(handles=handles, loc="lower right", bbox_to_anchor=(0.99, 0.06 / height), ncols=3, borderaxespad=0.0)
     corner: Axes3D = figure.add_axes((0.1 / WIDTH, 0.04 / height, 0.75 / WIDTH, 0.68 / height), projection="3d")
     arrows = np.eye(3)
-    _plot_lines(corner, np.stack([0.0 * arrows, arrows], axis=1), color="black", linewidth=1.0)
+    plot_lines(corner, np.stack([0.0 * arrows, arrows], axis=1), color="black", linewidth=1.0)
     for name, (x, y, z) in zip("xyz", plot_coordinates(1.35 * arrows), strict=True):
         corner.text(x, y, z, name, fontsize=8.5, ha="center", va="center")
-    _frame(corner, plot_coordinates(1.4 * np.concatenate([0.0 * arrows, arrows])))
+    frame_scene(corner, plot_coordinates(1.4 * np.concatenate([0.0 * arrows, arrows])))
     if deflection is not None:
         size = " × ".join(f"{s:.3g}" for s in np.ptp(ends(deflection), axis=0))
         figure.text(1.05 / WIDTH, 0.09 / height, f"model {size} m (x × y × z)", fontsize=8.5, va="bottom")

@@ -77,8 +77,13 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         x = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * width
         rms, expected, p = (rows[name].to_numpy(dtype=float) for name in ("rms", "expected", "p"))
         label, looks = _STAGES[stage]
-        bars = ax.bar(x, rms, 0.92 * width, label=label, gid=stage, **looks)
-        ax.bar_label(bars, [_error_words(r, q) for r, q in zip(rms, p, strict=True)], fontsize=7.5, padding=2)
+        ax.bar(x, rms, 0.92 * width, label=label, gid=stage, **looks)
+        for at, (r, e, q) in zip(x, zip(rms, expected, p, strict=True), strict=True):
+            if np.isfinite(r):  # over the bar and over the line of the noise
+                ax.annotate(
+                    _error_words(r, q), (at, np.nanmax([r, e])), xytext=(0, 3), textcoords="offset points",
+                    ha="center", va="bottom", fontsize=7.5,
+                )  # fmt: skip
         floor = np.isfinite(expected)
         ends = (x[floor] - 0.5 * width, x[floor] + 0.5 * width)
         ax.hlines(expected[floor], *ends, color=BLACK, linewidth=1.6, gid=f"expected {stage}", zorder=4)
@@ -249,7 +254,7 @@ def _option_handles(rows: pd.DataFrame) -> list[Artist]:
 
 def _option_labels(rows: pd.DataFrame) -> list[str]:
     named = zip(rows["option"], rows["effect"].fillna(""), strict=True)
-    return [textwrap.fill(f"{option} (for {effect})" if effect else str(option), 40) for option, effect in named]
+    return [textwrap.fill(f"{option} (for {effect})" if effect else str(option), 52) for option, effect in named]
 
 
 def _next_height(rows: pd.DataFrame) -> float:

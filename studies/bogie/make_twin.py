@@ -93,20 +93,36 @@ def eight_modes(twin: StructuralModel, truth: dict[str, float], nominal: np.ndar
     return Modes(modes.natural_freq[best], modes.damped_freq[best], modes.damping_ratio[best], modes.shapes[:, best])
 
 
-def write_repeat(
-    path: Path, modes: Modes, shapes: np.ndarray, layout: tuple[Sensor, ...], rng: np.random.Generator
-) -> None:
-    """One test: frequencies, damping and complex shapes with their scatter, in an arbitrary phase."""
+def scattered(modes: Modes, shapes: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One test: frequencies, damping, complex shapes (n_sensors, n_modes) with their scatter, in arbitrary phases."""
     grow = np.sqrt(REPEATS)
     natural = modes.natural_freq * np.exp(STD_FREQ * grow * rng.standard_normal(modes.n_modes))
     damping = modes.damping_ratio * np.exp(STD_DAMPING * grow * rng.standard_normal(modes.n_modes))
     shapes = shapes / np.abs(shapes).max(axis=0)
     scatter = rng.standard_normal(shapes.shape) + 1j * rng.standard_normal(shapes.shape)
-    shapes = (shapes + STD_SHAPE * grow * scatter) * np.exp(2j * np.pi * rng.random(modes.n_modes))
-    write_uff(
-        path, names=MODES, natural_freq=natural, damping_ratio=damping, sensors=layout, shapes=shapes,
-        title=f"SYNTHETIC twin of the bogie test, {path.stem}",
-    )  # fmt: skip
+    return natural, damping, (shapes + STD_SHAPE * grow * scatter) * np.exp(2j * np.pi * rng.random(modes.n_modes))
+
+
+def write_measurement(
+    into: Path,
+    names: tuple[str, ...],
+    modes: Modes,
+    shapes: np.ndarray,
+    layout: tuple[Sensor, ...],
+    rng: np.random.Generator,
+) -> None:
+    """All repeats of a test and the table of its sensors."""
+    into.mkdir(parents=True, exist_ok=True)
+    for k in range(1, REPEATS + 1):
+        path = into / f"repeat_{k}.uff"
+        natural, damping, complex_shapes = scattered(modes, shapes, rng)
+        write_uff(
+            path, names=names, natural_freq=natural, damping_ratio=damping, sensors=layout, shapes=complex_shapes,
+            title=f"SYNTHETIC twin of the bogie test, {path.stem}",
+        )  # fmt: skip
+    pd.DataFrame(
+        [{"node": s.node, "x": s.point[0], "y": s.point[1], "z": s.point[2], "on": s.on} for s in layout if s.point]
+    ).to_csv(into / "sensors.csv", index=False)
 
 
 def main() -> None:
@@ -138,12 +154,7 @@ def main() -> None:
     else:
         raise SystemExit("no seed gave an initial model as far off as in the case study")
 
-    given.into.mkdir(parents=True, exist_ok=True)
-    for k in range(1, REPEATS + 1):
-        write_repeat(given.into / f"repeat_{k}.uff", modes, rows @ modes.shapes, layout, rng)
-    pd.DataFrame(
-        [{"node": s.node, "x": s.point[0], "y": s.point[1], "z": s.point[2], "on": s.on} for s in layout if s.point]
-    ).to_csv(given.into / "sensors.csv", index=False)
+    write_measurement(given.into, MODES, modes, rows @ modes.shapes, layout, rng)
     given.truth.parent.mkdir(parents=True, exist_ok=True)
     content = {
         "seed": seed,

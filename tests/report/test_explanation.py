@@ -156,7 +156,7 @@ def test_confounding_cells_hold_the_correlations(alike, effects):
     cells = {(round(t.get_position()[1]), round(t.get_position()[0])): t.get_text() for t in ax.texts}
     assert cells[0, 1] == "0.95" and cells[0, 2] == "−0.20" and (1, 2) not in cells
     assert labels(ax.get_yticklabels()) == ["anti-roll bar (0.50)", "seats (0.80)", "rod (0.90)"]
-    assert labels(ax.get_xticklabels()) == ["anti-roll bar", "seats", "rod"]
+    assert labels(ax.get_xticklabels()) == ["arb", "seats", "rod"]
 
 
 def test_confounded_pairs_are_outlined(alike):
@@ -188,7 +188,8 @@ TABLES = {
     "structure": "x0,y0,z0,x1,y1,z1,group\n0,0,0,4,1,2,frame\n",
     "sensor_misfit": "stage,mode,sensor,node,direction,x,y,z,re,im\nbase,1BT,1y,1,y,0,0,0,1.5,nan\n",
     "atoms": "atom,kind,x,y,z,sensor,score,gamma\nspring 1,stiffness,0,0,0,,-8,0.5\n",
-    "strain": "model,parameter,unit,adopted,value,prior_sd,standardised,limit,strained\nbase,K,,1,1.2,0.1,2.8,2.5,True\n",
+    "strain": "model,parameter,unit,adopted,value,prior_sd,standardised,limit,strained\n"
+    "base,K,,1,1.2,0.1,2.8,2.5,True\n",
     "confounding": "effect,arb\narb,1.0\n",
     "errors": "group,stage,rms,expected,p\nfit,before,4.4,1.0,0.0\nfit,after,0.9,1.0,\n",
     "versions": "version,study,effects,group,rms,expected\n0,bogie,,fit,4.4,1.0\n1,bogie_2,arb,fit,0.9,1.0\n",
@@ -223,6 +224,12 @@ def test_headings_say_that_local_changes_are_no_causes_and_what_is_synthetic(fol
         assert SYNTHETIC in [t.get_text() for t in figure.texts]
     heading = [t.get_text().replace("\n", " ") for t in saved["atom_map"].texts]
     assert "Bogie: local changes that would fit, not causes" in heading
+
+
+def test_an_empty_cell_written_as_nan_holds_no_words(folder, saved, effects):
+    effects.assign(implausible=nan).to_csv(folder / "effects.csv", index=False, na_rep="nan")
+    draw_all(folder, "Bogie", False)
+    assert not [text for ax in saved["ranked_effects"].axes for text in words(ax) if "implausible" in text]
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,11 @@ def kinds():
     return pd.DataFrame(rows, columns="stage mode kind chi2 freedom p".split())
 
 
-def cells(ax):
-    rows, columns = ([t.get_text() for t in labels] for labels in (ax.get_yticklabels(), ax.get_xticklabels()))
+def cells(ax, names=None):
+    """Words and colours of the cells; the names of the rows are those of other Axes where they are shared."""
+    rows, columns = (
+        [t.get_text() for t in labels] for labels in ((names or ax).get_yticklabels(), ax.get_xticklabels())
+    )
     words = {(rows[round(t.get_position()[1])], columns[round(t.get_position()[0])]): t.get_text() for t in ax.texts}
     values = ax.images[-1].get_array().filled(np.nan)
     colours = {(r, c): values[i, j] for i, r in enumerate(rows) for j, c in enumerate(columns)}
@@ -53,7 +56,7 @@ def test_the_explained_model_stands_beside_the_base_model(kinds):
         "base model, calibrated",
         "with the missing effect",
     ]
-    words, colours = cells(panels[1])
+    words, colours = cells(panels[1], names=panels[0])
     assert words["2BT", "shape"] == "0.5" and colours["2BT", "shape"] == pytest.approx(2.0)
     assert len(where_it_fails_figure(kinds[kinds["stage"] == "base"]).axes) == 2  # one panel and the colour bar
 

@@ -105,7 +105,7 @@ def options():
 
 def test_the_ten_best_options_are_drawn_from_no_gain(options):
     ax = draw_next_measurement(options)
-    assert labels(ax.get_yticklabels()) == ["twice", *(f"sensor {k}" for k in range(11, 2, -1))]
+    assert labels(ax.get_yticklabels()) == ["twice (for arb)", *(f"sensor {k} (for arb)" for k in range(11, 2, -1))]
     (container,) = ax.containers
     np.testing.assert_allclose([b.get_x() for b in container], 1.0)
     np.testing.assert_allclose([b.get_width() for b in container][1:], np.arange(1.1, 0.2, -0.1))
@@ -124,6 +124,15 @@ def test_with_two_leading_effects_the_expected_odds_rank(options):
     assert labels(left.get_yticklabels())[1] == "sensor 1 (for seats)"
     assert [line.get_xdata()[0] for line in right.lines if line.get_gid() == "threshold"] == [3.0]
     figure.savefig(os.devnull, format="png")
+
+
+def test_an_option_is_drawn_once_for_the_effect_it_helps_most(options):
+    other = options.assign(effect="seats", gain=options["gain"] + [0.5, -0.5] * 7)
+    both = pd.concat([options, other], ignore_index=True)
+    names = labels(draw_next_measurement(both).get_yticklabels())
+    assert names[:4] == ["twice (for arb)", "sensor 10 (for seats)", "sensor 8 (for seats)", "sensor 11 (for arb)"]
+    assert len(set(names)) == 10
+    assert labels(draw_next_measurement(options.assign(effect="")).get_yticklabels())[:2] == ["twice", "sensor 11"]
 
 
 def test_no_option(options):

@@ -1,0 +1,130 @@
+"""What an explanation of a modal study needs of model and measurement beyond the decision itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import ModalResidual
+from calib.missing.advice import Prospects
+from calib.missing.explain import Findings, Trial
+from calib.questions.budget import Budget, discretisation_budget
+from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.library import modal_hypotheses
+from calib.questions.prospects import modal_prospects
+from calib.questions.verify import modal_errors
+from calib.results import Results
+from calib.structure.atoms import Atom
+from calib.structure.extend import extend
+from calib.structure.model import StructuralModel
+from calib.study import Study
+
+BASIS_ERROR = 0.05
+"""Largest difference of whitened residuals on the reduced basis from full order, in units of the scatter."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModalSide:
+    """A study whose model has modes.
+
+    Attributes
+    ----------
+    study : Study
+    hypotheses : ModalHypotheses
+    atoms : tuple of Atom
+    """
+
+    study: Study
+    hypotheses: ModalHypotheses
+    atoms: tuple[Atom, ...]
+
+    @classmethod
+    def of(cls, study: Study, results: Results, progress: Callable[[str], None]) -> ModalSide:
+        """With the reduced basis that is kept among the results, or a new one."""
+        settled = modal_hypotheses(study, results, progress)
+        return cls(study, settled.hypotheses, settled.atoms)
+
+    def notes(self) -> list[str]:
+        """What scatter had to be assumed."""
+        measured = self.study.measured
+        if measured is None or measured.n_repeats > 1:
+            return []
+        if np.isfinite(measured.freq_std).any():
+            return ["There are no repeats: the scatter is the one the file states."]
+        return [
+            "There are no repeats and no standard deviations: a scatter of 0.5 % of frequencies, 10 % of damping "
+            "ratios and 3 % of the largest entry of shapes is assumed. Probabilities are as good as this assumption."
+        ]
+
+    def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
+        """Errors by stage and group of data at full order; what to note, and how far the reduced basis was off."""
+        problem, hypotheses, whole = self.study.problem, self.hypotheses, self.study.whole_problem()
+        assert isinstance(problem, ModalProblem) and isinstance(self.study.model, StructuralModel)
+        known = {e.name for e in hypotheses.effects}
+        parts, worst = [], 0.0
+        for stage, trial in stages.items():
+            state = trial.state
+            model = extend(self.study.model, [e for e in trial.effects if e.name in known])
+            more = model.n_dof - self.study.model.n_dof
+            fitted = replace(problem, model=model, mode_count=problem.mode_count + more)
+            everything = None if whole is None else replace(whole, model=model, mode_count=whole.mode_count + more)
+            table = modal_errors(
+                fitted, everything, state.values, state.names, state.prior_sd, hypotheses.floors,
+                hypotheses.scatter_freedom, scale,
+            )  # fmt: skip
+            parts.append(table.assign(stage=stage))
+            full = ModalResidual(fitted, hypotheses.floors).residual(state.values) / scale
+            worst = max(worst, float(np.abs(full - state.residual).max()))
+        notes = []
+        if worst > BASIS_ERROR:
+            notes.append(f"The reduced basis errs by {worst:.2g} standard deviations; set use = false in [reduction].")
+        return pd.concat(parts, ignore_index=True), notes, {"basis_error": worst}
+
+    def prospects(self, found: Findings) -> Prospects | None:
+        """What else could be measured, seen from the base model."""
+        held, whole = set(self.study.settings.withheld.modes), self.study.whole
+        withheld = {} if whole is None else dict(zip(whole.names, whole.natural_freq.tolist(), strict=True))
+        withheld = {name: freq for name, freq in withheld.items() if name in held}
+        candidates = [g.effect for g in found.groups]
+        named = found.base_check.named
+        return modal_prospects(self.hypotheses, found.base.state, candidates, named, found.noise_scale, withheld)
+
+    def budget(self, found: Findings) -> Budget | None:
+        """What a finer mesh alone would look like; None where the study names none."""
+        finer = self.study.finer_model()
+        return None if finer is None else discretisation_budget(self.hypotheses, found.base.state, finer)
+
+    def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
+        """Kind, place and sensor of every local change."""
+        return {a.effect.name: (a.kind, a.place, a.sensor) for a in self.atoms}
+
+    def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:
+        """``sensor_misfit``: whitened residuals of shapes by sensor; ``structure``: lines of the model's mesh."""
+        return {"sensor_misfit": self._sensors(stages), "structure": self._structure()}
+
+    def _sensors(self, stages: dict[str, Trial]) -> pd.DataFrame:
+        sensors = {s.name: s for s in self.hypotheses.problem.measured.sensors}
+        parts: dict[tuple[str, str, str], dict[str, float]] = {}
+        for stage, trial in stages.items():
+            for row, e in zip(self.hypotheses.rows, trial.state.residual, strict=True):
+                if row.kind == "shape":
+                    parts.setdefault((stage, row.mode, row.sensor), {})[row.part] = float(e)
+        rows = []
+        for (stage, mode, name), entry in parts.items():
+            s = sensors[name]
+            point = s.point or (np.nan, np.nan, np.nan)
+            rows.append(
+                (stage, mode, name, s.node, s.direction, *point, entry.get("re", np.nan), entry.get("im", np.nan))
+            )
+        columns = ["stage", "mode", "sensor", "node", "direction", "x", "y", "z", "re", "im"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def _structure(self) -> pd.DataFrame:
+        assert isinstance(self.study.model, StructuralModel)
+        mesh = self.study.model.mesh
+        ends = np.hstack([mesh.points[mesh.lines[:, 0]], mesh.points[mesh.lines[:, 1]]])
+        return pd.DataFrame(ends, columns=["x0", "y0", "z0", "x1", "y1", "z1"]).assign(group=list(mesh.groups))

@@ -1,0 +1,73 @@
+"""Changes of the bogie that its library of effects does not hold: what a twin may have and no candidate is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import scipy.sparse as sp
+
+from calib.effect import Effect
+from calib.space import Parameter
+from calib.structure.affine import Monomial, Term, parameter
+from calib.structure.attach import between
+from calib.structure.extend import Addition
+from calib.structure.model import PartKind, StructuralModel
+from models.railway.bogie import GIRDER_Y, UY, UZ
+from models.railway.rig import BLOCK_HALF, BLOCK_Y, BLOCK_Z
+
+Build = Callable[[StructuralModel], Addition]
+
+
+def outside_effects() -> tuple[Effect, ...]:
+    """Four designs; the plausible size of each is a change that an inspection would call clear."""
+    return (
+        _design(
+            "heavy_rear", "Heavier rear half of the frame", 0.0, 3.0, 0.4, "share added to its steel",
+            _scaled("heavy_rear", "mass", ("girder end rear left", "girder end rear right", "crossbar rear")),
+        ),
+        _design(
+            "stiff_rear_rods", "Stiffer lower connecting rods of the rear axle", -0.8, 3.0, 0.3, "relative change",
+            _scaled("stiff_rear_rods", "stiffness", ("lower rod rear left", "lower rod rear right")),
+        ),
+        _design(
+            "soft_girder", "One girder softer", -0.8, 0.0, 0.3, "relative change of its stiffness",
+            _scaled("soft_girder", "stiffness", ("girder left", "girder end front left", "girder end rear left")),
+        ),
+        _design(
+            "skew_block", "Left elastic block couples vertical and lateral motion", -0.4, 0.4, 0.1,
+            "coupling stiffness over the mean of both stiffnesses", _skew_block,
+        ),
+    )  # fmt: skip
+
+
+def _design(name: str, title: str, lower: float, upper: float, plausible: float, words: str, build: Build) -> Effect:
+    strength = Parameter(name, 0.0, lower, upper, "-", prior_sd=plausible, description=words)
+    return Effect(name, title, "It has no such difference.", "It is no candidate.", strength, build)
+
+
+def _scaled(name: str, kind: PartKind, parts: Sequence[str]) -> Build:
+    def build(model: StructuralModel) -> Addition:
+        terms = []
+        for wanted in parts:
+            (part,) = (p for p in model.parts if p.name == wanted and p.kind == kind)
+            powers = (*part.coefficient.powers, (name, 1.0))
+            terms.append(Term(f"{name}: {wanted}", part.matrix, Monomial(part.coefficient.factor, powers)))
+        return Addition(mass=tuple(terms)) if kind == "mass" else Addition(stiffness=tuple(terms))
+
+    return build
+
+
+def _skew_block(model: StructuralModel) -> Addition:
+    """Off-diagonal stiffness between the vertical and the lateral strain of the left block."""
+    adopted = model.space.si(model.space.values)
+    size = 0.25 * (adopted["K_block"] + adopted["K_contact"])
+    total = sp.csr_array((model.n_dof, model.n_dof))
+    for x in (-BLOCK_HALF, BLOCK_HALF):
+        above, below = ("block_left", (x, BLOCK_Y, BLOCK_Z)), ("girder_centre", (x, GIRDER_Y, BLOCK_Z))
+        vertical = between(model, above, below, UY)
+        middle = (x, (BLOCK_Y + GIRDER_Y) / 2, BLOCK_Z)
+        lateral = between(model, ("block_left", middle), ("girder_centre", middle), UZ)
+        one, other = (sp.csr_array(np.atleast_2d(b)) for b in (vertical, lateral))
+        total = total + one.T @ other + other.T @ one
+    return Addition(stiffness=(Term("skew_block", sp.csr_array(total), parameter("skew_block", size)),))

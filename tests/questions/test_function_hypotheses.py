@@ -1,0 +1,294 @@
+"""The search for a missing effect of a plain function, against closed forms and with functions that fail."""
+
+import math
+
+import numpy as np
+import pytest
+
+from calib.effect import Effect
+from calib.errors import EvaluationError, InputError
+from calib.function import FunctionModel
+from calib.missing.explain import Settings, explain
+from calib.questions.function_hypotheses import FunctionHypotheses
+from calib.space import Parameter, ParameterSpace
+
+STD = 0.01
+N, P, E = 14, 3, 5
+
+
+class Counted:
+    """A function that remembers every point it was asked; it may refuse some."""
+
+    def __init__(self, inner, refuse=lambda values: False):
+        self.inner, self.refuse, self.asked = inner, refuse, []
+
+    def __call__(self, values):
+        self.asked.append(tuple(sorted(values.items())))
+        if self.refuse(values):
+            raise ZeroDivisionError("no answer here")
+        return self.inner(values)
+
+
+def effect(name, build=lambda model: None, lower=-10.0, upper=10.0, **options):
+    return Effect(name, name, "", "", Parameter(name, 0.0, lower, upper, prior_sd=1.0), build, **options)
+
+
+class Linear:
+    """``y = A theta + B phi``: a model whose every answer follows from normal distributions."""
+
+    def __init__(self, seed, strength=0.0, hidden=0):
+        rng = np.random.default_rng(seed)
+        self.a, self.b = rng.standard_normal((N, P)), 0.3 * rng.standard_normal((N, E))
+        self.names = [f"r_{i}" for i in range(N)]
+        theta, phi = rng.standard_normal(P), np.zeros(E)
+        phi[hidden] = strength
+        self.y = self.a @ theta + self.b @ phi + STD * rng.standard_normal(N)
+        parameters = [Parameter(f"t{k}", 0.0, -20.0, 20.0, prior_sd=1.0) for k in range(P)]
+        self.space = ParameterSpace((*parameters, Parameter("held", 2.0, 0.0, 4.0, distribution="fixed")))
+        self.held = 0.3 * rng.standard_normal(N)
+        self.y = self.y + 2.0 * self.held
+        self.function = Counted(self.answer)
+
+    def answer(self, values):
+        theta = np.array([values[f"t{k}"] for k in range(P)])
+        phi = np.array([values.get(f"e{k}", 0.0) for k in range(E)])
+        return dict(zip(self.names, self.a @ theta + self.b @ phi + values["held"] * self.held, strict=True))
+
+    def hypotheses(self, **options):
+        model = FunctionModel("linear", self.space, self.function)
+        targets = {name: (float(v), STD) for name, v in zip(self.names, self.y, strict=True)}
+        effects = tuple(effect(f"e{k}") for k in range(E))
+        return FunctionHypotheses(model, targets, self.space, effects, **options)
+
+    def closed_form(self):
+        """Score, share seen and log Bayes factor of each effect, from the marginal distribution of the data."""
+        r, a, b = (self.y - 2.0 * self.held) / STD, self.a / STD, self.b / STD
+        c = np.eye(N) + a @ a.T
+        inverse = np.linalg.inv(c)
+        size = np.sqrt(np.einsum("ij,ik,kj->j", b, inverse, b))
+        z = b.T @ inverse @ r / size
+
+        def ln_density(covariance):
+            return -0.5 * (r @ np.linalg.solve(covariance, r) + np.linalg.slogdet(covariance)[1])
+
+        ln_bayes = np.array([ln_density(c + np.outer(g, g)) - ln_density(c) for g in b.T])
+        return z, size / np.linalg.norm(b, axis=0), ln_bayes
+
+
+# -- against closed forms ----------------------------------------------------------------------------------------------
+
+
+def test_scores_are_those_of_the_marginal_distribution_of_linear_data():
+    problem = Linear(0, 0.3)
+    found = explain(problem.hypotheses()).base_check
+    z, gamma, _ = problem.closed_form()
+    assert found.named.owners == tuple(f"e{k}" for k in range(E))
+    np.testing.assert_allclose(found.named.z, z, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(found.named.gamma, gamma, rtol=1e-5)
+
+
+@pytest.mark.parametrize("hidden", range(E))
+def test_the_verdict_is_that_of_exact_evidence(hidden):
+    problem = Linear(10 + hidden, 0.3, hidden)
+    found = explain(problem.hypotheses())
+    *_, ln_bayes = problem.closed_form()
+    order = np.argsort(-ln_bayes)
+    assert order[0] == hidden and ln_bayes[order[0]] - ln_bayes[order[1]] > 10
+    assert found.verdict == "effect" and found.credible == (f"e{hidden}",)
+    for trial in found.singles:  # the others are fitted only roughly
+        ours, exact = found.ln_bayes(trial), ln_bayes[int(trial.names[0][1:])]
+        assert ours == pytest.approx(exact, abs=0.05 if trial is found.singles[0] else 0.5)
+
+
+def test_nothing_is_named_where_nothing_is_missing():
+    verdicts = [explain(Linear(seed).hypotheses()).verdict for seed in range(100, 120)]
+    assert verdicts == ["nothing_detectable"] * 20
+
+
+def test_a_parameter_that_is_held_wrongly_is_a_local_change_and_no_named_effect():
+    problem = Linear(5)
+    problem.y = problem.y + 0.5 * problem.held
+    found = explain(problem.hypotheses())
+    assert found.verdict == "none_explains" and found.atom is not None
+    assert found.atom.names == ("change of held",)
+    assert found.atom.state.values["change of held"] == pytest.approx(0.25, abs=0.02)
+
+
+# -- derivatives -------------------------------------------------------------------------------------------------------
+
+
+def curved(values):
+    x, phi = values["x"], values.get("phi", 0.0)
+    return {"a": math.exp(x), "b": x**2, "c": math.sin(phi) + 3 * x, "d": x * phi, "e": 1.0}
+
+
+def curved_hypotheses(function=curved, **options):
+    model = FunctionModel("curved", ParameterSpace((Parameter("x", 1.0, 0.0, 2.0),)), function)
+    targets = {name: (1.0, 0.1) for name in "abcde"}
+    return FunctionHypotheses(model, targets, model.space, (effect("phi", lower=0.0),), **options)
+
+
+def test_derivatives_within_the_limits_at_them_and_of_effects_the_model_lacks():
+    question = curved_hypotheses().question(())
+    for x in (0.0, 1.0, 2.0):
+        slope = question.jacobian({"x": x}, ["x", "phi"])
+        exact = -np.array([[math.exp(x), 0], [2 * x, 0], [3, 1], [0, x], [0, 0]]) / 0.1
+        np.testing.assert_allclose(slope, exact, atol=1e-6 if x == 1.0 else 2e-2)
+    both = curved_hypotheses().question(("phi",))
+    np.testing.assert_allclose(both.jacobian({"x": 1.0, "phi": 2.0}, ["phi"])[2, 0], -math.cos(2.0) / 0.1, rtol=1e-6)
+
+
+def test_the_function_is_never_asked_beyond_a_limit():
+    function = Counted(curved, refuse=lambda v: not 0 <= v["x"] <= 2 or v.get("phi", 0.0) < 0)
+    hypotheses = curved_hypotheses(function)
+    for x in (0.0, 2.0):
+        hypotheses.question(("phi",)).jacobian({"x": x}, ["x", "phi"])
+    assert hypotheses.failures == ()
+
+
+def test_the_step_is_an_argument():
+    rough = curved_hypotheses(step=0.1).question(()).jacobian({"x": 1.0}, ["x"])[0, 0]
+    assert rough == pytest.approx(-10 * math.e * math.sinh(0.2) / 0.2, rel=1e-9)
+
+
+# -- what it costs -----------------------------------------------------------------------------------------------------
+
+
+def test_every_call_is_counted_and_none_is_made_twice():
+    problem = Linear(0, 0.3)
+    hypotheses = problem.hypotheses()
+    found = explain(hypotheses)
+    asked = problem.function.asked
+    # The check that an effect of strength 0 changes nothing asks the same numbers with one name more.
+    assert hypotheses.evaluations == len(asked) == len(set(asked)) == found.evaluations
+    assert len(asked) < 150
+    again = explain(hypotheses)
+    assert hypotheses.evaluations == found.evaluations and again.verdict == found.verdict
+
+
+def test_questions_share_what_they_have_in_common():
+    hypotheses = curved_hypotheses()
+    hypotheses.question(("phi",)).residual({"x": 0.5, "phi": 0.0})
+    hypotheses.question(()).residual({"x": 0.5})
+    assert hypotheses.evaluations == 1
+    hypotheses.question(()).jacobian({"x": 0.5}, ["x"])
+    assert hypotheses.evaluations == 3
+    hypotheses.question(("phi",)).residual({"x": 0.5, "phi": 1.0})
+    assert hypotheses.evaluations == 3 + 3  # the point, and once whether strength 0 changes nothing
+
+
+def test_the_same_question_gives_the_same_digits():
+    one, other = (explain(Linear(3, 0.3).hypotheses()) for _ in range(2))
+    assert one.chosen.state.values == other.chosen.state.values
+    assert one.base_check.p_family == other.base_check.p_family and one.evaluations == other.evaluations
+
+
+# -- functions that fail -----------------------------------------------------------------------------------------------
+
+
+def test_failed_points_do_not_end_the_search():
+    problem = Linear(0, 0.3)
+    # One side of the difference of a parameter where the base model fits best, and everything about one effect.
+    best = explain(problem.hypotheses()).base.state.values["t1"]
+    assert best > 0
+    problem.function = Counted(problem.answer, lambda v: best < v["t1"] - 1e-3 < best + 4e-3 or v.get("e3", 0.0) != 0)
+    hypotheses = problem.hypotheses()
+    found = explain(hypotheses, Settings(refits=E))
+    assert found.verdict == "effect" and found.credible == ("e0",)
+    assert "e3" not in [t.names[0] for t in found.singles]
+    assert found.base_check.named.size[3] == 0
+    assert any(f.effects == ("e3",) and "ZeroDivisionError" in f.error for f in hypotheses.failures)
+    assert any(f.effects == () and f.values["t1"] > best for f in hypotheses.failures)
+    assert hypotheses.evaluations == len(problem.function.asked)
+
+
+def test_a_base_model_that_never_answers_is_told():
+    problem = Linear(0)
+    problem.function = Counted(problem.answer, lambda v: True)
+    with pytest.raises(EvaluationError, match="no answer here"):
+        explain(problem.hypotheses())
+
+
+def test_a_response_that_is_missing_or_not_finite_is_a_failed_point():
+    for broken in ({"a": 1.0}, {n: math.nan for n in "abcde"}, {n: "x" for n in "abcde"}):
+        hypotheses = curved_hypotheses(lambda values, broken=broken: broken)
+        with pytest.raises(EvaluationError):
+            hypotheses.question(()).residual({"x": 1.0})
+        assert hypotheses.evaluations == len(hypotheses.failures) == 1
+
+
+def test_an_effect_that_changes_the_model_at_strength_0_is_refused():
+    def jump(model):
+        return lambda values: {n: v + 1e-3 for n, v in model.function(values).items()}
+
+    model = FunctionModel("curved", ParameterSpace((Parameter("x", 1.0, 0.0, 2.0),)), curved)
+    targets = {name: (1.0, 0.1) for name in "abcde"}
+    hypotheses = FunctionHypotheses(model, targets, model.space, (effect("jump", jump),))
+    with pytest.raises(InputError, match=r"effect jump.*0\.01 standard deviations"):
+        explain(hypotheses)
+
+
+# -- rows and scatter --------------------------------------------------------------------------------------------------
+
+
+def test_kinds_are_the_shared_beginnings_of_names():
+    names = ["freq_1", "freq_2", "shape_1_1", "shape_1_2", "mass_total", "stroke", "stroke_2", "_x", "_y"]
+    model = FunctionModel("many", ParameterSpace((Parameter("x", 1.0, 0.0, 2.0),)), lambda v: {})
+    hypotheses = FunctionHypotheses(model, {n: (1.0, 0.1) for n in names}, model.space, (effect("phi"),), repeats=4)
+    assert [row.sensor for row in hypotheses.rows] == names
+    kinds = ["freq", "freq", "shape", "shape", *["response"] * 5]
+    assert [row.kind for row in hypotheses.rows] == kinds and {row.mode for row in hypotheses.rows} == {""}
+    assert hypotheses.scatter_freedom == {"freq": 6.0, "shape": 6.0, "response": 15.0}
+    assert hypotheses.fitted_factors == {} and hypotheses.assumptions == ()
+
+
+def test_an_unknown_scatter_is_one_percent_and_said_to_be():
+    model = FunctionModel("curved", ParameterSpace((Parameter("x", 1.0, 0.0, 2.0),)), curved)
+    targets = {"a": (2.0, None), "b": (1.0, 0.5), "c": (1.0, 0.1), "d": (1.0, 0.1)}
+    hypotheses = FunctionHypotheses(model, targets, model.space, (effect("phi"),))
+    residual = hypotheses.question(()).residual({"x": 0.0})
+    np.testing.assert_allclose(residual[:2], [(2.0 - 1.0) / 0.02, 1.0 / 0.5])
+    (assumed,) = hypotheses.assumptions
+    assert assumed.item == "scatter of a" and (assumed.value, assumed.unit) == ("1", "%")
+    assert set(hypotheses.scatter_freedom.values()) == {math.inf}
+
+
+@pytest.mark.parametrize(("count", "free"), [(3, 1), (4, 3), (5, 4)])
+def test_too_few_responses_are_refused(count, free):
+    space = ParameterSpace(tuple(Parameter(f"t{k}", 1.0, 0.0, 2.0) for k in range(free)))
+    model = FunctionModel("few", space, lambda v: {})
+    targets = {f"r{k}": (1.0, 0.1) for k in range(count)}
+    with pytest.raises(InputError, match=f"{count} measured responses"):
+        FunctionHypotheses(model, targets, space, (effect("phi"),))
+    enough = {f"r{k}": (1.0, 0.1) for k in range(max(4, free + 2))}
+    FunctionHypotheses(model, enough, space, (effect("phi"),))
+
+
+def test_local_changes_are_those_of_held_parameters():
+    space = ParameterSpace(
+        (
+            Parameter("free", 1.0, 0.0, 2.0),
+            Parameter("held", 2.0, 0.0, 4.0, distribution="fixed"),
+            Parameter("nothing", 0.0, -1.0, 1.0, distribution="fixed"),
+            Parameter("count", 3.0, 1.0, 4.0, distribution="fixed", integer=True),
+        )
+    )
+    model = FunctionModel("x", space, lambda v: {f"r{k}": v["held"] + k for k in range(4)})
+    hypotheses = FunctionHypotheses(model, {f"r{k}": (0.0, 1.0) for k in range(4)}, space, (effect("phi"),))
+    (atom,) = hypotheses.atoms
+    assert atom.name == "change of held" and atom.signed and atom.plausible == 0.3
+    residual = hypotheses.question((atom.name,)).residual({"free": 1.0, atom.name: 0.5})
+    np.testing.assert_allclose(residual, [-3.0, -4.0, -5.0, -6.0])
+    with pytest.raises(InputError, match="no effect 'unknown'"):
+        hypotheses.question(("unknown",))
+
+
+def test_a_changed_parameter_is_changed_for_effects_too():
+    def pulled(model):
+        return lambda v: {n: r + v["phi"] * v["held"] for n, r in model.function(v).items()}
+
+    space = ParameterSpace((Parameter("x", 1.0, 0.0, 2.0), Parameter("held", 2.0, 0.0, 4.0, distribution="fixed")))
+    model = FunctionModel("x", space, lambda v: {f"r{k}": 0.0 for k in range(4)})
+    hypotheses = FunctionHypotheses(model, {f"r{k}": (0.0, 1.0) for k in range(4)}, space, (effect("phi", pulled),))
+    question = hypotheses.question(("change of held", "phi"))
+    np.testing.assert_allclose(question.residual({"phi": 1.0, "change of held": 0.5}), -3.0)

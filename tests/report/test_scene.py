@@ -1,0 +1,34 @@
+import os
+
+import numpy as np
+from matplotlib.colors import Normalize
+
+from calib.report.scene import draw_dots, frame_panel, new_axes, new_figure, number_points
+
+
+def test_numbers_stay_inside_the_panel_and_off_the_points():
+    figure = new_figure(4.0)
+    ax = new_axes(figure.add_subplot(projection="3d"))
+    # Circles all around the last one, except towards the edge of the panel.
+    row, column = np.linspace(0.0, 40.0, 81), np.linspace(-3.0, 3.0, 13)
+    points = np.zeros((94, 3))
+    points[:13, 0], points[:13, 1], points[13:, 0] = 40.0, column, row
+    place = 93
+    draw_dots(ax, points, np.ones(94), Normalize(0.0, 1.0), "OrRd", "dots")
+    frame_panel(ax, points, "")
+    number_points(ax, points, {place: 7})
+    figure.savefig(os.devnull, format="png")
+    (number,) = [t for t in ax.texts if t.get_text() == "7"]
+    panel = ax.get_position(original=True).transformed(figure.transFigure)
+    box = number.get_tightbbox()
+    assert panel.x0 <= box.x0 and box.x1 <= panel.x1 and panel.y0 <= box.y0 and box.y1 <= panel.y1
+    seen = ax.transData.transform(ax.collections[0].get_offsets())
+    end = seen[place] + np.array(number.xyann) * figure.dpi / 72.0
+    assert np.linalg.norm(seen - end, axis=1).min() > 10.0
+
+
+def test_circles_grow_with_the_size_of_the_value_of_either_sign():
+    ax = new_axes(None)
+    draw_dots(ax, np.zeros((3, 3)), np.array([-4.0, 2.0, 4.0]), Normalize(-4.0, 4.0), "RdBu_r", "dots")
+    areas = ax.collections[0].get_sizes()
+    assert areas[0] == areas[2] > areas[1]
