@@ -34,7 +34,7 @@ def ln_evidence(state: State, added: Sequence[Effect]) -> float:
     centre = np.array([state.values[n] for n in state.names])
     gradient = (state.slope * state.prior_sd).T @ state.residual - state.shift
     step = la.cho_solve(factor, gradient)
-    at_limit = [_at_lower(state, effect) for effect in added]
+    at_limit = [at_lower(state, effect) for effect in added]
     if any(at_limit):
         total += 0.5 * float(gradient @ step)
         centre = centre + state.prior_sd * step
@@ -46,7 +46,8 @@ def ln_evidence(state: State, added: Sequence[Effect]) -> float:
     return total
 
 
-def _at_lower(state: State, effect: Effect) -> bool:
+def at_lower(state: State, effect: Effect) -> bool:
+    """Whether the fitted strength of an effect that cannot be negative is next to nothing."""
     p = effect.strength
     return not effect.signed and state.values[effect.name] - p.lower <= 1e-6 * (p.upper - p.lower)
 

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pandas as pd
 
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
-from calib.missing.alike import Group, grouped
-from calib.missing.evidence import CREDIBLE, ln_bayes_linear, ln_evidence
+from calib.missing.alike import grouped
+from calib.missing.evidence import CREDIBLE, at_lower, ln_bayes_linear, ln_evidence
+from calib.missing.findings import Check, Findings, Trial
 from calib.missing.goodness import goodness, noise_scale, overall
 from calib.missing.hypotheses import Hypotheses, Question, Scaled
 from calib.missing.plausible import implausible
@@ -26,7 +26,10 @@ GUARD = 1.11
 """Factor on the scatter from which it counts as understated (two and a half standard errors with 8 modes)."""
 SAME = 0.98
 """Correlation of fingerprints from which a local change says the same as a named effect."""
-PAIRS_OF_BEST, PAIRS_OF_NEXT = 4, 2
+PAIRS = 4
+"""Effects that are tried beside the best one."""
+_FAR = 30.0
+"""Log Bayes factor from which an effect leaves no room for those that promise a quarter of it."""
 _CLOSE = 10.0
 """Effects whose log evidence is within this of the best are fitted to the end."""
 
@@ -53,115 +56,6 @@ class Settings:
     refits: int = 6
     merge: float = 0.98
     seed: int = 1
-
-
-@dataclass(frozen=True, eq=False)
-class Check:
-    """Tests of one fitted model.
-
-    Attributes
-    ----------
-    named, atoms : Scores
-    p_named, p_atoms : float
-        Family-wise.
-    kinds, modes : DataFrame
-        Goodness of fit.
-    p_fit : float
-    """
-
-    named: Scores
-    atoms: Scores
-    p_named: float
-    p_atoms: float
-    kinds: pd.DataFrame
-    modes: pd.DataFrame
-    p_fit: float
-
-    @property
-    def p_family(self) -> float:
-        """Of the largest score among named effects and local changes."""
-        return min(1.0, 2 * min(self.p_named, self.p_atoms))
-
-    def passes(self, alpha: float) -> bool:
-        """Whether nothing organised is left."""
-        return self.p_family > alpha and self.p_fit > alpha
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A model with effects, fitted.
-
-    Attributes
-    ----------
-    effects : tuple of Effect
-    state : State
-    ln_evidence : float
-    implausible : str
-        Why it is not believable although it may fit; empty when it is.
-    """
-
-    effects: tuple[Effect, ...]
-    state: State
-    ln_evidence: float
-    implausible: str
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of its effects."""
-        return tuple(e.name for e in self.effects)
-
-
-@dataclass(frozen=True, eq=False)
-class Findings:
-    """Everything an explanation found.
-
-    Attributes
-    ----------
-    verdict : str
-        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``partial``, ``none_explains`` or
-        ``noise_underestimated``.
-    base : Trial
-        Without effects.
-    base_check : Check
-    groups : tuple of Group
-        Candidates, those that no such data can tell apart taken together.
-    trials : tuple of Trial
-        Every effect and pair that was fitted, best first among the single ones, then pairs.
-    atom : Trial or None
-        The best unnamed local change.
-    chosen : Trial or None
-        The explanation: one effect or two; the best attempt when none explains.
-    chosen_check : Check or None
-    credible : tuple of str
-        Effects that explain about as well as the best.
-    noise_scale : float
-        Factor on the scatter that was used: 1 unless it was found understated.
-    measured_scale : float
-        What the shapes ask for at the best fit.
-    evaluations : int
-    """
-
-    verdict: str
-    base: Trial
-    base_check: Check
-    groups: tuple[Group, ...]
-    trials: tuple[Trial, ...]
-    atom: Trial | None
-    chosen: Trial | None
-    chosen_check: Check | None
-    credible: tuple[str, ...]
-    noise_scale: float
-    measured_scale: float
-    evaluations: int
-
-    def ln_bayes(self, trial: Trial) -> float:
-        """Log Bayes factor of a trial against the base model."""
-        return trial.ln_evidence - self.base.ln_evidence
-
-    @property
-    def singles(self) -> tuple[Trial, ...]:
-        """Trials with one named effect, best first."""
-        return tuple(t for t in self.trials if len(t.effects) == 1)
 
 
 def explain(
@@ -243,38 +137,73 @@ class _Round:
         rival = -math.inf
         if atom is not None:
             rival = atom.ln_evidence - math.log(len(hypotheses.atoms)) + math.log(len(candidates))
-        best = singles[0]
+        needed = max(base.ln_evidence + math.log(len(candidates)) + CREDIBLE, rival)
+        best = self.best(singles)
         best_check = self.check(best, candidates)
-        scale = self._scale((base, check), (best, best_check))
-        plain = replace(plain, trials=tuple(singles), atom=atom, measured_scale=scale)
-        if scale > GUARD and not starts:
-            return replace(plain, verdict="none_explains", chosen=best, evaluations=hypotheses.evaluations)
-        needed = base.ln_evidence + math.log(len(candidates)) + CREDIBLE
-        supported = best.ln_evidence > needed and best.ln_evidence > rival
-        if supported and not best.implausible and best_check.passes(alpha):
-            credible = self.credible(singles)
-            verdict = "effect" if len(credible) == 1 else "indistinguishable"
-            return replace(
-                plain, verdict=verdict, chosen=best, chosen_check=best_check, credible=credible,
-                evaluations=hypotheses.evaluations,
-            )  # fmt: skip
-        pairs = self.pairs(singles, candidates, best_check)
+        plain = replace(
+            plain, trials=tuple(singles), atom=atom, measured_scale=self._scale((base, check), (best, best_check))
+        )
+        if plain.measured_scale > GUARD and not starts:
+            return self.done(plain, "none_explains", best, best_check)
+        if self.accepted(best, best_check, needed):
+            return self.named(plain, singles, best, best_check)
+        pairs = self.pairs(best, best_check.named, singles, candidates)
+        again = self.alone(singles, pairs)
+        if again is not singles:
+            singles, best = again, self.best(again)
+            best_check = self.check(best, candidates)
+            plain = replace(plain, trials=tuple(singles))
+            if self.accepted(best, best_check, needed):
+                return self.named(plain, singles, best, best_check)
         plain = replace(plain, trials=(*singles, *pairs))
+        several = max(singles[0].ln_evidence + CREDIBLE, rival + math.log(max(len(candidates) - 1, 1)))
         for pair in pairs[:2]:
-            fits = pair.ln_evidence > best.ln_evidence + CREDIBLE
-            if not fits or pair.implausible or pair.ln_evidence - math.log(max(len(candidates) - 1, 1)) <= rival:
-                continue
-            pair_check = self.check(pair, candidates)
-            if pair_check.passes(alpha):
-                return replace(
-                    plain, verdict="two_effects", chosen=pair, chosen_check=pair_check, credible=pair.names,
-                    evaluations=hypotheses.evaluations,
-                )  # fmt: skip
-        partial = supported and not best.implausible and best_check.p_family <= alpha
+            if pair.ln_evidence > several and not pair.implausible:
+                pair_check = self.check(pair, candidates)
+                if pair_check.passes(alpha):
+                    return self.done(plain, "two_effects", pair, pair_check, pair.names)
+        partial = best.ln_evidence > needed and not best.implausible and best_check.p_family <= alpha
+        return self.done(plain, "partial" if partial else "none_explains", best, best_check)
+
+    def accepted(self, trial: Trial, check: Check, needed: float) -> bool:
+        """Whether an effect may be named."""
+        return trial.ln_evidence > needed and not trial.implausible and check.passes(self.settings.alpha)
+
+    def named(self, found: Findings, singles: Sequence[Trial], best: Trial, check: Check) -> Findings:
+        """One effect, or several that explain about as well."""
+        credible = self.credible(singles)
+        return self.done(found, "effect" if len(credible) == 1 else "indistinguishable", best, check, credible)
+
+    def done(
+        self, found: Findings, verdict: str, chosen: Trial, check: Check, credible: tuple[str, ...] = ()
+    ) -> Findings:
         return replace(
-            plain, verdict="partial" if partial else "none_explains", chosen=best, chosen_check=best_check,
-            evaluations=hypotheses.evaluations,
+            found, verdict=verdict, chosen=chosen, chosen_check=check, credible=credible,
+            evaluations=self.hypotheses.evaluations,
         )  # fmt: skip
+
+    def best(self, singles: Sequence[Trial]) -> Trial:
+        """The effect of the highest evidence; a believable one of nearly the same goes first."""
+        near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - CREDIBLE and not t.implausible]
+        return near[0] if near else singles[0]
+
+    def alone(self, singles: list[Trial], pairs: Sequence[Trial]) -> list[Trial]:
+        """The single effects once more where a pair in which the other one vanished has found a better fit."""
+        better = {}
+        for pair in pairs:
+            left = [e for e in pair.effects if not at_lower(pair.state, e)]
+            if len(left) != 1 or len(pair.effects) == 1:
+                continue
+            name = left[0].name
+            known = next((t.state.misfit for t in singles if t.names == (name,)), math.inf)
+            if pair.state.misfit < known - 1.0:
+                found = self.trial((name,), pair.state.values, whole=1)
+                if found.state.misfit < known:
+                    better[name] = found
+        if not better:
+            return singles
+        kept = [t for t in singles if t.names[0] not in better]
+        return sorted([*kept, *better.values()], key=lambda t: -t.ln_evidence)
 
     def credible(self, singles: Sequence[Trial]) -> tuple[str, ...]:
         """Effects whose evidence is near the best one's and that a careful reader would believe."""
@@ -282,7 +211,7 @@ class _Round:
         return tuple(t.names[0] for t in singles if t.ln_evidence > lowest and not t.implausible)
 
     def _scale(self, *fits: tuple[Trial, Check]) -> float:
-        """What the shapes ask for at the best of some fits."""
+        """What the shapes of all modes ask for at the best of some fits; 1 when it is not common to them."""
         best = max(fits, key=lambda pair: pair[0].ln_evidence)
         return noise_scale(best[1].modes)
 
@@ -307,8 +236,11 @@ class _Round:
         promise = ln_bayes_linear(named.strength, named.size, plausible)
         by_effect = {e.name: max(promise[k] for k, n in enumerate(named.owners) if n == e.name) for e in candidates}
         order = sorted(by_effect, key=lambda n: -by_effect[n])[: self.settings.refits]
-        out = []
+        out: list[Trial] = []
         for name in order:
+            reached = max((t.ln_evidence - base.ln_evidence for t in out), default=0.0)
+            if reached > _FAR and by_effect[name] < reached / 4 and (name,) not in starts:
+                continue  # it promises next to nothing of what another one has done already
             self.progress(f"fitting {self._by_name[name].title}")
             known = [starts[(name,)]] if (name,) in starts else None
             found = self.best_of((name,), known or self._starts(base.state, named, name))
@@ -354,30 +286,38 @@ class _Round:
         if not len(usable) or not usable.max() > 0:
             return None
         name = found.owners[int(np.argmax(usable))]
-        atom = self.best_of((name,), self._starts(base.state, found, name))
+        first = self._starts(base.state, found, name)[0]
+        atom = self.best_of((name,), [first])
+        if atom is not None and atom.state.misfit > base.state.misfit:
+            # One step may lead too far; the derivative still tells the way.
+            atom = self.best_of((name,), [{**base.state.values, name: 0.1 * first[name]}]) or atom
         if atom is not None and singles[0].ln_evidence - atom.ln_evidence < _CLOSE:
             atom = self.trial(atom.names, atom.state.values)
         return atom
 
-    def pairs(self, singles: Sequence[Trial], candidates: Sequence[Effect], best_check: Check) -> list[Trial]:
-        """Two effects at a time: the best with what then stands out, the runner-up likewise; best first."""
+    def pairs(self, best: Trial, found: Scores, singles: Sequence[Trial], candidates: Sequence[Effect]) -> list[Trial]:
+        """Two effects at a time: the best with what then stands out, the runner-up with the first of that; best first.
+
+        ``found`` are the scores of the other candidates beside the best one.
+        """
+        others = [e.name for e in candidates if e.name not in best.names]
+        others.sort(key=lambda n: -float(found.strength[found.best(n)]))
         wanted: dict[frozenset[str], list[dict[str, float]]] = {}
-        tests = [(singles[0], best_check, PAIRS_OF_BEST)]
-        if len(singles) > 1:
-            tests.append((singles[1], self.check(singles[1], candidates), PAIRS_OF_NEXT))
-        for first, check, count in tests:
-            others = [e.name for e in candidates if e.name not in first.names]
-            others.sort(key=lambda n: -float(check.named.strength[check.named.best(n)]))
-            for name in others[:count]:
-                key = frozenset((first.names[0], name))
-                wanted.setdefault(key, []).extend(self._starts(first.state, check.named, name)[:1])
+        for name in others[:PAIRS]:
+            wanted[frozenset((best.names[0], name))] = self._starts(best.state, found, name)[:1]
+        for runner_up in [t for t in singles if t is not best][:1]:
+            name = next(n for n in others if n not in runner_up.names) if len(others) > 1 else ""
+            if name:
+                own = {q.name: q.value for q in self._by_name[name].nuisance}
+                start = {**runner_up.state.values, **own, name: self._by_name[name].plausible}
+                wanted.setdefault(frozenset((runner_up.names[0], name)), [start])
         out = []
         for key, starts in wanted.items():
             names = tuple(e.name for e in candidates if e.name in key)
             self.progress("fitting " + " with ".join(self._by_name[n].title for n in names))
-            found = self.best_of(names, starts)
-            if found is not None:
-                out.append(found)
+            pair = self.best_of(names, starts)
+            if pair is not None:
+                out.append(pair)
         out.sort(key=lambda t: -t.ln_evidence)
         for k, one in enumerate(out[:1]):
             out[k] = self.trial(one.names, one.state.values, whole=1)

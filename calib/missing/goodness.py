@@ -13,6 +13,8 @@ from calib.missing.state import State
 
 _LEAST = 1.0
 """Fewer degrees of freedom say nothing."""
+_ALIKE = 0.01
+"""Level at which modes differ by more than a common factor."""
 _FOLLOWED = 0.02
 """Part of a row's variance left by the parameters below which it says nothing."""
 
@@ -74,12 +76,17 @@ def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
 
 
 def noise_scale(modes: pd.DataFrame) -> float:
-    """Common factor on the scatter that the shapes of most modes ask for: root of the median of chi2 over freedom.
+    """Common factor on the scatter that the shapes of all modes ask for: root of the median of chi2 over freedom.
 
-    What a model lacks spoils a few modes; a scatter that is stated too small spoils all of them, and the median with
-    them. NaN without shapes of at least 4 modes. The median of chi-square variates lies 1.5 % below their mean.
+    What a model lacks spoils a few modes; a scatter that is stated too small spoils all of them alike. The factor is 1
+    when the modes differ by more than chance once it is taken out, and NaN without shapes of at least 4 modes. The
+    median of chi-square variates lies 1.5 % below their mean.
     """
     shapes = modes[(modes["kind"] == "shape") & (modes["freedom"] >= 5)]
     if len(shapes) < 4:
         return float("nan")
-    return float(np.sqrt(np.median(shapes["chi2"] / shapes["freedom"]) / 0.985))
+    chi2, freedom = shapes["chi2"].to_numpy(dtype=float), shapes["freedom"].to_numpy(dtype=float)
+    square = float(np.median(chi2 / freedom) / 0.985)
+    tail = 2 * np.minimum(stats.chi2.sf(chi2 / square, freedom), stats.chi2.cdf(chi2 / square, freedom))
+    alike = float(tail.min()) * len(shapes) > _ALIKE
+    return float(np.sqrt(square)) if alike or square < 1 else 1.0

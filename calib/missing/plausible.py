@@ -11,7 +11,7 @@ from scipy import stats
 from calib.effect import Effect
 from calib.missing.state import State
 
-STRAIN = 0.05
+STRAIN = 0.01
 """Family-wise level at which a parameter counts as strained."""
 NUISANCE = 2.0
 """Largest distance of a nuisance parameter from its middle value, in prior standard deviations."""

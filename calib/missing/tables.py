@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from calib.missing.evidence import CREDIBLE, ln_bayes_linear, posterior, rescaled
-from calib.missing.explain import Findings, Trial
+from calib.missing.findings import Findings, Trial
 from calib.missing.plausible import strain
 from calib.missing.score import DETECTABLE, Scores, correlation
 

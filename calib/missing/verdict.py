@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from calib.missing.explain import Findings
+from calib.missing.findings import Findings
 
 _LEAST = 1 / 4000
 """Probabilities below this are drawn too rarely to be told apart."""

@@ -15,7 +15,7 @@ from calib.errors import EvaluationError, InputError
 from calib.missing import explain as engine
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
 from calib.missing.advice import Prospects, advice_sentence, advise, expected_odds
-from calib.missing.explain import Findings, Trial
+from calib.missing.findings import Findings, Trial
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.left_out import left_out
 from calib.missing.profile import profile_interval

@@ -11,7 +11,7 @@ import pandas as pd
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.missing.advice import Prospects
-from calib.missing.explain import Findings, Trial
+from calib.missing.findings import Findings, Trial
 from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import modal_hypotheses

@@ -9,7 +9,7 @@ import pandas as pd
 
 from calib.function import FunctionModel
 from calib.missing.advice import Prospects
-from calib.missing.explain import Findings, Trial
+from calib.missing.findings import Findings, Trial
 from calib.questions.budget import Budget
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.questions.verify import plain_errors

@@ -1,0 +1,121 @@
+"""What an explanation finds: models that were fitted, their tests, and the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pandas as pd
+
+from calib.effect import Effect
+from calib.missing.alike import Group
+from calib.missing.score import Scores
+from calib.missing.state import State
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """Tests of one fitted model.
+
+    Attributes
+    ----------
+    named, atoms : Scores
+    p_named, p_atoms : float
+        Family-wise.
+    kinds, modes : DataFrame
+        Goodness of fit.
+    p_fit : float
+    """
+
+    named: Scores
+    atoms: Scores
+    p_named: float
+    p_atoms: float
+    kinds: pd.DataFrame
+    modes: pd.DataFrame
+    p_fit: float
+
+    @property
+    def p_family(self) -> float:
+        """Of the largest score among named effects and local changes."""
+        return min(1.0, 2 * min(self.p_named, self.p_atoms))
+
+    def passes(self, alpha: float) -> bool:
+        """Whether nothing organised is left."""
+        return self.p_family > alpha and self.p_fit > alpha
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A model with effects, fitted.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+    state : State
+    ln_evidence : float
+    implausible : str
+        Why it is not believable although it may fit; empty when it is.
+    """
+
+    effects: tuple[Effect, ...]
+    state: State
+    ln_evidence: float
+    implausible: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects."""
+        return tuple(e.name for e in self.effects)
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """Everything an explanation found.
+
+    Attributes
+    ----------
+    verdict : str
+        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``partial``, ``none_explains`` or
+        ``noise_underestimated``.
+    base : Trial
+        Without effects.
+    base_check : Check
+    groups : tuple of Group
+        Candidates, those that no such data can tell apart taken together.
+    trials : tuple of Trial
+        Every effect and pair that was fitted, best first among the single ones, then pairs.
+    atom : Trial or None
+        The best unnamed local change.
+    chosen : Trial or None
+        The explanation: one effect or two; the best attempt when none explains.
+    chosen_check : Check or None
+    credible : tuple of str
+        Effects that explain about as well as the best.
+    noise_scale : float
+        Factor on the scatter that was used: 1 unless it was found understated.
+    measured_scale : float
+        What the shapes ask for at the best fit.
+    evaluations : int
+    """
+
+    verdict: str
+    base: Trial
+    base_check: Check
+    groups: tuple[Group, ...]
+    trials: tuple[Trial, ...]
+    atom: Trial | None
+    chosen: Trial | None
+    chosen_check: Check | None
+    credible: tuple[str, ...]
+    noise_scale: float
+    measured_scale: float
+    evaluations: int
+
+    def ln_bayes(self, trial: Trial) -> float:
+        """Log Bayes factor of a trial against the base model."""
+        return trial.ln_evidence - self.base.ln_evidence
+
+    @property
+    def singles(self) -> tuple[Trial, ...]:
+        """Trials with one named effect, best first."""
+        return tuple(t for t in self.trials if len(t.effects) == 1)
