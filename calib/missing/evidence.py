@@ -32,10 +32,12 @@ def ln_evidence(state: State, added: Sequence[Effect]) -> float:
     factor = la.cho_factor(information)
     total = -0.5 * state.misfit - float(np.sum(np.log(np.diag(factor[0]))))
     centre = np.array([state.values[n] for n in state.names])
-    gradient = (state.slope * state.prior_sd).T @ state.residual - state.shift
-    step = la.cho_solve(factor, gradient)
-    at_limit = [at_lower(state, effect) for effect in added]
-    if any(at_limit):
+    # Only strengths at 0 pull beyond the limit; whatever else is off its optimum is no evidence for them.
+    held = [state.names.index(effect.name) for effect in added if at_lower(state, effect)]
+    if held:
+        gradient = np.zeros(len(centre))
+        gradient[held] = ((state.slope * state.prior_sd).T @ state.residual - state.shift)[held]
+        step = la.cho_solve(factor, gradient)
         total += 0.5 * float(gradient @ step)
         centre = centre + state.prior_sd * step
     std = np.sqrt(np.diag(state.covariance))

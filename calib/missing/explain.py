@@ -26,12 +26,15 @@ GUARD = 1.11
 """Factor on the scatter from which it counts as understated (two and a half standard errors with 8 modes)."""
 SAME = 0.98
 """Correlation of fingerprints from which a local change says the same as a named effect."""
-PAIRS = 4
-"""Effects that are tried beside the best one."""
+PAIRS_OF_BEST, PAIRS_OF_NEXT = 3, 2
+"""Effects that are tried beside the best one and beside the runner-up."""
 _FAR = 30.0
 """Log Bayes factor from which an effect leaves no room for those that promise a quarter of it."""
 _CLOSE = 10.0
 """Effects whose log evidence is within this of the best are fitted to the end."""
+_POLISHED = 3
+_NEARLY = 0.35
+"""The same, as a part of what the best one has gained."""
 
 Progress = Callable[[str], None]
 
@@ -50,12 +53,15 @@ class Settings:
         Correlation of fingerprints from which two effects are one group.
     seed : int
         Of the draws behind family-wise probabilities.
+    budget : float
+        Model evaluations from which no further pair of effects is tried.
     """
 
     alpha: float = 0.01
     refits: int = 6
     merge: float = 0.98
     seed: int = 1
+    budget: float = 125.0
 
 
 def explain(
@@ -134,15 +140,11 @@ class _Round:
             return plain
         singles = self.singles(base, candidates, check.named, starts)
         atom = self.best_atom(base, check.atoms, check.named, singles)
-        rival = -math.inf
-        if atom is not None:
-            rival = atom.ln_evidence - math.log(len(hypotheses.atoms)) + math.log(len(candidates))
+        rival = -math.inf if atom is None else atom.ln_evidence
         needed = max(base.ln_evidence + math.log(len(candidates)) + CREDIBLE, rival)
         best = self.best(singles)
         best_check = self.check(best, candidates)
-        plain = replace(
-            plain, trials=tuple(singles), atom=atom, measured_scale=self._scale((base, check), (best, best_check))
-        )
+        plain = replace(plain, trials=tuple(singles), atom=atom, measured_scale=self._scale(base, best, atom))
         if plain.measured_scale > GUARD and not starts:
             return self.done(plain, "none_explains", best, best_check)
         if self.accepted(best, best_check, needed):
@@ -197,7 +199,9 @@ class _Round:
             name = left[0].name
             known = next((t.state.misfit for t in singles if t.names == (name,)), math.inf)
             if pair.state.misfit < known - 1.0:
-                found = self.trial((name,), pair.state.values, whole=1)
+                gone = {n for e in pair.effects if e.name != name for n in e.names}
+                start = {n: v for n, v in pair.state.values.items() if n not in gone}
+                found = self.trial((name,), start, whole=1)
                 if found.state.misfit < known:
                     better[name] = found
         if not better:
@@ -210,10 +214,11 @@ class _Round:
         lowest = singles[0].ln_evidence - CREDIBLE
         return tuple(t.names[0] for t in singles if t.ln_evidence > lowest and not t.implausible)
 
-    def _scale(self, *fits: tuple[Trial, Check]) -> float:
+    def _scale(self, *trials: Trial | None) -> float:
         """What the shapes of all modes ask for at the best of some fits; 1 when it is not common to them."""
-        best = max(fits, key=lambda pair: pair[0].ln_evidence)
-        return noise_scale(best[1].modes)
+        best = max((t for t in trials if t is not None), key=lambda t: t.ln_evidence)
+        h = self.hypotheses
+        return noise_scale(goodness(best.state, h.rows, h.fitted_factors, h.scatter_freedom)[1])
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 
@@ -250,8 +255,10 @@ class _Round:
             raise EvaluationError("no effect could be fitted")
         out.sort(key=lambda t: -t.ln_evidence)
         # Places of whole-number parameters may have followed what was missing: the best are allowed to move them back.
-        for k, one in enumerate(out):
-            if out[0].ln_evidence - one.ln_evidence < _CLOSE:
+        reached = out[0].ln_evidence - base.ln_evidence
+        near = max(_CLOSE, _NEARLY * reached)
+        for k, one in enumerate(out[:_POLISHED]):
+            if reached > CREDIBLE and out[0].ln_evidence - one.ln_evidence < near:
                 out[k] = self.trial(one.names, one.state.values, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
 
@@ -296,31 +303,34 @@ class _Round:
         return atom
 
     def pairs(self, best: Trial, found: Scores, singles: Sequence[Trial], candidates: Sequence[Effect]) -> list[Trial]:
-        """Two effects at a time: the best with what then stands out, the runner-up with the first of that; best first.
+        """Two effects at a time, best first: the best one with what then stands out, and the runner-up likewise.
 
         ``found`` are the scores of the other candidates beside the best one.
         """
-        others = [e.name for e in candidates if e.name not in best.names]
-        others.sort(key=lambda n: -float(found.strength[found.best(n)]))
-        wanted: dict[frozenset[str], list[dict[str, float]]] = {}
-        for name in others[:PAIRS]:
-            wanted[frozenset((best.names[0], name))] = self._starts(best.state, found, name)[:1]
+        tests = [(best, found, PAIRS_OF_BEST)]
         for runner_up in [t for t in singles if t is not best][:1]:
-            name = next(n for n in others if n not in runner_up.names) if len(others) > 1 else ""
-            if name:
-                own = {q.name: q.value for q in self._by_name[name].nuisance}
-                start = {**runner_up.state.values, **own, name: self._by_name[name].plausible}
-                wanted.setdefault(frozenset((runner_up.names[0], name)), [start])
+            rest = [e for e in candidates if e.name not in runner_up.names]
+            if rest:
+                tests.append((runner_up, self._scores(runner_up, rest), PAIRS_OF_NEXT))
+        wanted: dict[frozenset[str], list[dict[str, float]]] = {}
+        for first, beside, count in tests:
+            stands_out = {n: float(beside.strength[beside.best(n)]) for n in dict.fromkeys(beside.owners)}
+            others = sorted(stands_out, key=stands_out.__getitem__, reverse=True)
+            for name in others[:count]:
+                starts = wanted.setdefault(frozenset((first.names[0], name)), [])
+                starts += self._starts(first.state, beside, name)[:1]
         out = []
         for key, starts in wanted.items():
+            if self.hypotheses.evaluations > self.settings.budget:
+                break
             names = tuple(e.name for e in candidates if e.name in key)
             self.progress("fitting " + " with ".join(self._by_name[n].title for n in names))
             pair = self.best_of(names, starts)
             if pair is not None:
                 out.append(pair)
         out.sort(key=lambda t: -t.ln_evidence)
-        for k, one in enumerate(out[:1]):
-            out[k] = self.trial(one.names, one.state.values, whole=1)
+        if out and self.hypotheses.evaluations <= self.settings.budget:
+            out[0] = self.trial(out[0].names, out[0].state.values, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
 
     # -- tests ---------------------------------------------------------------------------------------------------------

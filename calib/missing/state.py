@@ -17,9 +17,9 @@ from calib.updating.gauss_newton import FitSettings, Prior, fit
 
 FINE = FitSettings(iterations=15, gain=2e-3, rejections=8)
 """A thousandth of a unit of the sum of squares is far below anything that decides."""
-ROUGH = FitSettings(iterations=10, gain=0.05, rejections=4)
+ROUGH = FitSettings(iterations=6, gain=0.05, rejections=4)
 """To rank candidates: a hopeless one is not followed to its end."""
-_TURNS = 20
+_TURNS = 3
 _ALL_AT_ONCE = 3
 """Up to so many whole-number parameters are moved together: 26 neighbours."""
 _WORTH = 0.5

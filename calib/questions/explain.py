@@ -128,7 +128,9 @@ def explain(study: Study, results: Results, progress: Progress = lambda words: N
     else:
         side = ModalSide.of(study, results, progress)
     given = study.settings.explain
-    settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed)
+    # A function pays for its derivatives in calls; for it there is no such bound.
+    budget = np.inf if isinstance(side, PlainSide) else engine.Settings().budget
+    settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed, budget)
     try:
         found = engine.explain(side.hypotheses, settings, progress)
     except EvaluationError as fault:
