@@ -61,7 +61,7 @@ class Settings:
     refits: int = 6
     merge: float = 0.98
     seed: int = 1
-    budget: float = 125.0
+    budget: float = 115.0
 
 
 def explain(
@@ -149,6 +149,14 @@ class _Round:
             return self.done(plain, "none_explains", best, best_check)
         if self.accepted(best, best_check, needed):
             return self.named(plain, singles, best, best_check)
+        moved = self.moved(best)
+        if moved is not None:
+            singles = sorted([moved, *(t for t in singles if t is not best)], key=lambda t: -t.ln_evidence)
+            best = self.best(singles)
+            best_check = self.check(best, candidates)
+            plain = replace(plain, trials=tuple(singles))
+            if self.accepted(best, best_check, needed):
+                return self.named(plain, singles, best, best_check)
         pairs = self.pairs(best, best_check.named, singles, candidates)
         again = self.alone(singles, pairs)
         if again is not singles:
@@ -158,12 +166,12 @@ class _Round:
             if self.accepted(best, best_check, needed):
                 return self.named(plain, singles, best, best_check)
         plain = replace(plain, trials=(*singles, *pairs))
-        several = max(singles[0].ln_evidence + CREDIBLE, rival + math.log(max(len(candidates) - 1, 1)))
-        for pair in pairs[:2]:
-            if pair.ln_evidence > several and not pair.implausible:
-                pair_check = self.check(pair, candidates)
-                if pair_check.passes(alpha):
-                    return self.done(plain, "two_effects", pair, pair_check, pair.names)
+        second = 2 * CREDIBLE + math.log(max(len(candidates) - 1, 1))
+        pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival))
+        if pair is not None:
+            pair_check = self.check(pair, candidates)
+            if pair_check.passes(alpha):
+                return self.done(plain, "two_effects", pair, pair_check, pair.names)
         partial = best.ln_evidence > needed and not best.implausible and best_check.p_family <= alpha
         return self.done(plain, "partial" if partial else "none_explains", best, best_check)
 
@@ -188,6 +196,29 @@ class _Round:
         """The effect of the highest evidence; a believable one of nearly the same goes first."""
         near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - CREDIBLE and not t.implausible]
         return near[0] if near else singles[0]
+
+    def pair(self, pairs: Sequence[Trial], needed: float) -> Trial | None:
+        """The pair of effects that may be named: well supported, believable, and none other nearly as good."""
+        believable = [t for t in pairs if not t.implausible]
+        if not believable or believable[0].ln_evidence <= needed:
+            return None
+        if any(t.ln_evidence > believable[0].ln_evidence - CREDIBLE for t in believable[1:]):
+            return None
+        return believable[0]
+
+    def moved(self, trial: Trial) -> Trial | None:
+        """The same effect where whole numbers are chosen with it in the model; None when that is no better.
+
+        What was missing has led the base model to other whole numbers, and the other parameters have followed them.
+        """
+        question = self.question(trial.names)
+        own = {n for e in trial.effects for n in e.names} | {p.name for p in question.space.free if p.integer}
+        adopted = question.space.values
+        start = nearest_whole(question, {n: trial.state.values[n] if n in own else v for n, v in adopted.items()})
+        if all(start[p.name] == trial.state.values[p.name] for p in question.space.free if p.integer):
+            return None
+        found = self.trial(trial.names, start)
+        return found if found.state.misfit < trial.state.misfit else None
 
     def alone(self, singles: list[Trial], pairs: Sequence[Trial]) -> list[Trial]:
         """The single effects once more where a pair in which the other one vanished has found a better fit."""
