@@ -76,6 +76,8 @@ class Effect:
                 raise InputError(
                     f"its grid has a point {dict(point)}", place=place, remedy=f"give {', '.join(sorted(names))}"
                 )
+            if point[p.name] == 0:
+                raise InputError("its grid has a point of strength 0", place=place, remedy="give it a strength")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

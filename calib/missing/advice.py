@@ -119,8 +119,12 @@ def advise(
                 words = f"{option.name}: odds of {_in_words(odds)} between {pair[0]} and {pair[1]}"
             rows.append((option.name, option.kind, name, gain, least, odds, words))
     table = pd.DataFrame(rows, columns=list(COLUMNS))
-    key = ["ln_bayes", "gain"] if pair is not None else ["gain"]
-    return table.sort_values(key, ascending=False, ignore_index=True, kind="stable")
+    if pair is None:
+        return table.sort_values("gain", ascending=False, ignore_index=True, kind="stable")
+    # Of an option's rows the pair's own comes first: it tells the odds.
+    table["own"] = table["effect"] == pair[0]
+    order = ["ln_bayes", "own", "gain"]
+    return table.sort_values(order, ascending=False, ignore_index=True, kind="stable").drop(columns="own")
 
 
 def expected_odds(prospects: Prospects, strengths: Sequence[float], pair: tuple[str, str]) -> float:
@@ -145,7 +149,7 @@ def advice_sentence(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: S
     if table.empty:
         return ""
     if pair is not None:
-        best = table.iloc[0]
+        best = table[table["effect"] == pair[0]].iloc[0]
         if float(best["ln_bayes"]) < CREDIBLE:
             return f"No measurement looked at would tell {pair[0]} from {pair[1]}; the best gives {best['words']}."
         return f"To tell them apart, measure next: {best['words']}."

@@ -90,8 +90,9 @@ def explain(
             place="explain",
             remedy=f"measure at least {LEAST_MODES}, or withhold fewer",
         )
-    round_one = _Round(hypotheses, settings, 1.0, progress)
-    found = round_one.findings({})
+    # What was asked before is not charged to this decision, which must not depend on it.
+    settings = replace(settings, budget=settings.budget + hypotheses.evaluations)
+    found = _Round(hypotheses, settings, 1.0, progress).findings({})
     if found.measured_scale > GUARD and found.verdict != "nothing_detectable":
         progress(f"the scatter seems understated by a factor of {found.measured_scale:.2f}: beginning anew")
         starts = {(): found.base.state.values, **{t.names: t.state.values for t in found.singles}}
@@ -128,19 +129,26 @@ class _Round:
         start = starts.get(()) or nearest_whole(question, question.space.values)
         base = self.trial((), start, whole=1)
         self.progress("testing whether anything is missing")
-        groups = grouped(hypotheses.effects, self._scores(base, hypotheses.effects), self.settings.merge)
+        first = self._scores(base, hypotheses.effects)
+        able = [e for e in hypotheses.effects if e.name in first.owners]
+        if not able:
+            raise EvaluationError("the model cannot be solved with any of the effects")
+        groups = grouped(able, first, self.settings.merge)
         candidates = tuple(g.effect for g in groups)
         check = self.check(base, candidates)
         plain = Findings(
             verdict="nothing_detectable", base=base, base_check=check, groups=groups, trials=(), atom=None,
             chosen=None, chosen_check=None, credible=(), noise_scale=self.scale,
-            measured_scale=noise_scale(check.modes), evaluations=hypotheses.evaluations,
+            measured_scale=noise_scale(check.modes), evaluations=hypotheses.evaluations, alpha=alpha,
         )  # fmt: skip
         if check.passes(alpha):
             return plain
         singles = self.singles(base, candidates, check.named, starts)
         atom = self.best_atom(base, check.atoms, check.named, singles)
-        rival = -math.inf if atom is None else atom.ln_evidence
+        # One of many local changes fits best by chance; against a named effect it pays for their number.
+        rival = -math.inf
+        if atom is not None:
+            rival = atom.ln_evidence - math.log(max(len(hypotheses.atoms) / len(candidates), 1.0))
         needed = max(base.ln_evidence + math.log(len(candidates)) + CREDIBLE, rival)
         best = self.best(singles)
         best_check = self.check(best, candidates)
@@ -170,14 +178,14 @@ class _Round:
         pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival))
         if pair is not None:
             pair_check = self.check(pair, candidates)
-            if pair_check.passes(alpha):
+            if pair_check.adequate(alpha):
                 return self.done(plain, "two_effects", pair, pair_check, pair.names)
         partial = best.ln_evidence > needed and not best.implausible and best_check.p_family <= alpha
         return self.done(plain, "partial" if partial else "none_explains", best, best_check)
 
     def accepted(self, trial: Trial, check: Check, needed: float) -> bool:
         """Whether an effect may be named."""
-        return trial.ln_evidence > needed and not trial.implausible and check.passes(self.settings.alpha)
+        return trial.ln_evidence > needed and not trial.implausible and check.adequate(self.settings.alpha)
 
     def named(self, found: Findings, singles: Sequence[Trial], best: Trial, check: Check) -> Findings:
         """One effect, or several that explain about as well."""

@@ -40,8 +40,15 @@ class Check:
         return min(1.0, 2 * min(self.p_named, self.p_atoms))
 
     def passes(self, alpha: float) -> bool:
-        """Whether nothing organised is left."""
+        """Whether nothing seems missing."""
         return self.p_family > alpha and self.p_fit > alpha
+
+    def adequate(self, alpha: float) -> bool:
+        """Whether nothing organised is left once something has been added.
+
+        Goodness of fit alone looks nowhere in particular; against an effect that explains, it must be far beyond chance.
+        """
+        return self.p_family > alpha and self.p_fit > alpha / 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +103,8 @@ class Findings:
     measured_scale : float
         What the shapes ask for at the best fit.
     evaluations : int
+    alpha : float
+        Level of the tests.
     """
 
     verdict: str
@@ -110,6 +119,7 @@ class Findings:
     noise_scale: float
     measured_scale: float
     evaluations: int
+    alpha: float = 0.01
 
     def ln_bayes(self, trial: Trial) -> float:
         """Log Bayes factor of a trial against the base model."""

@@ -44,11 +44,15 @@ def sentence(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advic
         parts.append(advice)
     if found.verdict in ("effect", "indistinguishable", "two_effects", "partial"):
         parts.append("Explanations outside the library cannot be excluded.")
-    return " ".join(parts)
+    return " ".join(part for part in parts if part)
 
 
 def _chance(p: float) -> str:
     return f"< {_LEAST:.1g}" if p < _LEAST else f"{p:.2g}"
+
+
+def _p(p: float) -> str:
+    return f"p {_chance(p)}" if p < _LEAST else f"p = {_chance(p)}"
 
 
 def _family(found: Findings) -> str:
@@ -89,7 +93,7 @@ def _look_for(found: Findings) -> list[str]:
 
 def _clean(found: Findings) -> str:
     assert found.chosen_check is not None
-    return f"After adding it nothing organised is left (p = {_chance(found.chosen_check.p_family)})."
+    return f"After adding it nothing organised is left ({_p(found.chosen_check.p_family)})."
 
 
 def _effect(found: Findings, effects: pd.DataFrame) -> list[str]:
@@ -123,7 +127,7 @@ def _two(found: Findings, effects: pd.DataFrame) -> list[str]:
         k = found.chosen.state.names.index(e.name)
         std = float(found.chosen.state.covariance[k, k]) ** 0.5
         unit = "" if e.strength.unit == "-" else f" {e.strength.unit}"
-        told.append(f"{e.title} ({e.name}), {values[e.name]:.3g} +- {1.96 * std:.2g}{unit} (95 %)")
+        told.append(f"{_titled(effects, e.name)}, {values[e.name]:.3g} +- {1.96 * std:.2g}{unit} (95 %)")
     return [
         f"Two effects are missing: {_family(found)}, and no single effect leaves nothing organised.",
         "Best explanation: " + " together with ".join(told) + ".",
@@ -149,7 +153,7 @@ def _partial(found: Findings, effects: pd.DataFrame) -> list[str]:
     return [
         f"Organised misfit that no listed effect removes: {_family(found)}.",
         f"{_titled(effects, name)}, {_strength(effects, name)}, lowers the sum of squares from {before:.0f} to "
-        f"{after:.0f} but leaves p = {_chance(found.chosen_check.p_family)}: it is part of the answer or stands in for "
+        f"{after:.0f} but leaves {_p(found.chosen_check.p_family)}: it is part of the answer or stands in for "
         "something that is not listed.",
         _rest(found),
     ]
@@ -158,13 +162,20 @@ def _partial(found: Findings, effects: pd.DataFrame) -> list[str]:
 def _none(found: Findings, effects: pd.DataFrame) -> list[str]:
     out = [f"Organised misfit that no listed effect explains: {_family(found)}."]
     if found.chosen is not None:
-        name = found.chosen.names[0]
-        why = found.chosen.implausible
-        if not why and found.chosen_check is not None:
-            left = min(found.chosen_check.p_family, found.chosen_check.p_fit)
-            why = f"what is left still has p = {_chance(left)}"
-        out.append(f"The best attempt, {_titled(effects, name)}, is not believed: {why or 'too little evidence'}.")
-    return [*out, *([_rest(found)] if _rest(found) else [])]
+        out.append(f"The best attempt, {_titled(effects, found.chosen.names[0])}, is not believed: {_why_not(found)}.")
+    return [*out, _rest(found)]
+
+
+def _why_not(found: Findings) -> str:
+    """What speaks against the best attempt."""
+    assert found.chosen is not None
+    if found.chosen.implausible:
+        return found.chosen.implausible
+    if found.chosen_check is not None and not found.chosen_check.adequate(found.alpha):
+        return f"what is left still has {_p(min(found.chosen_check.p_family, found.chosen_check.p_fit))}"
+    if found.atom is not None and found.atom.ln_evidence > found.chosen.ln_evidence:
+        return "a local change fits better"
+    return "too little speaks for it among so many candidates"
 
 
 def _errors(errors: pd.DataFrame) -> list[str]:

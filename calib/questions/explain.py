@@ -240,7 +240,7 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "p_family": check.p_family,
         "p_fit": check.p_fit,
         "credible_set": list(found.credible),
-        "effects": answer.effects[list(columns)].to_dict("records"),
+        "effects": answer.effects[list(columns)].replace(np.inf, np.nan).to_dict("records"),
         "chosen": [] if chosen is None else list(chosen.names),
         "chosen_values": {} if chosen is None else {n: chosen.state.values[n] for e in chosen.effects for n in e.names},
         "adequacy_p": None if fits is None else min(fits.p_family, fits.p_fit),

@@ -234,7 +234,8 @@ class _Imagined:
         kept = {m: c for m, c in problem.mode_clusters.items() if m in self.modes}
         imagined = replace(problem, measured=self.measurement, mode_clusters=kept, override={}, threshold=0.05)
         floors = replace(self.hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)
-        return ModalResidual(imagined, floors)
+        # Scale and phase come from the sensors that are there: what others would see is predicted.
+        return ModalResidual(imagined, floors, factor_sensors=tuple(s.name for s in self.sensors))
 
 
 def _mode_in_words(freq: float, withheld: Mapping[str, float]) -> str:

@@ -35,7 +35,8 @@ def write_versions(study: Study, root: Path) -> pd.DataFrame:
     chain = [(study.name, study.settings.with_effects)]
     file, settings = study.file, study.settings
     while settings.extended_from is not None and len(chain) < MOST:
-        file = (file.resolve().parent / settings.extended_from / "study.toml").resolve()
+        older = file.resolve().parent / settings.extended_from
+        file = (older if older.suffix == ".toml" else older / "study.toml").resolve()
         if not file.is_file():
             break
         settings = read_settings(file)

@@ -63,6 +63,7 @@ FIRST_SEED = {"effect": 1, "nothing": 1001, "outside": 2001}
 SPREAD = 0.5
 POSITIONS = (3, 7)
 STRENGTHS = (0.5, 1.5)
+INSIDE = 0.9
 LEAST_MAC = 0.6
 VISIBLE = (8.0, 20.0)
 LEAST_FREQ_CHANGE, LARGEST_MAC = 0.01, 0.98
@@ -82,10 +83,13 @@ def draw(space: ParameterSpace, rng: np.random.Generator) -> dict[str, float]:
 
 
 def draw_effect(effect: Effect, factor: float, rng: np.random.Generator) -> dict[str, float]:
-    """Strength of an effect at a multiple of its plausible size, within its limits, and its nuisance parameters."""
+    """Strength of an effect at a multiple of its plausible size, and its nuisance parameters.
+
+    It stays off its limits, where every fit of it would be called implausible.
+    """
     p = effect.strength
     sign = (1.0 if rng.random() < 0.5 else -1.0) if effect.signed and p.upper > 0 else 1.0 if p.upper > 0 else -1.0
-    strength = min(max(sign * factor * effect.plausible, p.lower), p.upper)
+    strength = min(max(sign * factor * effect.plausible, INSIDE * p.lower), INSIDE * p.upper)
     return {p.name: strength} | {q.name: _about(q, rng) for q in effect.nuisance}
 
 

@@ -1,0 +1,104 @@
+"""How often the search for a missing effect is right on the bogie, with everything that should fool it.
+
+    python tests/benchmarks/rates.py run --runs 300 --workers 2
+    python tests/benchmarks/rates.py report
+
+``run`` makes the first so many runs of a plan that never changes and appends a line for each to
+``results/rates/runs.jsonl``; started again it goes on where it stopped. Seeds belong to the runs, whatever the number
+of workers. Lines made with other code are kept and not counted (``report --code all`` counts them). Effects that leave
+no trace are run like all others: nobody knows beforehand.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import argparse
+import json
+import multiprocessing
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from rates_scenarios import Scenario, plan
+from rates_table import report
+from rates_world import ROOT, World, code_digest
+
+_world: World | None = None
+"""Of a worker process."""
+
+
+def main() -> None:
+    """Run or report."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("what", choices=("run", "report"))
+    arguments.add_argument("--runs", type=int, default=300, help="how many runs of the plan (default 300)")
+    arguments.add_argument("--workers", type=int, default=2)
+    arguments.add_argument("--only", help="run only scenarios whose name begins so")
+    arguments.add_argument("--folder", type=Path, default=ROOT / "results" / "rates")
+    arguments.add_argument("--code", help="report only lines of this code, or 'all' (default: the latest)")
+    given = arguments.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    file = given.folder / "runs.jsonl"
+    if given.what == "report":
+        report(list(lines(file)), given.code)
+        return
+    world = World(given.folder, code_digest())
+    world.settle()
+    done = {(row["scenario"], row["number"]) for row in lines(file) if row["code"] == world.code}
+    chosen = ((s, k) for s, k in plan(world.study.candidates) if not given.only or s.name.startswith(given.only))
+    wanted = [(s, k) for s, k in islice(chosen, given.runs) if (s.name, k) not in done]
+    print(f"code {world.code}: {len(wanted)} of {given.runs} runs to make", flush=True)
+    started = time.perf_counter()
+    with file.open("a", encoding="utf-8") as out:
+        if out.tell() and not file.read_bytes().endswith(b"\n"):
+            out.write("\n")  # the last line was cut off: it stands alone and is not read
+        for k, row in enumerate(rows(world, wanted, given.workers), 1):
+            out.write(json.dumps(row) + "\n")
+            out.flush()
+            if k % 10 == 0:
+                print(f"{k} runs, {(time.perf_counter() - started) / k:.1f} s each", flush=True)
+
+
+def lines(file: Path) -> Iterator[dict[str, Any]]:
+    """What was run so far."""
+    if file.exists():
+        for line in file.read_text("utf-8").splitlines():
+            try:
+                yield json.loads(line)
+            except json.JSONDecodeError:
+                continue
+
+
+def rows(world: World, wanted: list[tuple[Scenario, int]], workers: int) -> Iterator[dict[str, Any]]:
+    """Answers as they come."""
+    if workers == 1:
+        yield from (world.run(s, k) for s, k in wanted)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _begin, (world.folder, world.code)) as pool:
+        for future in as_completed([pool.submit(_run, s, k) for s, k in wanted]):
+            yield future.result()
+
+
+def _begin(folder: Path, code: str) -> None:
+    global _world
+    if code_digest() != code:
+        raise RuntimeError("the code changed meanwhile: start again")
+    _world = World(folder, code)
+    _world.settle()
+
+
+def _run(scenario: Scenario, number: int) -> dict[str, Any]:
+    assert _world is not None
+    return _world.run(scenario, number)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""One synthetic test with its truth, and what an explanation of it says beside that."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.effect import Effect
+from calib.measurement.modal import MeasuredModes
+from calib.missing.findings import Check, Findings, Trial
+
+NAMING = ("effect", "indistinguishable", "two_effects")
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One synthetic test and its truth.
+
+    Attributes
+    ----------
+    values : dict
+        Parameters, strengths, nuisance parameters.
+    parameters_of : mapping from str to tuple of str
+        Effects of the twin, and the names of their parameters.
+    clean, whole : MeasuredModes
+        Without noise, and as measured; nothing is withheld.
+    """
+
+    values: Mapping[str, float]
+    parameters_of: Mapping[str, tuple[str, ...]]
+    clean: MeasuredModes
+    whole: MeasuredModes
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Names of the effects of the twin."""
+        return tuple(self.parameters_of)
+
+    def only(self, effect: Effect) -> dict[str, float]:
+        """The truth as if it had this effect alone."""
+        others = {n for name, own in self.parameters_of.items() if name != effect.name for n in own}
+        return {n: v for n, v in self.values.items() if n not in others}
+
+
+def outcome(found: Findings, measured: Measured) -> dict[str, Any]:
+    """What was found, and whether it is right.
+
+    ``right``: the true effect (its group) is in the printed set and the best, or both of two are named; ``part``: one
+    of two; ``second``: in the set but not the best; ``extra``: named with a second one that is not there; ``wrong``:
+    something is named and the truth is not in the set; otherwise the verdict itself.
+    """
+    stands = {other: g.effect.name for g in found.groups for other in (g.effect.name, *g.others)}
+    true = {stands[name] for name in measured.hidden if name in stands}
+    named = found.verdict in NAMING
+    best = list(found.chosen.names) if found.chosen is not None else []
+    row: dict[str, Any] = {
+        "verdict": found.verdict, "credible": list(found.credible), "best": best,
+        "outcome": _judged(found.verdict, set(found.credible), best, true) if named else found.verdict,
+        "z": _expected_score(found, measured, stands),
+        "groups": {g.effect.name: list(g.others) for g in found.groups if g.others},
+        "p_named": found.base_check.p_named, "p_atoms": found.base_check.p_atoms, "p_fit": found.base_check.p_fit,
+        "p_family": found.base_check.p_family, "measured_scale": found.measured_scale,
+        "noise_scale": found.noise_scale, "evaluations": found.evaluations,
+        "base_misfit": round(found.base.state.misfit, 1),
+        "trials": [_told(t, found) for t in (*found.singles[:4], *[t for t in found.trials if len(t.names) > 1][:3])],
+        "atom": None if found.atom is None else _told(found.atom, found),
+    }  # fmt: skip
+    row["kinds"] = _chances(found.base_check)
+    if found.chosen_check is not None:
+        after = found.chosen_check
+        row["kinds_after"] = _chances(after)
+        row["after"] = {"p_named": after.p_named, "p_atoms": after.p_atoms, "p_fit": after.p_fit}
+        row["after"] |= {"named": _largest(after.named), "atom": _largest(after.atoms)}
+    moved = {n: found.base.state.values[n] for n in ("pos_long_left", "pos_long_right")}
+    row["places_right"] = all(measured.values[n] == v for n, v in moved.items())
+    if found.chosen is not None:
+        row["places_right_after"] = all(measured.values[n] == found.chosen.state.values[n] for n in moved)
+    return row
+
+
+def _judged(verdict: str, credible: set[str], best: list[str], true: set[str]) -> str:
+    if verdict == "two_effects":
+        if credible == true:
+            return "right"
+        return "extra" if credible & true and len(true) < 2 else "mixed" if credible & true else "wrong"
+    if best[0] in true:
+        return "right" if len(true) == 1 else "part"
+    return "second" if credible & true else "wrong"
+
+
+def _expected_score(found: Findings, measured: Measured, stands: Mapping[str, str]) -> list[float]:
+    """Of every true effect: its fingerprint at the base fit times its strength, or the largest score seen on a grid."""
+    named, out = found.base_check.named, []
+    for name in measured.hidden:
+        owner = stands.get(name)
+        if owner is None or owner not in named.owners:
+            out.append(float("nan"))
+            continue
+        k = named.best(owner)
+        out.append(float(named.strength[k] if named.points[k] else named.size[k] * abs(measured.values[name])))
+    return [round(v, 2) for v in out]
+
+
+def _told(trial: Trial, found: Findings) -> dict[str, Any]:
+    own = {n: trial.state.values[n] for e in trial.effects for n in e.names}
+    return {
+        "names": list(trial.names), "ln_bayes": round(found.ln_bayes(trial), 2), "implausible": trial.implausible,
+        "values": own, "misfit": round(trial.state.misfit, 1),
+    }  # fmt: skip
+
+
+def _chances(check: Check) -> dict[str, float]:
+    """Of the misfit of each kind, and of the worst shape of one mode."""
+    shapes = check.modes[check.modes["kind"] == "shape"]
+    worst = shapes.loc[shapes["p"].idxmin()]
+    kinds = {str(k): float(p) for k, p in zip(check.kinds["kind"], check.kinds["p"], strict=True)}
+    return kinds | {f"shape of {worst['mode']}": float(worst["p"])}
+
+
+def _largest(scores: Any) -> list[Any]:
+    if not len(scores.owners):
+        return []
+    k = int(np.argmax(scores.strength))
+    return [scores.owners[k], round(float(scores.z[k]), 2)]

@@ -1,0 +1,226 @@
+"""Error rates from runs, each with what it is required to be and how sure that is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from rates_outcome import NAMING
+from scipy import stats
+
+Row = dict[str, Any]
+
+DETECTABLE = 6.0
+"""Expected score from which an effect outside the library counts as detectable, and both of a pair as visible."""
+
+
+class Rate(NamedTuple):
+    """One criterion: ``count`` of ``n`` with the share required at least or at most."""
+
+    title: str
+    required: float
+    at_least: bool
+    count: int
+    n: int
+
+
+def report(rows: Sequence[Row], code: str | None) -> None:
+    """Print the table and every run that went wrong."""
+    if not rows:
+        print("no runs yet")
+        return
+    codes = Counter(row["code"] for row in rows)
+    latest = rows[-1]["code"] if code is None else code
+    if latest != "all":
+        rows = [row for row in rows if row["code"] == latest]
+    print(f"{len(rows)} runs of code {latest}; in the file: {dict(codes)}\n")
+    failed = [row for row in rows if row["outcome"] == "failed"]
+    rows = [row for row in rows if row["outcome"] != "failed"]
+    _rates(rows)
+    _numbers(rows)
+    _by_effect(rows)
+    _exceptions(rows, failed)
+
+
+def named(row: Row) -> bool:
+    """Whether an effect was named."""
+    return row["verdict"] in NAMING
+
+
+def wrong(row: Row) -> bool:
+    """Whether something was named that is not there."""
+    return row["outcome"] in ("wrong", "extra", "mixed")
+
+
+def score(row: Row) -> float:
+    """Expected score of what is hidden, of the less visible one of two.
+
+    It is the length of the change of the data that the parameters cannot absorb, at the true parameters and without
+    noise. For small effects that is the fingerprint's length times the strength; effects that saturate change the data
+    by much less than their fingerprint at strength 0 promises, and no test can see more than the change.
+    """
+    return float(min(row["visible"], default=0.0))
+
+
+def rates(rows: Sequence[Row]) -> list[Rate]:
+    """All criteria that are rates."""
+
+    def group(*names: str) -> list[Row]:
+        return [row for row in rows if row["group"] in names]
+
+    def rate(title: str, required: float, at_least: bool, some: Sequence[Row], is_so: Callable[[Row], bool]) -> Rate:
+        return Rate(title, required, at_least, sum(map(is_so, some)), len(some))
+
+    single = group("single")
+    strong = [r for r in single if score(r) >= 6]
+    middle = [r for r in single if 4 <= score(r) < 6]
+    told = [r for r in single if score(r) >= 4 and named(r)]
+    outside = group("outside", "removed")
+    seen = [r for r in outside if score(r) >= DETECTABLE]
+    nothing, noise = group("nothing"), group("noise")
+    pairs = group("pair")
+    covering = [r for r in single if "covers" in r]
+    both = [r for r in pairs if score(r) >= DETECTABLE]
+
+    def right(r: Row) -> bool:
+        return r["outcome"] == "right"
+
+    def none(r: Row) -> bool:
+        return r["verdict"] == "none_explains"
+
+    def some(r: Row) -> bool:
+        return r["verdict"] != "nothing_detectable"
+
+    return [
+        rate("right effect named, expected score >= 6", 0.95, True, strong, right),
+        rate("right effect named, expected score 4 to 6", 0.80, True, middle, right),
+        rate("truth in the printed set, score >= 4, when named", 0.98, True, told, lambda r: r["outcome"] != "wrong"),
+        rate("wrong effect named, one effect", 0.02, False, single, wrong),
+        rate("false alarm, nothing missing", 0.03, False, nothing, some),
+        rate("  of these named", 0.01, False, nothing, named),
+        rate("false alarm, nothing missing, library of 50", 0.03, False, group("fifty"), some),
+        rate("  of these named", 0.01, False, group("fifty"), named),
+        rate("outside the library: something named", 0.05, False, outside, named),
+        rate("  designs", 0.05, False, group("outside"), named),
+        rate("  effect taken out of the library", 0.05, False, group("removed"), named),
+        rate(f"outside and visible >= {DETECTABLE:g}: none explains", 0.85, True, seen, none),
+        rate("  none explains or partial", 0.85, True, seen, lambda r: none(r) or r["verdict"] == "partial"),
+        rate("noise 2x, nothing missing: named", 0.01, False, noise, named),
+        rate(
+            "noise 2x, nothing missing: not cleared by the guard", 0.05, False, noise,
+            lambda r: r["verdict"] not in ("nothing_detectable", "noise_underestimated"),
+        ),
+        rate("noise 2x, an effect: wrong", 0.02, False, group("noise_effect"), wrong),
+        rate(f"two effects, both visible >= {DETECTABLE:g}: both named", 0.80, True, both, right),
+        rate("two effects: something wrong named", 0.02, False, pairs, wrong),
+        rate("interval covers the truth (95 %)", 0.88, True, covering, lambda r: bool(r["covers"])),
+    ]  # fmt: skip
+
+
+def _rates(rows: Sequence[Row]) -> None:
+    print(f"{'criterion':56s} {'required':>9s} {'measured':>9s} {'n':>5s} {'95 % bound':>10s} {'p':>6s}  judgement")
+    for r in rates(rows):
+        sign = ">=" if r.at_least else "<="
+        if not r.n:
+            print(f"{r.title:56s} {sign} {100 * r.required:4.0f} % {'-':>9s} {0:5d}")
+            continue
+        bound, p = bound_of(r), chance_of(r)
+        shown = bound >= r.required if r.at_least else bound <= r.required
+        words = "shown" if shown else "refuted" if p < 0.05 else "survives"
+        measured = f"{100 * r.count / r.n:.1f} %"
+        print(
+            f"{r.title:56s} {sign} {100 * r.required:4.0f} % {measured:>9s} {r.n:5d} {100 * bound:8.1f} % {p:6.3f}  "
+            f"{words}"
+        )
+
+
+def bound_of(rate: Rate) -> float:
+    """What the true share is at least, or at most, with 95 % confidence (Clopper and Pearson 1934, one-sided)."""
+    x, n = rate.count, rate.n
+    if rate.at_least:
+        return 0.0 if x == 0 else float(stats.beta.ppf(0.05, x, n - x + 1))
+    return 1.0 if x == n else float(stats.beta.ppf(0.95, x + 1, n - x))
+
+
+def chance_of(rate: Rate) -> float:
+    """Chance of a count as bad or worse when the share just meets the requirement."""
+    if rate.at_least:
+        return float(stats.binom.cdf(rate.count, rate.n, rate.required))
+    return float(stats.binom.sf(rate.count - 1, rate.n, rate.required))
+
+
+def _numbers(rows: Sequence[Row]) -> None:
+    ratios = [r["phi_over_true"] for r in rows if r["group"] == "single" and "phi_over_true" in r and score(r) >= 4]
+    null = [r for r in rows if r["group"] == "nothing"]
+    print()
+    if ratios:
+        print(f"strength over truth, score >= 4: median {np.median(ratios):.3f} (within 5 %), n {len(ratios)}")
+    for group in ("withheld_sensors", "withheld_modes"):
+        some = [(r[f"{group}_before"], r[f"{group}_after"]) for r in rows if f"{group}_after" in r]
+        if some:
+            before, after = (np.array([pair[k][0] / pair[k][1] for pair in some]) for k in (0, 1))
+            print(f"{group}: rms over expected {_rms(before):.3f} before, {_rms(after):.3f} after, n {len(some)}")
+    if null:
+        for key in ("p_named", "p_atoms", "p_family", "p_fit"):
+            p = np.array([r[key] for r in null])
+            shares = ", ".join(f"{100 * np.mean(p < a):.1f} % < {a:g}" for a in (0.01, 0.05, 0.2))
+            print(f"{key:9s} with nothing missing: {shares} (n {len(p)})")
+    spent = np.array([r["evaluations"] for r in rows])
+    most = np.quantile(spent, 0.9)
+    print(f"evaluations: median {np.median(spent):.0f}, 90 % {most:.0f}, largest {spent.max()} (required 150)")
+    print(f"seconds: median {np.median([r['seconds'] for r in rows]):.1f}")
+
+
+def _by_effect(rows: Sequence[Row]) -> None:
+    print(f"\n{'scenario':34s} {'n':>3s} {'score':>12s}  outcomes")
+    for name in dict.fromkeys(sorted(r["scenario"] for r in rows)):
+        own = [r for r in rows if r["scenario"] == name]
+        z = [score(r) for r in own]
+        span = f"{min(z):.1f}-{max(z):.1f}" if own[0]["hidden"] else ""
+        counts = ", ".join(f"{k} {v}" for k, v in Counter(r["outcome"] for r in own).most_common())
+        print(f"{name:34s} {len(own):3d} {span:>12s}  {counts}")
+
+
+def _exceptions(rows: Sequence[Row], failed: Sequence[Row]) -> None:
+    print("\nruns that went wrong:")
+    for r in failed:
+        print(f"- {r['scenario']} #{r['number']}: {r['error']}")
+    for r in rows:
+        words = _complaint(r)
+        if words:
+            _show(r, words)
+
+
+def _complaint(r: Row) -> str:
+    if wrong(r) or (named(r) and r["group"] != "single" and not r["hidden"]):
+        return "wrong name"
+    if r["group"] == "single" and score(r) >= 4 and r["outcome"] not in ("right", "second"):
+        return f"not named ({r['outcome']})"
+    if r["outcome"] == "second":
+        return "not the best of the set"
+    if r["group"] in ("nothing", "fifty") and r["verdict"] != "nothing_detectable":
+        return f"false alarm ({r['verdict']})"
+    if r["group"] == "noise" and r["verdict"] not in ("nothing_detectable", "noise_underestimated"):
+        return f"not cleared ({r['verdict']})"
+    if r["group"] in ("outside", "removed") and score(r) >= DETECTABLE and r["verdict"] != "none_explains":
+        return f"outside: {r['verdict']}"
+    if r["group"] == "pair" and score(r) >= DETECTABLE and r["outcome"] != "right":
+        return f"pair: {r['outcome']}"
+    return ""
+
+
+def _show(r: Row, words: str) -> None:
+    print(f"- {r['scenario']} #{r['number']}: {words}; truth {r['strengths']}, z {r['z']}, visible {r['visible']}")
+    print(
+        f"    {r['verdict']} {r['best']} of {r['credible']}; base p named {r['p_named']:.2g}, "
+        f"atoms {r['p_atoms']:.2g}, fit {r['p_fit']:.2g}; scale {r['measured_scale']:.2f}; places {r['places_right']}"
+        f", {r.get('places_right_after')}; after {r.get('after')}"
+    )
+    for t in (*r["trials"], *([r["atom"]] if r["atom"] else [])):
+        print(f"    {' + '.join(t['names'])}: ln B {t['ln_bayes']}, {t['values']} {t['implausible']}")
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
