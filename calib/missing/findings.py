@@ -46,7 +46,7 @@ class Check:
     def adequate(self, alpha: float) -> bool:
         """Whether nothing organised is left once something has been added.
 
-        Goodness of fit alone looks nowhere in particular; against an effect that explains, it must be far beyond chance.
+        Goodness of fit looks nowhere in particular; to speak against an effect that explains it must be far off.
         """
         return self.p_family > alpha and self.p_fit > alpha / 10
 

@@ -1,0 +1,212 @@
+"""A linear or mildly curved model with Gaussian noise: everything has a closed form and drawing it is cheap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from calib.effect import Effect
+from calib.errors import EvaluationError
+from calib.missing.state import State, fitted
+from calib.space import Parameter, ParameterSpace
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one number of the data is."""
+
+    mode: str
+    kind: str
+    sensor: str = ""
+
+
+@dataclass(frozen=True)
+class Bump:
+    """A response that, as that of a hung mass, is largest in the modes whose place is near a nuisance parameter."""
+
+    direction: np.ndarray
+    place: np.ndarray
+    nuisance: str
+    width: float = 0.8
+
+    def at(self, values: Mapping[str, float]) -> np.ndarray:
+        return self.direction * np.exp(-0.5 * ((self.place - values[self.nuisance]) / self.width) ** 2)
+
+    def slope(self, values: Mapping[str, float]) -> np.ndarray:
+        return self.at(values) * (self.place - values[self.nuisance]) / self.width**2
+
+
+@dataclass(frozen=True, eq=False)
+class ToyQuestion:
+    """The toy with some effects."""
+
+    toy: Toy
+    space: ParameterSpace
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        self.toy.count[0] += 1
+        if self.toy.fails(values):
+            raise EvaluationError("it cannot be solved there")
+        return (self.toy.data - self.toy.answer(values)) / self.toy.sd
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        columns = [-self.toy.slope(values, name) / self.toy.sd for name in names]
+        return np.column_stack(columns) if columns else np.zeros((len(self.toy.data), 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Toy:
+    """Hypotheses about ``y = L + curvature L^2`` with ``L`` the sum of columns times parameters and strengths.
+
+    ``columns`` holds one column for a parameter, effect or atom, or one for each place of a whole-number parameter;
+    ``bumps`` the responses of effects with a nuisance parameter; ``sd`` the scatter that is believed, true is 1.
+    """
+
+    rows: tuple[Row, ...]
+    base: ParameterSpace
+    columns: Mapping[str, np.ndarray]
+    bumps: Mapping[str, Bump]
+    effects: tuple[Effect, ...]
+    atoms: tuple[Effect, ...]
+    data: np.ndarray
+    sd: np.ndarray
+    curvature: float = 0.0
+    fitted_factors: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    scatter_freedom: Mapping[str, float] = field(default_factory=dict)
+    fails: Callable[[Mapping[str, float]], bool] = lambda values: False
+    count: list[int] = field(default_factory=lambda: [0])
+
+    @property
+    def evaluations(self) -> int:
+        return self.count[0]
+
+    def question(self, names: tuple[str, ...]) -> ToyQuestion:
+        known = {e.name: e for e in (*self.effects, *self.atoms)}
+        more = tuple(p for n in names for p in known[n].parameters)
+        return ToyQuestion(self, ParameterSpace(self.base.parameters + more, self.base.constraints))
+
+    def _straight(self, values: Mapping[str, float]) -> np.ndarray:
+        total = np.zeros(len(self.rows))
+        for name, column in self.columns.items():
+            if column.ndim == 2:
+                total = total + column[:, round(values[name])]
+            else:
+                total = total + column * values.get(name, 0.0)
+        for name, bump in self.bumps.items():
+            if values.get(name, 0.0):
+                total = total + bump.at(values) * values[name]
+        return total
+
+    def answer(self, values: Mapping[str, float]) -> np.ndarray:
+        straight = self._straight(values)
+        return straight + self.curvature * straight**2
+
+    def slope(self, values: Mapping[str, float], name: str) -> np.ndarray:
+        inner = 1 + 2 * self.curvature * self._straight(values)
+        for effect, bump in self.bumps.items():
+            if name == effect:
+                return inner * bump.at(values)
+            if name == bump.nuisance:
+                return inner * bump.slope(values) * values.get(effect, 0.0)
+        return inner * self.columns[name]
+
+    def drawn(self, rng: np.random.Generator, truth: Mapping[str, float] | None = None, noise: float = 1.0) -> Toy:
+        """With data of its own: parameters that no truth is given for come from their prior."""
+        values = {p.name: p.value if p.integer else rng.normal(p.value, p.prior_width) for p in self.base.parameters}
+        exact = self.answer({**values, **(truth or {})})
+        return replace(self, data=exact + noise * rng.standard_normal(len(self.rows)), count=[0])
+
+    def calibrated(self, *names: str, start: Mapping[str, float] | None = None, whole: int = 0) -> State:
+        question = self.question(names)
+        return fitted(question, names, {**question.space.values, **(start or {})}, whole)
+
+
+def labels(modes: int, sensors: int, kinds: Sequence[str]) -> tuple[Row, ...]:
+    """A frequency, a damping ratio and the sensors of a shape for every mode, or plain responses."""
+    if not modes:
+        return tuple(Row("", "response", f"y{k}") for k in range(sensors))
+    out = []
+    for k in range(modes):
+        out += [Row(f"M{k}", kind) for kind in kinds if kind != "shape"]
+        out += [Row(f"M{k}", "shape", f"S{s}") for s in range(sensors) if "shape" in kinds]
+    return tuple(out)
+
+
+def effect(name: str, size: float = 1.0, signed: bool = False, **more: object) -> Effect:
+    """An effect whose plausible strength is ``size``."""
+    lower = -50.0 * size if signed else 0.0
+    strength = Parameter(name, 0.0, lower, 50.0 * size, prior_sd=size)
+    return Effect(name, name, "lacks it", "look for it", strength, lambda model: None, **more)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="session")
+def make_effect() -> Callable[..., Effect]:
+    return effect
+
+
+@pytest.fixture(scope="session")
+def toy() -> Callable[..., Toy]:
+    """Parameters P0.., effects E0.., unnamed changes A0.. of random directions, one unit of the size given.
+
+    Parameters act on all modes, what may be missing mostly on two.
+    """
+
+    def make(
+        seed: int = 0,
+        parameters: int = 4,
+        effects: int = 5,
+        atoms: int = 8,
+        modes: int = 8,
+        sensors: int = 10,
+        kinds: Sequence[str] = ("frequency", "damping", "shape"),
+        signed: Sequence[str] = (),
+        size: float = 8.0,
+        prior: float = 1.0,
+        reach: float = 3.0,
+        bump: bool = False,
+        places: int = 0,
+        curvature: float = 0.0,
+    ) -> Toy:
+        rng = np.random.default_rng(seed)
+        rows = labels(modes, sensors, kinds)
+        n = len(rows)
+
+        def column(length: float, local: bool = True) -> np.ndarray:
+            v = rng.standard_normal(n)
+            if modes and local:
+                touched = {f"M{k}" for k in rng.choice(modes, 2, replace=False)}
+                v *= [1.0 if row.mode in touched else 0.1 for row in rows]
+            return length * v / np.linalg.norm(v)
+
+        own = [Parameter(f"P{k}", 0.0, -10 * prior, 10 * prior, prior_sd=prior) for k in range(parameters)]
+        columns = {p.name: column(reach / prior * (1 + k), local=False) for k, p in enumerate(own)}
+        if places:
+            own.append(Parameter("place", 0, 0, places - 1, integer=True))
+            columns["place"] = np.column_stack([column(size) for _ in range(places)])
+        named = [effect(f"E{k}", signed=f"E{k}" in signed) for k in range(effects)]
+        local = [effect(f"A{k}", signed=True) for k in range(atoms)]
+        columns |= {e.name: column(size) for e in (*named, *local)}
+        bumps = {}
+        if bump:
+            grid = tuple({"hung": 1.0, "at": float(q)} for q in range(modes))
+            middle = (modes - 1) / 2
+            nuisance = Parameter("at", middle, -1.0, float(modes), "Hz", prior_sd=middle)
+            named.append(effect("hung", nuisance=(nuisance,), grid=grid))
+            place = np.array([int(row.mode[1:]) for row in rows], dtype=float)
+            bumps["hung"] = Bump(column(2 * size, local=False), place, "at")
+        return Toy(
+            rows=rows,
+            base=ParameterSpace(tuple(own)),
+            columns=columns,
+            bumps=bumps,
+            effects=tuple(named),
+            atoms=tuple(local),
+            data=np.zeros(n),
+            sd=np.ones(n),
+            curvature=curvature,
+        )
+
+    return make

@@ -1,0 +1,93 @@
+"""Candidates of one fingerprint are one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.missing.alike import grouped
+from calib.missing.score import scores
+
+
+def found(toy):
+    questions = {e.name: toy.question((e.name,)) for e in toy.effects if e.grid}
+    return scores(toy.calibrated(), toy.effects, questions)
+
+
+def mixed(toy, name, of, share, seed=1):
+    """The toy with a column whose direction correlates with another's by a share."""
+    other = np.random.default_rng(seed).standard_normal(len(toy.rows))
+    for known in [*(p.name for p in toy.base.parameters), of]:
+        v = toy.columns[known]
+        other -= v * (v @ other) / (v @ v)
+    one = toy.columns[of]
+    column = share * one + np.sqrt(1 - share**2) * np.linalg.norm(one) * other / np.linalg.norm(other)
+    return replace(toy, columns={**toy.columns, name: 3.0 * column})
+
+
+@pytest.fixture
+def apart(toy):
+    """Parameters orthogonal to all effects, so that what correlates before projection does after it."""
+    one = toy(effects=4, parameters=2)
+    names = ["P0", "P1", "E0", "E1", "E2", "E3"]
+    q = np.linalg.qr(np.column_stack([one.columns[n] for n in names]))[0]
+    return replace(one, columns={**one.columns, **{n: 8 * q[:, k] for k, n in enumerate(names)}})
+
+
+def names(groups):
+    return {g.effect.name: g.others for g in groups}
+
+
+def test_only_beyond_the_threshold(apart):
+    for share, others in ((0.95, {}), (0.99, {"E0": ("E2",)})):
+        toy = mixed(apart, "E2", "E0", share)
+        assert {k: v for k, v in names(grouped(toy.effects, found(toy), 0.98)).items() if v} == others
+    assert len(grouped(apart.effects, found(apart), 0.98)) == 4
+
+
+def test_the_first_of_the_library_stands_for_all(apart):
+    toy = mixed(mixed(apart, "E3", "E1", 0.995), "E0", "E1", 0.995, seed=2)
+    assert names(grouped(toy.effects, found(toy), 0.98)) == {"E0": ("E1", "E3"), "E2": ()}
+    assert names(grouped(toy.effects[::-1], found(toy), 0.98)) == {"E3": ("E1", "E0"), "E2": ()}
+
+
+def test_one_between_two_goes_with_the_first(apart):
+    both = np.column_stack([apart.columns["E0"], apart.columns["E1"]])
+    turn = np.deg2rad([0.0, 40.0, 20.0])
+    columns = {f"E{k}": both @ [np.cos(t), np.sin(t)] for k, t in enumerate(turn)}
+    toy = replace(apart, columns={**apart.columns, **columns})
+    assert names(grouped(toy.effects, found(toy), 0.9)) == {"E0": ("E2",), "E1": (), "E3": ()}
+
+
+@pytest.mark.parametrize(("signed", "joined"), [((), False), (("E0",), False), (("E0", "E2"), True)])
+def test_opposite_fingerprints_are_told_by_their_sign(apart, make_effect, signed, joined):
+    toy = mixed(apart, "E2", "E0", -0.999)
+    toy = replace(toy, effects=tuple(make_effect(e.name, signed=e.name in signed) for e in toy.effects))
+    assert (len(grouped(toy.effects, found(toy), 0.98)) == 3) == joined
+
+
+def test_alike_once_the_parameters_have_absorbed_what_they_can(apart):
+    """Two effects of different fingerprints whose difference is what a parameter does."""
+    toy = mixed(apart, "E2", "E0", 0.999)
+    toy = replace(toy, columns={**toy.columns, "P0": 1e4 * toy.columns["P0"]})
+    toy = replace(toy, columns={**toy.columns, "E2": toy.columns["E2"] + 0.01 * toy.columns["P0"]})
+    a, b = toy.columns["E0"], toy.columns["E2"]
+    assert abs(a @ b) / np.linalg.norm(a) / np.linalg.norm(b) < 0.5
+    assert names(grouped(toy.effects, found(toy), 0.98))["E0"] == ("E2",)
+
+
+def test_effects_with_a_nuisance_parameter_stay_by_themselves(toy):
+    toy = toy(bump=True, effects=2)
+    bump = toy.bumps["hung"]
+    toy = replace(toy, columns={**toy.columns, "E1": bump.at({"at": 3.0})})
+    toy = toy.drawn(np.random.default_rng(1), {"hung": 4.0, "at": 3.0})
+    at = found(toy)
+    assert at.unit[:, at.best("hung")] @ at.unit[:, at.best("E1")] > 0.99
+    assert names(grouped(toy.effects, found(toy), 0.5))["hung"] == ()
+
+
+def test_what_the_parameters_absorb_is_like_nothing(toy):
+    toy = toy(effects=3, reach=1e8)
+    columns = {**toy.columns, "E0": toy.columns["P0"] * 1e-8, "E1": toy.columns["P0"] * 1e-8}
+    toy = replace(toy, columns=columns)
+    assert len(grouped(toy.effects, found(toy), 0.98)) == 3

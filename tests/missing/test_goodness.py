@@ -1,0 +1,160 @@
+"""Sums of squares by kind and mode against what the scatter allows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from calib.missing.goodness import goodness, noise_scale, overall
+
+
+def tables(toy, state, factors=None, freedom=None):
+    return goodness(state, toy.rows, factors or {}, freedom or {})
+
+
+def redrawn(toy, state, rng, noise=1.0):
+    """State of another drawing; in a linear model the residual is the noise less what the parameters take of it."""
+    draw = np.concatenate([noise * rng.standard_normal(len(toy.rows)), rng.standard_normal(len(state.names))])
+    augmented = np.vstack([state.slope, np.diag(1 / state.prior_sd)])
+    left = draw - augmented @ np.linalg.lstsq(augmented, draw, rcond=None)[0]
+    return replace(state, residual=left[: len(toy.rows)], shift=-left[len(toy.rows) :])
+
+
+def test_sums_of_squares_and_freedom_add_up(toy):
+    toy = toy(modes=5, sensors=6).drawn(np.random.default_rng(1))
+    state = toy.calibrated()
+    kinds, modes = tables(toy, state)
+    assert list(kinds["kind"]) == ["frequency", "damping", "shape"] and len(modes) == 15
+    hat = state.slope @ state.covariance @ state.slope.T
+    assert kinds["chi2"].sum() == pytest.approx(np.sum(state.residual**2))
+    assert kinds["freedom"].sum() == pytest.approx(len(toy.rows) - np.trace(hat))
+    own = [k for k, row in enumerate(toy.rows) if (row.mode, row.kind) == ("M3", "shape")]
+    line = modes[(modes["mode"] == "M3") & (modes["kind"] == "shape")].iloc[0]
+    assert line["chi2"] == pytest.approx(np.sum(state.residual[own] ** 2))
+    assert line["freedom"] == pytest.approx(6 - np.trace(hat[np.ix_(own, own)]))
+    assert line["p"] == pytest.approx(stats.chi2.sf(line["chi2"], line["freedom"]), rel=1e-4)
+    shapes = modes[modes["kind"] == "shape"]
+    assert kinds["chi2"][2] == pytest.approx(shapes["chi2"].sum())
+    assert kinds["freedom"][2] == pytest.approx(shapes["freedom"].sum())
+
+
+def test_a_single_row_is_studentised(toy):
+    toy = toy(modes=4, sensors=6, parameters=5, reach=3.0)
+    state = toy.calibrated()
+    rng, p, chi2 = np.random.default_rng(12), [], []
+    for _ in range(300):
+        modes = tables(toy, redrawn(toy, state, rng))[1]
+        lines = modes[modes["kind"] != "shape"]
+        assert (lines["freedom"] == 1.0).all()
+        p.append(lines["p"])
+        chi2.append(lines["chi2"])
+    np.testing.assert_allclose(np.mean(chi2, axis=0), 1.0, atol=4 * np.sqrt(2 / 300))
+    assert stats.kstest(np.ravel(p), "uniform").pvalue > 0.005
+
+
+def test_a_single_row_that_a_parameter_follows_says_nothing(toy):
+    toy = toy(modes=4, sensors=6, parameters=2, reach=1e4)
+    column = np.eye(len(toy.rows))[0] * 1e4
+    toy = replace(toy, columns={**toy.columns, "P0": column}).drawn(np.random.default_rng(13))
+    modes = tables(toy, toy.calibrated())[1]
+    assert modes["freedom"][0] < 1e-6 and modes["p"][0] == 1.0
+
+
+def test_factors_fitted_to_shapes_are_no_freedom(toy):
+    toy = toy(modes=4, sensors=6).drawn(np.random.default_rng(2))
+    state = toy.calibrated()
+    plain, fitted = tables(toy, state), tables(toy, state, {("M0", "shape"): 2, ("M2", "shape"): 5})
+    less = plain[1]["freedom"] - fitted[1]["freedom"]
+    assert less[less != 0].tolist() == pytest.approx([2, 5])
+    assert plain[0].set_index("kind")["freedom"]["shape"] - 7 == pytest.approx(
+        fitted[0].set_index("kind")["freedom"]["shape"]
+    )
+
+
+def test_freedom_is_what_the_sum_of_squares_comes_to(toy):
+    toy = toy(modes=4, sensors=4, parameters=9, reach=1.0)
+    state = toy.calibrated()
+    rng, chi2 = np.random.default_rng(3), []
+    for _ in range(400):
+        chi2.append(tables(toy, redrawn(toy, state, rng))[1]["chi2"])
+    freedom = tables(toy, state)[1]["freedom"].to_numpy()
+    np.testing.assert_allclose(np.mean(chi2, axis=0), freedom, atol=4 * np.sqrt(2 * freedom.max() / 400))
+    assert freedom.sum() < len(toy.rows) - 3
+
+
+@pytest.mark.parametrize("known", [np.inf, 6.0])
+def test_p_is_uniform_when_nothing_is_missing(toy, known):
+    toy = toy(modes=6, sensors=4, parameters=3, reach=1e3)
+    state = toy.calibrated()
+    rng, p = np.random.default_rng(4), []
+    for _ in range(400):
+        one = redrawn(toy, state, rng)
+        scale = np.sqrt(rng.chisquare(known) / known) if np.isfinite(known) else 1.0
+        one = replace(one, residual=one.residual / scale)
+        p.append(tables(toy, one, freedom=dict.fromkeys(("frequency", "damping", "shape"), known))[0]["p"])
+    for values in np.transpose(p):
+        assert stats.kstest(values, "uniform").pvalue > 0.005
+
+
+def test_the_worst_of_all_keeps_its_level(toy):
+    toy = toy(modes=8, sensors=6, reach=1e3)
+    state = toy.calibrated()
+    rng = np.random.default_rng(5)
+    p = np.array([overall(*tables(toy, redrawn(toy, state, rng))) for _ in range(400)])
+    for level in (0.02, 0.05, 0.2):
+        assert 0.5 * level < np.mean(p < level) < 1.4 * level
+
+
+def test_one_bad_shape_is_seen_among_many_good_ones():
+    modes = pd.DataFrame({"kind": ["frequency"] * 2 + ["shape"] * 5, "p": [0.5, 1e-9, 0.3, 0.4, 0.002, 0.9, 0.2]})
+    kinds = pd.DataFrame({"kind": ["frequency", "shape"], "p": [0.6, 0.5]})
+    assert overall(kinds, modes) == pytest.approx(3 * 5 * 0.002)
+    assert overall(kinds.assign(p=[0.001, 0.5]), modes) == pytest.approx(3 * 0.001)
+    assert overall(kinds[:1], modes[:2]) == pytest.approx(1.0)
+    assert overall(kinds.assign(p=[0.9, 0.8]), modes.assign(p=0.7)) == 1.0
+
+
+def test_too_little_freedom_says_nothing(toy):
+    toy = toy(modes=4, sensors=5, parameters=3, reach=1e3).drawn(np.random.default_rng(6), {"E0": 9.0})
+    kinds, modes = tables(toy, toy.calibrated(), {(f"M{k}", "shape"): 5 for k in range(4)})
+    assert modes[modes["kind"] == "shape"]["p"].tolist() == [1.0] * 4
+    assert kinds.set_index("kind")["p"]["shape"] == 1.0 > kinds.set_index("kind")["p"]["frequency"]
+
+
+@pytest.mark.parametrize("noise", [1.0, 1.3, 2.0])
+def test_the_common_factor_of_the_scatter(toy, noise):
+    toy = toy(modes=12, sensors=40)
+    state = toy.calibrated()
+    rng = np.random.default_rng(7)
+    found = [noise_scale(tables(toy, redrawn(toy, state, rng, noise))[1]) for _ in range(60)]
+    # Once in 100 times the modes look more different than a common factor makes them.
+    assert np.mean(np.array(found) == 1.0) < 0.06
+    found = [f for f in found if f != 1.0]
+    assert np.mean(found) == pytest.approx(noise, rel=0.015)
+    assert np.std(found) < 0.06 * noise
+
+
+def test_one_spoiled_mode_does_not_raise_the_factor(toy):
+    toy = toy(modes=9, sensors=30).drawn(np.random.default_rng(8))
+    state = toy.calibrated()
+    before = noise_scale(tables(toy, state)[1])
+    spoiled = np.array([row.mode == "M4" for row in toy.rows])
+
+    def after(one, all_of_them):
+        factor = np.where(spoiled, one, all_of_them)
+        return noise_scale(tables(toy, replace(state, residual=state.residual * factor))[1])
+
+    assert after(1.0, 20.0) == 1.0 and after(20.0, 2.0) == 1.0  # what is not common to all modes is no scatter
+    assert after(20.0, 1.0) == pytest.approx(before, rel=0.06) or after(20.0, 1.0) == 1.0
+    assert after(20.0, 20.0) == pytest.approx(20 * before)
+    assert after(1.5, 1.5) == pytest.approx(1.5 * before)
+
+
+@pytest.mark.parametrize(
+    ("more", "factors"), [({"modes": 3}, {}), ({"modes": 8, "sensors": 4}, {}), ({"modes": 0, "sensors": 50}, {})]
+)
+def test_few_shapes_tell_no_factor(toy, more, factors):
+    toy = toy(**more).drawn(np.random.default_rng(9))
+    assert np.isnan(noise_scale(tables(toy, toy.calibrated(), factors)[1]))

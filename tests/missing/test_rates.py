@@ -1,0 +1,116 @@
+"""A few runs of the blind test bench: what is named is there, and what is there and visible is named.
+
+`tests/benchmarks/rates.py` makes hundreds of them. Seeds belong to the runs.
+"""
+
+import importlib
+import sys
+from itertools import islice
+from pathlib import Path
+
+import pytest
+
+BENCH = Path(__file__).resolve().parents[1] / "benchmarks"
+NAMING = ("effect", "indistinguishable", "two_effects")
+
+
+@pytest.fixture(scope="module")
+def bench():
+    """The scripts of the benchmark, which import each other by name."""
+    sys.path.insert(0, str(BENCH))
+    try:
+        yield {name: importlib.import_module(name) for name in ("rates_scenarios", "rates_world", "rates_table")}
+    finally:
+        sys.path.remove(str(BENCH))
+
+
+@pytest.fixture(scope="module")
+def world(bench, tmp_path_factory):
+    """The bogie with its own library; nothing is run with the one of fifty effects."""
+
+    class Own(bench["rates_world"].World):
+        def _basis(self, name, effects, local):
+            return None if name == bench["rates_scenarios"].FIFTY else super()._basis(name, effects, local)
+
+    return Own(tmp_path_factory.mktemp("rates"), "test")
+
+
+@pytest.fixture(scope="module")
+def run(bench, world):
+    """One run of a scenario by its name, each made once."""
+    kinds = {s.name: s for s in bench["rates_scenarios"].scenarios(world.study.candidates)}
+    done = {}
+
+    def make(name, number):
+        if (name, number) not in done:
+            done[name, number] = world.run(kinds[name], number)
+        return done[name, number]
+
+    return make
+
+
+def no_wrong_name(row):
+    assert row["outcome"] != "failed", row.get("error")
+    assert row["outcome"] not in ("wrong", "extra", "mixed"), row
+    assert set(row["credible"]) <= set(row["hidden"]) or row["outcome"] in ("right", "second")
+    assert row["evaluations"] <= 250
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_nothing_is_named_where_nothing_is(run, number):
+    row = run("nothing", number)
+    no_wrong_name(row)
+    assert row["verdict"] == "nothing_detectable" and row["credible"] == [] and row["hidden"] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "number"), [("crossbar_mass/M", 0), ("weak_damper/M", 0), ("brake_unit/M", 2), ("primary_uneven/L", 0)]
+)
+def test_a_visible_effect_is_named_with_its_strength(run, name, number):
+    row = run(name, number)
+    no_wrong_name(row)
+    assert min(row["visible"]) >= 6
+    assert row["outcome"] == "right" and row["verdict"] == "effect" and row["credible"] == [name.split("/")[0]]
+    assert row["covers"] and 0.7 < row["phi_over_true"] < 1.4
+    (rms_before, _), (rms_after, expected) = (row[f"withheld_sensors_{stage}"] for stage in ("before", "after"))
+    assert rms_after < 1.3 * expected and rms_after < 1.05 * rms_before
+
+
+@pytest.mark.parametrize("name", ["outside/heavy_rear/L", "without/weak_damper/L"])
+def test_what_is_in_no_library_is_not_named(run, name):
+    """A design that no effect describes, and an effect that was taken out of the library."""
+    row = run(name, 0)
+    no_wrong_name(row)
+    assert min(row["visible"]) >= 6
+    assert row["verdict"] in ("none_explains", "partial") and row["credible"] == []
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_scatter_stated_half_as_large_names_nothing(run, number):
+    row = run("noise", number)
+    no_wrong_name(row)
+    assert row["verdict"] in ("nothing_detectable", "noise_underestimated") and row["credible"] == []
+    assert 1.5 < row["measured_scale"] < 2.5 or row["noise_scale"] > 1.5
+
+
+def test_a_run_depends_on_its_number_alone(bench, world, run):
+    """The same scenario and number measure the same, another number something else."""
+    kinds = {s.name: s for s in bench["rates_scenarios"].scenarios(world.study.candidates)}
+    one, again, other = (world.measure(kinds["weak_damper/M"], k) for k in (0, 0, 1))
+    assert one.values == again.values != other.values
+    assert (one.whole.natural_freq == again.whole.natural_freq).all()
+    assert (one.whole.natural_freq != other.whole.natural_freq).all()
+    row = run("weak_damper/M", 0)
+    assert row["strengths"] == {"weak_damper": one.values["weak_damper"]}
+
+
+@pytest.mark.slow
+def test_the_first_runs_of_the_plan_keep_the_required_rates(bench, world):
+    """Too few runs to show a rate, enough to see that something broke."""
+    runs = ((s, k) for s, k in bench["rates_scenarios"].plan(world.study.candidates) if s.library == "own")
+    rows = [world.run(s, k) for s, k in islice(runs, 60)]
+    assert not [row for row in rows if row["outcome"] == "failed"]
+    for rate in bench["rates_table"].rates(rows):
+        if rate.n:
+            assert bench["rates_table"].chance_of(rate) > 0.01, rate
+    assert sum(bench["rates_table"].wrong(row) for row in rows) <= 2

@@ -1,0 +1,298 @@
+"""What an explanation found, as tables, against what they are made from."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.missing.evidence import ln_evidence
+from calib.missing.explain import explain
+from calib.missing.plausible import strain
+from calib.missing.state import fitted
+from calib.missing.tables import (
+    ALIKE,
+    EFFECT_COLUMNS,
+    confounded_with,
+    confounding_table,
+    effects_table,
+    expected_ln_bayes,
+    misfit_table,
+    smallest_visible,
+    strain_table,
+    strength_of,
+    tried_table,
+)
+
+
+def alike(toy, name, of, share, seed=1):
+    """The toy with a column of unchanged length whose direction correlates with another's by a share."""
+    other = np.random.default_rng(seed).standard_normal(len(toy.rows))
+    one = toy.columns[of]
+    other -= one * (one @ other) / (one @ one)
+    column = share * one + math.sqrt(1 - share**2) * np.linalg.norm(one) * other / np.linalg.norm(other)
+    return replace(toy, columns={**toy.columns, name: column})
+
+
+def found_in(toy, truth, seed=1):
+    toy = toy.drawn(np.random.default_rng(seed), truth)
+    return toy, explain(toy)
+
+
+@pytest.fixture(scope="module")
+def one(toy):
+    """One effect is missing; E1 may be negative, E4 looks exactly as E2, E5 is too weak to be seen."""
+    made = toy(effects=6, signed=("E1",))
+    made = alike(made, "E4", "E2", 0.995)
+    made = replace(made, columns={**made.columns, "E5": made.columns["E5"] / 10})
+    return found_in(made, {"E3": 1.0})
+
+
+@pytest.fixture(scope="module")
+def nothing(toy):
+    return found_in(toy(effects=4, signed=("E1",)), {})
+
+
+def table_of(found, intervals=None, gains=None):
+    return effects_table(found, intervals or {}, gains or {})
+
+
+# -- effects -----------------------------------------------------------------------------------------------------------
+
+
+def test_every_candidate_has_a_row_with_the_documented_columns(one, nothing):
+    for _, found in (one, nothing):
+        table = table_of(found)
+        assert tuple(table.columns) == EFFECT_COLUMNS
+        assert sorted(table["name"]) == sorted(g.effect.name for g in found.groups)
+
+
+def test_scores_and_sizes_are_those_of_the_test(one):
+    toy, found = one
+    table = table_of(found).set_index("name")
+    state, named = found.base.state, found.base_check.named
+    g = np.column_stack([toy.columns[n] for n in state.names])  # the toy is linear: its columns are its slope
+    a = np.vstack([g, np.diag(1 / state.prior_sd)])
+    for name in table.index:
+        own = np.concatenate([toy.columns[name], np.zeros(len(state.names))])
+        outside = own - a @ np.linalg.lstsq(a, own, rcond=None)[0]
+        size = np.linalg.norm(outside)
+        assert table.loc[name, "z"] == pytest.approx(outside @ state.augmented / size, rel=1e-6, abs=1e-9)
+        assert table.loc[name, "gamma"] == pytest.approx(size / np.linalg.norm(own))
+        assert table.loc[name, "phi_min"] == pytest.approx(4.0 / size)
+        assert smallest_visible(named, name) == table.loc[name, "phi_min"]
+
+
+def test_visible_is_what_a_plausible_strength_would_show(one):
+    _, found = one
+    table = table_of(found).set_index("name")
+    assert not table.loc["E5", "visible"] and table.loc[["E0", "E1", "E2", "E3"], "visible"].all()
+    assert (table["visible"] == (table["phi_min"] <= table["plausible"])).all()
+    assert (table["plausible"] == 1.0).all() and (table["largest"] == 50.0).all()
+
+
+def test_the_true_effect_comes_first_with_its_strength(one):
+    _, found = one
+    table = table_of(found)
+    first = table.iloc[0]
+    (trial,) = [t for t in found.singles if t.names == ("E3",)]
+    phi, std = strength_of(trial, "E3")
+    assert found.verdict == "effect" and first["name"] == "E3" and first["refitted"] and first["credible"]
+    assert first["phi"] == phi == trial.state.values["E3"] == pytest.approx(1.0, abs=4 * std)
+    assert (first["phi_low"], first["phi_high"]) == pytest.approx((phi - 1.96 * std, phi + 1.96 * std))
+    assert first["posterior"] > 0.9 and table["credible"].sum() == 1
+
+
+def test_refitted_effects_come_before_others_and_each_best_first(one):
+    _, found = one
+    table = table_of(found)
+    refitted = table["refitted"].astype(bool)
+    assert refitted.is_monotonic_decreasing
+    for _, part in table.groupby(refitted):
+        assert part["ln_bayes"].is_monotonic_decreasing
+    assert set(table.loc[refitted, "name"]) == {t.names[0] for t in found.singles}
+    assert table.loc[~refitted, ["phi", "phi_low", "phi_high"]].isna().all(axis=None)
+
+
+def test_intervals_by_profile_are_taken_over_and_end_at_physical_limits(one):
+    _, found = one
+    table = table_of(found, {"E3": (0.8, 70.0)}).set_index("name")
+    assert tuple(table.loc["E3", ["phi_low", "phi_high"]]) == (0.8, 50.0)
+    others = table[table["refitted"].astype(bool) & (table.index != "E3")]
+    assert (others["phi_low"].dropna() >= np.where(others.index == "E1", -50.0, 0.0)).all()
+
+
+def test_gains_on_data_left_out_are_those_given(one):
+    _, found = one
+    table = table_of(found, gains={"E3": 12.5}).set_index("name")
+    assert table.loc["E3", "heldout_gain"] == 12.5 and table["heldout_gain"].isna().sum() == len(table) - 1
+
+
+def test_evidence_is_against_the_base_model_and_exact_for_a_linear_one(one):
+    """Of two Gaussian marginal densities of the data; a half-normal prior of a strong effect doubles one of them."""
+    toy, found = one
+    table = table_of(found).set_index("name")
+    g = np.column_stack([toy.columns[n] * toy.base[n].prior_width for n in toy.base.names])
+    covariance = np.eye(len(toy.rows)) + g @ g.T
+
+    def ln(c):
+        return -0.5 * (toy.data @ np.linalg.solve(c, toy.data) + np.linalg.slogdet(c)[1])
+
+    b = toy.columns["E3"]
+    for column, plausible in (("ln_bayes", 1.0), ("ln_bayes_third", 1 / 3), ("ln_bayes_triple", 3.0)):
+        exact = ln(covariance + np.outer(b, b) * plausible**2) - ln(covariance) + math.log(2)
+        assert table.loc["E3", column] == pytest.approx(exact, abs=0.05)
+
+
+def test_evidence_of_what_was_not_fitted_is_the_linear_one(nothing):
+    toy, found = nothing
+    table = table_of(found).set_index("name")
+    assert not table["refitted"].any() and found.trials == ()
+    g = np.column_stack([toy.columns[n] * toy.base[n].prior_width for n in toy.base.names])
+    covariance = np.eye(len(toy.rows)) + g @ g.T
+
+    def ln(c):
+        return -0.5 * (toy.data @ np.linalg.solve(c, toy.data) + np.linalg.slogdet(c)[1])
+
+    b = toy.columns["E1"]  # signed: its prior is a whole Gaussian
+    for column, plausible in (("ln_bayes", 1.0), ("ln_bayes_third", 1 / 3), ("ln_bayes_triple", 3.0)):
+        exact = ln(covariance + np.outer(b, b) * plausible**2) - ln(covariance)
+        assert table.loc["E1", column] == pytest.approx(exact, abs=0.01)
+
+
+def test_another_plausible_size_is_another_model(one):
+    """The columns with a third and three times the plausible size against fits with such a prior."""
+    toy, found = one
+    table = table_of(found).set_index("name")
+    for column, factor in (("ln_bayes_third", 1 / 3), ("ln_bayes_triple", 3.0)):
+        effects = tuple(
+            replace(e, strength=replace(e.strength, prior_sd=factor * e.plausible)) if e.name == "E3" else e
+            for e in toy.effects
+        )
+        other = replace(toy, effects=effects)
+        (e3,) = [e for e in effects if e.name == "E3"]
+        question = other.question(("E3",))
+        state = fitted(question, ("E3",), {**question.space.values, "E3": 1.0})
+        assert table.loc["E3", column] == pytest.approx(ln_evidence(state, [e3]) - found.base.ln_evidence, abs=0.05)
+
+
+def test_probabilities_within_the_library_leave_half_of_the_prior_to_the_base_model(one, nothing):
+    for _, found in (one, nothing):
+        table = table_of(found)
+        weights = np.exp(table["ln_bayes"]) / len(table)
+        np.testing.assert_allclose(table["posterior"], weights / (1 + weights.sum()), rtol=1e-9)
+    assert table_of(nothing[1])["posterior"].sum() < 0.5
+
+
+def test_merged_effects_are_told_beside_the_one_that_stands_for_them(one):
+    table = table_of(one[1]).set_index("name")
+    assert table.loc["E2", "stands_for"] == "E4" and "E4" not in table.index
+    assert (table.drop("E2")["stands_for"] == "").all()
+
+
+def test_what_cannot_be_believed_is_said_in_its_row(toy):
+    made = toy(prior=0.5, reach=5.0, atoms=0, effects=3, size=20.0)
+    made = replace(made, columns={**made.columns, "hidden": made.columns["E0"] - 4.0 * made.columns["P1"]})
+    _, found = found_in(made, {"hidden": 1.0})
+    table = table_of(found).set_index("name")
+    assert "P1 had to move" in table.loc["E0", "implausible"] and not table.loc["E0", "credible"]
+
+
+# -- alike and confounded ----------------------------------------------------------------------------------------------
+
+
+def test_the_correlation_of_fingerprints_is_that_after_projection(one):
+    toy, found = one
+    table = confounding_table(found).set_index("effect")
+    assert list(table.index) == list(table.columns) == [g.effect.name for g in found.groups]
+    matrix = table.to_numpy()
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
+    np.testing.assert_allclose(np.diag(matrix), 1.0)
+    state = found.base.state
+    a = np.vstack([np.column_stack([toy.columns[n] for n in state.names]), np.diag(1 / state.prior_sd)])
+
+    def outside(name):
+        own = np.concatenate([toy.columns[name], np.zeros(len(state.names))])
+        return own - a @ np.linalg.lstsq(a, own, rcond=None)[0]
+
+    u, v = outside("E0"), outside("E3")
+    assert table.loc["E0", "E3"] == pytest.approx(u @ v / np.linalg.norm(u) / np.linalg.norm(v), abs=1e-9)
+
+
+def test_effects_that_look_alike_are_named_for_each_other(toy):
+    made = alike(toy(effects=4), "E3", "E1", 0.97)
+    _, found = found_in(made, {"E1": 0.5})
+    rho = confounding_table(found).set_index("effect").loc["E1", "E3"]
+    assert ALIKE < rho < 0.98
+    assert confounded_with(found, "E1") == ["E3"] and confounded_with(found, "E3") == ["E1"]
+    assert confounded_with(found, "E0") == []
+    table = table_of(found).set_index("name")
+    assert table.loc["E1", "confounded_with"] == "E3" and table.loc["E0", "confounded_with"] == ""
+
+
+@pytest.mark.parametrize(("strength", "told"), [(0.5, ["E3"]), (5.0, [])])
+def test_effects_somewhat_alike_are_confounded_only_while_weak(toy, strength, told):
+    """Correlation 0.85: at a score of 5 the odds to expect are below 20:1, at 40 they are beyond doubt."""
+    made = alike(toy(effects=4, parameters=1, reach=0.1), "E3", "E1", 0.88)
+    _, found = found_in(made, {"E1": strength})
+    rho = confounding_table(found).set_index("effect").loc["E1", "E3"]
+    assert 0.8 < rho < ALIKE
+    assert confounded_with(found, "E1") == told
+
+
+def test_expected_odds():
+    assert expected_ln_bayes(6.0, 0.0) == 18.0
+    assert expected_ln_bayes(6.0, 1.0) == expected_ln_bayes(6.0, -1.0) == 0.0
+    assert expected_ln_bayes(10.0, 0.8) == pytest.approx(18.0)
+
+
+# -- others ------------------------------------------------------------------------------------------------------------
+
+
+def test_strain_is_told_before_and_after(one, nothing):
+    _, found = one
+    table = strain_table(found)
+    assert table.columns[0] == "model" and list(dict.fromkeys(table["model"])) == ["base", "E3"]
+    before = table[table["model"] == "base"].drop(columns="model").reset_index(drop=True)
+    pd.testing.assert_frame_equal(before, strain(found.base.state), check_dtype=False)
+    for row in table.to_dict("records"):
+        trial = found.base if row["model"] == "base" else found.chosen
+        k = trial.state.names.index(row["parameter"])
+        expected = trial.state.shift[k] / math.sqrt(1 - trial.state.covariance[k, k] / row["prior_sd"] ** 2)
+        assert row["standardised"] == pytest.approx(expected, rel=1e-6)
+        assert row["strained"] == (abs(row["standardised"]) > row["limit"])
+    assert set(table["parameter"]) == {"P0", "P1", "P2", "P3"}  # strengths are no calibration parameters
+    assert set(strain_table(nothing[1])["model"]) == {"base"}
+
+
+def test_misfit_is_told_by_mode_and_kind(one, nothing, toy):
+    _, found = one
+    table = misfit_table(found)
+    assert list(table.columns) == ["stage", "mode", "kind", "chi2", "freedom", "p"]
+    assert list(dict.fromkeys(table["stage"])) == ["base", "explained"] and len(table) == 2 * 8 * 3
+    before, after = (
+        table.loc[(table["stage"] == s) & (table["kind"] == "shape"), "chi2"].sum() for s in ("base", "explained")
+    )
+    assert after < before
+    assert set(misfit_table(nothing[1])["stage"]) == {"base"}
+    _, plain = found_in(toy(modes=0, sensors=60), {})
+    assert set(misfit_table(plain)["mode"]) == {"responses"}
+
+
+def test_everything_that_was_fitted_is_told(one, nothing, toy):
+    _, found = one
+    table = tried_table(found)
+    assert list(table.columns) == ["effects", "misfit", "ln_bayes", "implausible"]
+    assert table.iloc[0].to_dict() == {
+        "effects": "none",
+        "misfit": found.base.state.misfit,
+        "ln_bayes": 0.0,
+        "implausible": found.base.implausible,
+    }
+    assert len(table) == 1 + len(found.trials) + (found.atom is not None)
+    best = table.loc[table["ln_bayes"].idxmax()]
+    assert best["effects"] == "E3" and best["misfit"] == found.chosen.state.misfit < found.base.state.misfit
+    assert len(tried_table(nothing[1])) == 1
+    _, two = found_in(toy(), {"E0": 1.5, "E4": 1.5})
+    assert "E0 + E4" in set(tried_table(two)["effects"])

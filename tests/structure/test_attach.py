@@ -1,0 +1,153 @@
+"""Hung masses and soft mounts against closed forms of one or two degrees of freedom."""
+
+import numpy as np
+import pytest
+import scipy.linalg as la
+import scipy.sparse as sp
+
+from calib.effect import Effect
+from calib.space import Parameter, ParameterSpace
+from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
+from calib.structure.attach import between, elongation, hung_masses, motion, outer_term, soft_mounts
+from calib.structure.extend import extend
+from calib.structure.model import DofMap, Mesh, StructuralModel
+
+M0, K0 = 3.0, 3.0 * (2 * np.pi * 4.0) ** 2
+
+
+class Corner:
+    """One body at the origin that moves in x, y and z; two others at rest."""
+
+    def row(self, point, direction, on=None):
+        return np.eye(3)[direction] * (on != "ground"), 0.0
+
+
+@pytest.fixture
+def body():
+    """A mass of 3 kg on springs of 4, 5 and 6 Hz with a damper c in x."""
+    space = ParameterSpace((Parameter("c", 30.0, 0.0, 500.0, "Ns/m"),))
+    across = sp.csr_array(np.diag([1.0, 0.0, 0.0]))
+    springs = sp.csr_array(np.diag(K0 * np.array([1.0, 25 / 16, 36 / 16])))
+    return StructuralModel(
+        name="body",
+        space=space,
+        stiffness=AffineMatrix(3, (Term("springs", springs),)),
+        damping=AffineMatrix(3, (Term("damper", across, parameter("c")),)),
+        mass=AffineMatrix(3, (Term("mass", sp.csr_array(M0 * np.eye(3))),)),
+        mesh=Mesh(np.zeros((1, 3)), np.zeros((0, 2), dtype=int), ()),
+        dofs=DofMap(sp.csr_array(np.eye(6)[:, :3]), np.zeros(3, dtype=int), np.arange(3)),
+        clusters={"all": np.arange(3)},
+        locator=Corner(),
+    )
+
+
+def roots(modes):
+    return 2 * np.pi * (1j * modes.damped_freq - modes.damping_ratio * modes.natural_freq)
+
+
+def quadratic(m, c, k):
+    """Roots and shapes of ``(l^2 m + l c + k) x = 0`` with positive imaginary part."""
+    n = len(m)
+    state = np.block([[np.zeros((n, n)), np.eye(n)], [-la.solve(m, k), -la.solve(m, c)]])
+    values, vectors = la.eig(state)
+    order = [i for i in np.argsort(values.imag) if values[i].imag > 1e-9]
+    return values[order], vectors[:n, order]
+
+
+def with_hung(body, rows, share=1.0, ratio=0.03):
+    strength = Parameter("m", 0.0, 0.0, 5.0, "kg", prior_sd=1.0)
+    freq = Parameter("f", 4.0, 1.0, 20.0, "Hz")
+    build = lambda model: hung_masses(rows, "m", "f", ratio, share)  # noqa: E731
+    return extend(body, [Effect("m", "m", "", "", strength, build, (freq,), ({"m": 1.0, "f": 4.0},))])
+
+
+@pytest.mark.parametrize("mass", [1e-6, 0.05, 0.7, 4.0])
+@pytest.mark.parametrize("freq", [2.0, 4.0, 11.0])
+@pytest.mark.parametrize("ratio", [0.0, 0.08])
+def test_a_hung_mass_is_the_two_mass_oscillator(body, mass, freq, ratio):
+    model = with_hung(body, [np.array([1.0, 0.0, 0.0])], ratio=ratio)
+    k, c = mass * (2 * np.pi * freq) ** 2, 2 * ratio * mass * 2 * np.pi * freq
+    link = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    expected, shapes = quadratic(np.diag([M0, mass]), np.diag([30.0, 0.0]) + c * link, np.diag([K0, 0.0]) + k * link)
+    modes = model.modes({"m": mass, "f": freq}, 4)
+    moving = [k for k in range(4) if abs(modes.shapes[1:3, k]).max() < 1e-9 * abs(modes.shapes[:, k]).max()]
+    moving.sort(key=lambda k: roots(modes)[k].imag)
+    assert len(moving) == 2
+    np.testing.assert_allclose(roots(modes)[moving], expected, rtol=1e-6)
+    # The added coordinate is the relative motion times the root of the mass.
+    relative = modes.shapes[3, moving] / modes.shapes[0, moving] / np.sqrt(mass)
+    np.testing.assert_allclose(relative, shapes[1] / shapes[0] - 1, rtol=1e-5)
+
+
+def test_several_hung_masses_share_the_mass(body):
+    """Three at different motions; two share parts of 1.2/3 each, as if each were written down."""
+    rows = [np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.6, 0.8]), np.array([0.3, 0.0, -0.5])]
+    mass, freq, share = 2.0, 4.6, 1.2
+    model = with_hung(body, rows, share)
+    part, w = share * mass / 3, 2 * np.pi * freq
+    m, c, k = (
+        np.diag([M0] * 3 + [part] * 3),
+        np.diag([30.0] + [0.0] * 5),
+        np.diag([K0, K0 * 25 / 16, K0 * 36 / 16, 0, 0, 0]),
+    )
+    for j, b in enumerate(rows):
+        link = np.concatenate([-b, np.eye(3)[j]])
+        k = k + part * w**2 * np.outer(link, link)
+        c = c + 2 * 0.03 * part * w * np.outer(link, link)
+    found = np.sort_complex(roots(model.modes({"m": mass, "f": freq}, 6)))
+    np.testing.assert_allclose(found, np.sort_complex(quadratic(m, c, k)[0]), rtol=1e-6)
+
+
+def test_a_very_stiff_hung_mass_is_a_rigid_one(body):
+    model = with_hung(body, [np.array([1.0, 0.0, 0.0])], ratio=0.0)
+    modes = model.modes({"m": 1.5, "f": 3000.0, "c": 0.0}, 1)
+    assert modes.natural_freq[0] == pytest.approx(np.sqrt(K0 / (M0 + 1.5)) / 2 / np.pi, rel=1e-5)
+
+
+def with_soft(body):
+    strength = Parameter("s", 0.0, 0.0, 1e7, "mm/MN", prior_sd=1e5)
+    build = lambda model: soft_mounts([np.array([1.0, 0.0, 0.0])], "c", "s")  # noqa: E731
+    return extend(body, [Effect("s", "s", "", "", strength, build)])
+
+
+@pytest.mark.parametrize("damping", [3.0, 30.0, 300.0])
+@pytest.mark.parametrize("flexibility", [1e-9, 1e-5, 5e-4, 8e-3])
+def test_a_soft_mount_is_a_maxwell_element(body, damping, flexibility):
+    """Dynamic stiffness ``k + m l^2 + c l/(1 + c s l)``, a cubic in l."""
+    model = with_soft(body)
+    cubic = np.roots([M0 * damping * flexibility, M0, damping + K0 * damping * flexibility, K0])
+    pair = cubic[cubic.imag > 0]
+    modes = model.modes({"c": damping, "s": flexibility * 1e9}, 3)
+    along = np.abs(modes.shapes[0]) > 1e-3 * np.abs(modes.shapes).max(axis=0)
+    np.testing.assert_allclose(roots(modes)[along], pair, rtol=1e-6)
+    np.testing.assert_allclose(np.sort(modes.natural_freq[~along]), [5.0, 6.0], rtol=1e-7)
+
+
+@pytest.mark.parametrize("flexibility", [1e-6, 1e-4, 1e-2])
+def test_the_dynamic_stiffness_of_a_soft_mount(body, flexibility):
+    model = with_soft(body)
+    k, c, m = (a.toarray() for a in model.matrices({"c": 80.0, "s": flexibility * 1e9}))
+    for root in (0.5j, 20j, -3 + 40j, 500j):
+        z = root**2 * m + root * c + k
+        condensed = z[:3, :3] - np.outer(z[:3, 3], z[3, :3]) / z[3, 3]
+        exact = root * 80.0 / (1 + 80.0 * flexibility * root)
+        assert condensed[0, 0] == pytest.approx(K0 + M0 * root**2 + exact, rel=1e-10)
+
+
+def test_sum_of_springs():
+    rows = [np.array([1.0, -1.0, 0.0]), np.array([0.0, 2.0, 0.5])]
+    term = outer_term("two", rows, Monomial(3.0), n_added=2)
+    expected = np.zeros((5, 5))
+    expected[:3, :3] = sum(np.outer(b, b) for b in rows)
+    np.testing.assert_allclose(term.matrix.toarray(), expected)
+    assert term.coefficient({}) == 3.0 and term.name == "two"
+    np.testing.assert_allclose(outer_term("one", [rows[0]], Monomial()).matrix.toarray(), np.outer(rows[0], rows[0]))
+
+
+def test_motions_of_places(body):
+    here, ground = ("body", (0.0, 0.0, 0.0)), ("ground", (3.0, 4.0, 0.0))
+    np.testing.assert_array_equal(motion(body, here, 1), [0, 1, 0])
+    np.testing.assert_array_equal(between(body, here, ground, 2), [0, 0, 1])
+    np.testing.assert_array_equal(between(body, here, here, 2), [0, 0, 0])
+    np.testing.assert_allclose(elongation(body, here, ground), [-0.6, -0.8, 0.0])
+    np.testing.assert_allclose(elongation(body, ground, here), [-0.6, -0.8, 0.0])
