@@ -231,6 +231,11 @@ def test_effects_that_look_alike_are_named_for_each_other(toy):
     assert table.loc["E1", "confounded_with"] == "E3" and table.loc["E0", "confounded_with"] == ""
 
 
+def test_effects_that_look_alike_are_named_although_nothing_is_missing(toy):
+    _, found = found_in(alike(toy(effects=4), "E3", "E1", 0.97), {})
+    assert found.verdict == "nothing_detectable" and confounded_with(found, "E1") == ["E3"]
+
+
 @pytest.mark.parametrize(("strength", "told"), [(0.5, ["E3"]), (5.0, [])])
 def test_effects_somewhat_alike_are_confounded_only_while_weak(toy, strength, told):
     """Correlation 0.85: at a score of 5 the odds to expect are below 20:1, at 40 they are beyond doubt."""

@@ -1,0 +1,77 @@
+"""How often the search for a missing effect is right on the five-mass chain, a model without matrices.
+
+    python tests/benchmarks/chain_rates.py --runs 200
+
+Every run draws springs, damping, the strength of the hidden effect and the scatter anew; seeds are fixed.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import argparse
+import importlib.util
+from collections import Counter
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from calib.missing.explain import Settings, explain
+from calib.questions.function_hypotheses import FunctionHypotheses
+from calib.study import Study
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "studies/five_mass_chain"
+NAMING = ("effect", "indistinguishable", "two_effects")
+COLUMNS = ("right", "with a false one", "rival left in", "none or partial", "nothing", "wrong")
+
+
+def main() -> None:
+    """Run and print the table."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("--runs", type=int, default=200, help="runs of each row (default 200)")
+    given = arguments.parse_args()
+    study, twin = Study.load(FOLDER), _twin()
+    hidden = ["", *(e.name for e in twin.chain_effects() if e.name not in twin.INVISIBLE)]
+    print(f"{'hidden':20s}" + "".join(f"{c:>18s}" for c in COLUMNS) + f"{'calls (mean)':>14s}{'(most)':>8s}")
+    for name in hidden:
+        counts: Counter[str] = Counter()
+        calls = []
+        for seed in range(given.runs):
+            rng = np.random.default_rng([seed, *name.encode()])
+            targets = twin.measure(twin.twin_responses(twin.draw(rng, name)), rng)
+            repeats = study.settings.measurement.repeats
+            asked = FunctionHypotheses(study.model, targets, study.search_space, study.candidates, repeats=repeats)
+            found = explain(asked, Settings(budget=np.inf))
+            counts[_outcome(found.verdict, found.credible, name)] += 1
+            calls.append(found.evaluations)
+        cells = "".join(f"{counts[c]:18d}" for c in COLUMNS)
+        print(f"{name or 'nothing':20s}{cells}{np.mean(calls):14.0f}{max(calls):8d}", flush=True)
+
+
+def _outcome(verdict: str, credible: tuple[str, ...], hidden: str) -> str:
+    if verdict == "nothing_detectable":
+        return "nothing"
+    if verdict not in NAMING:
+        return "none or partial"
+    if hidden not in credible:
+        return "wrong"
+    if len(credible) == 1:
+        return "right"
+    return "with a false one" if verdict == "two_effects" else "rival left in"
+
+
+def _twin() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("five_mass_twin", FOLDER / "make_twin.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,205 @@
+"""The blind studies of the bogie: what they hide is read only once the verdict is written."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib import cli
+from calib.questions.explain import explain
+from calib.results import Results
+from calib.study import Study
+
+ROOT = Path(__file__).resolve().parents[2]
+HIDDEN, NONE, OUTSIDE = "hidden_bogie", "hidden_bogie_none", "hidden_bogie_outside"
+
+
+@pytest.fixture(scope="module")
+def explained(with_basis, tmp_path_factory):
+    """Each explanation once: the folder of its results. None opens a file with a truth."""
+    done, opened = {}, []
+
+    def watch(event, arguments):  # a hook cannot be taken away again: it looks at nothing else
+        if event == "open" and opened and "truth" in str(arguments[0]):
+            opened.append(str(arguments[0]))
+
+    sys.addaudithook(watch)
+
+    def make(name):
+        if name not in done:
+            results = with_basis(Results.at(tmp_path_factory.mktemp("blind"), name))
+            opened.append("watching")
+            explain(Study.load(ROOT / "studies" / name), results)
+            assert opened == ["watching"]
+            opened.clear()
+            done[name] = results.path
+        return done[name]
+
+    return make
+
+
+def written(folder):
+    """Summary, effects, errors by group and stage: what a user has in hands."""
+    summary = json.loads((folder / "explanation.json").read_text("utf-8"))
+    effects = pd.read_csv(folder / "effects.csv", keep_default_na=False, na_values=[""]).set_index("name")
+    errors = pd.read_csv(folder / "errors.csv").set_index(["group", "stage"])
+    return summary, effects, errors
+
+
+def truth(name):
+    return json.loads((ROOT / f"tests/truth/{name}.json").read_text("utf-8"))
+
+
+# -- an effect of the library ------------------------------------------------------------------------------------------
+
+
+def test_the_hidden_effect_is_named_and_no_other(explained):
+    summary, effects, _ = written(explained(HIDDEN))
+    assert summary["verdict"] == "effect" and len(summary["credible_set"]) == 1
+    hidden = truth(HIDDEN)
+    assert summary["credible_set"] == hidden["effects"]
+    (name,) = hidden["effects"]
+    assert effects.index[0] == name and summary["chosen"] == [name]
+    assert effects.loc[name, "posterior"] > 0.95 and effects["credible"].sum() == 1
+    assert effects.drop(name)["ln_bayes"].max() < effects.loc[name, "ln_bayes"] - 3
+    assert f"({name})" in summary["sentence"] and summary["sentence"].count("Best explanation") == 1
+
+
+def test_the_interval_of_the_strength_covers_the_truth(explained):
+    _, effects, _ = written(explained(HIDDEN))
+    hidden = truth(HIDDEN)
+    row = effects.loc[hidden["effects"][0]]
+    strength = hidden["strengths"][hidden["effects"][0]]
+    assert row["phi_low"] <= strength <= row["phi_high"]
+    assert row["phi_high"] - row["phi_low"] < strength and abs(row["phi"] / strength - 1) < 0.2
+
+
+def test_other_parameters_are_found_with_it(explained):
+    """Places of actuators are right, and no parameter is further off than chance."""
+    folder = explained(HIDDEN)
+    strain = pd.read_csv(folder / "strain.csv")
+    hidden = truth(HIDDEN)
+    after = strain[strain["model"] == hidden["effects"][0]].set_index("parameter")
+    off = (after["value"] - pd.Series(hidden["parameters"])[after.index]) / after["prior_sd"]
+    assert len(after) == 10 and (off.abs() < 2.0).all()
+    before = strain[strain["model"] == "base"]
+    assert before["strained"].any() and not after["strained"].any()
+
+
+def test_withheld_data_are_predicted_to_the_noise(explained):
+    _, _, errors = written(explained(HIDDEN))
+    rms, expected, p = errors["rms"], errors["expected"], errors["p"]
+    assert rms["withheld_sensors", "after"] <= 1.10 * expected["withheld_sensors", "after"]
+    assert rms["withheld_sensors", "before"] > 1.5 * expected["withheld_sensors", "before"]
+    assert p["withheld_modes", "after"] > 0.01 and rms["withheld_modes", "after"] < rms["withheld_modes", "before"]
+    assert rms["left_out", "after"] < 0.5 * rms["left_out", "before"]
+    assert p["fit", "before"] < 1e-6 < 0.01 < p["fit", "after"]
+
+
+@pytest.mark.parametrize("name", [HIDDEN, NONE, OUTSIDE])
+def test_the_cost_the_basis_and_the_mesh_are_within_bounds(explained, name):
+    summary, *_ = written(explained(name))
+    assert 0 < summary["evaluations"] <= 150
+    assert 0 < summary["basis_error"] <= 0.05
+    assert 0 < summary["discretisation"] <= 1.0
+    assert any("the discretisation hides and fakes nothing" in note for note in summary["notes"])
+
+
+@pytest.mark.parametrize("name", [HIDDEN, NONE, OUTSIDE])
+def test_the_sentence_tells_what_the_tables_tell(explained, name):
+    folder = explained(name)
+    summary, effects, errors = written(folder)
+    text = summary["sentence"]
+    local = len(set(pd.read_csv(folder / "atoms.csv")["atom"]))
+    assert f"(family-wise over {len(effects)} effects and {local} local changes)" in text
+    assert local == summary["local_changes"] > 100
+    for effect, row in effects[~effects["visible"]].iterrows():
+        unit = "" if row["unit"] == "-" else f" {row['unit']}"
+        hopeless = row["phi_min"] > row["largest"]
+        assert (f"{effect} of any possible" if hopeless else f"{effect} below {row['phi_min']:.2g}{unit}") in text
+    if summary["chosen"] and summary["verdict"] == "effect":
+        row = effects.loc[summary["chosen"][0]]
+        assert f"{row['phi']:.3g} {row['unit']} (95 %: {row['phi_low']:.3g} to {row['phi_high']:.3g}" in text
+        for group, words in (("withheld_sensors", "withheld sensors"), ("withheld_modes", "withheld modes")):
+            before, after = errors["rms"][group, "before"], errors["rms"][group, "after"]
+            assert f"{words} {before:.2f} -> {after:.2f}" in text
+    assert not re.search(r"\bnan\b|R2|R\^2", text)
+
+
+# -- nothing -----------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_named_where_nothing_is_missing(explained):
+    summary, effects, errors = written(explained(NONE))
+    assert summary["verdict"] == "nothing_detectable"
+    assert summary["credible_set"] == [] == summary["chosen"] and not effects["credible"].any()
+    assert truth(NONE)["effects"] == []
+    assert summary["p_family"] > 0.01 and summary["p_fit"] > 0.01
+    assert set(errors.reset_index()["stage"]) == {"before"}
+    assert errors["p"]["withheld_modes", "before"] > 0.01 and errors["p"]["withheld_sensors", "before"] > 0.01
+
+
+def test_what_could_have_been_seen_is_told_for_every_effect(explained):
+    _, effects, _ = written(explained(NONE))
+    assert len(effects) == 16 and effects["phi_min"].notna().all() and (effects["phi_min"] > 0).all()
+    assert effects["visible"].any() and not effects["visible"].all()
+    assert (effects["visible"] == (effects["phi_min"] <= effects["plausible"])).all()
+
+
+# -- something that is in no library -----------------------------------------------------------------------------------
+
+
+def test_what_is_in_no_library_is_named_after_nothing(explained):
+    summary, effects, _ = written(explained(OUTSIDE))
+    assert summary["verdict"] in ("none_explains", "partial")
+    assert summary["credible_set"] == [] and not effects["credible"].any()
+    assert not set(truth(OUTSIDE)["effects"]) & set(effects.index)
+    assert summary["p_family"] <= 0.01 or summary["p_fit"] <= 0.01
+    assert "Best explanation" not in summary["sentence"] and "Look for" not in summary["sentence"]
+    assert "a place to look at, not a cause" in summary["sentence"]
+
+
+def test_the_place_that_is_pointed_at_is_near_what_was_changed(explained):
+    """Rods that are stiffer on the rear axle move the rear axle and its boxes."""
+    folder = explained(OUTSIDE)
+    tried = pd.read_csv(folder / "tried.csv", keep_default_na=False)
+    atoms = pd.read_csv(folder / "atoms.csv", keep_default_na=False).set_index("atom")
+    (place,) = [name for name in tried["effects"] if name in atoms.index]
+    assert truth(OUTSIDE)["effects"] == ["stiff_rear_rods"] and atoms.loc[place, "x"] < 0
+
+
+# -- the next version of the model -------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_extended_model_predicts_withheld_sensors_better(explained, tmp_path, capsys, monkeypatch):
+    """Explain, extend, calibrate by least squares, and the errors over both versions."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "draw_all", lambda *a: [])
+    results = explained(HIDDEN).parent
+    (name,) = written(explained(HIDDEN))[0]["credible_set"]
+    study = str(ROOT / "studies" / HIDDEN)
+    assert cli.answer(["extend", study, name, "--into", "bogie_2"]) == 0
+    text = Path("bogie_2/study.toml").read_text()
+    fast = text.replace("[calibration]", '[calibration]\nmethod = "gauss-newton"', 1)
+    fast = re.sub(r'\n    \{ name = "GB2", seed = 2 \},', "", fast)
+    assert fast.count("seed = 2") == 0 and "gauss-newton" in fast
+    Path("bogie_2/study.toml").write_text(fast)
+    assert cli.answer(["calibrate", "bogie_2", "--results", str(results), "--workers", "1"]) == 0
+    assert cli.answer(["report", "bogie_2", "--results", str(results)]) == 0
+    assert "Errors in units of the scatter over the versions of the model" in capsys.readouterr().out
+    table = pd.read_csv(results / "bogie_2/versions.csv", keep_default_na=False)
+    assert list(table["study"].unique()) == [HIDDEN, "bogie_2"]
+    assert list(table["effects"].unique()) == ["", name]
+    rms, expected = (table.set_index(["group", "version"])[c] for c in ("rms", "expected"))
+    for group in ("fit", "left_out", "withheld_sensors"):
+        assert rms[group, 2] < rms[group, 1]
+    assert rms["withheld_sensors", 2] <= 1.10 * expected["withheld_sensors", 2]
+    values = pd.read_csv(results / "bogie_2/parameters.csv").set_index("parameter")
+    hidden = truth(HIDDEN)
+    assert abs(values.loc[name, "value"] / hidden["strengths"][name] - 1) < 0.2
+    for place in ("pos_long_left", "pos_long_right"):
+        assert values.loc[place, "value"] == hidden["parameters"][place]

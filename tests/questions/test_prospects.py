@@ -1,0 +1,234 @@
+"""What else could be measured: every promise against the problem in which it has been measured."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.measurement.modal import Sensor
+from calib.missing.score import scores
+from calib.missing.state import State, fitted
+from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.library import modal_hypotheses
+from calib.questions.prospects import BENCH, MORE_MODES, modal_prospects
+from calib.results import Results
+from calib.study import Study
+
+EXACT = 1e-3
+CLOSE = 0.02
+"""Scale and phase of a shape are taken from the sensors that are there; a further one would have its say in them."""
+HELD = ("1x", "1z", "3x", "3z", "5x", "5z")
+
+
+@pytest.fixture(scope="module")
+def world(mast, tmp_path_factory):
+    """A mast that lacks nothing, measured with half of the sensors and without the third bending along x."""
+    folder = tmp_path_factory.mktemp("prospects")
+    study = Study.load(mast.write_study(folder / "mast"))
+    hypotheses = modal_hypotheses(study, Results.at(folder / "results", "mast")).hypotheses
+    used = study.measured.without(("B3x",), HELD)
+    clusters = {m: c for m, c in hypotheses.problem.mode_clusters.items() if m in used.names}
+    problem = replace(hypotheses.problem, measured=used, mode_clusters=clusters)
+    hypotheses = ModalHypotheses(problem, hypotheses.variants, hypotheses.space)
+    question = hypotheses.question(())
+    return study, hypotheses, fitted(question, (), question.space.values)
+
+
+def prospects_of(hypotheses, state, withheld=None, scale=1.0):
+    found = scores(state, hypotheses.effects, {})
+    return modal_prospects(hypotheses, state, hypotheses.effects, found, scale, withheld)
+
+
+def measured_again(hypotheses, state, extra=(), more_modes=(), scale=1.0, prior=None):
+    """Scores' sizes in the problem where the fitted model itself has been measured, with more sensors or modes."""
+    question = hypotheses.question(())
+    found, known = question.at(state.values), hypotheses.problem.measured
+    index = [int(j) for j in found.pairing.model_index] + list(more_modes)
+    names = (*known.names, *(f"more {j}" for j in more_modes))
+    sensors = (*known.sensors, *extra)
+    rows = hypotheses.variants.model.sensor_rows(sensors)
+    shapes = rows @ model_modes(hypotheses, state).shapes[:, index]
+    shapes = shapes / np.abs(shapes[: len(known.sensors)]).max(axis=0)
+    scatter = question.inner.scatter
+    freq = found.modes.natural_freq[index]
+    measured = replace(
+        known, names=names, natural_freq=freq, damped_freq=freq, sensors=sensors, shapes=shapes.astype(complex),
+        freq_std=scale * np.sqrt(np.mean(scatter.freq**2)) * freq,
+        shape_std=np.full(shapes.shape, scale * np.sqrt(np.mean(scatter.shape**2))),
+        damping_ratio=np.full(len(names), np.nan), damping_std=np.full(len(names), np.nan),
+    )  # fmt: skip
+    problem = replace(hypotheses.problem, measured=measured)
+    floors = replace(hypotheses.floors, freq=0.0, shape=0.0)
+    space = hypotheses.space
+    for name, sd in (prior or {}).items():
+        space = space.replace(name, prior_sd=sd)
+    other = ModalHypotheses(problem, hypotheses.variants, space, floors)
+    asked = other.question(())
+    there = State(
+        (), asked, state.names, state.values, asked.residual(state.values), -asked.jacobian(state.values, state.names),
+        np.array([space[n].prior_width for n in state.names]), np.zeros(len(state.names)),
+    )  # fmt: skip
+    assert np.abs(there.residual).max() < 1e-6
+    return scores(there, other.effects, {}).size
+
+
+def model_modes(hypotheses, state):
+    return hypotheses.question(()).at(state.values).modes
+
+
+def option_of(prospects, kind):
+    return [o for o in prospects.options if o.kind == kind]
+
+
+def sizes(prospects, option=None):
+    return np.sqrt(np.diag(prospects.seen(option)))
+
+
+def sensors_in(option, first=900):
+    places = re.findall(r"\(([-\d.]+), ([-\d.]+), ([-\d.]+)\) (\w+)", option.name)
+    assert option.name.startswith(f"{len(places)} more sensors at ") and places
+    return tuple(Sensor(first + k, d, (float(x), float(y), float(z)), "mast") for k, (x, y, z, d) in enumerate(places))
+
+
+def test_what_is_seen_now_is_what_the_measured_problem_sees(world):
+    _, hypotheses, state = world
+    np.testing.assert_allclose(sizes(prospects_of(hypotheses, state)), measured_again(hypotheses, state), rtol=EXACT)
+
+
+def test_more_sensors_keep_their_promise(world):
+    _, hypotheses, state = world
+    prospects = prospects_of(hypotheses, state)
+    options, now = option_of(prospects, "sensor"), measured_again(hypotheses, state)
+    assert options
+    for option in options:
+        real = measured_again(hypotheses, state, sensors_in(option))
+        np.testing.assert_allclose(sizes(prospects, option), real, rtol=CLOSE)
+        assert (real >= now * (1 - 1e-6)).all()
+    best = max(options, key=lambda o: (sizes(prospects, o) / sizes(prospects)).max())
+    assert (measured_again(hypotheses, state, sensors_in(best)) / now).max() > 1.1
+
+
+def test_another_mode_keeps_its_promise(world):
+    """Seen by the sensors that are there."""
+    _, hypotheses, state = world
+    prospects = prospects_of(hypotheses, state)
+    options = option_of(prospects, "mode")
+    assert len(options) == MORE_MODES
+    modes, index = model_modes(hypotheses, state), hypotheses.question(()).at(state.values).pairing.model_index
+    free = [j for j in range(modes.n_modes) if j not in index and modes.natural_freq[j] < 100.0]
+    for j, option in zip(free, options, strict=False):
+        assert option.name == f"the mode computed at {modes.natural_freq[j]:.3g} Hz"
+        real = measured_again(hypotheses, state, more_modes=[j])
+        np.testing.assert_allclose(sizes(prospects, option), real, rtol=EXACT)
+
+
+def test_twice_the_repeats_keep_their_promise(world):
+    _, hypotheses, state = world
+    prospects = prospects_of(hypotheses, state)
+    (option,) = option_of(prospects, "repeats")
+    real = measured_again(hypotheses, state, scale=1 / np.sqrt(2))
+    np.testing.assert_allclose(sizes(prospects, option), real, rtol=EXACT)
+    gain = sizes(prospects, option) / sizes(prospects)
+    assert (gain > 1.2).all() and (gain <= np.sqrt(2) + 1e-9).all()
+
+
+def test_a_test_of_a_part_keeps_its_promise(world):
+    _, hypotheses, state = world
+    prospects = prospects_of(hypotheses, state)
+    options = option_of(prospects, "bench")
+    assert [next(iter(o.prior_sd)) for o in options] == [
+        name for name in state.names if BENCH * hypotheses.space[name].value < hypotheses.space[name].prior_width
+    ]
+    for option in options:
+        ((name, sd),) = option.prior_sd.items()
+        p = hypotheses.space[name]
+        assert (
+            sd == pytest.approx(0.03 * p.value) and option.name == f"{p.description} ({name}) tested by itself to 3 %"
+        )
+        real = measured_again(hypotheses, state, prior={name: sd})
+        np.testing.assert_allclose(sizes(prospects, option), real, rtol=EXACT)
+
+
+def test_a_part_that_is_known_better_need_not_be_tested(world):
+    _, hypotheses, state = world
+    names = [next(iter(o.prior_sd)) for o in option_of(prospects_of(hypotheses, state), "bench")]
+    assert "E" not in names and {"m_top", "K_base"} <= set(names)  # E is known to 6 of 210 GPa
+
+
+def test_no_option_lowers_a_score(world):
+    _, hypotheses, state = world
+    prospects = prospects_of(hypotheses, state)
+    for option in prospects.options:
+        assert (sizes(prospects, option) >= sizes(prospects) * (1 - 1e-9)).all(), option.name
+
+
+def test_a_larger_scatter_lowers_all_scores_alike_but_for_priors(world):
+    _, hypotheses, state = world
+    one, two = (sizes(prospects_of(hypotheses, state, scale=s)) for s in (1.0, 2.0))
+    assert (two < one).all() and (two >= one / 2 * (1 - 1e-9)).all()
+    assert (two < one / 2 * 1.5).all()
+
+
+def test_further_sensors_are_where_none_is_and_can_move(world):
+    _, hypotheses, state = world
+    known = {s.name for s in hypotheses.problem.measured.sensors}
+    heights = {s.point[1] for s in hypotheses.problem.measured.sensors}
+    for option in option_of(prospects_of(hypotheses, state), "sensor"):
+        for s in sensors_in(option):
+            assert s.point[1] not in heights and s.name not in known
+            assert np.abs(hypotheses.variants.model.sensor_rows([s])).max() > 0
+
+
+def test_without_shapes_no_sensor_is_advised(world):
+    _, hypotheses, _ = world
+    measured = hypotheses.problem.measured
+    bare = replace(
+        measured, sensors=(), shapes=np.zeros((0, measured.n_modes)), shape_std=np.zeros((0, measured.n_modes))
+    )
+    other = ModalHypotheses(replace(hypotheses.problem, measured=bare), hypotheses.variants, hypotheses.space)
+    question = other.question(())
+    prospects = prospects_of(other, fitted(question, (), question.space.values))
+    kinds = {o.kind for o in prospects.options}
+    assert kinds == {"repeats", "mode", "bench"} and prospects.measured.sum() == measured.n_modes
+
+
+# -- modes that were withheld ------------------------------------------------------------------------------------------
+
+
+def test_a_withheld_mode_is_named_as_such(world):
+    study, hypotheses, state = world
+    freq = study.measured.natural_freq[study.measured.names.index("B3x")]
+    names = [o.name for o in option_of(prospects_of(hypotheses, state, {"B3x": freq}), "mode")]
+    assert names.count("mode B3x, withheld so far") == 1
+    assert all(n.startswith("the mode computed at ") for n in names if "B3x" not in n)
+
+
+@pytest.mark.parametrize("withheld", [{"B3x": 1.0}, {"B3x": 40.5, "B3y": 40.0}])
+def test_a_mode_far_from_a_withheld_one_or_near_two_is_told_by_its_frequency(world, withheld):
+    study, hypotheses, state = world
+    freq = study.measured.natural_freq[study.measured.names.index("B3x")]
+    withheld = {name: f * freq / 40.0 for name, f in withheld.items()}
+    names = [o.name for o in option_of(prospects_of(hypotheses, state, withheld), "mode")]
+    assert all(n.startswith("the mode computed at ") for n in names)
+
+
+# -- effects with a grid -----------------------------------------------------------------------------------------------
+
+
+def test_the_fingerprint_of_an_effect_with_a_grid_is_taken_where_it_speaks(world):
+    """At the point of its grid with the largest score, by difference; for a tiny strength that is the derivative."""
+    _, hypotheses, state = world
+    (plain,) = [e for e in hypotheses.effects if e.name == "platform"]
+    gridded = replace(plain, grid=({"platform": 60.0}, {"platform": 1e-4}))
+    effects = tuple(gridded if e is plain else e for e in hypotheses.effects)
+    other = replace(hypotheses, variants=replace(hypotheses.variants, effects=effects))
+    found = scores(state, effects, {"platform": other.question(("platform",))})
+    k = effects.index(gridded)
+    derivative = prospects_of(hypotheses, state).columns[:, k]
+    for strength in (60.0, 1e-4):
+        column = next(j for j, p in enumerate(found.points) if p == {"platform": strength})
+        told = replace(found, z=np.where(np.arange(len(found.z)) == column, 99.0, found.z))
+        here = modal_prospects(other, state, effects, told, 1.0).columns[:, k]
+        close = np.linalg.norm(here - derivative) / np.linalg.norm(derivative)
+        assert close < 0.01 if strength < 1 else close > 0.05

@@ -1,0 +1,104 @@
+"""Errors over the versions of a model: the study as it is, and those it was extended from."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib.questions.extend import extend
+from calib.questions.versions import COLUMNS, MOST, write_versions
+from calib.results import Results
+from calib.study import Study
+
+GROUPS = ("fit", "left_out", "withheld_sensors")
+
+
+@pytest.fixture
+def chain(mast, tmp_path):
+    """A study, and two made from it with one effect more each."""
+    first = Study.load(mast.write_study(tmp_path / "mast"))
+    second = Study.load(extend(first, "platform", tmp_path / "mast_2").file)
+    third = Study.load(extend(second, "guy", tmp_path / "mast_3").file)
+    return first, second, third
+
+
+def answers(root: Path, name: str, size: float, table="data_errors"):
+    """Errors as a calibration or an explanation writes them."""
+    rows = [(group, 10, size + k, 1.0, 0.5, 0) for k, group in enumerate(GROUPS)]
+    frame = pd.DataFrame(rows, columns=["group", "rows", "rms", "expected", "p", "unpaired"])
+    if table == "errors":
+        frame = pd.concat([frame.assign(stage="before"), frame.assign(stage="after", rms=0.1)])
+    Results.at(root, name).write_table(table, frame)
+
+
+def test_versions_come_oldest_first_with_their_effects(chain, tmp_path):
+    root = tmp_path / "results"
+    for k, study in enumerate(chain):
+        answers(root, study.name, 5.0 - k)
+    table = write_versions(chain[-1], root)
+    assert list(table.columns) == list(COLUMNS)
+    assert list(table["version"]) == [1, 1, 1, 2, 2, 2, 3, 3, 3]
+    assert list(table["study"].unique()) == ["mast", "mast_2", "mast_3"]
+    assert list(table["effects"].unique()) == ["", "platform", "platform + guy"]
+    assert list(table.loc[table["group"] == "fit", "rms"]) == [5.0, 4.0, 3.0]
+    written = pd.read_csv(root / "mast_3/versions.csv", keep_default_na=False)
+    pd.testing.assert_frame_equal(written, table)
+    middle = write_versions(chain[1], root)
+    assert list(middle["study"].unique()) == ["mast", "mast_2"]
+
+
+def test_a_version_that_was_only_explained_counts_with_its_base_model(chain, tmp_path):
+    root = tmp_path / "results"
+    answers(root, "mast", 5.0, "errors")
+    answers(root, "mast_2", 4.0)
+    answers(root, "mast_2", 7.0, "errors")  # its calibration goes first
+    table = write_versions(chain[-1], root)
+    assert list(table["study"].unique()) == ["mast", "mast_2"]
+    assert list(table.loc[table["group"] == "fit", "rms"]) == [5.0, 4.0]
+    assert 0.1 not in set(table["rms"])
+
+
+def test_a_version_without_answers_is_left_out_and_keeps_its_number(chain, tmp_path):
+    root = tmp_path / "results"
+    answers(root, "mast", 5.0)
+    answers(root, "mast_3", 3.0)
+    assert list(write_versions(chain[-1], root)["version"].unique()) == [1, 3]
+
+
+def test_without_any_answer_nothing_is_written(chain, tmp_path):
+    table = write_versions(chain[-1], tmp_path / "results")
+    assert table.empty and list(table.columns) == list(COLUMNS)
+    assert not list(tmp_path.rglob("versions.csv"))
+
+
+def test_a_study_that_comes_from_no_other_has_no_versions(chain, tmp_path):
+    answers(tmp_path / "results", "mast", 5.0)
+    table = write_versions(chain[0], tmp_path / "results")
+    assert table.empty and not list(tmp_path.rglob("versions.csv"))
+
+
+def test_an_ancestor_that_is_gone_ends_the_line(chain, tmp_path):
+    root = tmp_path / "results"
+    for study in chain:
+        answers(root, study.name, 5.0)
+    (tmp_path / "mast_2/study.toml").unlink()
+    assert write_versions(chain[-1], root).empty
+
+
+def test_a_circle_ends(chain, tmp_path):
+    root = tmp_path / "results"
+    for study in chain:
+        answers(root, study.name, 5.0)
+    file = tmp_path / "mast/study.toml"
+    file.write_text(f'extended_from = "../mast_3"\n{file.read_text()}')
+    table = write_versions(chain[-1], root)
+    assert table["version"].max() <= MOST
+
+
+def test_an_ancestor_may_be_a_study_file_of_another_name(mast, tmp_path):
+    folder = mast.write_study(tmp_path / "mast")
+    (folder / "study.toml").rename(folder / "second.toml")
+    new = Study.load(extend(Study.load(folder / "second.toml"), "guy", tmp_path / "mast_2").file)
+    for name in ("mast", "mast_2"):
+        answers(tmp_path / "results", name, 5.0)
+    assert list(write_versions(new, tmp_path / "results")["study"].unique()) == ["mast", "mast_2"]

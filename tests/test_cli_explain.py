@@ -1,0 +1,354 @@
+"""``calib explain``, ``calib extend`` and ``calib report`` as a user meets them."""
+
+import importlib.util
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib import cli
+from calib.questions import library
+
+ROOT = Path(__file__).resolve().parent.parent
+CHAIN = str(ROOT / "studies/five_mass_chain")
+FIGURES = {
+    "where_it_fails_sigma", "sensor_misfit", "atom_map", "parameters_under_strain", "ranked_effects", "confounding",
+    "errors_before_after", "next_measurement",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def write_study():
+    """See `tests/template/mast_effects.py`."""
+    spec = importlib.util.spec_from_file_location("mast_effects", ROOT / "tests/template/mast_effects.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["mast_effects"] = module
+    spec.loader.exec_module(module)
+    return module.write_study
+
+
+@pytest.fixture
+def drawn():
+    """Asked for by tests about figures."""
+
+
+@pytest.fixture(autouse=True)
+def undrawn(request, monkeypatch):
+    """Figures take longest; most tests are not about them."""
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr(cli, "draw_all", lambda *a: [])
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def mast(here, write_study):
+    """A mast with a guy rope that its model lacks."""
+    return write_study(Path("mast"), {"guy": 9000.0})
+
+
+def edit(folder, old, new):
+    text = (folder / "study.toml").read_text()
+    assert old in text
+    (folder / "study.toml").write_text(text.replace(old, new, 1))
+
+
+def explanation(name="mast"):
+    return json.loads(Path("results", name, "explanation.json").read_text())
+
+
+def files(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in Path(folder).rglob("*") if p.is_file()}
+
+
+# -- explain -----------------------------------------------------------------------------------------------------------
+
+
+def test_explain_tells_and_writes_the_verdict(mast, capsys):
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    told = explanation()
+    assert "A mast that may lack something: explain  [synthetic measurement]" in out
+    assert "\neffect\n" in out and told["sentence"] in out and told["verdict"] == "effect"
+    assert all(note in out for note in told["notes"]) and len(told["notes"]) == 1
+    assert f"{told['evaluations']} model evaluations" in out
+    assert "z is a score and no probability" in out
+    assert "Add it with: calib extend mast guy --into FOLDER" in out
+    table = pd.read_csv("results/mast/effects.csv")
+    line = next(line for line in out.splitlines() if line.startswith("guy "))
+    for number in (
+        f"{table['z'][0]:.1f}",
+        f"{table['ln_bayes'][0]:.1f}",
+        f"{table['gamma'][0]:.2f}",
+        f"{table['phi'][0]:.3g}",
+    ):
+        assert number in line
+    errors = pd.read_csv("results/mast/errors.csv")
+    for row in errors.to_dict("records"):
+        (line,) = [x.split() for x in out.splitlines() if x.split()[:2] == [row["group"], row["stage"]]]
+        assert line[2:5] == [str(row["rows"]), f"{row['rms']:.2f}", f"{row['expected']:.2f}"]
+
+
+def test_explain_draws_a_figure_beside_every_table(mast, drawn, capsys):
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert {p.stem for p in Path("results/mast").glob("*.png")} == FIGURES
+    for name in FIGURES:
+        assert f"{name}.png" in out and Path(f"results/mast/{name}.png").stat().st_size > 5000
+
+
+def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(mast):
+    edit(mast, "[calibration]", "[explain]\nfiner_options = { element_size = 0.1 }\n\n[calibration]")
+    assert cli.answer(["explain", "mast"]) == 0
+    assert set(explanation()) == {
+        "study", "synthetic", "verdict", "sentence", "notes", "p_family", "p_fit", "credible_set", "effects", "chosen",
+        "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations", "errors",
+        "basis_error", "discretisation", "seconds",
+    }  # fmt: skip
+    assert set(explanation()["effects"][0]) == {
+        "name", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "ln_bayes", "posterior", "heldout_gain",
+        "implausible", "confounded_with",
+    }  # fmt: skip
+
+
+def test_nothing_missing_is_told_without_a_name(here, write_study, capsys):
+    write_study(Path("mast"))
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "\nnothing_detectable\n" in out and "Nothing detectable is missing" in out
+    assert "calib extend" not in out and explanation()["credible_set"] == []
+
+
+def test_two_effects_are_told_without_offering_one_of_them(here, write_study, capsys):
+    write_study(Path("mast"), {"platform": 25.0, "stuck_base": 0.6})
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "\ntwo_effects\n" in out and "before and after with platform and stuck_base" in out
+
+
+def test_explain_twice_gives_the_same_bytes_and_trains_no_second_basis(mast, monkeypatch, capsys):
+    monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
+    assert cli.answer(["explain", "mast"]) == 0
+    first = {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}
+    assert any(p.suffix == ".npz" for p in first)
+    monkeypatch.setattr(library, "train_basis", lambda *a, **k: pytest.fail("a basis is there"))
+    before = explanation()
+    assert cli.answer(["explain", "mast"]) == 0
+    assert first == {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}
+    assert explanation() | {"seconds": 0} == before | {"seconds": 0}
+
+
+def test_explain_on_a_basis_says_the_same(mast, monkeypatch):
+    assert cli.answer(["explain", "mast", "--results", "full"]) == 0
+    monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
+    assert cli.answer(["explain", "mast", "--results", "reduced"]) == 0
+    full, reduced = (json.loads(Path(k, "mast/explanation.json").read_text()) for k in ("full", "reduced"))
+    assert 0 < reduced["basis_error"] < 0.05 and full["basis_error"] == pytest.approx(0.0, abs=1e-9)
+    assert reduced["verdict"] == full["verdict"] and reduced["credible_set"] == full["credible_set"]
+    one, other = (pd.read_csv(f"{k}/mast/effects.csv").set_index("name") for k in ("full", "reduced"))
+    assert (one["z"] - other["z"][one.index]).abs().max() < 0.1
+
+
+def test_withheld_data_are_told_and_enter_no_fit(mast, capsys):
+    edit(mast, "modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x"]')
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "Withheld, never fitted: modes B3x; sensors 2x." in out
+    assert explanation()["errors"]["withheld_modes"]["after"] < explanation()["errors"]["withheld_modes"]["before"]
+    assert "mode B3x, withheld so far" in set(pd.read_csv("results/mast/next_measurement.csv")["option"])
+    misfit = pd.read_csv("results/mast/sensor_misfit.csv")
+    assert "B3x" not in set(misfit["mode"]) and "2x" not in set(misfit["sensor"])
+
+
+def test_without_repeats_a_note_says_which_scatter_is_assumed(here, write_study, capsys):
+    folder = write_study(Path("mast"))
+    for name, drop in (("modes.csv", "freq_std"), ("shapes.csv", "std")):
+        pd.read_csv(folder / name, comment="#").drop(columns=drop).to_csv(folder / name, index=False)
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "There are no repeats and no standard deviations: a scatter of 0.5 % of frequencies" in out
+    assert "Probabilities are as good as this assumption." in explanation()["notes"][0]
+
+
+def test_frequencies_alone_can_be_explained(here, write_study, capsys):
+    folder = write_study(Path("mast"), {"guy": 9000.0})
+    edit(folder, 'shapes = ["shapes.csv"]\n', "")
+    edit(folder, 'sensors = "sensors.csv"\n', "")
+    assert cli.answer(["explain", "mast"]) == 0
+    assert explanation()["errors"]["withheld_sensors"] == {"before": None, "after": None}
+    assert explanation()["local_changes"] == 4  # parts; there are no sensors to change anything at
+    assert explanation()["measured_noise_scale"] is None
+
+
+def test_run_explains_where_effects_are_named(mast, capsys):
+    edit(mast, "[calibration]", "[sensitivity]\nsamples = 20\nseed = 1\n\n[calibration]")
+    assert cli.answer(["run", "mast", "--workers", "1"]) == 0
+    out = capsys.readouterr().out
+    assert out.index(": calibrate") < out.index(": explain") and "\neffect\n" in out
+    edit(mast, 'effects = "effects.py:library"\n', "")
+    shutil.rmtree("results")
+    assert cli.answer(["run", "mast", "--workers", "1"]) == 0
+    assert ": explain" not in capsys.readouterr().out and not Path("results/mast/explanation.json").exists()
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+
+
+def refused(arguments, capsys, *words):
+    """Exit code 2, one sentence with all words, nothing but empty folders behind."""
+    capsys.readouterr()
+    assert cli.answer(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and said.startswith("calib: ") and "Traceback" not in said
+    for word in words:
+        assert word in said, said
+    assert not Path("calib-error.log").exists()
+    assert files("results") == {} if Path("results").exists() else True
+    return said
+
+
+def test_a_study_without_effects(mast, capsys):
+    edit(mast, 'effects = "effects.py:library"\n', "")
+    refused(["explain", "mast"], capsys, "names no effects", "add effects = ")
+
+
+def test_a_study_whose_model_has_all_effects(mast, capsys):
+    edit(mast, "selection =", 'with_effects = ["lamp", "platform", "guy", "stuck_base"]\nselection =')
+    refused(["explain", "mast"], capsys, "every effect of the library is in the model already", "study.toml")
+
+
+@pytest.mark.xfail(strict=True, reason="the error has no remedy")
+def test_a_study_whose_model_has_all_effects_is_told_what_to_do(mast, capsys):
+    edit(mast, "selection =", 'with_effects = ["lamp", "platform", "guy", "stuck_base"]\nselection =')
+    refused(["explain", "mast"], capsys, "already; ")
+
+
+@pytest.mark.parametrize("held", [["B2z", "B3x", "B3z"], ["B1x", "B1z", "B2x", "B2z", "B3x"]])
+def test_too_few_modes(mast, capsys, held):
+    edit(mast, "modes = []", f"modes = {json.dumps(held)}")
+    refused(["explain", "mast"], capsys, f"{6 - len(held)} measured modes cannot tell", "measure at least 4")
+
+
+@pytest.mark.xfail(strict=True, reason="the basis is trained and kept first")
+def test_too_few_modes_are_told_before_a_basis_is_trained(mast, capsys, monkeypatch):
+    monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
+    edit(mast, "modes = []", 'modes = ["B2z", "B3x", "B3z"]')
+    refused(["explain", "mast"], capsys, "measure at least 4")
+
+
+def test_an_unknown_library(mast, capsys):
+    edit(mast, "effects.py:library", "effects.py:nothing")
+    refused(["explain", "mast"], capsys, "nothing", "study.toml")
+
+
+def test_an_effect_that_builds_nonsense(mast, capsys):
+    text = (mast / "effects.py").read_text()
+    broken = text.replace("return Addition(", "return dict(")
+    assert broken != text
+    (mast / "effects.py").write_text(broken)
+    refused(["explain", "mast"], capsys, "effect ", "return an Addition")
+
+
+def test_a_finer_mesh_that_cannot_be_built(mast, capsys):
+    edit(mast, "[calibration]", "[explain]\nfiner_options = { elements = 3 }\n\n[calibration]")
+    refused(["explain", "mast"], capsys, "elements")
+
+
+def test_results_that_cannot_be_written(mast, capsys):
+    Path("taken").write_text("a file, not a folder")
+    refused(["explain", "mast", "--results", "taken"], capsys, "cannot be written")
+
+
+def test_an_unknown_effect_is_no_extension(mast, capsys):
+    before = files(".")
+    refused(
+        ["extend", "mast", "gui", "--into", "mast_2"], capsys, "unknown effect 'gui'", "platform, lamp, guy, stuck_base"
+    )
+    assert not Path("mast_2").exists() and files(".") == before and not list(Path().glob(".calib*"))
+
+
+def test_an_effect_in_the_model_is_no_extension(mast, capsys):
+    assert cli.answer(["extend", "mast", "guy", "--into", "mast_2"]) == 0
+    refused(["extend", "mast_2", "guy", "--into", "mast_3"], capsys, "in the model already", "the effects it lacks are")
+    assert not Path("mast_3").exists()
+
+
+def test_no_results_are_no_report(mast, capsys):
+    refused(["report", "mast"], capsys, "there are no results to draw", "calib run mast")
+
+
+# -- from one version to the next --------------------------------------------------------------------------------------
+
+
+def test_report_draws_the_explanation_from_tables_alone(mast, drawn, monkeypatch):
+    assert cli.answer(["explain", "mast"]) == 0
+    before = {p: b for p, b in files("results/mast").items() if p.suffix != ".png"}
+    for figure in Path("results/mast").glob("*.png"):
+        figure.unlink()
+    monkeypatch.setattr("calib.correlation.problem.ModalProblem.compare", lambda *a: pytest.fail("it solved"))
+    assert cli.answer(["report", "mast"]) == 0
+    assert {p.stem for p in Path("results/mast").glob("*.png")} == FIGURES
+    assert before == {p: b for p, b in files("results/mast").items() if p.suffix != ".png"}
+
+
+def test_the_extended_model_lacks_nothing_more_and_its_errors_fall(mast, capsys):
+    """Explain, extend, calibrate, explain again, report."""
+    edit(mast, "modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
+    assert cli.answer(["explain", "mast"]) == 0
+    (name,) = explanation()["credible_set"]
+    assert cli.answer(["extend", "mast", name, "--into", "mast_2"]) == 0
+    assert cli.answer(["calibrate", "mast_2", "--workers", "1"]) == 0
+    assert cli.answer(["explain", "mast_2"]) == 0
+    again = explanation("mast_2")
+    assert again["verdict"] == "nothing_detectable" and name not in {e["name"] for e in again["effects"]}
+    capsys.readouterr()
+    assert cli.answer(["report", "mast_2"]) == 0
+    assert "Errors in units of the scatter over the versions of the model:" in capsys.readouterr().out
+    table = pd.read_csv("results/mast_2/versions.csv", keep_default_na=False)
+    assert list(table["study"].unique()) == ["mast", "mast_2"] and list(table["effects"].unique()) == ["", "guy"]
+    rms = table.set_index(["group", "study"])["rms"]
+    for group in ("fit", "left_out", "withheld_modes"):
+        assert rms[group, "mast_2"] < rms[group, "mast"]
+    # What the calibration of the extended model finds is what the explanation had found.
+    values = pd.read_csv("results/mast_2/parameters.csv").set_index("parameter")["value"]
+    first = pd.read_csv("results/mast/effects.csv").set_index("name")["phi"]
+    assert values[name] == pytest.approx(first[name], rel=0.01)
+
+
+# -- without matrices --------------------------------------------------------------------------------------------------
+
+
+def test_the_chain_is_explained_and_extended(here, capsys):
+    truth = json.loads((ROOT / "tests/truth/five_mass_chain.json").read_text("utf-8"))
+    assert cli.answer(["explain", CHAIN]) == 0
+    out = capsys.readouterr().out
+    told = explanation("five_mass_chain")
+    assert told["verdict"] == "effect" and told["credible_set"] == [truth["effect"]] and told["sentence"] in out
+    assert set(told) >= {"failed", "verdict", "credible_set"} and told["failed"] == 0
+    row = pd.read_csv("results/five_mass_chain/effects.csv").iloc[0]
+    assert row["phi_low"] <= truth["strength"][truth["effect"]] <= row["phi_high"]
+    assert cli.answer(["extend", CHAIN, truth["effect"], "--into", "chain_2"]) == 0
+    assert cli.answer(["explain", "chain_2"]) == 0
+    assert explanation("chain_2")["verdict"] == "nothing_detectable"
+    assert truth["effect"] not in {e["name"] for e in explanation("chain_2")["effects"]}
+
+
+def test_the_chain_explained_twice_gives_the_same_bytes(here):
+    assert cli.answer(["explain", CHAIN]) == 0
+    first = {p: b for p, b in files("results/five_mass_chain").items() if p.suffix == ".csv"}
+    assert cli.answer(["explain", CHAIN]) == 0
+    assert first == {p: b for p, b in files("results/five_mass_chain").items() if p.suffix == ".csv"}
+
+
+def test_figures_of_the_chain_are_those_that_need_no_structure(here, drawn):
+    assert cli.answer(["explain", CHAIN]) == 0
+    assert {p.stem for p in Path("results/five_mass_chain").glob("*.png")} == {
+        "where_it_fails_sigma", "parameters_under_strain", "ranked_effects", "confounding", "errors_before_after",
+    }  # fmt: skip
