@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from calib.missing.verdict import rounded
 from calib.questions.calibrate import Calibration
 from calib.questions.compare import Answer
 from calib.questions.explain import Explanation
@@ -197,7 +198,7 @@ def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None
     for r in answer.effects.to_dict("records"):
         unit = "" if r["unit"] == "-" else f" {r['unit']}"
         phi = f"{r['phi']:.3g} [{r['phi_low']:.3g}, {r['phi_high']:.3g}]{unit}" if r["refitted"] else ""
-        least = f"{r['phi_min']:.2g}{unit}" + ("" if r["visible"] else ", not visible")
+        least = f"{rounded(r['phi_min'])}{unit}" + ("" if r["visible"] else ", not visible")
         remark = "credible" if r["credible"] else r["implausible"]
         numbers = (_number(r["z"], 1), f"{r['ln_bayes']:.1f}" + ("" if r["refitted"] else " (linear)"))
         rows.append((r["name"], *numbers, _number(r["gamma"], 2), phi, least, remark))

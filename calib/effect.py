@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from calib.errors import InputError
-from calib.space import Parameter
+from calib.space import Parameter, ParameterSpace
 
 
 @dataclass(frozen=True)
@@ -98,3 +98,11 @@ class Effect:
     def plausible(self) -> float:
         """A large but plausible strength, in its own unit."""
         return self.strength.prior_width
+
+    def require_new(self, space: ParameterSpace, model: str) -> None:
+        """InputError when a model of that name and space has one of its parameters already."""
+        for p in self.parameters:
+            if p.name in space:
+                raise InputError(
+                    f"the model {model} has {p.name!r} already", place=f"effect {self.name}", remedy="leave it out"
+                )

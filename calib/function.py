@@ -56,12 +56,7 @@ def extend_function(model: FunctionModel, effects: Sequence[Effect]) -> Function
         When an effect is in the model already, or builds no function.
     """
     for effect in effects:
-        for p in effect.parameters:
-            if p.name in model.space:
-                raise InputError(
-                    f"the model {model.name} has {p.name!r} already", place=f"effect {effect.name}",
-                    remedy="leave it out",
-                )  # fmt: skip
+        effect.require_new(model.space, model.name)
         built = effect.build(model)
         if built is not None and not callable(built):
             raise InputError(

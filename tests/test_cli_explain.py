@@ -224,7 +224,6 @@ def test_a_study_whose_model_has_all_effects(mast, capsys):
     refused(["explain", "mast"], capsys, "every effect of the library is in the model already", "study.toml")
 
 
-@pytest.mark.xfail(strict=True, reason="the error has no remedy")
 def test_a_study_whose_model_has_all_effects_is_told_what_to_do(mast, capsys):
     edit(mast, "selection =", 'with_effects = ["lamp", "platform", "guy", "stuck_base"]\nselection =')
     refused(["explain", "mast"], capsys, "already; ")
@@ -236,7 +235,6 @@ def test_too_few_modes(mast, capsys, held):
     refused(["explain", "mast"], capsys, f"{6 - len(held)} measured modes cannot tell", "measure at least 4")
 
 
-@pytest.mark.xfail(strict=True, reason="the basis is trained and kept first")
 def test_too_few_modes_are_told_before_a_basis_is_trained(mast, capsys, monkeypatch):
     monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
     edit(mast, "modes = []", 'modes = ["B2z", "B3x", "B3z"]')

@@ -141,7 +141,7 @@ def _odds(effects: tuple[str, ...], matrix: np.ndarray, strengths: Sequence[floa
 
 
 def _in_words(ln_odds: float) -> str:
-    return f"{math.exp(ln_odds):.2g}:1" if ln_odds < math.log(1e4) else "over 10,000:1"
+    return f"{float(f'{math.exp(ln_odds):.2g}'):g}:1" if ln_odds < math.log(1e4) else "over 10,000:1"
 
 
 def advice_sentence(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Sequence[str]) -> str:

@@ -84,12 +84,8 @@ def explain(
     if not hypotheses.effects:
         raise InputError("there is no effect to look for", place="explain", remedy="name a library with effects = ...")
     modes = {row.mode for row in hypotheses.rows if row.mode}
-    if modes and len(modes) < LEAST_MODES:
-        raise InputError(
-            f"{len(modes)} measured modes cannot tell a missing effect from a parameter",
-            place="explain",
-            remedy=f"measure at least {LEAST_MODES}, or withhold fewer",
-        )
+    if modes:
+        require_modes(len(modes))
     # What was asked before is not charged to this decision, which must not depend on it.
     settings = replace(settings, budget=settings.budget + hypotheses.evaluations)
     found = _Round(hypotheses, settings, 1.0, progress).findings({})
@@ -100,6 +96,16 @@ def explain(
         verdict = "noise_underestimated" if again.verdict == "nothing_detectable" else again.verdict
         found = replace(again, verdict=verdict)
     return found
+
+
+def require_modes(count: int) -> None:
+    """InputError when so many measured modes are too few to name anything."""
+    if count < LEAST_MODES:
+        raise InputError(
+            f"{count} measured modes cannot tell a missing effect from a parameter",
+            place="explain",
+            remedy=f"measure at least {LEAST_MODES}, or withhold fewer",
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from scipy import stats
 
 from calib.effect import Effect
 from calib.missing.state import State
+from calib.space import Parameter
 
 STRAIN = 0.01
 """Family-wise level at which a parameter counts as strained."""
@@ -53,11 +54,15 @@ def implausible(state: State, added: Sequence[Effect]) -> str:
         p, value = effect.strength, state.values[effect.name]
         span = p.upper - p.lower
         if p.upper - value <= _AT * span or (effect.signed and value - p.lower <= _AT * span):
-            reasons.append(f"{effect.name} is on its limit of {value:.4g} {p.unit}")
+            reasons.append(f"{effect.name} is on its limit of {_with_unit(value, p)}")
         for q in effect.nuisance:
             here = state.values[q.name]
             if not (q.lower + _AT * (q.upper - q.lower) < here < q.upper - _AT * (q.upper - q.lower)):
-                reasons.append(f"{q.name} is on its limit of {here:.4g} {q.unit}")
+                reasons.append(f"{q.name} is on its limit of {_with_unit(here, q)}")
             elif abs(here - q.value) > NUISANCE * q.prior_width:
-                reasons.append(f"{q.name} = {here:.4g} {q.unit} is far from {q.value:.4g}")
+                reasons.append(f"{q.name} = {_with_unit(here, q)} is far from {q.value:.4g}")
     return "; ".join(reasons)
+
+
+def _with_unit(value: float, p: Parameter) -> str:
+    return f"{value:.4g}" if p.unit == "-" else f"{value:.4g} {p.unit}"

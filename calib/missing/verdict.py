@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import pandas as pd
 
+from calib.effect import Effect
 from calib.missing.findings import Findings
 
 _LEAST = 1 / 4000
@@ -45,6 +46,11 @@ def sentence(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advic
     if found.verdict in ("effect", "indistinguishable", "two_effects", "partial"):
         parts.append("Explanations outside the library cannot be excluded.")
     return " ".join(part for part in parts if part)
+
+
+def rounded(value: float) -> str:
+    """Two significant digits without an exponent where that reads better."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def _chance(p: float) -> str:
@@ -91,6 +97,10 @@ def _look_for(found: Findings) -> list[str]:
     return ["Look for: " + " ".join(e.look_for for e in chosen)]
 
 
+def _effects(found: Findings) -> tuple[Effect, ...]:
+    return tuple(g.effect for g in found.groups)
+
+
 def _clean(found: Findings) -> str:
     assert found.chosen_check is not None
     return f"After adding it nothing organised is left ({_p(found.chosen_check.p_family)})."
@@ -114,8 +124,9 @@ def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
     named = "; or ".join(f"{_titled(effects, n)}, {_strength(effects, n)}" for n in rows["name"])
     return [
         f"Something is missing: {_family(found)}.",
-        f"These data cannot tell between: {named}. The odds of the first against the second are {odds:.2g}:1.",
+        f"These data cannot tell between: {named}. The odds of the first against the second are {rounded(odds)}:1.",
         _clean(found),
+        "Look for: " + " Or: ".join(e.look_for for n in rows["name"] for e in _effects(found) if e.name == n),
     ]
 
 
@@ -143,7 +154,9 @@ def _rest(found: Findings) -> str:
         return ""
     better = found.chosen is None or atom.ln_evidence > found.chosen.ln_evidence
     words = "fits better than every listed effect" if better else "is where an unnamed local change would help most"
-    return f"A change of the {atom.effects[0].title} {words}; that is a place to look at, not a cause."
+    title = atom.effects[0].title
+    what = f"A {title}" if title.startswith("change of ") else f"A change of the {title}"
+    return f"{what} {words}; that is a place to look at, not a cause."
 
 
 def _partial(found: Findings, effects: pd.DataFrame) -> list[str]:
@@ -207,5 +220,7 @@ def _unseen(effects: pd.DataFrame) -> list[str]:
     for row in effects[~effects["visible"].astype(bool)].to_dict("records"):
         unit, least = "" if row["unit"] == "-" else f" {row['unit']}", float(row["phi_min"])
         possible = least <= float(row["largest"])
-        told.append(f"{row['name']} below {least:.2g}{unit}" if possible else f"{row['name']} of any possible strength")
+        told.append(
+            f"{row['name']} below {rounded(least)}{unit}" if possible else f"{row['name']} of any possible strength"
+        )
     return ["Not visible with these data: " + ", ".join(told) + "."] if told else []

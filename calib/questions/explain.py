@@ -27,7 +27,7 @@ from calib.missing.tables import (
     strength_of,
     tried_table,
 )
-from calib.missing.verdict import sentence
+from calib.missing.verdict import rounded, sentence
 from calib.questions.budget import Budget
 from calib.questions.modal_side import ModalSide
 from calib.questions.plain_side import PlainSide
@@ -120,7 +120,10 @@ def explain(study: Study, results: Results, progress: Progress = lambda words: N
             remedy='add effects = "module:function" (the tutorial of studies/five_mass_chain shows how)',
         )  # fmt: skip
     if not study.candidates:
-        raise InputError("every effect of the library is in the model already", place=study.file)
+        raise InputError(
+            "every effect of the library is in the model already", place=study.file,
+            remedy="add another one to the library, or explain the study it was extended from",
+        )  # fmt: skip
     started = time.perf_counter()
     side: Side
     if isinstance(study.problem, FunctionProblem):
@@ -207,7 +210,7 @@ def _next(side: Side, found: Findings, effects: pd.DataFrame) -> tuple[pd.DataFr
     told = advice_sentence(table, pair, unseen)
     if pair is not None:
         now = expected_odds(prospects, strengths, pair)
-        told = f"Odds to expect with these sensors: {np.exp(min(now, 20.0)):.2g}:1. {told}"
+        told = f"Odds to expect with these sensors: {rounded(float(np.exp(min(now, 20.0))))}:1. {told}"
     return table, told
 
 

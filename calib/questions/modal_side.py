@@ -11,6 +11,7 @@ import pandas as pd
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.missing.advice import Prospects
+from calib.missing.explain import require_modes
 from calib.missing.findings import Findings, Trial
 from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.hypotheses import ModalHypotheses
@@ -44,7 +45,9 @@ class ModalSide:
 
     @classmethod
     def of(cls, study: Study, results: Results, progress: Callable[[str], None]) -> ModalSide:
-        """With the reduced basis that is kept among the results, or a new one."""
+        """With the reduced basis that is kept among the results, or a new one; InputError with too few modes."""
+        assert study.measured is not None
+        require_modes(study.measured.n_modes)
         settled = modal_hypotheses(study, results, progress)
         return cls(study, settled.hypotheses, settled.atoms)
 

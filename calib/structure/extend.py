@@ -51,12 +51,7 @@ def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel
         When an effect is in the model already, or what it adds does not fit the model.
     """
     for effect in effects:
-        for p in effect.parameters:
-            if p.name in model.space:
-                raise InputError(
-                    f"the model {model.name} has {p.name!r} already", place=f"effect {effect.name}",
-                    remedy="leave it out",
-                )  # fmt: skip
+        effect.require_new(model.space, model.name)
     additions = [(effect, _built(model, effect)) for effect in effects]
     total = model.n_dof + sum(a.n_added for _, a in additions)
     placed, first = [], model.n_dof

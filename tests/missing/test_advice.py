@@ -215,7 +215,7 @@ def test_odds_are_told_as_odds():
         table = advise(p, [strength] * M, ("E0", "E1"))
         row = table[(table["effect"] == "E0") & (table["kind"] == "sensor")].iloc[0]
         ln_odds = row["ln_bayes"]
-        odds = "over 10,000:1" if ln_odds > math.log(1e4) else f"{math.exp(ln_odds):.2g}:1"
+        odds = "over 10,000:1" if ln_odds > math.log(1e4) else f"{float(f'{math.exp(ln_odds):.2g}'):g}:1"
         assert row["words"] == f"a sensor on the roof: odds of {odds} between E0 and E1"
         words.append(odds)
     assert words[-1] == "over 10,000:1" and words[0] != words[-1]

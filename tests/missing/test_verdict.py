@@ -342,7 +342,6 @@ def test_a_small_chance_is_told_without_an_equals_sign(cases):
     assert "p = <" not in told(found) and "p < 0.0003" in told(found)
 
 
-@pytest.mark.xfail(strict=True, reason="plausible.implausible tells the unit of a strength that has none")
 def test_a_strength_on_its_limit_is_told_without_the_unit_it_does_not_have(toy):
     made = dressed(toy(effects=1, atoms=3))
     (e,) = made.effects

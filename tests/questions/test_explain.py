@@ -128,7 +128,6 @@ def test_a_wrong_weight_that_no_effect_describes_is_pointed_at(heavier):
     assert heavier.findings.atom.names == ("change of m3",) and "change of m3" in heavier.sentence
 
 
-@pytest.mark.xfail(strict=True, reason="local changes of a function are called changes already")
 def test_a_change_is_not_called_a_change_of_a_change(heavier):
     assert "change of the change" not in heavier.sentence
 
