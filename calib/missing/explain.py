@@ -54,7 +54,7 @@ class Settings:
     seed : int
         Of the draws behind family-wise probabilities.
     budget : float
-        Model evaluations from which no further pair of effects is tried.
+        Model evaluations after which no further effect or pair of effects is tried.
     """
 
     alpha: float = 0.01
@@ -163,7 +163,7 @@ class _Round:
             return self.done(plain, "none_explains", best, best_check)
         if self.accepted(best, best_check, needed):
             return self.named(plain, singles, best, best_check)
-        moved = self.moved(best)
+        moved = None if self.spent() else self.moved(best)
         if moved is not None:
             singles = sorted([moved, *(t for t in singles if t is not best)], key=lambda t: -t.ln_evidence)
             best = self.best(singles)
@@ -188,6 +188,10 @@ class _Round:
                 return self.done(plain, "two_effects", pair, pair_check, pair.names)
         partial = best.ln_evidence > needed and not best.implausible and best_check.p_family <= alpha
         return self.done(plain, "partial" if partial else "none_explains", best, best_check)
+
+    def spent(self) -> bool:
+        """Whether the budget is used up, so that only what the verdict needs is still solved."""
+        return self.hypotheses.evaluations > self.settings.budget
 
     def accepted(self, trial: Trial, check: Check, needed: float) -> bool:
         """Whether an effect may be named."""
@@ -288,6 +292,8 @@ class _Round:
         order = sorted(by_effect, key=lambda n: -by_effect[n])[: self.settings.refits]
         out: list[Trial] = []
         for name in order:
+            if len(out) > 1 and self.spent():
+                break
             reached = max((t.ln_evidence - base.ln_evidence for t in out), default=0.0)
             if reached > _FAR and by_effect[name] < reached / 4 and (name,) not in starts:
                 continue  # it promises next to nothing of what another one has done already
@@ -303,7 +309,8 @@ class _Round:
         reached = out[0].ln_evidence - base.ln_evidence
         near = max(_CLOSE, _NEARLY * reached)
         for k, one in enumerate(out[:_POLISHED]):
-            if reached > CREDIBLE and out[0].ln_evidence - one.ln_evidence < near:
+            close = out[0].ln_evidence - one.ln_evidence < near
+            if reached > CREDIBLE and close and (k == 0 or not self.spent()):
                 out[k] = self.trial(one.names, one.state.values, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
 
@@ -366,7 +373,7 @@ class _Round:
                 starts += self._starts(first.state, beside, name)[:1]
         out = []
         for key, starts in wanted.items():
-            if self.hypotheses.evaluations > self.settings.budget:
+            if self.spent():
                 break
             names = tuple(e.name for e in candidates if e.name in key)
             self.progress("fitting " + " with ".join(self._by_name[n].title for n in names))
@@ -374,7 +381,7 @@ class _Round:
             if pair is not None:
                 out.append(pair)
         out.sort(key=lambda t: -t.ln_evidence)
-        if out and self.hypotheses.evaluations <= self.settings.budget:
+        if out and not self.spent():
             out[0] = self.trial(out[0].names, out[0].state.values, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
 
