@@ -31,6 +31,7 @@ def test_four_frequencies_of_the_measured_rig_are_met_within_their_scatter(tmp_p
     assert parameters["stable"].all() and not parameters["on_bound"].any()
 
 
+@pytest.mark.slow
 def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path, capsys):
     assert cli.answer(["calibrate", str(ROOT / "studies/four_storey_rig_wide"), "--results", str(tmp_path)]) == 0
     assert "not unique" in capsys.readouterr().out
@@ -90,6 +91,7 @@ for question in (["compare"], ["calibrate", "--quick", "--case", "GB1", "--worke
 """
 
 
+@pytest.mark.slow
 def test_without_the_truth_every_result_is_the_same(tmp_path):
     """The same questions asked of a copy that has no tests folder give the same bytes."""
     tables = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal, TypeAlias
@@ -176,7 +176,9 @@ def calibrate(
     results.write_table("unseen_directions", best.judgement.identification.directions)
     results.write_table("predictions", best.judgement.predictions)
     results.write_table("convergence", convergence_table(reported))
-    results.write_table("data_errors", errors_at(study, best.judgement.values))
+    results.remove("data_errors.csv")
+    with suppress(EvaluationError):  # a model that fails beside the optimum has no errors to tell
+        results.write_table("data_errors", errors_at(study, best.judgement.values))
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
     results.write_json("summary", summary)
     return Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen)

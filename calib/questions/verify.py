@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import Floors, ModalResidual
 from calib.correlation.unused import group_table, withheld_errors
 from calib.missing.left_out import left_out
+from calib.questions.compare import responses_at
 from calib.study import Study, Targets
 from calib.updating.differences import DifferencedResponses
 from calib.updating.identify import posterior
@@ -44,7 +46,10 @@ def _whitened(
     assert isinstance(study.problem, FunctionProblem)
     if not targets:
         return np.zeros(0), np.zeros((0, len(names)))
-    asked = DifferencedResponses(replace(study.problem, targets=targets).evaluate, targets, study.search_space)
+    # The function may be the user's own: it is asked as everywhere else, whatever it does to its surroundings.
+    asked = DifferencedResponses(
+        partial(responses_at, replace(study.problem, targets=targets)), targets, study.search_space
+    )
     return asked.residual(values), asked.jacobian(values, names)
 
 

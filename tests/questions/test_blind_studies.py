@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from calib import cli
+from calib.missing.verdict import rounded
 from calib.questions.explain import explain
 from calib.results import Results
 from calib.study import Study
@@ -119,7 +120,7 @@ def test_the_sentence_tells_what_the_tables_tell(explained, name):
     for effect, row in effects[~effects["visible"]].iterrows():
         unit = "" if row["unit"] == "-" else f" {row['unit']}"
         hopeless = row["phi_min"] > row["largest"]
-        assert (f"{effect} of any possible" if hopeless else f"{effect} below {row['phi_min']:.2g}{unit}") in text
+        assert (f"{effect} of any possible" if hopeless else f"{effect} below {rounded(row['phi_min'])}{unit}") in text
     if summary["chosen"] and summary["verdict"] == "effect":
         row = effects.loc[summary["chosen"][0]]
         assert f"{row['phi']:.3g} {row['unit']} (95 %: {row['phi_low']:.3g} to {row['phi_high']:.3g}" in text
