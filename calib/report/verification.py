@@ -198,7 +198,10 @@ def draw_next_measurement(
     ax.set_ylim(len(rows) - 0.45, -0.55)
     ax.grid(axis="x")
     if legend:
-        legend_above(ax, _option_handles(rows))
+        # The labels take so much of the width that the legend has two columns at most.
+        ax.legend(
+            handles=_option_handles(rows), loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=2
+        )
     return ax
 
 
