@@ -83,6 +83,7 @@ def test_run_answers_everything_with_the_documented_files(mast, capsys):
     assert after["freq_error"].abs().mean() == pytest.approx(summary["mean_freq_error_after"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
     assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
     whole = {p.name: p.read_bytes() for p in Path("results/mast").glob("*.csv")}
@@ -140,6 +141,7 @@ def test_morris_and_sobol_on_request(mast):
         assert column in table and set(table["parameter"]) == {"E", "m_top", "K_base"}
 
 
+@pytest.mark.slow
 def test_rows_of_the_reduced_problem_are_not_called_stale(here, capsys):
     question = ["calibrate", str(ROOT / "studies/bogie"), "--quick", "--case", "GB1", "--workers", "1"]
     assert cli.answer(question) == 0

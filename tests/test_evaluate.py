@@ -241,8 +241,14 @@ def test_nothing_stays_behind_when_the_parent_is_stopped(source, tmp_path, sign)
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
     # A group of its own, as a terminal's foreground job: the keyboard's interrupt reaches parent and workers alike.
+    # A test run in the background of a shell inherits an ignored interrupt; a foreground job does not.
     parent = subprocess.Popen(
-        [sys.executable, str(script)], env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
+        [sys.executable, str(script)],
+        env=environment,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     until = time.monotonic() + 30
     while (not log.exists() or len(log.read_text().split()) < 2) and time.monotonic() < until:
