@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import sys
 
+from calib import interrupt
+
 
 def main() -> None:
     """Run the command."""
+    interrupt.once()
     try:
         from calib.cli import main as command
     except KeyboardInterrupt:
-        sys.stderr.write("calib: interrupted; the same command continues where it was\n")
-        sys.exit(130)
+        sys.stderr.write(f"calib: {interrupt.WORDS}\n")
+        sys.exit(interrupt.CODE)
     command()
 
 

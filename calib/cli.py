@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from calib import __version__, console
+from calib import __version__, console, interrupt
 from calib.errors import InputError
 from calib.example import write_example
 from calib.questions import calibrate as calibration
@@ -49,7 +49,6 @@ CaseName = Annotated[
     str | None, typer.Option("--case", metavar="NAME", help="Only this case; its results go to a sub-folder.")
 ]
 DEFAULT_RESULTS = Path("results")
-INTERRUPTED = 130
 
 
 class SensitivityMethod(StrEnum):
@@ -267,6 +266,7 @@ def _draw(study: Study, folder: Results) -> None:
 
 def main() -> None:
     """Entry point of the command."""
+    interrupt.once()
     sys.exit(answer(sys.argv[1:]))
 
 
@@ -279,8 +279,8 @@ def answer(arguments: list[str]) -> int:
         app(args=arguments, prog_name="calib", standalone_mode=True)
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
-        if code == INTERRUPTED:
-            console.complain("interrupted; the same command continues where it was")
+        if code == interrupt.CODE:
+            console.complain(interrupt.WORDS)
         return code
     except InputError as fault:
         console.complain(str(fault))

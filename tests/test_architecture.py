@@ -7,7 +7,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
-    {"errors"},
+    {"errors", "interrupt"},
     {"space", "mac"},
     {"effect", "measurement"},
     {"structure"},

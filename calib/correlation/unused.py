@@ -12,7 +12,8 @@ from scipy import stats
 
 from calib.correlation.compare import Comparison
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import Floors, ModalResidual, Row
+from calib.correlation.residual import ModalResidual, Row
+from calib.correlation.scatter import Floors
 from calib.errors import InputError
 
 COLUMNS = ("group", "rows", "rms", "expected", "chi2", "freedom", "p", "unpaired")

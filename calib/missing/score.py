@@ -60,6 +60,20 @@ class Scores:
         """Of the test: z, or its size where both signs count, (m,)."""
         return np.where(self.signed, np.abs(self.z), self.z)
 
+    def only(self, names: Sequence[str]) -> Scores:
+        """The columns of some candidates."""
+        kept = [k for k, owner in enumerate(self.owners) if owner in names]
+        return Scores(
+            owners=tuple(self.owners[k] for k in kept),
+            points=tuple(self.points[k] for k in kept),
+            raw=self.raw[:, kept],
+            unit=self.unit[:, kept],
+            size=self.size[kept],
+            z=self.z[kept],
+            gamma=self.gamma[kept],
+            signed=self.signed[kept],
+        )
+
     def best(self, name: str) -> int:
         """Column of a candidate with the largest promised decrease."""
         own = [k for k, owner in enumerate(self.owners) if owner == name]

@@ -47,6 +47,11 @@ class Side(Protocol):
         """What the decision asks."""
         ...
 
+    @property
+    def budget_of_fits(self) -> float:
+        """Model evaluations after which no further effect is fitted."""
+        ...
+
     def notes(self) -> list[str]:
         """What a reader must know beforehand."""
         ...
@@ -131,9 +136,7 @@ def explain(study: Study, results: Results, progress: Progress = lambda words: N
     else:
         side = ModalSide.of(study, results, progress)
     given = study.settings.explain
-    # A function pays for its derivatives in calls; for it there is no such bound.
-    budget = np.inf if isinstance(side, PlainSide) else engine.Settings().budget
-    settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed, budget)
+    settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed, side.budget_of_fits)
     try:
         found = engine.explain(side.hypotheses, settings, progress)
     except EvaluationError as fault:

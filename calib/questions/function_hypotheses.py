@@ -19,7 +19,7 @@ from calib.function import FunctionModel, extend_function
 from calib.questions.hypotheses import question_space
 from calib.space import Parameter, ParameterSpace
 from calib.structure.model import Assumption
-from calib.updating.differences import DifferencedResponses
+from calib.updating.differences import DifferencedResponses, difference
 
 LEAST_RESPONSES = 4
 """Fewer responses cannot tell an effect from a parameter."""
@@ -194,35 +194,15 @@ class FunctionQuestion:
         columns = []
         for name in names:
             if name in self.space:
-                columns.append(self._column(complete, self.space[name], here))
+                columns.append(difference(self.answers.residual, complete, self.space[name], self.step))
                 continue
             effect = self.answers.by_name[name]
+            extended = complete | {p.name: p.value for p in effect.parameters}
             try:
-                columns.append(
-                    self._column(complete | {p.name: p.value for p in effect.parameters}, effect.strength, here)
-                )
+                columns.append(difference(self.answers.residual, extended, effect.strength, self.step))
             except EvaluationError:
                 columns.append(np.zeros(len(here)))
         return np.column_stack(columns) if columns else np.zeros((len(here), 0))
-
-    def _column(self, values: Mapping[str, float], p: Parameter, here: np.ndarray) -> np.ndarray:
-        middle, half = values[p.name], self.step * (p.upper - p.lower)
-        if p.integer or half == 0:
-            return np.zeros(len(here))
-        ends, fault = [], EvaluationError(f"no difference along {p.name!r} lies within its limits")
-        for at in (min(middle + half, p.upper), max(middle - half, p.lower)):
-            if at == middle:
-                continue
-            try:
-                ends.append((at, self.answers.residual({**values, p.name: at})))
-            except EvaluationError as failed:
-                fault = failed
-        if not ends:
-            raise fault
-        if len(ends) == 1:
-            ends.append((middle, here))
-        (a, high), (b, low) = ends
-        return (high - low) / (a - b)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,8 @@ import numpy as np
 
 from calib.correlation.compare import Comparison
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import Floors, ModalResidual, Row
+from calib.correlation.residual import ModalResidual, Row
+from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.questions.verify import scatter_freedom
 from calib.space import ParameterSpace

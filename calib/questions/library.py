@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import Floors
+from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.questions.hypotheses import ModalHypotheses
@@ -26,24 +25,13 @@ from calib.structure.variants import Variants
 from calib.study import Study
 
 
-@dataclass(frozen=True, eq=False)
-class SettledModal:
-    """Hypotheses about a modal study, with the local changes and where they are.
-
-    Attributes
-    ----------
-    hypotheses : ModalHypotheses
-    atoms : tuple of Atom
-    """
-
-    hypotheses: ModalHypotheses
-    atoms: tuple[Atom, ...]
-
-
 def modal_hypotheses(
     study: Study, results: Results, progress: Callable[[str], None] = lambda words: None
-) -> SettledModal:
-    """Hypotheses of a study whose model has modes; a basis trained before is taken from the results' folder."""
+) -> tuple[ModalHypotheses, tuple[Atom, ...]]:
+    """Hypotheses of a study whose model has modes, and its local changes.
+
+    A basis trained before is taken from the results' folder.
+    """
     problem = study.problem
     assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
     model, measured = problem.model, problem.measured
@@ -55,7 +43,7 @@ def modal_hypotheses(
         progress("reduced basis for the effects")
         basis = _basis(study, problem, model, effects, plain, results.path)
     variants = Variants(model, effects, plain, basis)
-    return SettledModal(ModalHypotheses(problem, variants, study.search_space, Floors()), local)
+    return ModalHypotheses(problem, variants, study.search_space, Floors()), local
 
 
 def _basis(

@@ -13,6 +13,7 @@ from calib.correlation.residual import ModalResidual
 from calib.missing.advice import Prospects
 from calib.missing.explain import require_modes
 from calib.missing.findings import Findings, Trial
+from calib.missing.refits import DEFAULT
 from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import modal_hypotheses
@@ -48,8 +49,12 @@ class ModalSide:
         """With the reduced basis that is kept among the results, or a new one; InputError with too few modes."""
         assert study.measured is not None
         require_modes(study.measured.n_modes)
-        settled = modal_hypotheses(study, results, progress)
-        return cls(study, settled.hypotheses, settled.atoms)
+        return cls(study, *modal_hypotheses(study, results, progress))
+
+    @property
+    def budget_of_fits(self) -> float:
+        """Solves of the model."""
+        return DEFAULT.budget
 
     def notes(self) -> list[str]:
         """What scatter had to be assumed."""

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from calib.function import FunctionModel
+from calib.correlation.problem import FunctionProblem
+from calib.function import FunctionModel, extend_function
 from calib.missing.advice import Prospects
 from calib.missing.findings import Findings, Trial
 from calib.questions.budget import Budget
 from calib.questions.function_hypotheses import FunctionHypotheses
-from calib.questions.verify import plain_errors
+from calib.questions.verify import plain_errors, whitened, withheld_targets
 from calib.study import Study, Targets
 
 
@@ -33,7 +35,16 @@ class PlainSide:
     def of(cls, study: Study) -> PlainSide:
         """Raises InputError when there are too few responses to name anything."""
         assert isinstance(study.model, FunctionModel)
-        return cls(study, _hypotheses(study, study.targets))
+        repeats = study.settings.measurement.repeats
+        return cls(
+            study,
+            FunctionHypotheses(study.model, study.targets, study.search_space, study.candidates, repeats=repeats),
+        )
+
+    @property
+    def budget_of_fits(self) -> float:
+        """A function pays for its derivatives in calls; there is no bound that fits them all."""
+        return math.inf
 
     def notes(self) -> list[str]:
         """What scatter had to be assumed."""
@@ -41,16 +52,11 @@ class PlainSide:
 
     def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data; failed points are noted."""
-        held = self.study.settings.withheld
-        groups = {"withheld_sensors": held.sensors, "withheld_modes": held.modes}
         labels = [row.sensor for row in self.hypotheses.rows]
         parts = []
         for stage, trial in stages.items():
             s = trial.state
-            withheld = {
-                group: self._unseen({n: self.study.whole_targets[n] for n in own}, trial, scale)
-                for group, own in groups.items()
-            }
+            withheld = {group: self._unseen(own, trial, scale) for group, own in withheld_targets(self.study).items()}
             table = plain_errors(s.residual, -s.slope, s.names, s.prior_sd, labels, withheld)
             parts.append(table.assign(stage=stage))
         failures = self.hypotheses.failures
@@ -58,14 +64,12 @@ class PlainSide:
         return pd.concat(parts, ignore_index=True), notes, {"failed": len(failures)}
 
     def _unseen(self, targets: Targets, trial: Trial, scale: float) -> tuple[np.ndarray, np.ndarray]:
-        names = trial.state.names
-        if not targets:
-            return np.zeros(0), np.zeros((0, len(names)))
-        # Asked with all responses, since a few by themselves are refused; then only the withheld ones are kept.
-        question = _hypotheses(self.study, self.study.whole_targets).question(trial.names)
-        kept = [k for k, name in enumerate(self.study.whole_targets) if name in targets]
-        residual = question.residual(trial.state.values)[kept]
-        return residual / scale, question.jacobian(trial.state.values, names)[kept] / scale
+        base, problem = self.study.model, self.study.problem
+        assert isinstance(base, FunctionModel) and isinstance(problem, FunctionProblem)
+        model = extend_function(replace(base, space=self.study.search_space), trial.effects)
+        problem = replace(problem, space=model.space, function=model.function)
+        residual, jacobian = whitened(problem, targets, trial.state.values, trial.state.names)
+        return residual / scale, jacobian / scale
 
     def prospects(self, found: Findings) -> Prospects | None:
         """A function does not tell what else could be measured."""
@@ -88,10 +92,3 @@ class PlainSide:
             for row, e in zip(self.hypotheses.rows, trial.state.residual, strict=True)
         ]
         return {"response_misfit": pd.DataFrame(rows, columns=["stage", "response", "residual"])}
-
-
-def _hypotheses(study: Study, targets: Targets) -> FunctionHypotheses:
-    assert isinstance(study.model, FunctionModel)
-    return FunctionHypotheses(
-        study.model, targets, study.search_space, study.candidates, repeats=study.settings.measurement.repeats
-    )

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual, Scatter
+from calib.correlation.residual import ModalResidual
+from calib.correlation.scatter import Scatter
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor

@@ -12,7 +12,8 @@ import pandas as pd
 from scipy import stats
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
-from calib.correlation.residual import Floors, ModalResidual
+from calib.correlation.residual import ModalResidual
+from calib.correlation.scatter import Floors
 from calib.correlation.unused import group_table, withheld_errors
 from calib.missing.left_out import left_out
 from calib.questions.compare import responses_at
@@ -31,25 +32,27 @@ def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
     if isinstance(problem, ModalProblem):
         freedom = scatter_freedom(ModalResidual(problem))
         return modal_errors(problem, study.whole_problem(), values, names, prior_sd, Floors(), freedom)
-    held = study.settings.withheld
-    parts = {"withheld_sensors": held.sensors, "withheld_modes": held.modes}
-    withheld = {
-        group: _whitened(study, {n: study.whole_targets[n] for n in own}, values, names) for group, own in parts.items()
-    }
-    e, g = _whitened(study, problem.targets, values, names)
+    problem = replace(problem, space=study.search_space)
+    withheld = {group: whitened(problem, own, values, names) for group, own in withheld_targets(study).items()}
+    e, g = whitened(problem, problem.targets, values, names)
     return plain_errors(e, g, names, prior_sd, list(problem.targets), withheld)
 
 
-def _whitened(
-    study: Study, targets: Targets, values: Mapping[str, float], names: Sequence[str]
+def withheld_targets(study: Study) -> dict[str, Targets]:
+    """Plain responses that enter no fit, by the group they are told in."""
+    held = study.settings.withheld
+    groups = {"withheld_sensors": held.sensors, "withheld_modes": held.modes}
+    return {group: {n: study.whole_targets[n] for n in own} for group, own in groups.items()}
+
+
+def whitened(
+    problem: FunctionProblem, targets: Targets, values: Mapping[str, float], names: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    assert isinstance(study.problem, FunctionProblem)
+    """Whitened residual (n_targets,) of a function on some targets, and its derivative (n_targets, n_params)."""
     if not targets:
         return np.zeros(0), np.zeros((0, len(names)))
     # The function may be the user's own: it is asked as everywhere else, whatever it does to its surroundings.
-    asked = DifferencedResponses(
-        partial(responses_at, replace(study.problem, targets=targets)), targets, study.search_space
-    )
+    asked = DifferencedResponses(partial(responses_at, replace(problem, targets=targets)), targets, problem.space)
     return asked.residual(values), asked.jacobian(values, names)
 
 

@@ -24,8 +24,6 @@ LOCAL = 0.1
 HEAVY = 0.01
 """Plausible added mass, over the mass of the model that moves in that direction."""
 
-_WORDS = {"stiffness": "stiffness of {}", "damping": "damping of {}", "mass": "mass of {}"}
-
 
 @dataclass(frozen=True)
 class Atom:
@@ -114,6 +112,7 @@ def _effect(name: str, strength: Parameter, build: Callable[[StructuralModel], A
 
 
 def _wider(matrix: sp.csr_array, size: int) -> sp.csr_array:
+    """A matrix of the base model in a model to which other effects have added motions."""
     if matrix.shape == (size, size):
         return matrix
     coo = sp.coo_array(matrix)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.errors import EvaluationError, InputError
-from calib.space import ParameterSpace
+from calib.space import Parameter, ParameterSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +81,35 @@ def central_jacobian(
         Over the range between the limits.
     """
     complete = space.complete(dict(values))
-    columns = []
-    for name in names:
-        p = space[name]
-        half = step * (p.upper - p.lower)
-        if p.integer or half == 0:
-            columns.append(np.zeros_like(np.asarray(residual(complete), dtype=float)))
+    return np.column_stack([difference(residual, complete, space[name], step) for name in names])
+
+
+def difference(
+    residual: Callable[[Mapping[str, float]], np.ndarray], values: Mapping[str, float], p: Parameter, step: float
+) -> np.ndarray:
+    """Derivative of a vector along one parameter by a central difference within its limits, shape (n_rows,).
+
+    At a limit, or where one end fails, it is one-sided. Whole-number and held parameters have the derivative 0.
+
+    Raises
+    ------
+    EvaluationError
+        When the vector cannot be had on either side.
+    """
+    middle, half = values[p.name], step * (p.upper - p.lower)
+    if p.integer or half == 0:
+        return np.zeros_like(np.asarray(residual(values), dtype=float))
+    ends, fault = [], EvaluationError(f"no difference along {p.name!r} lies within its limits")
+    for at in (min(middle + half, p.upper), max(middle - half, p.lower)):
+        if at == middle:
             continue
-        high, low = min(complete[name] + half, p.upper), max(complete[name] - half, p.lower)
-        ends = [np.asarray(residual({**complete, name: v}), dtype=float) for v in (high, low)]
-        columns.append((ends[0] - ends[1]) / (high - low))
-    return np.column_stack(columns)
+        try:
+            ends.append((at, np.asarray(residual({**values, p.name: at}), dtype=float)))
+        except EvaluationError as failed:
+            fault = failed
+    if not ends:
+        raise fault
+    if len(ends) == 1:
+        ends.append((middle, np.asarray(residual(values), dtype=float)))
+    (a, high), (b, low) = ends
+    return (high - low) / (a - b)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import Floors, ModalResidual, Row, scatter_of
+from calib.correlation.residual import ModalResidual, Row
+from calib.correlation.scatter import Floors, scatter_of
 from calib.errors import InputError
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0, "mass": 11.0}

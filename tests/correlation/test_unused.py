@@ -8,7 +8,8 @@ import pytest
 from scipy import stats
 
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import Floors, ModalResidual, Row
+from calib.correlation.residual import ModalResidual, Row
+from calib.correlation.scatter import Floors
 from calib.correlation.unused import group_table, withheld_errors
 from calib.errors import InputError
 

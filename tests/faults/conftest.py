@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
+from calib import cli, interrupt
 from calib.example import write_example
 from calib.report.draw import draw_all
 
@@ -181,6 +181,7 @@ class Runner:
                 os.dup2(os.open(place / name, os.O_WRONLY), number)
             sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)
             signal.signal(signal.SIGINT, signal.default_int_handler)
+            interrupt.once()  # as the command does
             if user is not None:
                 os.setgroups([])
                 os.setgid(user)

@@ -119,15 +119,20 @@ def test_interrupted_at_any_moment(mast, runner, left, drafts):
     assert left(FOLDER) == whole
 
 
-def test_interrupted_twice_in_a_row(mast, runner):
-    run = runner.fork("calibrate", "mast", "--workers", "2")
-    run.until((FOLDER / "ledger.sqlite-wal").exists)
-    time.sleep(0.3)
+def test_interrupted_again_while_leaving(mast, runner, left, whole):
+    draw = random.Random(5)
     for _ in range(3):
-        run.send(signal.SIGINT, everybody=True)
-        time.sleep(0.01)
-    assert run.wait() == 130, run.err
-    assert "Traceback" not in run.err and run.nobody_left()
+        run = runner.fork("calibrate", "mast", "--workers", "2")
+        run.until((FOLDER / "ledger.sqlite-wal").exists)
+        time.sleep(0.3)
+        for _ in range(40):  # as an impatient hand, until it is over
+            run.send(signal.SIGINT, everybody=True)
+            time.sleep(draw.uniform(0.0, 0.02))
+        assert run.wait() == 130, run.err
+        assert run.err == "calib: interrupted; the same command continues where it was\n" and run.nobody_left()
+    again = runner.fork("calibrate", "mast", "--workers", "1")
+    assert again.wait() == 0
+    assert left(FOLDER) == whole[0]
 
 
 def test_two_runs_at_once_on_one_ledger(mast, runner, left, whole):

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def settled(mast, tmp_path_factory):
     folder = tmp_path_factory.mktemp("budget")
     study = Study.load(mast.write_study(folder / "mast"))
-    hypotheses = modal_hypotheses(study, Results.at(folder / "results", "mast")).hypotheses
+    hypotheses, _ = modal_hypotheses(study, Results.at(folder / "results", "mast"))
     question = hypotheses.question(())
     return hypotheses, fitted(question, (), question.space.values)
 
@@ -142,7 +142,7 @@ def test_the_twin_without_noise_shows_nothing(twin_maker, with_basis, tmp_path):
     """Finer mesh, distributed masses and sensors off by up to 5 mm: scores of at most 1, whatever one looks for."""
     truth = json.loads((ROOT / "tests/truth/hidden_bogie_none.json").read_text("utf-8"))["parameters"]
     study = Study.load(ROOT / "studies/hidden_bogie_none")
-    hypotheses = modal_hypotheses(study, with_basis(Results.at(tmp_path, study.name))).hypotheses
+    hypotheses, _ = modal_hypotheses(study, with_basis(Results.at(tmp_path, study.name)))
     twin, layout = twin_maker.twin_model(), study.measured.sensors
     modes = twin.modes(truth, study.problem.mode_count)
     question = hypotheses.question(())

@@ -26,7 +26,7 @@ def world(mast, tmp_path_factory):
     """A mast that lacks nothing, measured with half of the sensors and without the third bending along x."""
     folder = tmp_path_factory.mktemp("prospects")
     study = Study.load(mast.write_study(folder / "mast"))
-    hypotheses = modal_hypotheses(study, Results.at(folder / "results", "mast")).hypotheses
+    hypotheses, _ = modal_hypotheses(study, Results.at(folder / "results", "mast"))
     used = study.measured.without(("B3x",), HELD)
     clusters = {m: c for m, c in hypotheses.problem.mode_clusters.items() if m in used.names}
     problem = replace(hypotheses.problem, measured=used, mode_clusters=clusters)

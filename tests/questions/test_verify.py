@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.correlation.residual import Floors, ModalResidual
+from calib.correlation.residual import ModalResidual
+from calib.correlation.scatter import Floors
 from calib.missing.state import fitted
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.verify import ERROR_COLUMNS, errors_at, modal_errors, plain_errors, scatter_freedom

@@ -9,7 +9,8 @@ import pytest
 import scipy.sparse as sp
 
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import Floors, ModalResidual
+from calib.correlation.residual import ModalResidual
+from calib.correlation.scatter import Floors
 from calib.mac import mac
 from calib.measurement.read import read_measurement
 from calib.structure.extend import extend

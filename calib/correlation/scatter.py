@@ -1,0 +1,107 @@
+"""Scatter of measured modes: what one standard deviation is, from repeats, files and floors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.errors import InputError
+from calib.measurement.modal import MeasuredModes
+
+POOL_BELOW = 10
+"""With fewer repeats the scatter of a single number is itself too uncertain (34 % with five) and is pooled."""
+
+
+@dataclass(frozen=True)
+class Floors:
+    """Errors that no number of repeats removes, and what is taken where the scatter is unknown.
+
+    Attributes
+    ----------
+    freq : float
+        Discretisation floor of natural frequencies, relative; added to the scatter in squares.
+    damping : float
+        The same for damping ratios, relative.
+    shape : float
+        The same for shapes, in parts of the largest entry; for real and imaginary part each.
+    unknown_freq, unknown_damping, unknown_shape : float
+        Standard deviations, in the same units, where the measurement tells none.
+    """
+
+    freq: float = 2e-4
+    damping: float = 0.02
+    shape: float = 5e-3
+    unknown_freq: float = 5e-3
+    unknown_damping: float = 0.10
+    unknown_shape: float = 0.03
+
+    def __post_init__(self) -> None:
+        for label, number in vars(self).items():
+            lowest = "positive" if label.startswith("unknown") else "not negative"
+            if not (math.isfinite(number) and number >= 0 and (number > 0 or lowest == "not negative")):
+                raise InputError(f"the floor {label} is {number}", place="residual", remedy=f"give a {lowest} number")
+
+
+USUAL = Floors()
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Standard deviations that whiten the residual: those of the mean over the repeats, with floors.
+
+    Attributes
+    ----------
+    freq, damping : ndarray (n_modes,)
+        Relative.
+    shape : ndarray (n_sensors, n_modes)
+        Of real and imaginary part each, in the scale of the measured shapes.
+    pooled : bool
+    """
+
+    freq: np.ndarray
+    damping: np.ndarray
+    shape: np.ndarray
+    pooled: bool
+
+
+def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | None = None) -> Scatter:
+    """Standard deviations for the residual.
+
+    With 2 to 9 repeats they are pooled: the relative ones of frequency and of damping over the modes, those of shapes
+    over all entries (root mean square; for shapes over ``n_sensors - 1`` entries a mode, since a factor was fitted to
+    every repeat). Deviations given by a file of a single repeat, and those of ten or more repeats, are taken one by
+    one. Unknown ones take the pooled value when there is one, else the floors' ``unknown_*``.
+
+    Parameters
+    ----------
+    measured : MeasuredModes
+    floors : Floors
+    pool : bool, optional
+        Overrides that rule.
+    """
+    pooled = 1 < measured.n_repeats < POOL_BELOW if pool is None else pool
+    freq = measured.freq_std / measured.natural_freq
+    damped = measured.damping_ratio > 0
+    damping = np.full(measured.n_modes, np.nan)
+    damping[damped] = measured.damping_std[damped] / measured.damping_ratio[damped]
+    shape = np.where(np.isfinite(measured.shapes), measured.shape_std, np.nan)
+    counted = np.isfinite(shape)
+    entries = int(counted.sum())
+    freedom = int(np.maximum(counted.sum(axis=0) - 1, 0).sum()) if measured.n_repeats > 1 else entries
+    lost = entries / freedom if freedom else 1.0
+    return Scatter(
+        freq=_whole(freq, floors.unknown_freq, floors.freq, pooled, 1.0),
+        damping=_whole(damping, floors.unknown_damping, floors.damping, pooled, 1.0),
+        shape=_whole(shape, floors.unknown_shape, floors.shape, pooled, lost),
+        pooled=pooled,
+    )
+
+
+def _whole(std: np.ndarray, unknown: float, floor: float, pooled: bool, lost: float) -> np.ndarray:
+    known = np.isfinite(std)
+    common = math.sqrt(float(np.mean(std[known] ** 2)) * lost) if known.any() else unknown
+    taken = np.full(std.shape, common) if pooled else np.where(known, std, common)
+    total = np.sqrt(taken**2 + floor**2)
+    return np.where(total > 0, total, unknown)

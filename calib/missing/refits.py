@@ -1,0 +1,252 @@
+"""Fits of a model with effects: which are tried, from where, and how far each is followed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calib.effect import Effect
+from calib.errors import EvaluationError
+from calib.missing.evidence import CREDIBLE, at_lower, ln_bayes_linear, ln_evidence
+from calib.missing.findings import Trial
+from calib.missing.hypotheses import Hypotheses, Question, Scaled
+from calib.missing.plausible import implausible
+from calib.missing.score import Scores, scores
+from calib.missing.state import FINE, ROUGH, State, fitted, nearest_whole
+from calib.updating.gauss_newton import FitSettings
+
+SAME = 0.98
+"""Correlation of fingerprints from which a local change says the same as a named effect."""
+PAIRS_OF_BEST, PAIRS_OF_NEXT = 3, 2
+"""Effects that are tried beside the best one and beside the runner-up."""
+_FAR = 30.0
+"""Log Bayes factor from which an effect leaves no room for those that promise a quarter of it."""
+_CLOSE = 10.0
+"""Effects whose log evidence is within this of the best are fitted to the end."""
+_POLISHED = 3
+_NEARLY = 0.35
+"""The same, as a part of what the best one has gained."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How an explanation decides.
+
+    Attributes
+    ----------
+    alpha : float
+        Family-wise level of every test.
+    refits : int
+        Effects that are fitted, best first.
+    merge : float
+        Correlation of fingerprints from which two effects are one group.
+    seed : int
+        Of the draws behind family-wise probabilities.
+    budget : float
+        Model evaluations after which no further effect or pair of effects is tried.
+    """
+
+    alpha: float = 0.01
+    refits: int = 6
+    merge: float = 0.98
+    seed: int = 1
+    budget: float = 115.0
+
+
+DEFAULT = Settings()
+
+
+@dataclass(frozen=True, eq=False)
+class Refits:
+    """Fits with one scale of the scatter.
+
+    Attributes
+    ----------
+    hypotheses : Hypotheses
+    settings : Settings
+    scale : float
+        Factor on the scatter.
+    progress : callable
+        Is told in words what is being done.
+    """
+
+    hypotheses: Hypotheses
+    settings: Settings
+    scale: float
+    progress: Progress
+
+    @cached_property
+    def _by_name(self) -> Mapping[str, Effect]:
+        return {e.name: e for e in (*self.hypotheses.effects, *self.hypotheses.atoms)}
+
+    def question(self, names: tuple[str, ...]) -> Question:
+        """The model with the named effects or local changes against the measurement."""
+        inner = self.hypotheses.question(names)
+        return inner if self.scale == 1.0 else Scaled(inner, self.scale)
+
+    def spent(self) -> bool:
+        """Whether the budget is used up, so that only what the verdict needs is still solved."""
+        return self.hypotheses.evaluations > self.settings.budget
+
+    def scores(self, trial: Trial, candidates: Sequence[Effect]) -> Scores:
+        """Scores of candidates that a fitted model does not have."""
+        with_grid = {e.name: self.question((*trial.names, e.name)) for e in candidates if e.grid}
+        return scores(trial.state, candidates, with_grid)
+
+    # -- fits ----------------------------------------------------------------------------------------------------------
+
+    def trial(
+        self, names: tuple[str, ...], start: dict[str, float], whole: int = 0, settings: FitSettings = FINE
+    ) -> Trial:
+        """The model with the named effects or local changes, fitted from a start; see `calib.missing.state.fitted`."""
+        effects = tuple(self._by_name[n] for n in names)
+        state = fitted(self.question(names), names, start, whole, settings)
+        return Trial(effects, state, ln_evidence(state, effects), implausible(state, effects))
+
+    def singles(
+        self,
+        base: Trial,
+        candidates: Sequence[Effect],
+        named: Scores,
+        starts: dict[tuple[str, ...], dict[str, float]],
+    ) -> list[Trial]:
+        """The most promising effects, fitted; best first."""
+        plausible = np.array([self._by_name[n].plausible for n in named.owners])
+        promise = ln_bayes_linear(named.strength, named.size, plausible)
+        by_effect = {e.name: max(promise[k] for k, n in enumerate(named.owners) if n == e.name) for e in candidates}
+        order = sorted(by_effect, key=lambda n: -by_effect[n])[: self.settings.refits]
+        out: list[Trial] = []
+        for name in order:
+            if len(out) > 1 and self.spent():
+                break
+            reached = max((t.ln_evidence - base.ln_evidence for t in out), default=0.0)
+            if reached > _FAR and by_effect[name] < reached / 4 and (name,) not in starts:
+                continue  # it promises next to nothing of what another one has done already
+            self.progress(f"fitting {self._by_name[name].title}")
+            known = [starts[(name,)]] if (name,) in starts else None
+            found = self.best_of((name,), known or self.starts(base.state, named, name))
+            if found is not None:
+                out.append(found)
+        if not out:
+            raise EvaluationError("no effect could be fitted")
+        out.sort(key=lambda t: -t.ln_evidence)
+        # Places of whole-number parameters may have followed what was missing: the best are allowed to move them back.
+        reached = out[0].ln_evidence - base.ln_evidence
+        near = max(_CLOSE, _NEARLY * reached)
+        for k, one in enumerate(out[:_POLISHED]):
+            if reached > CREDIBLE and out[0].ln_evidence - one.ln_evidence < near and not self.spent():
+                out[k] = self.trial(one.names, one.state.values, whole=1)
+        return sorted(out, key=lambda t: -t.ln_evidence)
+
+    def best_of(self, names: tuple[str, ...], starts: Sequence[dict[str, float]]) -> Trial | None:
+        """The best fit from some starts; None when no start can be evaluated."""
+        fits = []
+        for start in starts:
+            try:
+                fits.append(self.trial(names, start, settings=ROUGH))
+            except EvaluationError:
+                continue
+        return min(fits, key=lambda t: t.state.misfit) if fits else None
+
+    def starts(self, state: State, found: Scores, name: str) -> list[dict[str, float]]:
+        """Where to start the fit of an effect: one step from the state, of the best points of its grid."""
+        effect, out = self._by_name[name], []
+        for k in found.steps(name, 2 if effect.nuisance else 1):
+            p, point = effect.strength, found.points[k]
+            size = found.z[k] / found.size[k] if found.size[k] > 0 else 0.0
+            least = 0.1 * abs(point[name]) if point else p.lower
+            size = min(max(size, least, p.lower), p.upper)
+            step = state.follow(-found.raw[:, k] * size)
+            moved = {n: state.values[n] + d for n, d in zip(state.names, step, strict=True)}
+            out.append({**state.values, **moved, **point, name: size})
+        return out
+
+    def best_atom(self, base: Trial, found: Scores, named: Scores, singles: Sequence[Trial]) -> Trial | None:
+        """The unnamed local change with the largest score, fitted; not one that only says what the best effect says."""
+        usable = np.array(found.strength)
+        column = named.unit[:, named.best(singles[0].names[0])]
+        usable[np.abs(found.unit.T @ column) > SAME] = -np.inf
+        if not len(usable) or not usable.max() > 0:
+            return None
+        name = found.owners[int(np.argmax(usable))]
+        first = self.starts(base.state, found, name)[0]
+        atom = self.best_of((name,), [first])
+        if self.spent():
+            return atom
+        if atom is not None and atom.state.misfit > base.state.misfit:
+            # One step may lead too far; the derivative still tells the way.
+            atom = self.best_of((name,), [{**base.state.values, name: 0.1 * first[name]}]) or atom
+        if atom is not None and singles[0].ln_evidence - atom.ln_evidence < _CLOSE:
+            atom = self.trial(atom.names, atom.state.values)
+        return atom
+
+    def pairs(self, best: Trial, found: Scores, singles: Sequence[Trial], candidates: Sequence[Effect]) -> list[Trial]:
+        """Two effects at a time, best first: the best one with what then stands out, and the runner-up likewise.
+
+        ``found`` are the scores of the other candidates beside the best one.
+        """
+        tests = [(best, found, PAIRS_OF_BEST)]
+        for runner_up in [t for t in singles if t is not best][:1]:
+            rest = [e for e in candidates if e.name not in runner_up.names]
+            if rest:
+                tests.append((runner_up, self.scores(runner_up, rest), PAIRS_OF_NEXT))
+        wanted: dict[frozenset[str], list[dict[str, float]]] = {}
+        for first, beside, count in tests:
+            stands_out = {n: float(beside.strength[beside.best(n)]) for n in dict.fromkeys(beside.owners)}
+            others = sorted(stands_out, key=stands_out.__getitem__, reverse=True)
+            for name in others[:count]:
+                starts = wanted.setdefault(frozenset((first.names[0], name)), [])
+                starts += self.starts(first.state, beside, name)[:1]
+        out = []
+        for key, starts in wanted.items():
+            if self.spent():
+                break
+            names = tuple(e.name for e in candidates if e.name in key)
+            self.progress("fitting " + " with ".join(self._by_name[n].title for n in names))
+            pair = self.best_of(names, starts)
+            if pair is not None:
+                out.append(pair)
+        out.sort(key=lambda t: -t.ln_evidence)
+        if out and not self.spent():
+            out[0] = self.trial(out[0].names, out[0].state.values, whole=1)
+        return sorted(out, key=lambda t: -t.ln_evidence)
+
+    def moved(self, trial: Trial) -> Trial | None:
+        """The same effect where whole numbers are chosen with it in the model; None when that is no better.
+
+        What was missing has led the base model to other whole numbers, and the other parameters have followed them.
+        """
+        question = self.question(trial.names)
+        own = {n for e in trial.effects for n in e.names} | {p.name for p in question.space.free if p.integer}
+        adopted = question.space.values
+        start = nearest_whole(question, {n: trial.state.values[n] if n in own else v for n, v in adopted.items()})
+        if all(start[p.name] == trial.state.values[p.name] for p in question.space.free if p.integer):
+            return None
+        found = self.trial(trial.names, start)
+        return found if found.state.misfit < trial.state.misfit else None
+
+    def alone(self, singles: list[Trial], pairs: Sequence[Trial]) -> list[Trial]:
+        """The single effects once more where a pair in which the other one vanished has found a better fit."""
+        better = {}
+        for pair in pairs:
+            left = [e for e in pair.effects if not at_lower(pair.state, e)]
+            if len(left) != 1 or len(pair.effects) == 1:
+                continue
+            name = left[0].name
+            known = next((t.state.misfit for t in singles if t.names == (name,)), math.inf)
+            if pair.state.misfit < known - 1.0:
+                gone = {n for e in pair.effects if e.name != name for n in e.names}
+                start = {n: v for n, v in pair.state.values.items() if n not in gone}
+                found = self.trial((name,), start, whole=1)
+                if found.state.misfit < known:
+                    better[name] = found
+        if not better:
+            return singles
+        kept = [t for t in singles if t.names[0] not in better]
+        return sorted([*kept, *better.values()], key=lambda t: -t.ln_evidence)
