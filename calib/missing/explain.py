@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.missing.alike import grouped
@@ -13,7 +15,7 @@ from calib.missing.evidence import CREDIBLE, at_lower
 from calib.missing.findings import Check, Findings, Trial
 from calib.missing.goodness import goodness, noise_scale, overall
 from calib.missing.hypotheses import Hypotheses
-from calib.missing.refits import DEFAULT, Progress, Refits, Settings
+from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
 from calib.missing.score import Scores, family_p
 from calib.missing.state import nearest_whole
 
@@ -44,12 +46,12 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
     if modes:
         require_modes(len(modes))
     # What was asked before is not charged to this decision, which must not depend on it.
-    settings = replace(settings, budget=settings.budget + hypotheses.evaluations)
-    found = _Decision(Refits(hypotheses, settings, 1.0, progress)).findings({})
+    fits = Refits(hypotheses, settings, 1.0, progress, hypotheses.evaluations)
+    found = _Decision(fits).findings({})
     if found.measured_scale > GUARD and found.verdict != "nothing_detectable":
         progress(f"the scatter seems understated by a factor of {found.measured_scale:.2f}: beginning anew")
         starts = {(): found.base.state.values, **{t.names: t.state.values for t in found.singles}}
-        again = _Decision(Refits(hypotheses, settings, found.measured_scale, progress)).findings(starts)
+        again = _Decision(replace(fits, scale=found.measured_scale)).findings(starts)
         verdict = "noise_underestimated" if again.verdict == "nothing_detectable" else again.verdict
         found = replace(again, verdict=verdict)
     return found
@@ -76,7 +78,8 @@ class _Decision:
         fits, hypotheses, alpha = self.fits, self.fits.hypotheses, self.fits.settings.alpha
         fits.progress("calibrating the base model")
         question = fits.question(())
-        base = fits.trial((), starts.get(()) or nearest_whole(question, question.space.values), whole=1)
+        start = starts.get(()) or nearest_whole(question, question.space.values)
+        base = fits.trial((), start, whole=0 if fits.spent(EARLY) else 1)
         fits.progress("testing whether anything is missing")
         named = fits.scores(base, hypotheses.effects)
         able = [e for e in hypotheses.effects if e.name in named.owners]
@@ -101,11 +104,11 @@ class _Decision:
         needed = max(base.ln_evidence + math.log(len(candidates)) + CREDIBLE, rival)
         best, best_check = self.best(singles, candidates)
         plain = replace(plain, trials=tuple(singles), atom=atom, measured_scale=self.scale(base, best, atom))
-        if plain.measured_scale > GUARD and not starts:
+        if plain.measured_scale > GUARD and not starts and self.promised_scale(best, best_check.named) > GUARD:
             return self.done(plain, "none_explains", best, best_check)
         if self.accepted(best, best_check, needed):
             return self.named(plain, singles, best, best_check)
-        moved = None if fits.spent() else fits.moved(best)
+        moved = None if fits.spent(LATE) else fits.moved(best)
         if moved is not None:
             singles = sorted([moved, *(t for t in singles if t is not best)], key=lambda t: -t.ln_evidence)
             best, best_check = self.best(singles, candidates)
@@ -118,7 +121,7 @@ class _Decision:
             best, best_check = self.best(singles, candidates)
             if self.accepted(best, best_check, needed):
                 return self.named(plain, singles, best, best_check)
-        plain = replace(plain, trials=(*singles, *pairs))
+        plain = replace(plain, trials=(*singles, *pairs), measured_scale=self.scale(base, best, atom, *pairs[:1]))
         second = 2 * CREDIBLE + math.log(max(len(candidates) - 1, 1))
         pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival))
         if pair is not None:
@@ -170,6 +173,14 @@ class _Decision:
         best = max((t for t in trials if t is not None), key=lambda t: t.ln_evidence)
         h = self.fits.hypotheses
         return noise_scale(goodness(best.state, h.rows, h.fitted_factors, h.scatter_freedom)[1])
+
+    def promised_scale(self, trial: Trial, others: Scores) -> float:
+        """The same if the effect that stands out beside a fit did all that its score promises."""
+        if not others.owners:
+            return self.scale(trial)
+        k = int(np.argmax(others.strength))
+        left = trial.state.residual - others.unit[: len(trial.state.residual), k] * others.z[k]
+        return self.scale(replace(trial, state=replace(trial.state, residual=left)))
 
     def beside(self, trial: Trial, candidates: Sequence[Effect]) -> Scores:
         """Scores of the candidates that a fitted model does not have."""

@@ -16,7 +16,7 @@ from calib.missing.findings import Trial
 from calib.missing.hypotheses import Hypotheses, Question, Scaled
 from calib.missing.plausible import implausible
 from calib.missing.score import Scores, scores
-from calib.missing.state import FINE, ROUGH, State, fitted, nearest_whole
+from calib.missing.state import FINE, ROUGH, WORTH, State, fitted, nearest_whole, neighbours
 from calib.updating.gauss_newton import FitSettings
 
 SAME = 0.98
@@ -27,9 +27,15 @@ _FAR = 30.0
 """Log Bayes factor from which an effect leaves no room for those that promise a quarter of it."""
 _CLOSE = 10.0
 """Effects whose log evidence is within this of the best are fitted to the end."""
-_POLISHED = 3
 _NEARLY = 0.35
 """The same, as a part of what the best one has gained."""
+_POLISHED = 3
+"""Effects, and pairs of effects, that may move whole numbers back."""
+EARLY, LATE = 0.7, 0.85
+"""Parts of the budget: for single effects; for looking where whole numbers may have been led astray."""
+
+_HOPELESS = 1.05
+"""A rough fit that leaves so much more than another is not followed."""
 
 Progress = Callable[[str], None]
 
@@ -74,12 +80,15 @@ class Refits:
         Factor on the scatter.
     progress : callable
         Is told in words what is being done.
+    begun : int
+        Evaluations before this explanation.
     """
 
     hypotheses: Hypotheses
     settings: Settings
     scale: float
     progress: Progress
+    begun: int = 0
 
     @cached_property
     def _by_name(self) -> Mapping[str, Effect]:
@@ -90,9 +99,9 @@ class Refits:
         inner = self.hypotheses.question(names)
         return inner if self.scale == 1.0 else Scaled(inner, self.scale)
 
-    def spent(self) -> bool:
-        """Whether the budget is used up, so that only what the verdict needs is still solved."""
-        return self.hypotheses.evaluations > self.settings.budget
+    def spent(self, part: float = 1.0) -> bool:
+        """Whether that part of the budget is used up, so that only what the verdict needs is still solved."""
+        return self.hypotheses.evaluations - self.begun > part * self.settings.budget
 
     def scores(self, trial: Trial, candidates: Sequence[Effect]) -> Scores:
         """Scores of candidates that a fitted model does not have."""
@@ -123,7 +132,7 @@ class Refits:
         order = sorted(by_effect, key=lambda n: -by_effect[n])[: self.settings.refits]
         out: list[Trial] = []
         for name in order:
-            if len(out) > 1 and self.spent():
+            if len(out) > 1 and self.spent(EARLY):
                 break
             reached = max((t.ln_evidence - base.ln_evidence for t in out), default=0.0)
             if reached > _FAR and by_effect[name] < reached / 4 and (name,) not in starts:
@@ -140,7 +149,8 @@ class Refits:
         reached = out[0].ln_evidence - base.ln_evidence
         near = max(_CLOSE, _NEARLY * reached)
         for k, one in enumerate(out[:_POLISHED]):
-            if reached > CREDIBLE and out[0].ln_evidence - one.ln_evidence < near and not self.spent():
+            close = reached > CREDIBLE and out[0].ln_evidence - one.ln_evidence < near
+            if close and not self.spent(EARLY if k else 1.0):
                 out[k] = self.trial(one.names, one.state.values, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
 
@@ -189,7 +199,8 @@ class Refits:
     def pairs(self, best: Trial, found: Scores, singles: Sequence[Trial], candidates: Sequence[Effect]) -> list[Trial]:
         """Two effects at a time, best first: the best one with what then stands out, and the runner-up likewise.
 
-        ``found`` are the scores of the other candidates beside the best one.
+        ``found`` are the scores of the other candidates beside the best one. What was missing may have led whole
+        numbers astray, where a second effect cannot be seen: their neighbours are asked too.
         """
         tests = [(best, found, PAIRS_OF_BEST)]
         for runner_up in [t for t in singles if t is not best][:1]:
@@ -198,24 +209,44 @@ class Refits:
                 tests.append((runner_up, self.scores(runner_up, rest), PAIRS_OF_NEXT))
         wanted: dict[frozenset[str], list[dict[str, float]]] = {}
         for first, beside, count in tests:
-            stands_out = {n: float(beside.strength[beside.best(n)]) for n in dict.fromkeys(beside.owners)}
-            others = sorted(stands_out, key=stands_out.__getitem__, reverse=True)
-            for name in others[:count]:
-                starts = wanted.setdefault(frozenset((first.names[0], name)), [])
-                starts += self.starts(first.state, beside, name)[:1]
-        out = []
+            places = [] if self.spent(LATE) else neighbours(first.state)
+            left = {n: self._left(first.state, beside, n, places) for n in dict.fromkeys(beside.owners)}
+            for name in sorted(left, key=lambda n: left[n][0])[:count]:
+                place = left[name][1] or first.state
+                start = self.starts(place, beside.at(place), name)[0]
+                wanted.setdefault(frozenset((first.names[0], name)), []).append(start)
+        out: list[Trial] = []
         for key, starts in wanted.items():
             if self.spent():
                 break
             names = tuple(e.name for e in candidates if e.name in key)
             self.progress("fitting " + " with ".join(self._by_name[n].title for n in names))
-            pair = self.best_of(names, starts)
+            pair = self.best_of(names, starts[:1])
+            if len(starts) > 1 and (pair is None or pair.implausible):
+                pair = self.best_of(names, [*starts[1:], *([pair.state.values] if pair else [])])
             if pair is not None:
                 out.append(pair)
+        # What one effect has led astray may hide the other: several pairs are allowed to move whole numbers back.
+        order = sorted(range(len(out)), key=lambda k: -out[k].ln_evidence)
+        for k in order[:_POLISHED]:
+            if not self.spent() or (k == order[0] and not out[k].implausible):
+                out[k] = self.trial(out[k].names, out[k].state.values, whole=1, settings=ROUGH)
         out.sort(key=lambda t: -t.ln_evidence)
         if out and not self.spent():
-            out[0] = self.trial(out[0].names, out[0].state.values, whole=1)
+            out[0] = self.trial(out[0].names, out[0].state.values)
         return sorted(out, key=lambda t: -t.ln_evidence)
+
+    @staticmethod
+    def _left(state: State, found: Scores, name: str, places: Sequence[State]) -> tuple[float, State | None]:
+        """Least sum of squares an effect promises to leave, and the neighbouring whole numbers it takes for that."""
+
+        def left(place: State) -> float:
+            there = found.at(place)
+            return place.misfit - max(float(there.strength[there.best(name)]), 0.0) ** 2
+
+        here = left(state)
+        best = min(places, key=left, default=None)
+        return (here, None) if best is None or left(best) > here - WORTH else (left(best), best)
 
     def moved(self, trial: Trial) -> Trial | None:
         """The same effect where whole numbers are chosen with it in the model; None when that is no better.
@@ -228,7 +259,10 @@ class Refits:
         start = nearest_whole(question, {n: trial.state.values[n] if n in own else v for n, v in adopted.items()})
         if all(start[p.name] == trial.state.values[p.name] for p in question.space.free if p.integer):
             return None
-        found = self.trial(trial.names, start)
+        found = self.trial(trial.names, start, settings=ROUGH)
+        if found.state.misfit > _HOPELESS * trial.state.misfit:
+            return None
+        found = self.trial(trial.names, found.state.values)
         return found if found.state.misfit < trial.state.misfit else None
 
     def alone(self, singles: list[Trial], pairs: Sequence[Trial]) -> list[Trial]:

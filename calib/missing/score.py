@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as la
@@ -59,6 +59,10 @@ class Scores:
     def strength(self) -> np.ndarray:
         """Of the test: z, or its size where both signs count, (m,)."""
         return np.where(self.signed, np.abs(self.z), self.z)
+
+    def at(self, state: State) -> Scores:
+        """The same columns where a fit is expected to end elsewhere; see `State.elsewhere`."""
+        return replace(self, z=self.unit.T @ state.augmented)
 
     def only(self, names: Sequence[str]) -> Scores:
         """The columns of some candidates."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,14 +15,14 @@ from calib.errors import EvaluationError
 from calib.missing.hypotheses import Question
 from calib.updating.gauss_newton import FitSettings, Prior, fit
 
-FINE = FitSettings(iterations=15, gain=2e-3, rejections=8)
+FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8)
 """A thousandth of a unit of the sum of squares is far below anything that decides."""
-ROUGH = FitSettings(iterations=6, gain=0.05, rejections=4)
+ROUGH = FitSettings(iterations=6, gain=0.05, relative=3e-4, rejections=4)
 """To rank candidates: a hopeless one is not followed to its end."""
 _TURNS = 3
 _ALL_AT_ONCE = 3
 """Up to so many whole-number parameters are moved together: 26 neighbours."""
-_WORTH = 0.5
+WORTH = 0.5
 """Smallest promised decrease for which another whole number is tried."""
 
 
@@ -92,16 +92,22 @@ class State:
         rest = wide - self._orthonormal @ (self._orthonormal.T @ wide)
         return rest - self._orthonormal @ (self._orthonormal.T @ rest)
 
-    def absorbed(self, residual: np.ndarray) -> float:
-        """Sum of squares left of another residual (n_rows,) once the parameters have followed, to first order."""
-        r = np.concatenate([residual, -self.shift])
-        r = r - self._orthonormal @ (self._orthonormal.T @ r)
-        return float(r @ r)
-
     def follow(self, change: np.ndarray) -> np.ndarray:
         """Change of the fitted parameters (p,) after the residual has changed by ``change`` (n_rows,), own units."""
         right = (self.slope * self.prior_sd).T @ change
         return self.prior_sd * la.solve(self.scaled_information, right, assume_a="pos")
+
+    def elsewhere(self, change: Mapping[str, float], residual: np.ndarray) -> State:
+        """To first order, where a fit with other values of held parameters would end.
+
+        ``residual`` (n_rows,) is that of the fitted values with those; the fitted parameters follow, and keep their
+        slope.
+        """
+        right = (self.slope * self.prior_sd).T @ residual - self.shift
+        step = la.solve(self.scaled_information, right, assume_a="pos")
+        moved = {n: self.values[n] + d for n, d in zip(self.names, self.prior_sd * step, strict=True)}
+        left = residual - self.slope @ (self.prior_sd * step)
+        return replace(self, values={**self.values, **moved, **change}, residual=left, shift=self.shift + step)
 
 
 def fitted(
@@ -131,7 +137,7 @@ def fitted(
     """
     state = _fitted(question, effects, start, settings)
     for turn in range(_TURNS if whole else 0):
-        better = _better_whole(question, state, whole if turn == 0 else min(whole, 2))
+        better = _better_whole(state, whole if turn == 0 else min(whole, 2))
         if better is None:
             break
         there = _fitted(question, effects, better, settings)
@@ -205,40 +211,45 @@ def _fitted(question: Question, effects: tuple[str, ...], start: Mapping[str, fl
     )
 
 
-def _better_whole(question: Question, state: State, reach: int) -> dict[str, float] | None:
+def neighbours(state: State) -> list[State]:
+    """Where fits with other whole numbers, each at most one off, would end to first order; see `State.elsewhere`."""
+    whole = [p for p in state.question.space.free if p.integer]
+    moves = itertools.product((-1, 0, 1), repeat=len(whole)) if len(whole) <= _ALL_AT_ONCE else _axes(len(whole))
+    out = []
+    for move in moves:
+        change = {p.name: round(state.values[p.name]) + d for p, d in zip(whole, move, strict=True)}
+        if any(move) and all(p.lower <= change[p.name] <= p.upper for p in whole):
+            there = _elsewhere(state, change)
+            out += [] if there is None else [there]
+    return out
+
+
+def _better_whole(state: State, reach: int) -> dict[str, float] | None:
     """More promising whole numbers, each parameter by itself and all together; None when there are none."""
-    tried: dict[tuple[tuple[str, float], ...], np.ndarray] = {}
+    tried: list[State] = []
     favourites: dict[str, float] = {}
-    for p in question.space.free:
+    for p in state.question.space.free:
         if not p.integer:
             continue
         here = round(state.values[p.name])
-        lowest = state.misfit - _WORTH
+        lowest = state.misfit - WORTH
         for number in range(max(here - reach, round(p.lower)), min(here + reach, round(p.upper)) + 1):
-            change = ((p.name, float(number)),)
-            if number == here or not _try(question, state, change, tried):
+            there = None if number == here else _elsewhere(state, {p.name: number})
+            if there is None:
                 continue
-            left = state.absorbed(tried[change])
-            if left < lowest:
-                favourites[p.name], lowest = float(number), left
+            tried.append(there)
+            if there.misfit < lowest:
+                favourites[p.name], lowest = number, there.misfit
     if len(favourites) > 1:
-        _try(question, state, tuple(favourites.items()), tried)
-    if not favourites:
-        return None
-    best = min(tried, key=lambda change: state.absorbed(tried[change]))
-    step = state.follow(tried[best] - state.residual)
-    moved = {n: state.values[n] + d for n, d in zip(state.names, step, strict=True)}
-    return {**state.values, **moved, **dict(best)}
+        together = _elsewhere(state, favourites)
+        tried += [] if together is None else [together]
+    return min(tried, key=lambda there: there.misfit).values if favourites else None
 
 
-def _try(
-    question: Question,
-    state: State,
-    change: tuple[tuple[str, float], ...],
-    tried: dict[tuple[tuple[str, float], ...], np.ndarray],
-) -> bool:
+def _elsewhere(state: State, change: Mapping[str, float]) -> State | None:
+    """None where the model cannot be solved."""
+    held = {name: float(value) for name, value in change.items()}
     try:
-        tried[change] = question.residual({**state.values, **dict(change)})
+        return state.elsewhere(held, state.question.residual({**state.values, **held}))
     except EvaluationError:
-        return False
-    return True
+        return None

@@ -70,7 +70,9 @@ class FitSettings:
         Accepted steps at most.
     gain : float
         Converged when the undamped step promises to lower the sum of squares by less than this (it is in units of the
-        scatter: 1e-4 is a hundredth of a posterior standard deviation), or by less than 1e-9 of it.
+        scatter: 1e-4 is a hundredth of a posterior standard deviation), or by less than ``relative`` of it.
+    relative : float
+        The same as a part of the sum of squares.
     damping : float
         First damping over the largest curvature.
     rejections : int
@@ -79,6 +81,7 @@ class FitSettings:
 
     iterations: int = 50
     gain: float = 1e-5
+    relative: float = 1e-9
     damping: float = 1e-3
     rejections: int = 20
 
@@ -180,7 +183,7 @@ def fit(
         matrix, right = search.system(here, slope)
         free_step = region.step(matrix, right, 0.0, here.x)
         promised = _promise(matrix, right, free_step)
-        if promised <= max(settings.gain, 1e-9 * here.misfit):
+        if promised <= max(settings.gain, settings.relative * here.misfit):
             reason, converged = "no step promises to lower the misfit", True
             break
         if iteration >= settings.iterations:

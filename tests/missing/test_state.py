@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import EvaluationError
-from calib.missing.state import nearest_whole
+from calib.missing.state import fitted, nearest_whole, neighbours
 
 
 def matrix(toy, names):
@@ -75,10 +75,34 @@ def test_changes_of_the_data_are_followed_as_a_refit_would(toy):
     state = toy.calibrated()
     change = 3 * np.random.default_rng(5).standard_normal(len(toy.rows))
     there = replace(toy, data=toy.data + change).calibrated()
-    assert state.absorbed(state.residual + change) == pytest.approx(there.misfit, abs=4e-3)
+    expected = state.elsewhere({}, state.residual + change)
+    assert expected.misfit == pytest.approx(there.misfit, abs=4e-3)
     moved = np.array([there.values[n] - state.values[n] for n in state.names])
     std = np.sqrt(np.diag(state.covariance))
     np.testing.assert_allclose(state.follow(change) / std, moved / std, atol=0.05)
+    np.testing.assert_allclose(
+        [expected.values[n] - state.values[n] for n in state.names] / std, moved / std, atol=0.05
+    )
+    np.testing.assert_allclose(expected.residual, there.residual, atol=0.05)
+    np.testing.assert_allclose(expected.shift, there.shift, atol=0.05)
+
+
+def test_neighbouring_whole_numbers_are_expected_where_fits_end(toy):
+    toy = toy(places=7).drawn(np.random.default_rng(6), {"place": 5})
+    state = toy.calibrated(whole=100)
+    assert state.values["place"] == 5
+    near = neighbours(state)
+    assert [n.values["place"] for n in near] == [4.0, 6.0]
+    for there in near:
+        fit = fitted(toy.question(()), (), there.values)
+        assert fit.values["place"] == there.values["place"]
+        assert there.misfit == pytest.approx(fit.misfit, abs=4e-3)  # the toy is linear
+
+
+def test_at_a_limit_there_is_one_neighbour(toy):
+    toy = toy(places=7).drawn(np.random.default_rng(6), {"place": 5})
+    assert [n.values["place"] for n in neighbours(toy.calibrated(start={"place": 6}))] == [5.0]
+    assert [n.values["place"] for n in neighbours(toy.calibrated(start={"place": 0}))] == [1.0]
 
 
 def test_whole_numbers_move_to_the_right_place(toy):
