@@ -26,15 +26,6 @@ from calib.missing.tables import (
 )
 
 
-def alike(toy, name, of, share, seed=1):
-    """The toy with a column of unchanged length whose direction correlates with another's by a share."""
-    other = np.random.default_rng(seed).standard_normal(len(toy.rows))
-    one = toy.columns[of]
-    other -= one * (one @ other) / (one @ one)
-    column = share * one + math.sqrt(1 - share**2) * np.linalg.norm(one) * other / np.linalg.norm(other)
-    return replace(toy, columns={**toy.columns, name: column})
-
-
 def found_in(toy, truth, seed=1):
     toy = toy.drawn(np.random.default_rng(seed), truth)
     return toy, explain(toy)
@@ -44,7 +35,7 @@ def found_in(toy, truth, seed=1):
 def one(toy):
     """One effect is missing; E1 may be negative, E4 looks exactly as E2, E5 is too weak to be seen."""
     made = toy(effects=6, signed=("E1",))
-    made = alike(made, "E4", "E2", 0.995)
+    made = made.alike("E4", "E2", 0.995)
     made = replace(made, columns={**made.columns, "E5": made.columns["E5"] / 10})
     return found_in(made, {"E3": 1.0})
 
@@ -221,7 +212,7 @@ def test_the_correlation_of_fingerprints_is_that_after_projection(one):
 
 
 def test_effects_that_look_alike_are_named_for_each_other(toy):
-    made = alike(toy(effects=4), "E3", "E1", 0.97)
+    made = toy(effects=4).alike("E3", "E1", 0.97)
     _, found = found_in(made, {"E1": 0.5})
     rho = confounding_table(found).set_index("effect").loc["E1", "E3"]
     assert ALIKE < rho < 0.98
@@ -232,14 +223,14 @@ def test_effects_that_look_alike_are_named_for_each_other(toy):
 
 
 def test_effects_that_look_alike_are_named_although_nothing_is_missing(toy):
-    _, found = found_in(alike(toy(effects=4), "E3", "E1", 0.97), {})
+    _, found = found_in(toy(effects=4).alike("E3", "E1", 0.97), {})
     assert found.verdict == "nothing_detectable" and confounded_with(found, "E1") == ["E3"]
 
 
 @pytest.mark.parametrize(("strength", "told"), [(0.5, ["E3"]), (5.0, [])])
 def test_effects_somewhat_alike_are_confounded_only_while_weak(toy, strength, told):
     """Correlation 0.85: at a score of 5 the odds to expect are below 20:1, at 40 they are beyond doubt."""
-    made = alike(toy(effects=4, parameters=1, reach=0.1), "E3", "E1", 0.88)
+    made = toy(effects=4, parameters=1, reach=0.1).alike("E3", "E1", 0.88)
     _, found = found_in(made, {"E1": strength})
     rho = confounding_table(found).set_index("effect").loc["E1", "E3"]
     assert 0.8 < rho < ALIKE

@@ -31,15 +31,6 @@ def dressed(toy):
     return replace(toy, effects=effects)
 
 
-def alike(toy, name, of, share, seed=1):
-    """The toy with a column of unchanged length whose direction correlates with another's by a share."""
-    other = np.random.default_rng(seed).standard_normal(len(toy.rows))
-    one = toy.columns[of]
-    other -= one * (one @ other) / (one @ one)
-    column = share * one + math.sqrt(1 - share**2) * np.linalg.norm(one) * other / np.linalg.norm(other)
-    return replace(toy, columns={**toy.columns, name: column})
-
-
 def first(toy, truth, verdict, noise=1.0, seed=1):
     """The first draw with a verdict."""
     rng = np.random.default_rng(seed)
@@ -60,7 +51,7 @@ def cases(toy):
     return {
         "nothing_detectable": first(plain, {}, "nothing_detectable"),
         "effect": first(plain, {"E2": 1.5}, "effect"),
-        "indistinguishable": first(alike(plain, "E3", "E2", 0.9), {"E2": 0.9}, "indistinguishable"),
+        "indistinguishable": first(plain.alike("E3", "E2", 0.9), {"E2": 0.9}, "indistinguishable"),
         "two_effects": first(plain, {"E0": 1.2, "E3": 1.2}, "two_effects"),
         "partial": first(partly, {"E1": 3.0, "hidden": 2.0}, "partial"),
         "none_explains": first(plain, {"A7": 1.5}, "none_explains"),
@@ -259,7 +250,7 @@ def test_the_reason_against_the_best_attempt_is_told(cases):
 
 def test_a_best_attempt_that_leaves_nothing_is_not_said_to_leave_something(toy):
     """It only has less evidence than a local change."""
-    made = dressed(alike(toy(), "A5", "E2", 0.9))
+    made = dressed(toy().alike("A5", "E2", 0.9))
     for seed in range(1, 30):
         found = first(made, {"A5": 0.9}, "none_explains", seed=seed)
         if found.chosen_check.passes(0.01) and not found.chosen.implausible:
@@ -289,13 +280,13 @@ def test_a_larger_scatter_behind_a_name_is_told(toy):
 
 
 def test_effects_that_look_exactly_the_same_are_named_along(toy):
-    merged = dressed(alike(toy(effects=5), "E4", "E2", 0.995))
+    merged = dressed(toy(effects=5).alike("E4", "E2", 0.995))
     found = first(merged, {"E2": 1.5}, "effect")
     assert "Title of E2 (E2, or what looks exactly the same here: E4)," in told(found)
 
 
 def test_merged_effects_are_named_along_in_a_pair(toy):
-    merged = dressed(alike(toy(effects=5), "E4", "E2", 0.995))
+    merged = dressed(toy(effects=5).alike("E4", "E2", 0.995))
     found = first(merged, {"E2": 1.5, "E0": 1.5}, "two_effects")
     assert set(found.chosen.names) == {"E0", "E2"}
     assert "looks exactly the same here: E4" in told(found)
