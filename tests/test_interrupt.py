@@ -76,7 +76,7 @@ def test_the_first_interrupt_is_raised_and_later_ones_are_ignored():
 def test_a_leaving_that_takes_too_long_is_ended_by_the_next_interrupt():
     code, out, err = child(0.1, "time.sleep(0.2)", "say('still here')", "hand()", "say('never said')")
     assert (code, out, err) == (130, "leaving\nstill here\n", f"calib: {interrupt.WORDS}\n")
-    assert interrupt.CODE == 130 and interrupt.WORDS == "interrupted; the same command continues where it was"
+    assert interrupt.CODE == 130 and interrupt.WORDS == "interrupted; the same command again completes it"
 
 
 def test_nothing_but_an_interrupt_ends_a_leaving_that_takes_long():

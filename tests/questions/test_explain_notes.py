@@ -97,14 +97,16 @@ def test_points_that_failed_are_noted(refusing):
     answer = explain(study, results)
     assert answer.findings.credible == ("hung_mass_5",)
     failed = json.loads((results.path / "explanation.json").read_text())["failed"]
-    assert failed > 0 and answer.notes[-1].startswith(f"{failed} points failed; the first: ")
+    points = f"{failed} point{'s' * (failed > 1)} failed; the first (with hung_mass_5): "
+    assert failed > 0 and answer.notes[-1].startswith(points)
     assert "out of reach" in answer.notes[-1]
 
 
-def test_an_effect_that_can_never_be_evaluated_is_told_as_invisible(refusing):
+def test_an_effect_that_can_never_be_evaluated_is_told_as_not_tested(refusing):
     study, results = refusing("bracket_mass_1", 0.0)
     answer = explain(study, results)
-    assert "bracket_mass_1 of any possible strength" in answer.sentence
+    assert "Not tested, since the model fails with it: bracket_mass_1." in answer.sentence
+    assert "bracket_mass_1 of any" not in answer.sentence
     content = json.loads((results.path / "explanation.json").read_text())
     (row,) = [e for e in content["effects"] if e["name"] == "bracket_mass_1"]
     assert row["phi_min"] is None and content["credible_set"] == ["hung_mass_5"]

@@ -135,6 +135,8 @@ def test_a_curved_valley():
     assert found.converged
     np.testing.assert_allclose([found.values["p0"], found.values["p1"]], 1.0, atol=1e-5)
     assert found.evaluations < 60
+    few = fit(Valley(), space, {"p0": -1.2, "p1": 1.0}, Prior.none(), FitSettings(gain=1e-14, evaluations=6))
+    assert not few.converged and 6 <= few.evaluations < found.evaluations and "before it converged" in few.reason
     short = fit(Valley(), space, {"p0": -1.2, "p1": 1.0}, Prior.none(), FitSettings(iterations=3))
     assert not short.converged and short.iterations == 3 and "before it converged" in short.reason
     away = fit(Valley(), space.widen({"p0": (-2.0, 0.5)}), {"p0": -1.2, "p1": 1.0}, Prior.none())
