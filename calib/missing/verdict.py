@@ -171,7 +171,10 @@ def _rest(found: Findings) -> str:
     words = "fits better than every listed effect" if better else "is where an unnamed local change would help most"
     title = atom.effects[0].title
     what = f"A {title}" if title.startswith("change of ") else f"A change of the {title}"
-    return f"{what} {words}; that is a place to look at, not a cause."
+    scores = found.base_check.atoms
+    name = atom.names[0]
+    score = f" (score {scores.z[scores.best(name)]:.1f})" if name in scores.owners else ""
+    return f"{what}{score} {words}; that is a place to look at, not a cause."
 
 
 def _partial(found: Findings, effects: pd.DataFrame) -> list[str]:

@@ -262,7 +262,9 @@ def test_what_nothing_explains_is_told_with_the_place_to_look_at(cases):
     found = cases["none_explains"]
     text = told(found)
     assert text.startswith("Organised misfit that no listed effect explains: ")
-    assert "A change of the A7 fits better than every listed effect; that is a place to look at, not a cause." in text
+    scores = found.base_check.atoms
+    score = f"(score {scores.z[scores.best('A7')]:.1f})"
+    assert f"A change of the A7 {score} fits better than every listed effect; that is a place to look at" in text
     assert "is not believed" in text and "Look for" not in text and "95 %" not in text
 
 
@@ -283,7 +285,7 @@ def test_a_best_attempt_that_leaves_nothing_is_not_said_to_leave_something(toy):
             break
     assert found.chosen_check.passes(0.01) and not found.chosen.implausible
     text = told(found)
-    assert "A change of the A5 fits better than every listed effect" in text
+    assert "A change of the A5 (score " in text and "fits better than every listed effect" in text
     assert "still has p" not in text
 
 
