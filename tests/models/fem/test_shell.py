@@ -104,6 +104,15 @@ def test_patch_of_constant_transverse_shear_is_exact(case):
     assert u @ k @ u == pytest.approx(0.24 * 0.12 * np.array(angle) @ ORTHOTROPIC.shear @ angle, rel=1e-11)
 
 
+def test_rigidities_of_an_orthotropic_sheet():
+    compliance = np.linalg.inv(ORTHOTROPIC.membrane / 0.03)
+    expected = [[1 / 40e9, -0.25 / 40e9, 0], [-0.25 / 40e9, 1 / 10e9, 0], [0, 0, 1 / 5e9]]
+    np.testing.assert_allclose(compliance, expected, atol=1e-22)
+    np.testing.assert_allclose(ORTHOTROPIC.bending, 7.0 * 0.03**2 / 12 * ORTHOTROPIC.membrane, rtol=1e-12)
+    np.testing.assert_allclose(ORTHOTROPIC.shear, 5 / 6 * 0.03 * np.diag([4e9, 3e9]), rtol=1e-12)
+    assert SHEET.in_plane_shear == pytest.approx(70e9 / 2.6) and SHEET.is_isotropic and not ORTHOTROPIC.is_isotropic
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("warp", [0.0, 0.08])
 def test_six_rigid_motions_and_no_other_without_energy(rigid, seed, warp):
