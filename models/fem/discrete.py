@@ -1,73 +1,18 @@
-"""Springs, dampers and point masses between points of a frame, and attachments spread over several points."""
+"""Springs, dampers and point masses between points of a frame."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from calib.errors import InputError
-from models.fem.beam import arm_matrix
 from models.fem.frame import Frame, Point
 
-FEWEST_FEET = 4
-
-
-class Spider(NamedTuple):
-    """A place that moves as the mean of several feet on a part, which it does not stiffen.
-
-    The feet share a force evenly and a moment in proportion to their distance from their centre: the place moves with
-    the feet's mean motion and with the rotation that fits them best (least squares, as in an RBE3 element). Feet are
-    geometry: they stay where they are when the mesh is refined.
-
-    Attributes
-    ----------
-    on : str
-        Body or group that carries the feet.
-    point : (3,) coordinates in m
-    feet : tuple of points
-        Offsets of the feet from the place, m; at least four, not all on one line.
-    """
-
-    on: str
-    point: Point
-    feet: tuple[Point, ...]
-
-    def motion(self, frame: Frame, offset: Point = (0.0, 0.0, 0.0)) -> np.ndarray:
-        """Six motions of the place, or of a point rigidly held at an offset from it, shape (6, n_full)."""
-        called = f"spider at {self.point} on {self.on!r}"
-        feet = np.asarray(self.feet, dtype=float).reshape(-1, 3)
-        if len(feet) < FEWEST_FEET:
-            raise InputError(
-                f"it has {len(feet)} feet",
-                place=called,
-                remedy=f"give at least {FEWEST_FEET}, so that none rules alone",
-            )
-        centre = feet.mean(axis=0)
-        across = feet - centre
-        inertia = np.einsum("ij,ij->", across, across) * np.eye(3) - across.T @ across
-        sizes = np.linalg.eigvalsh(inertia)
-        if not sizes[0] > 1e-6 * sizes[-1]:
-            raise InputError("its feet lie on one line", place=called, remedy="spread them over an area")
-        moved = np.array([frame.motion(self.point + foot, self.on)[0][:3] for foot in feet])
-        # The offsets add up to nothing, so the mean motion drops out of the moments.
-        turned = np.linalg.solve(inertia, np.einsum("fij,fjk->ik", arm_matrix(-across), moved))
-        shifted = moved.mean(axis=0) + arm_matrix(np.asarray(offset) - centre) @ turned
-        return np.concatenate([shifted, turned])
-
-
-End = tuple[str, Point] | Spider
-"""A body or group and a place, which a rigid arm ties to the nearest point of that part; or a spider."""
-
-
-def end_motion(frame: Frame, end: End, offset: Point = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """Six motions of an end, or of a point held at an offset from it, over all nodal motions, shape (6, n_full)."""
-    if isinstance(end, Spider):
-        return end.motion(frame, offset)
-    return frame.motion(np.add(end[1], offset), end[0])[0]
+End = tuple[str, Point]
+"""A body or group and a place; a rigid arm ties the place to the nearest point of that part."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +51,7 @@ class Spring:
             raise InputError("its direction is zero", place=f"spring at {self.end}")
         d = d / size
         part = slice(3, 6) if self.rotational else slice(0, 3)
-        out = d @ end_motion(frame, self.end)[part]
+        out = d @ frame.motion(self.end[1], self.end[0])[0][part]
         if self.other is not None:
             gap = np.subtract(self.end[1], self.other[1])
             if not self.rotational and np.linalg.norm(np.cross(gap, d)) > 1e-6:
@@ -115,7 +60,7 @@ class Spring:
                     place="spring",
                     remedy="let both ends meet in one point, or turn the spring along the line between them",
                 )
-            out = out - d @ end_motion(frame, self.other)[part]
+            out = out - d @ frame.motion(self.other[1], self.other[0])[0][part]
         return out
 
 
@@ -163,7 +108,8 @@ def mass_matrix(frame: Frame, masses: Sequence[PointMass]) -> sp.csr_array:
     rows, weights = [], []
     for item in masses:
         for offset in item.spread:
-            rows.append(end_motion(frame, item.at, offset))
+            place = np.add(item.at[1], offset)
+            rows.append(frame.motion(place, item.at[0])[0])
             weights.append(np.array([item.mass] * 3 + list(item.inertia)) / len(item.spread))
     if not rows:
         return sp.csr_array((n, n))

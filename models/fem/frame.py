@@ -175,6 +175,11 @@ class Frame:
         """Names of all groups."""
         return frozenset(m.group for m in self.members)
 
+    @property
+    def parts(self) -> frozenset[str]:
+        """Names of everything that carries points."""
+        return self.groups | set(self.bodies)
+
     def group_nodes(self, groups: Iterable[str]) -> np.ndarray:
         """Sorted indices of the nodes touched by the named groups."""
         wanted = set(groups)
@@ -203,8 +208,8 @@ class Frame:
         p = np.asarray(point, dtype=float)
         found = self._carriers(p, on)
         if not found:
-            parts = sorted(set(self.bodies) | self.groups)
-            raise InputError(f"the model has no part {on!r}", place="frame", remedy=f"its parts are {', '.join(parts)}")
+            known = ", ".join(sorted(self.parts))
+            raise InputError(f"the model has no part {on!r}", place="frame", remedy=f"its parts are {known}")
         nearest = min(found, key=lambda carrier: round(carrier.distance, 9))
         if nearest.problem is not None:
             raise nearest.problem

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from models.fem import shell, surface
 from models.fem.frame import Carrier, Frame, known_groups
 from models.fem.nodes import MERGE, NodeTable, assemble
 from models.fem.panel import Panel
+from models.fem.spider import Spider
 
 
 class ShellMatrices(NamedTuple):
@@ -48,11 +50,14 @@ class Structure(Frame):
     Attributes
     ----------
     panels : tuple of Panel
+    spiders : tuple of Spider
+        Attachments that springs, masses and sensors find by name.
     reach : float
         Farthest beside a free edge at which a panel still carries a point, m.
     """
 
     panels: tuple[Panel, ...] = ()
+    spiders: tuple[Spider, ...] = ()
     reach: float = 0.05
     corners: np.ndarray = field(init=False, repr=False, compare=False)
     panel_of: np.ndarray = field(init=False, repr=False, compare=False)
@@ -60,6 +65,10 @@ class Structure(Frame):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        taken = Counter([*self.groups, *set(self.bodies), *(s.name for s in self.spiders)])
+        for spider in self.spiders:
+            if taken[spider.name] > 1:
+                raise InputError("another part has its name", place=f"spider {spider.name!r}", remedy="rename it")
         nodes = self.points[self.corners]
         flat = [shell.quads(nodes[self.panel_of == k], _along(p), p.place) for k, p in enumerate(self.panels)]
         names = ("corners", "centre", "axes", "arms")
@@ -105,6 +114,22 @@ class Structure(Frame):
     def groups(self) -> frozenset[str]:
         """Names of all groups, of members and of panels."""
         return super().groups | {p.group for p in self.panels}
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """Names of everything that carries points: bodies, groups and spiders."""
+        return super().parts | {s.name for s in self.spiders}
+
+    def motion(self, point: Sequence[float] | np.ndarray, on: str | None = None) -> tuple[np.ndarray, float]:
+        """Six motions (6, n_full) of a point, and the length in m of the rigid arm that ties it to the structure.
+
+        Any point may be asked of a spider, at no distance: it is a rigid body that reaches as far as its user says.
+        For everything else, and for panels alike, see `Frame.motion`. InputError for a point beside a panel's edge.
+        """
+        for spider in self.spiders:
+            if spider.name == on:
+                return spider.motion(self, np.asarray(point, dtype=float)), 0.0
+        return super().motion(point, on)
 
     def _touched(self, wanted: set[str]) -> np.ndarray:
         own = np.array([p.group in wanted for p in self.panels], dtype=bool)[self.panel_of]

@@ -11,12 +11,13 @@ from calib.errors import InputError
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term
 from calib.structure.model import StructuralModel
-from models.fem.discrete import FrameLocator, PointMass, Spider, Spring, mass_matrix, spring_matrix
+from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.frame import Member, Suppression
 from models.fem.panel import Panel, sheet_panel
 from models.fem.parts import shell_coefficients, shell_parts, shell_terms
 from models.fem.section import Section
 from models.fem.sheet import Sheet
+from models.fem.spider import Spider
 from models.fem.structure import Structure
 
 SHEET = Sheet(0.01, 70e9, 0.33, 2700.0)
@@ -196,27 +197,27 @@ def test_of_a_beam_and_a_panel_at_one_place_the_beam_is_taken():
         s.shells(["roof"])
 
 
-FEET = tuple((x, 0.4, z) for x in (-0.3, 0.3) for z in (-0.25, 0.2))
+FEET = tuple((1.0 + x, 0.0, 0.5 + z) for x in (-0.3, 0.3) for z in (-0.25, 0.2))
+TANK = (1.0, -0.4, 0.5)
 
 
 @pytest.mark.parametrize("refinement", [0, 1])
 def test_a_spider_follows_rigid_motions_and_shares_its_load_in_balance(rigid, refinement):
-    s = car(refinement)
-    spider = Spider("floor", (1.0, -0.4, 0.5), FEET)
-    rows = spider.motion(s)
-    np.testing.assert_allclose(rows @ rigid(s.points), rigid(np.array([spider.point])), atol=1e-12)
-    out = spider.motion(s, (0.1, -0.2, 0.3))
-    np.testing.assert_allclose(out @ rigid(s.points), rigid(np.array([[1.1, -0.6, 0.8]])), atol=1e-12)
+    s = car(refinement, spiders=(Spider("tank", "floor", FEET),))
+    for point in (TANK, (0.9, -0.7, 0.2)):
+        rows, distance = s.motion(point, "tank")
+        assert distance == 0.0
+        np.testing.assert_allclose(rows @ rigid(s.points), rigid(np.array([point])), atol=1e-12)
     # A pull over the feet's centre is shared evenly by them.
-    pull = spider.motion(s, (0.0, 0.0, float(np.mean(FEET, axis=0)[2])))[1]
-    feet = [s.motion(np.add(spider.point, foot), "floor")[0][1] for foot in FEET]
+    pull = s.motion((1.0, -0.4, 0.475), "tank")[0][1]
+    feet = [s.motion(foot, "floor")[0][1] for foot in FEET]
     np.testing.assert_allclose(pull, np.mean(feet, axis=0), atol=1e-12)
 
 
 def test_a_spider_is_the_same_on_every_mesh():
     def moved(refinement, field):
-        s = Structure((), panels=(floor(refinement),))
-        return Spider("floor", (1.0, -0.4, 0.5), FEET).motion(s) @ np.array([field(p) for p in s.points]).ravel()
+        s = Structure((), panels=(floor(refinement),), spiders=(Spider("tank", "floor", FEET),))
+        return s.motion(TANK, "tank")[0] @ np.array([field(p) for p in s.points]).ravel()
 
     def linear(p):
         return (*(np.arange(9).reshape(3, 3) @ p), 0.0, 0.0, 0.0)
@@ -228,22 +229,26 @@ def test_a_spider_is_the_same_on_every_mesh():
 
 
 def test_spiders_that_cannot_stand_are_refused():
-    s = car()
     with pytest.raises(InputError, match="has 3 feet"):
-        Spider("floor", (1.0, -0.4, 0.5), FEET[:3]).motion(s)
+        Spider("tank", "floor", FEET[:3])
     with pytest.raises(InputError, match="one line"):
-        Spider("floor", (1.0, -0.4, 0.5), tuple((x, 0.4, 0.0) for x in (-0.3, -0.1, 0.1, 0.3))).motion(s)
+        Spider("tank", "floor", tuple((x, 0.0, 0.5) for x in (0.3, 0.5, 0.7, 0.9)))
+    with pytest.raises(InputError, match="another part has its name"):
+        car(spiders=(Spider("side", "floor", FEET),))
+    off = tuple((x + 1.0, y, z) for x, y, z in FEET)
     with pytest.raises(InputError, match="beside the edge"):
-        Spider("floor", (1.8, -0.4, 0.5), FEET).motion(s)
+        car(spiders=(Spider("tank", "floor", off),)).motion(TANK, "tank")
+    with pytest.raises(InputError, match="no part 'tray'") as caught:
+        car(spiders=(Spider("tank", "floor", FEET),)).motion(TANK, "tray")
+    assert "tank" in str(caught.value)
 
 
 def test_springs_and_masses_hang_on_spiders(rigid):
-    s = car()
-    spider = Spider("floor", (1.0, -0.4, 0.5), FEET)
-    down = Spring(spider, None, (0, 1, 0)).row(s)
-    np.testing.assert_allclose(down, spider.motion(s)[1])
-    m = mass_matrix(s, [PointMass(spider, 300.0, (4.0, 5.0, 6.0))])
-    found, arm = rigid(s.points).T @ m @ rigid(s.points), np.array(spider.point)
+    s = car(spiders=(Spider("tank", "floor", FEET),))
+    down = Spring(("tank", TANK), None, (0, 1, 0)).row(s)
+    np.testing.assert_allclose(down, s.motion(TANK, "tank")[0][1])
+    m = mass_matrix(s, [PointMass(("tank", TANK), 300.0, (4.0, 5.0, 6.0))])
+    found, arm = rigid(s.points).T @ m @ rigid(s.points), np.array(TANK)
     np.testing.assert_allclose(found[:3, :3], 300.0 * np.eye(3), atol=1e-9)
     expected = 300.0 * (arm @ arm * np.eye(3) - np.outer(arm, arm)) + np.diag([4.0, 5.0, 6.0])
     np.testing.assert_allclose(found[3:, 3:], expected, atol=1e-9)
@@ -320,10 +325,9 @@ def test_parts_add_up_to_the_whole():
 
 
 def test_a_model_of_panels_and_stiffeners_answers_modes_and_sensors():
-    spider = Spider("floor", (1.0, -0.4, 0.5), FEET)
     freq = []
     for refinement in (0, 1, 2):
-        s = car(refinement)
+        s = car(refinement, spiders=(Spider("tank", "floor", FEET),))
         dofs = s.dof_map()
         stiffness, mass = shell_terms(s, same, "side", "E", "t", "RMI")
         rest, weight = shell_terms(s, same, "floor")
@@ -340,7 +344,7 @@ def test_a_model_of_panels_and_stiffeners_answers_modes_and_sensors():
         n = dofs.n_dof
         stiffness += [*rest, *constant("bars", k), *constant("springs", 1e3 * springs)]
         mass += [*weight, *constant("bars", m)]
-        mass += constant("tank", mass_matrix(s, [PointMass(spider, 50.0)]))
+        mass += constant("tank", mass_matrix(s, [PointMass(("tank", TANK), 50.0)]))
         model = StructuralModel(
             "car", space, AffineMatrix(n, tuple(stiffness)), AffineMatrix(n, ()), AffineMatrix(n, tuple(mass)),
             s.mesh(), dofs, {"all": np.arange(n)}, FrameLocator(s, dofs.expansion),
