@@ -26,6 +26,9 @@ _COPY = 1e-6
 _SHIFT = 1e-10
 """Square of the shift over the largest local eigenvalue: keeps the factor regular when rigid-body modes exist."""
 
+_TURNING = 10.0
+"""Largest local eigenvalue of rotations over that of translations that the shift heeds."""
+
 
 def solve_modes(
     stiffness: sp.csc_array,
@@ -71,7 +74,7 @@ def solve_modes(
     if not mass.diagonal().max(initial=0.0) > 0:
         raise EvaluationError("the model has no mass")
     turning = _turning_share(mass, rotational)
-    shift = _shift(stiffness, mass)
+    shift = _shift(stiffness, mass, rotational)
     try:
         if damping is None or not np.any(damping.data):
             return _real_modes(stiffness, mass, count, shift, turning)
@@ -82,11 +85,19 @@ def solve_modes(
         raise EvaluationError(f"the eigenproblem could not be solved ({fault})") from fault
 
 
-def _shift(stiffness: sp.csc_array, mass: sp.csc_array) -> float:
-    """Small positive shift in rad/s, far below the vibration modes and above the rounding of zero roots."""
+def _shift(stiffness: sp.csc_array, mass: sp.csc_array, rotational: np.ndarray | None = None) -> float:
+    """Small positive shift in rad/s, far below the vibration modes and above the rounding of zero roots.
+
+    Rotations of thin walls have next to no inertia of their own: a shift scaled by their local eigenvalues would lie
+    above the modes of a body on soft springs, and count these as zero. They are bounded by those of translations.
+    """
     k, m = stiffness.diagonal(), mass.diagonal()
     heavy = m > 1e-12 * m.max()
-    return float(np.sqrt(_SHIFT * max(np.max(np.abs(k[heavy]) / m[heavy]), 1e-300)))
+    local = np.abs(k[heavy]) / m[heavy]
+    largest = float(local.max())
+    if rotational is not None and not np.all(rotational[heavy]):
+        largest = min(largest, _TURNING * float(local[~rotational[heavy]].max()))
+    return float(np.sqrt(_SHIFT * max(largest, 1e-300)))
 
 
 def _turning_share(mass: sp.csc_array, rotational: np.ndarray | None) -> TurningShare:
