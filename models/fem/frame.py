@@ -104,6 +104,23 @@ class Suppression:
     point: Point | None = None
 
 
+@dataclass(frozen=True)
+class Particle:
+    """A body that is one node: what swings by itself on springs.
+
+    Attributes
+    ----------
+    body : str
+    group : str
+        Under which several of them are suppressed or told apart.
+    point : (3,) coordinates in m
+    """
+
+    body: str
+    group: str
+    point: Point
+
+
 class Carrier(NamedTuple):
     """An element's nearest place to a point: its distance, its nodes and the point's motion over theirs.
 
@@ -125,15 +142,18 @@ class Frame:
     members : tuple of Member
     ties : tuple of Tie
     suppressions : tuple of Suppression
+    particles : tuple of Particle
     """
 
     members: tuple[Member, ...]
     ties: tuple[Tie, ...] = ()
     suppressions: tuple[Suppression, ...] = ()
+    particles: tuple[Particle, ...] = ()
     points: np.ndarray = field(init=False, repr=False, compare=False)
     bodies: tuple[str, ...] = field(init=False, repr=False, compare=False)
     ends: np.ndarray = field(init=False, repr=False, compare=False)
     member_of: np.ndarray = field(init=False, repr=False, compare=False)
+    particle_nodes: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         table = NodeTable()
@@ -151,6 +171,8 @@ class Frame:
             owner += [m] * (len(chain) - 1)
         object.__setattr__(self, "ends", np.array(ends, dtype=int).reshape(-1, 2))
         object.__setattr__(self, "member_of", np.array(owner, dtype=int))
+        nodes = [table.number(p.body, np.array(p.point, dtype=float)) for p in self.particles]
+        object.__setattr__(self, "particle_nodes", np.array(nodes, dtype=int))
 
     # -- places --------------------------------------------------------------------------------------------------------
 
@@ -173,7 +195,7 @@ class Frame:
     @property
     def groups(self) -> frozenset[str]:
         """Names of all groups."""
-        return frozenset(m.group for m in self.members)
+        return frozenset(part.group for part in (*self.members, *self.particles))
 
     @property
     def parts(self) -> frozenset[str]:
@@ -187,7 +209,9 @@ class Frame:
         return np.unique(self._touched(wanted))
 
     def _touched(self, wanted: set[str]) -> np.ndarray:
-        return self.ends[np.array([self.members[m].group in wanted for m in self.member_of], dtype=bool)].ravel()
+        members = np.array([m.group in wanted for m in self.members], dtype=bool)[self.member_of]
+        particles = np.array([p.group in wanted for p in self.particles], dtype=bool)
+        return np.concatenate([self.ends[members].ravel(), self.particle_nodes[particles]])
 
     def motion(self, point: Sequence[float] | np.ndarray, on: str | None = None) -> tuple[np.ndarray, float]:
         """Six motions of a point that a rigid arm ties to the nearest place of the structure.
@@ -220,10 +244,12 @@ class Frame:
 
     def _carriers(self, p: np.ndarray, on: str | None) -> list[Carrier]:
         """The nearest place of every kind of element; of equally near ones the first is taken."""
-        allowed = np.array([on is None or on in (self.members[m].body, self.members[m].group) for m in self.member_of])
+        found = self._particle_carriers(p, on)
+        of_member = np.array([on is None or on in (m.body, m.group) for m in self.members], dtype=bool)
+        allowed = of_member[self.member_of]
         if not allowed.any():
-            return []
-        arm = np.array([self.members[m].arm for m in self.member_of])
+            return found
+        arm = np.array([m.arm for m in self.members])[self.member_of]
         start, end = self.points[self.ends[:, 0]] + arm, self.points[self.ends[:, 1]] + arm
         along = end - start
         t = np.clip(np.einsum("ij,ij->i", p - start, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
@@ -237,7 +263,18 @@ class Frame:
         r6 = np.kron(np.eye(2), rotation[0])
         at_axis = r6.T @ local @ beam.transformation(rotation, arms)[0]
         at_axis[:3] += beam.arm_matrix(p - foot[e]) @ at_axis[3:]
-        return [Carrier(float(distance[e]), self.ends[e], at_axis)]
+        return [*found, Carrier(float(distance[e]), self.ends[e], at_axis)]
+
+    def _particle_carriers(self, p: np.ndarray, on: str | None) -> list[Carrier]:
+        own = np.array([on is None or on in (part.body, part.group) for part in self.particles], dtype=bool)
+        if not own.any():
+            return []
+        nodes = self.particle_nodes[own]
+        arms = p - self.points[nodes]
+        k = int(np.argmin(np.linalg.norm(arms, axis=1)))
+        rigid = np.eye(6)
+        rigid[:3, 3:] = beam.arm_matrix(arms[k])
+        return [Carrier(float(np.linalg.norm(arms[k])), nodes[k : k + 1], rigid)]
 
     # -- degrees of freedom and matrices -------------------------------------------------------------------------------
 

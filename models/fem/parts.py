@@ -79,6 +79,7 @@ def shell_coefficients(
     thickness: str | None = None,
     rmi: str | None = None,
     shear_modulus: str | None = None,
+    density: str | None = None,
 ) -> ShellCoefficients:
     """Coefficients that put parameters in the place of a sheet's own values.
 
@@ -93,6 +94,8 @@ def shell_coefficients(
     shear_modulus : str, optional
         Parameter that takes the place of the shear modulus through the thickness (of the plane along; that across
         keeps its ratio to it); without it the modulus rules transverse shear as well.
+    density : str, optional
+        Parameter that takes the place of the density.
     """
 
     def of(*given: tuple[str | None, float, float]) -> Monomial:
@@ -103,9 +106,10 @@ def shell_coefficients(
     stiff = (modulus, 1.0, sheet.young_modulus)
     through = stiff if shear_modulus is None else (shear_modulus, 1.0, sheet.through_shear[0])
     thin, thick = (thickness, 1.0, sheet.thickness), (thickness, 3.0, sheet.thickness)
+    heavy = (density, 1.0, sheet.density)
     membrane = of(stiff, thin)
     return ShellCoefficients(
-        membrane, of(stiff, thick, (rmi, 1.0, sheet.rmi)), of(through, thin), membrane, of(thin), of(thick)
+        membrane, of(stiff, thick, (rmi, 1.0, sheet.rmi)), of(through, thin), membrane, of(heavy, thin), of(heavy, thick)
     )
 
 
@@ -117,6 +121,7 @@ def shell_terms(
     thickness: str | None = None,
     rmi: str | None = None,
     shear_modulus: str | None = None,
+    density: str | None = None,
 ) -> tuple[list[Term], list[Term]]:
     """Stiffness and mass of a group of panels as affine terms; shares with one coefficient are one term.
 
@@ -125,8 +130,8 @@ def shell_terms(
     """
     sheets = [p.sheet for p in structure.panels if p.group == group]
     matrices = structure.shells((group,))
-    coefficients = shell_coefficients(sheets[0], modulus, thickness, rmi, shear_modulus)
-    if any(shell_coefficients(sheet, modulus, thickness, rmi, shear_modulus) != coefficients for sheet in sheets):
+    coefficients = shell_coefficients(sheets[0], modulus, thickness, rmi, shear_modulus, density)
+    if any(shell_coefficients(sheet, modulus, thickness, rmi, shear_modulus, density) != coefficients for sheet in sheets):
         raise InputError(
             "its panels differ in a value that a parameter is to replace",
             place=f"group {group!r}",

@@ -136,7 +136,7 @@ class Structure(Frame):
         return np.concatenate([super()._touched(wanted), self.corners[own].ravel()])
 
     def _carriers(self, p: np.ndarray, on: str | None) -> list[Carrier]:
-        found = super()._carriers(p, on) if len(self.ends) else []
+        found = super()._carriers(p, on)
         own = np.array([on is None or on in (panel.body, panel.group) for panel in self.panels], dtype=bool)
         chosen = np.flatnonzero(own[self.panel_of])
         if not len(chosen):
