@@ -145,7 +145,7 @@ def _springs() -> dict[str, tuple[Spring, ...]]:
             pads.append(
                 Spring((name, high), ("tilting_bolster", low), (0, 1, 0), False, K_PAD, f"floor pad {end} {side}")
             )
-        meet = (0.0, FLOOR_Y, s * PAD_Z)
+        meet = (0.0, TILTING_BOLSTER_Y, s * PAD_Z)
         ends = (f"floor_{side}", meet), ("tilting_bolster", meet)
         links.append(Spring(*ends, (1, 0, 0), False, K_TRACTION, f"traction link {side}"))
         links.append(Spring(*ends, (0, 0, 1), False, K_LATERAL, f"lateral link {side}"))

@@ -88,7 +88,7 @@ ASSUMPTIONS: tuple[Assumption, ...] = (
     Assumption("posts under and over the pillars: A, I in and across the wall, J", "2.5e-3, 1e-5, 2e-5, 5e-7", "m2, m4",
                "lost; they lead the pillars' moments on into the wall"),
     Assumption("door posts, end rings, gangway frames: A, I, J", "2.5e-3, 5e-6, 5e-6", "m2, m4", _REASON),
-    Assumption("floor cross-beams, 1.0 m apart and beside the bogies: A, Iv, Il, J", "2.5e-3, 1e-5, 5e-6, 5e-6",
+    Assumption("floor cross-beams at every pillar and beside the bogies: A, Iv, Il, J", "2.5e-3, 1e-5, 5e-6, 5e-6",
                "m2, m4", "lost; they carry the equipment"),
     Assumption("bolster cross-beams: A, Iv, Il, J", "6.0e-3, 4e-5, 1e-5, 1e-5", "m2, m4", _REASON),
 )  # fmt: skip
@@ -155,7 +155,7 @@ def _far(zone: str, xs: tuple[float, ...]) -> int:
 
 def _floor_frames(base: Panel, zone: str, xs: tuple[float, ...]) -> list[Member]:
     if zone == "windows":
-        places = [("floor_beam", x) for x in xs[::2]]
+        places = [("floor_beam", x) for x in PILLARS]
     else:
         s = 1.0 if zone == "front" else -1.0
         places = [("bolster_beam", s * BOGIE_X), ("floor_beam", s * (BOGIE_X + FLOOR_X[-1]))]

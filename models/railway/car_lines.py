@@ -57,8 +57,7 @@ def stations() -> dict[str, tuple[float, ...]]:
     """
     first, last = PILLARS[0], PILLARS[-1]
     windows = tuple(float(x) for x in np.linspace(first, last, round((last - first) / _CELL) + 1))
-    middle_of_door = sum(DOOR) / 2
-    beyond = (BOGIE_X, BOGIE_X + FLOOR_X[-1], DOOR[0], middle_of_door, DOOR[1], HALF_LENGTH)
+    beyond = (BOGIE_X, BOGIE_X + FLOOR_X[-1], DOOR[0], sum(DOOR) / 2, DOOR[1], (DOOR[1] + HALF_LENGTH) / 2, HALF_LENGTH)
     front = (last, *beyond)
     return {"rear": tuple(-x for x in reversed(front)), "windows": windows, "front": front}
 

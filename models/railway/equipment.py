@@ -32,11 +32,11 @@ class Item:
 
 
 UNDER_FLOOR = (
-    Item("traction converter", 2600.0, -5.0, 1.0),
-    Item("traction motor", 2200.0, 5.0, 1.0),
-    Item("auxiliary converter", 1600.0, 1.0, 1.0),
+    Item("traction converter", 2600.0, -4.0, 1.0),
+    Item("traction motor", 2200.0, 6.0, 1.0),
+    Item("auxiliary converter", 1600.0, 0.0, 1.0),
     Item("compressor", 900.0, -2.0, 1.0),
-    Item("batteries", 800.0, 3.0, 1.0),
+    Item("batteries", 800.0, 2.0, 1.0),
 )
 ON_ROOF = (Item("front roof unit", 600.0, 4.0, 1.0), Item("rear roof unit", 600.0, -4.0, 1.0))
 

@@ -34,7 +34,7 @@ from models.railway.parameters import BOGIE, CAR, OTHERS
 from models.railway.running_gear import running_gear
 
 BOGIES = (("front", BOGIE_X), ("rear", -BOGIE_X))
-_SIZE = 0.12
+_SIZE = 0.15
 
 ASSUMPTIONS: tuple[Assumption, ...] = (
     Assumption("mass of the further equipment that m_base, m_walls and m_cover share", f"{OTHERS:g}", "kg",
