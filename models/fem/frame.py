@@ -195,7 +195,7 @@ class Frame:
     @property
     def groups(self) -> frozenset[str]:
         """Names of all groups."""
-        return frozenset(part.group for part in (*self.members, *self.particles))
+        return frozenset([*(m.group for m in self.members), *(p.group for p in self.particles)])
 
     @property
     def parts(self) -> frozenset[str]:

@@ -109,7 +109,12 @@ def shell_coefficients(
     heavy = (density, 1.0, sheet.density)
     membrane = of(stiff, thin)
     return ShellCoefficients(
-        membrane, of(stiff, thick, (rmi, 1.0, sheet.rmi)), of(through, thin), membrane, of(heavy, thin), of(heavy, thick)
+        membrane,
+        of(stiff, thick, (rmi, 1.0, sheet.rmi)),
+        of(through, thin),
+        membrane,
+        of(heavy, thin),
+        of(heavy, thick),
     )
 
 
@@ -131,7 +136,9 @@ def shell_terms(
     sheets = [p.sheet for p in structure.panels if p.group == group]
     matrices = structure.shells((group,))
     coefficients = shell_coefficients(sheets[0], modulus, thickness, rmi, shear_modulus, density)
-    if any(shell_coefficients(sheet, modulus, thickness, rmi, shear_modulus, density) != coefficients for sheet in sheets):
+    if any(
+        shell_coefficients(sheet, modulus, thickness, rmi, shear_modulus, density) != coefficients for sheet in sheets
+    ):
         raise InputError(
             "its panels differ in a value that a parameter is to replace",
             place=f"group {group!r}",

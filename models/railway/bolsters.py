@@ -43,7 +43,7 @@ ASSUMPTIONS: tuple[Assumption, ...] = (
     Assumption("floor pads (4 a bogie): x, z, stiffness", "+-0.35, +-0.90, 2.0", "m, MN/m", _REASON),
     Assumption("traction and lateral links (2 a bogie): z, stiffness", "+-0.90, 100, 40", "m, MN/m",
                "stiff, so that sway and lengthwise motion stay out of the band of the measured modes"),
-    Assumption("yaw dampers: height, z, bracket and floor end from the bogie's centre", "1.02, +-1.05, 0.75, -0.10", "m",
+    Assumption("yaw dampers: height, z, x of bracket and floor end", "1.02, +-1.05, 0.75, -0.10", "m",
                _REASON),
     Assumption("yaw-damper bracket: height, A, I, J", "0.40, 6.0e-3, 6.0e-6, 1.0e-5", "m, m2, m4",
                "its bending is what lets the frame pitch behind the locked damper"),

@@ -48,13 +48,13 @@ SEAT_MASS, SEAT_STIFFNESS, SEAT_DAMPING = 35.0, 670e3, 0.70e3
 _REASON = "lost in the case study; plausible for a motor car of 50 t"
 
 ASSUMPTIONS: tuple[Assumption, ...] = (
-    *(Assumption(f"{i.name}: mass, x, y, feet at +-z", f"{i.mass:g}, {i.x:g}, {UNDER_Y:g}, {UNDER_Z:g}", "kg, m", _REASON)
-      for i in UNDER_FLOOR),
-    *(Assumption(f"{i.name}: mass, x, y, feet at +-z", f"{i.mass:g}, {i.x:g}, {ROOF_Y:g}, {COVER[_ROOF_LINE][1]:g}",
+    *(Assumption(f"{i.name}: mass, x, y, z of its feet", f"{i.mass:g}, {i.x:g}, {UNDER_Y:g}, +-{UNDER_Z:g}", "kg, m",
+                 _REASON) for i in UNDER_FLOOR),
+    *(Assumption(f"{i.name}: mass, x, y, z of its feet", f"{i.mass:g}, {i.x:g}, {ROOF_Y:g}, +-{COVER[_ROOF_LINE][1]:g}",
                  "kg, m", _REASON) for i in ON_ROOF),
     Assumption("seats: 15 rows of 4, x from -7 to 7, z", "+-0.62, +-1.12", "m", _REASON),
     Assumption("seat: mass, stiffness, damping", "35, 670, 0.70", "kg, kN/m, kNs/m",
-               "empty: 22 Hz and 7 %, above the measured modes; passengers would put 60 modes among those of the bogies"),
+               "empty: 22 Hz and 7 %; with passengers 60 modes would lie among those of the bogies"),
 )  # fmt: skip
 """Every number of equipment and seats that is an engineering assumption."""
 

@@ -13,7 +13,7 @@ from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.model import Assumption, DofMap, Part, StructuralModel
 from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.parts import (
-    ShellCoefficients,
+    Reduced,
     beam_parts,
     mass_parts,
     shell_coefficients,
@@ -61,6 +61,8 @@ _ADDED = {
     "m_crossbar": "crossbar",
     "m_axle": "axle",
 }
+
+_NO_PARAMETER = ("suspension_fixed", "floor_fixed", "seats")
 
 _STEEL = ("girder_centre", "girder_end", "crossbar", "axle", "box", "load_bolster", "tilting_bolster", "bracket")
 
@@ -124,7 +126,7 @@ def assembly(refine: int = 1, distributed: bool = False) -> Assembly:
 
 
 def vehicle(refine: int = 1, distributed: bool = False) -> StructuralModel:
-    """The vehicle as a structural model of about 1900 nodes.
+    """The vehicle as a structural model of about 1800 nodes.
 
     Parameters
     ----------
@@ -148,45 +150,19 @@ def vehicle(refine: int = 1, distributed: bool = False) -> StructuralModel:
     def reduced(full: sp.csr_array) -> sp.csr_array:
         return sp.csr_array(dofs.expansion.T @ full @ dofs.expansion)
 
-    young, density = parameter("E_aluminium", 1 / E_ALUMINIUM), parameter("rho_aluminium", 1 / RHO_ALUMINIUM)
-    light, light_mass = structure.beams(SECTIONS)
-    steel, steel_mass = structure.beams(_of_both(_STEEL))
-    stiffness = [Term("frames", reduced(light), young), Term("steel", reduced(steel))]
-    mass = [
-        Term("frames", reduced(light_mass), density),
-        Term("steel", reduced(steel_mass)),
-        Term("points", reduced(mass_matrix(structure, whole.masses))),
-    ]
-    pieces: list[Part] = []
-    rules: dict[str, ShellCoefficients] = {}
-    for group, (thickness, rmi) in _RULES.items():
-        stiff, heavy = shell_terms(
-            structure, reduced, group, "E_aluminium", thickness, rmi, density="rho_aluminium"
-        )  # fmt: skip
-        stiffness += stiff
-        mass += heavy
-        rules[group] = shell_coefficients(
-            SHEETS[group], "E_aluminium", thickness, rmi, density="rho_aluminium"
-        )  # fmt: skip
-    for name, group in _SHARES.items():
-        term = Term(name, reduced(structure.area_mass((group,))), parameter(name, OTHERS / structure.area((group,))))
-        mass.append(term)
-        pieces.append(Part(f"further equipment of the {group}", "mass", term.matrix, term.coefficient, (0.0, 0.0, 0.0)))
-    for name, group in _ADDED.items():
-        mass.append(Term(name, reduced(structure.added_mass(_of_both((group,)), distributed)), parameter(name)))
-    fixed = {"seats": (SEAT_STIFFNESS, SEAT_DAMPING)}
-    damping = []
+    stiffness, mass, pieces = _body(structure, reduced)
+    mass += _gear_mass(structure, reduced, distributed)
+    mass.append(Term("points", reduced(mass_matrix(structure, whole.masses))))
+    pieces += mass_parts(structure, reduced, whole.masses)
+    damping: list[Term] = []
     for name, springs in whole.springs.items():
-        coefficient = _coefficient(name, fixed.get(name, (1.0, 1.0))[0])
+        coefficient = _coefficient(name, SEAT_STIFFNESS)
         stiffness.append(Term(name, reduced(spring_matrix(structure, springs)), coefficient))
         pieces += spring_parts(structure, reduced, springs, coefficient)
     for name, dampers in whole.dampers.items():
-        coefficient = _coefficient(name, fixed.get(name, (1.0, 1.0))[1])
+        coefficient = _coefficient(name, SEAT_DAMPING)
         damping.append(Term(name, reduced(spring_matrix(structure, dampers)), coefficient))
         pieces += spring_parts(structure, reduced, dampers, coefficient, "damping")
-    pieces += beam_parts(structure, reduced, dict.fromkeys(SECTIONS, young))
-    pieces += shell_parts(structure, reduced, rules)
-    pieces += mass_parts(structure, reduced, whole.masses)
     n = dofs.n_dof
     return StructuralModel(
         name="vehicle",
@@ -207,8 +183,50 @@ def vehicle(refine: int = 1, distributed: bool = False) -> StructuralModel:
     )  # fmt: skip
 
 
-def _coefficient(name: str, fixed: float) -> Monomial:
-    return parameter(name) if any(name == p.name for p in CAR + BOGIE) else Monomial(fixed)
+def _body(structure: Structure, reduced: Reduced) -> tuple[list[Term], list[Term], list[Part]]:
+    """Stiffness, mass and parts of all walls and beams."""
+    young, density = parameter("E_aluminium", 1 / E_ALUMINIUM), parameter("rho_aluminium", 1 / RHO_ALUMINIUM)
+    rules = {
+        group: shell_coefficients(SHEETS[group], "E_aluminium", thickness, rmi, density="rho_aluminium")
+        for group, (thickness, rmi) in _RULES.items()
+    }
+    strips = rules["walls"].bending
+    frames, frames_mass = structure.beams(SECTIONS)
+    steel, steel_mass = structure.beams(_of_both(_STEEL))
+    stiffness = [
+        Term("frames", reduced(frames), young),
+        Term("pillars", reduced(structure.beams(("pillar_wall",))[0]), strips),
+        Term("steel", reduced(steel)),
+    ]
+    mass = [Term("frames", reduced(frames_mass), density), Term("steel", reduced(steel_mass))]
+    for group, (thickness, rmi) in _RULES.items():
+        stiff, heavy = shell_terms(
+            structure, reduced, group, "E_aluminium", thickness, rmi, density="rho_aluminium"
+        )  # fmt: skip
+        stiffness += stiff
+        mass += heavy
+    pieces = beam_parts(structure, reduced, dict.fromkeys(SECTIONS, young) | {"pillar_wall": strips})
+    pieces += shell_parts(structure, reduced, rules)
+    for name, group in _SHARES.items():
+        spread, share = reduced(structure.area_mass((group,))), parameter(name, OTHERS / structure.area((group,)))
+        mass.append(Term(name, spread, share))
+        x, y, z = (float(c) for c in structure.points[structure.group_nodes((group,))].mean(axis=0))
+        pieces.append(Part(f"further equipment of the {group}", "mass", spread, share, (x, y, z)))
+    return stiffness, mass, pieces
+
+
+def _gear_mass(structure: Structure, reduced: Reduced, distributed: bool) -> list[Term]:
+    return [
+        Term(name, reduced(structure.added_mass(_of_both((group,)), distributed)), parameter(name))
+        for name, group in _ADDED.items()
+    ]
+
+
+def _coefficient(name: str, of_seats: float) -> Monomial:
+    """The parameter itself; springs without one carry their stiffness as a weight, except for the seats."""
+    if name in _NO_PARAMETER:
+        return Monomial(of_seats if name == "seats" else 1.0)
+    return parameter(name)
 
 
 def _of_both(groups: tuple[str, ...]) -> tuple[str, ...]:
