@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
@@ -15,15 +18,15 @@ STATIONS = (-12.95, -9.5, -5.0, 0.2, 5.0, 9.5, 12.95)
 FEWER = (-12.95, -5.0, 0.2, 5.0, 12.95)
 
 
-def vehicle_sensors() -> list[Sensor]:
+def places() -> list[Sensor]:
     """36 directions: sole bars, left cantrail, ends of the girders and of the load bolsters."""
-    places = [(x, 1.15, z, "y", "car") for z in (1.40, -1.40) for x in STATIONS]
-    places += [(x, y, z, "z", "car") for y, z in ((1.15, 1.40), (3.05, 1.27)) for x in FEWER]
+    chosen = [(x, 1.15, z, "y", "car") for z in (1.40, -1.40) for x in STATIONS]
+    chosen += [(x, y, z, "z", "car") for y, z in ((1.15, 1.40), (3.05, 1.27)) for x in FEWER]
     for name, centre in (("front", 9.5), ("rear", -9.5)):
         ends = [(centre + dx, 0.62, z) for z in (1.05, -1.05) for dx in (2.005, -2.005)]
-        places += [(*p, "y", f"{name}_frame") for p in ends]
-        places += [(centre, 0.86, z, "y", f"{name}_load_bolster") for z in (1.17, -1.17)]
-    return [Sensor(i, d, (x, y, z), on) for i, (x, y, z, d, on) in enumerate(places, start=1)]
+        chosen += [(*p, "y", f"{name}_frame") for p in ends]
+        chosen += [(centre, 0.86, z, "y", f"{name}_load_bolster") for z in (1.17, -1.17)]
+    return [Sensor(i, d, (x, y, z), on) for i, (x, y, z, d, on) in enumerate(chosen, start=1)]
 
 
 def templates(sensors: list[Sensor]) -> dict[str, np.ndarray]:
@@ -49,16 +52,35 @@ def templates(sensors: list[Sensor]) -> dict[str, np.ndarray]:
     return out
 
 
-def named(model: StructuralModel, shapes: np.ndarray) -> tuple[dict[str, int], dict[str, float], np.ndarray]:
-    """Index and likeness of every named mode, one to one, and the motions at the sensors."""
-    sensors = vehicle_sensors()
+@dataclass(frozen=True)
+class Named:
+    """Which mode is which."""
+
+    index: dict[str, int]
+    alike: dict[str, float]
+    motion: np.ndarray
+
+
+def named(model: StructuralModel, shapes: np.ndarray) -> Named:
+    """Index and likeness of every named mode, one to one, and all motions at the sensors."""
+    sensors = places()
     motion = model.sensor_rows(sensors) @ shapes
     wanted = templates(sensors)
     size = np.sum(np.abs(motion) ** 2, axis=0)
     alike = np.array([np.abs(t @ motion) ** 2 / (t @ t) / size for t in wanted.values()])
     rows, columns = linear_sum_assignment(-alike)
-    where = {name: int(columns[k]) for k, name in enumerate(wanted)}
-    return where, {name: float(alike[rows[k], columns[k]]) for k, name in enumerate(wanted)}, motion
+    index = {name: int(k) for name, k in zip(wanted, columns, strict=True)}
+    return Named(index, {name: float(alike[r, index[name]]) for r, name in zip(rows, wanted, strict=True)}, motion)
+
+
+@pytest.fixture(scope="session")
+def name_modes() -> Callable[[StructuralModel, np.ndarray], Named]:
+    return named
+
+
+@pytest.fixture(scope="session")
+def vehicle_sensors() -> list[Sensor]:
+    return places()
 
 
 @pytest.fixture(scope="session")
