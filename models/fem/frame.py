@@ -13,27 +13,10 @@ import scipy.sparse as sp
 from calib.errors import InputError
 from calib.structure.model import DofMap, Mesh
 from models.fem import beam
-from models.fem.member import Member, Point, Suppression, Tie
+from models.fem.member import Member, Particle, Point, Suppression, Tie
 from models.fem.nodes import MERGE, NodeTable, assemble
 
-__all__ = ["Carrier", "Frame", "Member", "Point", "Suppression", "Tie", "known_groups"]
-
-
-@dataclass(frozen=True)
-class Particle:
-    """A body that is one node: what swings by itself on springs.
-
-    Attributes
-    ----------
-    body : str
-    group : str
-        Under which several of them are suppressed or told apart.
-    point : (3,) coordinates in m
-    """
-
-    body: str
-    group: str
-    point: Point
+__all__ = ["Carrier", "Frame", "Member", "Particle", "Point", "Suppression", "Tie", "known_groups"]
 
 
 class Carrier(NamedTuple):

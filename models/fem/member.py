@@ -80,6 +80,23 @@ class Member:
 
 
 @dataclass(frozen=True)
+class Particle:
+    """A body that is one node: what swings by itself on springs.
+
+    Attributes
+    ----------
+    body : str
+    group : str
+        Under which several of them are suppressed or told apart.
+    point : (3,) coordinates in m
+    """
+
+    body: str
+    group: str
+    point: Point
+
+
+@dataclass(frozen=True)
 class Tie:
     """Two bodies share some motions (global directions 0..5) at a node that each of them has there."""
 
