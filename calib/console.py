@@ -20,6 +20,7 @@ from calib.questions.explain import Explanation
 from calib.questions.extend import Extension
 from calib.questions.places import is_modal
 from calib.questions.sensitivity import Screening, Sensitivity
+from calib.questions.versions import Versions
 from calib.results import Results
 from calib.study import Study
 
@@ -52,7 +53,9 @@ def head(study: Study, verb: str) -> None:
 def tell_stale(rows: int) -> None:
     """Mention results of another state of the study."""
     if rows:
-        say(f"{rows} earlier evaluations belong to another state of model or measurement; they are kept and not used.")
+        belong, they = ("belongs", "it is") if rows == 1 else ("belong", "they are")
+        rest = f"{belong} to another state of model or measurement; {they} kept and not used."
+        say(f"{_count(rows, 'earlier evaluation')} {rest}")
 
 
 # -- answers -----------------------------------------------------------------------------------------------------------
@@ -85,7 +88,8 @@ def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
         _table(("kind", "what", "value", "in units of scatter", "verdict"), rows)
     assumed = pd.read_csv(folder.path / "assumptions.csv", keep_default_na=False)
     if len(assumed):
-        say(f"\nAssumed, not published ({len(assumed)} items; the reasons are in {folder.path / 'assumptions.csv'}):")
+        where = folder.path / "assumptions.csv"
+        say(f"\nAssumed, not published ({_count(len(assumed), 'item')}; the reasons are in {where}):")
         for row in assumed.head(ASSUMPTIONS_SHOWN).to_dict("records"):
             unit = "" if row["unit"] == "-" else f" {row['unit']}"
             say(f"  {row['item']}: {row['value']}{unit}")
@@ -94,7 +98,7 @@ def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
 def tell_sensitivity(study: Study, answer: Sensitivity, folder: Results) -> None:
     """Which parameters matter."""
     say(
-        f"{answer.samples} samples kept the constraints (acceptance {100 * answer.acceptance:.0f} %), "
+        f"{_count(answer.samples, 'sample')} kept the constraints (acceptance {100 * answer.acceptance:.0f} %), "
         f"{answer.failed} failed, {answer.unpaired} left a mode unpaired. "
         f"Chance alone gives rank correlations up to {answer.noise_floor:.2f}."
     )
@@ -118,7 +122,7 @@ def tell_screening(answer: Screening, folder: Results) -> None:
     size = "mu_star" if answer.method == "morris" else "ST"
     largest = answer.table.loc[answer.table.groupby("parameter", sort=False)[size].idxmax()]
     rows = [(r["parameter"], f"{r[size]:.3g}", r["response"]) for r in largest.to_dict("records")]
-    say(f"{answer.points} points. {answer.note}".rstrip())
+    say(f"{_count(answer.points, 'point')}. {answer.note}".rstrip())
     _table(("parameter", f"largest {size}", "on"), rows)
     say(f"All of them are in {folder.path / (answer.method + '.csv')}.")
 
@@ -142,7 +146,7 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     rows = []
     for r in answer.verdicts.to_dict("records"):
         spread = "" if pd.isna(r["spread"]) else f"{100 * r['spread']:.0f} %"
-        std = "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
+        std = "–" if r["parameter"] in best.judgement.whole else "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
         unit = "" if r["unit"] == "-" else f" {r['unit']}"
         rows.append(
             (r["parameter"], f"{r['value']:.5g}{unit}", std, f"{100 * r['ratio']:.0f} %", spread, r["sentence"])
@@ -183,7 +187,7 @@ def tell_extension(extension: Extension) -> None:
         say(f"Its model has {', '.join(effect.names)} too; the study leaves the selection to 'calib sensitivity'.")
     for before, after in extension.moved:
         say(f"Not copied, still read from where it is: {before}, from there {after}.")
-    say(f"Calibrate it with: calib calibrate {folder if extension.file.name == 'study.toml' else extension.file}")
+    say(f"Calibrate it with: calib calibrate {_called(extension.file)}")
 
 
 def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None:
@@ -198,16 +202,20 @@ def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None
     for r in answer.effects.to_dict("records"):
         unit = "" if r["unit"] == "-" else f" {r['unit']}"
         phi = f"{r['phi']:.3g} [{r['phi_low']:.3g}, {r['phi_high']:.3g}]{unit}" if r["refitted"] else ""
-        least = f"{rounded(r['phi_min'])}{unit}" + ("" if r["visible"] else ", not visible")
+        least = f"{rounded(r['phi_min'])}{unit}" if math.isfinite(r["phi_min"]) else ""
+        least = ", ".join([*([least] if least else []), *([] if r["visible"] else ["not visible"])])
         remark = "credible" if r["credible"] else r["implausible"]
-        numbers = (_number(r["z"], 1), f"{r['ln_bayes']:.1f}" + ("" if r["refitted"] else " (linear)"))
+        numbers = (_number(r["z"], 1), _number(r["ln_bayes"], 1))
+        if not r["refitted"] and numbers[1]:
+            numbers = numbers[0], f"{numbers[1]} (linear)"
         rows.append((r["name"], *numbers, _number(r["gamma"], 2), phi, least, remark))
     heads = ("effect", "z", "ln Bayes", "gamma", "strength, 95 %", "smallest visible", "remark")
     _table(heads, rows, left=("remark",))
     found = answer.findings
     counts = len(answer.tables["atoms"]), len(answer.tables["tried"])
-    tests = f"{len(found.groups)} effects and {counts[0]} local changes tested, {counts[1]} models fitted"
-    say(f"\n{tests}, {found.evaluations} model evaluations, {answer.seconds:.0f} s.")
+    tests = f"{_count(len(found.groups), 'effect')} and {_count(counts[0], 'local change')} tested"
+    work = f"{_count(counts[1], 'model')} fitted, {_count(found.evaluations, 'model evaluation')}"
+    say(f"\n{tests}, {work}, {answer.seconds:.0f} s.")
     say("z is a score and no probability; ln Bayes is against the base model, for the plausible size of each effect.")
     if len(answer.errors):
         errors = [
@@ -221,23 +229,31 @@ def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None
             )
             for r in answer.errors.to_dict("records")
         ]
-        label = "" if found.chosen is None else f" with {' and '.join(found.chosen.names)}"
-        say(f"\nErrors in units of the scatter, before and after{label}:")
+        name = "" if found.chosen is None else " and ".join(found.chosen.names)
+        label = f" and after with {name}" if name else ""
+        if (answer.errors["stage"] == "attempt").any():
+            label = f" and with {name}: best attempt, not believed"
+        say(f"\nErrors in units of the scatter, before{label}:")
         _table(("data", "stage", "rows", "rms", "of a right model", "p"), errors)
     if found.verdict in ("effect", "indistinguishable"):
-        say(f"Add it with: calib extend {study.file.parent} {found.credible[0]} --into FOLDER")
+        say(f"Add it with: calib extend {_called(study.file)} {found.credible[0]} --into FOLDER")
+    if found.verdict == "two_effects" and found.chosen is not None:
+        one, other = found.chosen.names
+        first = f"calib extend {_called(study.file)} {one} --into FOLDER"
+        say(f"Add them with: {first}, then calib extend FOLDER {other} --into FOLDER_2")
 
 
-def tell_versions(table: pd.DataFrame) -> None:
-    """Errors over the versions of a model that has been extended."""
-    if table.empty:
-        return
+def tell_versions(versions: Versions) -> None:
+    """Errors over the versions of a model that has been extended, and which of them are not known."""
     rows = [
         (str(r["study"]), str(r["effects"]) or "none", str(r["group"]), _number(r["rms"], 2), _number(r["expected"], 2))
-        for r in table.to_dict("records")
+        for r in versions.table.to_dict("records")
     ]
-    say("\nErrors in units of the scatter over the versions of the model:")
-    _table(("study", "effects", "data", "rms", "of a right model"), rows, left=("effects", "data"))
+    if rows:
+        say("\nErrors in units of the scatter over the versions of the model:")
+        _table(("study", "effects", "data", "rms", "of a right model"), rows, left=("effects", "data"))
+    for note in versions.notes:
+        _out.print(note, style="yellow")
 
 
 def tell_figures(paths: Sequence[Path]) -> None:
@@ -279,10 +295,20 @@ def _print_answer(answer: Answer) -> None:
     heads = ("mode", "measured Hz", "model Hz", "error", "damping", "model", "MAC", "EMAC", "margin")
     _table(heads, rows)
     paired_count = sum(1 for r in rows if r[2] != "not paired")
-    mean = f"mean error {100 * answer.mean_freq_error:.2f} % over {paired_count} of {len(rows)} modes"
+    mean = f"mean error {100 * answer.mean_freq_error:.2f} % over {paired_count} of {_count(len(rows), 'mode')}"
     say(f"Frequencies are natural ones (|lambda|/2pi); {mean}.")
     if not math.isnan(answer.mean_mac):
         say(f"Mean MAC {answer.mean_mac:.4f}; noise alone allows {_number(answer.noise_mac, 4) or 'an unknown value'}.")
+
+
+def _called(file: Path) -> Path:
+    """How a study is called on the command line."""
+    return file.parent if file.name == "study.toml" else file
+
+
+def _count(number: int, thing: str) -> str:
+    """Something in its number."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def _number(value: float, digits: int) -> str:

@@ -9,7 +9,7 @@ from types import FrameType
 
 CODE = 130
 """Exit code of an interrupted command, as shells have it."""
-WORDS = "interrupted; the same command continues where it was"
+WORDS = "interrupted; the same command again completes it"
 PATIENCE = 5.0
 """Seconds a command has for leaving; an interrupt after them ends the process where it stands."""
 

@@ -266,3 +266,34 @@ def test_example_writes_nothing_half(here, monkeypatch):
     with pytest.raises(Exception, match="No space left"):
         write_example(Path("mast"))
     assert not Path("mast").exists() and not list(Path().glob(".calib-new-*"))
+
+
+STEPS = """\
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+def build():
+    space = ParameterSpace((Parameter("a", 1.0, 0.0, 3.0), Parameter("n", 2.0, 1.0, 5.0, integer=True)))
+    return FunctionModel("steps", space, lambda v: {"s": v["a"] + v["n"], "p": v["a"] * v["n"], "q": v["n"] ** 2})
+"""
+
+
+@pytest.mark.parametrize("method", ["genetic", "gauss-newton"])
+def test_whole_numbers_have_no_standard_deviation(here, capsys, method):
+    """Only whole steps of them mean anything; the next ones fit millions of times worse here."""
+    Path("steps").mkdir()
+    Path("steps/model.py").write_text(STEPS)
+    Path("steps/measured.csv").write_text("response,value,std\ns,4.5,0.01\np,4.5,0.01\nq,9.0,0.01\n")
+    Path("steps/study.toml").write_text(
+        'title = "steps"\nmodel = "model.py:build"\nselection = ["a", "n"]\n'
+        '[measurement]\nresponses = "measured.csv"\n'
+        "[calibration]\npopulation = 20\ngenerations = 10\nstarts = 2\n"
+        'cases = [{ name = "A1", seed = 1 }]\n'
+    )
+    assert cli.answer(["calibrate", "steps", "--workers", "1", "--method", method]) == 0
+    words = next(x.split() for x in capsys.readouterr().out.splitlines() if x.startswith("n  "))
+    assert words[:3] == ["n", "3", "–"]
+    (folder,) = {p.parent for p in Path("results/steps").rglob("verdicts.csv")}
+    for name in ("parameters", "verdicts"):
+        table = read(folder, name + ".csv").set_index("parameter")
+        assert pd.isna(table.loc["n", "std"]) and table.loc["a", "std"] > 0 and table.loc["n", "identified"]

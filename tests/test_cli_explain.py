@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -109,6 +110,7 @@ def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(mas
     assert cli.answer(["explain", "mast"]) == 0
     assert set(explanation()) == {
         "study", "synthetic", "verdict", "sentence", "notes", "p_family", "p_fit", "credible_set", "effects", "chosen",
+        "adequacy_p_family", "adequacy_p_fit",
         "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations", "errors",
         "basis_error", "discretisation", "seconds",
     }  # fmt: skip
@@ -131,6 +133,51 @@ def test_two_effects_are_told_without_offering_one_of_them(here, write_study, ca
     assert cli.answer(["explain", "mast"]) == 0
     out = capsys.readouterr().out
     assert "\ntwo_effects\n" in out and "before and after with platform and stuck_base" in out
+    told = (
+        "Add them with: calib extend mast platform --into FOLDER, then calib extend FOLDER stuck_base --into FOLDER_2"
+    )
+    assert told in out.splitlines()
+    assert cli.answer(["extend", "mast", "platform", "--into", "FOLDER"]) == 0
+    assert cli.answer(["extend", "FOLDER", "stuck_base", "--into", "FOLDER_2"]) == 0
+
+
+def test_an_attempt_is_told_as_one(mast, capsys):
+    """The guy rope is at work, and the library holds all others."""
+    text = (mast / "effects.py").read_text()
+    guy = next(line for line in text.splitlines() if line.strip().startswith('_one("guy"'))
+    (mast / "effects.py").write_text(text.replace(guy + "\n", "", 1))
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    told = explanation()
+    assert told["verdict"] in ("none_explains", "partial") and "Add it with" not in out
+    (name,) = told["chosen"]
+    assert f"Errors in units of the scatter, before and with {name}: best attempt, not believed:" in out
+    assert set(pd.read_csv("results/mast/errors.csv")["stage"]) == {"before", "attempt"}
+    assert set(pd.read_csv("results/mast/misfit_kinds.csv")["stage"]) == {"base", "attempt"}
+
+
+def test_one_effect_is_told_in_the_singular(mast, capsys):
+    (mast / "effects.py").write_text(
+        (mast / "effects.py").read_text()
+        + "\n\neverything = library\n\n\ndef library():\n    return everything()[2:3]\n"
+    )
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "\n1 effect and " in out and not re.search(r"\b1 [a-z]+s (tested|fitted)", out)
+
+
+def test_what_is_not_known_is_left_empty(mast, capsys):
+    """The second guy rope looks exactly like the first; its own numbers are not known."""
+    (mast / "effects.py").write_text(
+        (mast / "effects.py").read_text()
+        + "\n\nothers = library\n\n\ndef library():\n"
+        + '    twin = _one("guy_too", "Another", 4.5, (0,), "stiffness", "N/m", 5e3, 1e5)\n'
+        + "    return (*others(), twin)\n"
+    )
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    table = out[out.index("\neffect  ") : out.index("tested, ")]
+    assert "guy" in table and not re.search(r"\b(nan|inf)\b", table)
 
 
 def test_explain_twice_gives_the_same_bytes_and_trains_no_second_basis(mast, monkeypatch, capsys):
@@ -219,26 +266,21 @@ def test_a_study_without_effects(mast, capsys):
     refused(["explain", "mast"], capsys, "names no effects", "add effects = ")
 
 
-def test_a_study_whose_model_has_all_effects(mast, capsys):
-    edit(mast, "selection =", 'with_effects = ["lamp", "platform", "guy", "stuck_base"]\nselection =')
-    refused(["explain", "mast"], capsys, "every effect of the library is in the model already", "study.toml")
-
-
 def test_a_study_whose_model_has_all_effects_is_told_what_to_do(mast, capsys):
     edit(mast, "selection =", 'with_effects = ["lamp", "platform", "guy", "stuck_base"]\nselection =')
-    refused(["explain", "mast"], capsys, "already; ")
+    refused(
+        ["explain", "mast"], capsys, "every effect of the library is in the model already", "already; ", "study.toml"
+    )
 
 
+@pytest.mark.parametrize("worthwhile_dofs", [library.WORTHWHILE_DOFS, 10])
 @pytest.mark.parametrize("held", [["B2z", "B3x", "B3z"], ["B1x", "B1z", "B2x", "B2z", "B3x"]])
-def test_too_few_modes(mast, capsys, held):
+def test_too_few_modes_are_told_before_a_basis_is_trained(mast, capsys, monkeypatch, held, worthwhile_dofs):
+    monkeypatch.setattr(library, "WORTHWHILE_DOFS", worthwhile_dofs)
+    monkeypatch.setattr(library, "train_basis", lambda *a, **k: pytest.fail("a basis is trained"))
     edit(mast, "modes = []", f"modes = {json.dumps(held)}")
-    refused(["explain", "mast"], capsys, f"{6 - len(held)} measured modes cannot tell", "measure at least 4")
-
-
-def test_too_few_modes_are_told_before_a_basis_is_trained(mast, capsys, monkeypatch):
-    monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
-    edit(mast, "modes = []", 'modes = ["B2z", "B3x", "B3z"]')
-    refused(["explain", "mast"], capsys, "measure at least 4")
+    words = f"{6 - len(held)} measured modes cannot tell a missing effect from a parameter"
+    refused(["explain", "mast"], capsys, words, "measure at least 4")
 
 
 def test_an_unknown_library(mast, capsys):
@@ -318,6 +360,24 @@ def test_the_extended_model_lacks_nothing_more_and_its_errors_fall(mast, capsys)
     values = pd.read_csv("results/mast_2/parameters.csv").set_index("parameter")["value"]
     first = pd.read_csv("results/mast/effects.csv").set_index("name")["phi"]
     assert values[name] == pytest.approx(first[name], rel=0.01)
+
+
+def test_report_says_which_versions_are_left_out(mast, capsys):
+    assert cli.answer(["extend", "mast", "guy", "--into", "mast_2"]) == 0
+    assert cli.answer(["calibrate", "mast_2", "--workers", "1"]) == 0
+    capsys.readouterr()
+    assert cli.answer(["report", "mast_2"]) == 0
+    out = capsys.readouterr().out
+    command = f"calib explain {Path('mast').resolve()} --results results"
+    assert f"Version 1 (mast) has no errors under results: run '{command}'." in out.splitlines()
+    assert cli.answer(command.split()[1:]) == 0
+    capsys.readouterr()
+    assert cli.answer(["report", "mast_2"]) == 0
+    assert "has no errors" not in capsys.readouterr().out
+    shutil.rmtree("mast")
+    assert cli.answer(["report", "mast_2"]) == 0
+    gone = f"mast_2 was extended from {Path('mast').resolve()}, which is gone: versions before mast_2 are lost."
+    assert gone in capsys.readouterr().out.splitlines()
 
 
 # -- without matrices --------------------------------------------------------------------------------------------------

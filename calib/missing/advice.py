@@ -15,6 +15,8 @@ from calib.missing.tables import expected_ln_bayes
 
 WORTHWHILE = 1.2
 """Smallest factor on the expected score for which a measurement is advised."""
+WITHHELD = ", withheld so far"
+"""How the name of a mode ends that was measured but is kept for verification."""
 COLUMNS = ("option", "kind", "effect", "gain", "phi_min", "ln_bayes", "words")
 
 
@@ -145,17 +147,42 @@ def _in_words(ln_odds: float) -> str:
 
 
 def advice_sentence(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Sequence[str]) -> str:
-    """The best next measurement in a sentence; empty when none is worthwhile."""
+    """The best next measurement in a sentence; empty when none is worthwhile.
+
+    A withheld mode needs no measurement, but used it verifies nothing any more: the sentence says so and names what is
+    best of the really new measurements beside it.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `advise`.
+    pair : (str, str) or None
+        Two effects to be told apart.
+    unseen : sequence of str
+        Effects that are not visible, for the advice without a pair.
+    """
     if table.empty:
         return ""
     if pair is not None:
-        best = table[table["effect"] == pair[0]].iloc[0]
+        own = table[table["effect"] == pair[0]]
+        best = own.iloc[0]
         if float(best["ln_bayes"]) < CREDIBLE:
             return f"No measurement looked at would tell {pair[0]} from {pair[1]}; the best gives {best['words']}."
-        return f"To tell them apart, measure next: {best['words']}."
-    told = []
-    for name in unseen:
-        own = table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)]
-        if len(own):
-            told.append(str(own.iloc[0]["words"]))
-    return "To see more, measure next: " + "; ".join(told[:3]) + "." if told else ""
+        told = [_with_what_is_new(own)]
+        intro = "To tell them apart, measure next: "
+    else:
+        wanted = [table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)] for name in unseen]
+        told = [_with_what_is_new(own) for own in wanted if len(own)][:3]
+        intro = "To see more, measure next: "
+    if not told:
+        return ""
+    used = " A withheld mode that is used no longer verifies the result." if any(WITHHELD in t for t in told) else ""
+    return intro + "; ".join(told) + "." + used
+
+
+def _with_what_is_new(options: pd.DataFrame) -> str:
+    """The best of some options, and the best that is really new beside it where that is a withheld mode."""
+    words, new = options["words"].astype(str), ~options["option"].astype(str).str.endswith(WITHHELD)
+    if new.iloc[0] or not new.any():
+        return str(words.iloc[0])
+    return f"{words.iloc[0]} (new: {words[new].iloc[0]})"

@@ -17,12 +17,17 @@ class Group:
     ----------
     effect : Effect
         The one that is tested and named.
-    others : tuple of str
+    others : tuple of Effect
         Those that it stands for.
     """
 
     effect: Effect
-    others: tuple[str, ...] = ()
+    others: tuple[Effect, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All of them."""
+        return (self.effect.name, *(e.name for e in self.others))
 
 
 def grouped(effects: Sequence[Effect], found: Scores, threshold: float) -> tuple[Group, ...]:
@@ -45,7 +50,5 @@ def grouped(effects: Sequence[Effect], found: Scores, threshold: float) -> tuple
             if same and other.name not in taken:
                 taken[other.name] = first.name
     return tuple(
-        Group(e, tuple(name for name, first in taken.items() if first == e.name))
-        for e in effects
-        if e.name not in taken
+        Group(e, tuple(o for o in effects if taken.get(o.name) == e.name)) for e in effects if e.name not in taken
     )

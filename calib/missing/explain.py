@@ -138,7 +138,13 @@ class _Decision:
     def named(self, found: Findings, singles: Sequence[Trial], best: Trial, check: Check) -> Findings:
         """One effect, or several that explain about as well and that a careful reader would believe."""
         lowest = singles[0].ln_evidence - CREDIBLE
-        credible = tuple(t.names[0] for t in singles if t.ln_evidence > lowest and not t.implausible)
+        alike = {group.effect.name: group.names for group in found.groups}
+        credible = tuple(
+            name
+            for t in singles
+            if t.ln_evidence > lowest and not t.implausible
+            for name in alike[t.names[0]]  # what has the same fingerprint explains as well
+        )
         found = replace(found, trials=tuple(singles))
         return self.done(found, "effect" if len(credible) == 1 else "indistinguishable", best, check, credible)
 

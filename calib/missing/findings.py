@@ -126,6 +126,11 @@ class Findings:
         return trial.ln_evidence - self.base.ln_evidence
 
     @property
+    def names_something(self) -> bool:
+        """Whether the verdict names what is missing."""
+        return self.verdict in ("effect", "indistinguishable", "two_effects")
+
+    @property
     def singles(self) -> tuple[Trial, ...]:
         """Trials with one named effect, best first."""
         return tuple(t for t in self.trials if len(t.effects) == 1)

@@ -15,7 +15,7 @@ from calib.errors import EvaluationError
 from calib.missing.hypotheses import Question
 from calib.updating.gauss_newton import FitSettings, Prior, fit
 
-FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8)
+FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8, evaluations=30)
 """A thousandth of a unit of the sum of squares is far below anything that decides."""
 ROUGH = FitSettings(iterations=6, gain=0.05, relative=3e-4, rejections=4)
 """To rank candidates: a hopeless one is not followed to its end."""

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
+from calib.effect import Effect
+from calib.missing.alike import Group
 from calib.missing.evidence import CREDIBLE, ln_bayes_linear, posterior, rescaled
 from calib.missing.findings import Findings, Trial
 from calib.missing.plausible import strain
-from calib.missing.score import DETECTABLE, Scores, correlation
+from calib.missing.score import DETECTABLE, correlation
+from calib.missing.visible import smallest_visible
 
 ALIKE = 0.9
 """Correlation of fingerprints from which effects are named as confounded."""
+
+UNTESTED = "not tested: the model fails with it"
 
 EFFECT_COLUMNS = (
     "name", "title", "unit", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "plausible", "largest", "visible",
@@ -22,14 +29,13 @@ EFFECT_COLUMNS = (
 )  # fmt: skip
 
 
-def smallest_visible(found: Scores, name: str) -> float:
-    """Strength of an effect from which it is found with about 90 % power; infinite where parameters absorb it all."""
-    sizes = [found.size[k] for k, owner in enumerate(found.owners) if owner == name]
-    largest = max(sizes, default=0.0)
-    return DETECTABLE / float(largest) if largest > 0 else math.inf
-
-
-def effects_table(found: Findings, intervals: dict[str, tuple[float, float]], gains: dict[str, float]) -> pd.DataFrame:
+def effects_table(
+    found: Findings,
+    intervals: Mapping[str, tuple[float, float]],
+    gains: Mapping[str, float],
+    visible: Mapping[str, float] = MappingProxyType({}),
+    untested: Sequence[Effect] = (),
+) -> pd.DataFrame:
     """One row a candidate, best first: see the columns of ``effects.csv`` in the README.
 
     Parameters
@@ -39,22 +45,32 @@ def effects_table(found: Findings, intervals: dict[str, tuple[float, float]], ga
         95 % intervals by profile likelihood of the effects that were named; others are linearised.
     gains : mapping from str to float
         Gain in the log density of modes left out, for effects that were fitted.
+    visible : mapping from str to float
+        Smallest visible strengths that are known better than to first order.
+    untested : sequence of Effect
+        Those with which the model cannot be solved.
     """
     named = found.base_check.named
-    singles = {t.names[0]: t for t in found.singles}
-    rows = []
+    lacking = {e.name for e in untested}
+    # A fit that ended worse than without its effect has only missed the way back.
+    singles = {t.names[0]: t for t in found.singles if t.state.misfit <= found.base.state.misfit}
+    if found.verdict == "two_effects" and found.chosen is not None:
+        singles |= dict.fromkeys(found.chosen.names, found.chosen)
+    rows: list[tuple[Group, dict[str, object]]] = []
     for group in found.groups:
         e = group.effect
+        if e.name in lacking:
+            continue
         k = named.best(e.name)
         trial = singles.get(e.name)
-        size = smallest_visible(named, e.name)
+        size = visible.get(e.name, smallest_visible(named, e.name))
         row: dict[str, object] = {
             "name": e.name, "title": e.title, "unit": e.strength.unit, "z": named.z[k], "gamma": named.gamma[k],
             "phi": math.nan, "phi_low": math.nan, "phi_high": math.nan, "phi_min": size, "plausible": e.plausible,
             "largest": max(abs(e.strength.lower), e.strength.upper), "visible": size <= e.plausible,
             "heldout_gain": gains.get(e.name, math.nan), "refitted": trial is not None,
             "credible": e.name in found.credible, "implausible": "" if trial is None else trial.implausible,
-            "confounded_with": ", ".join(confounded_with(found, e.name)), "stands_for": ", ".join(group.others),
+            "confounded_with": ", ".join(confounded_with(found, e.name)), "stands_for": ", ".join(group.names[1:]),
         }  # fmt: skip
         factors = {"ln_bayes": 1.0, "ln_bayes_third": 1 / 3, "ln_bayes_triple": 3.0}
         if trial is None:
@@ -69,10 +85,34 @@ def effects_table(found: Findings, intervals: dict[str, tuple[float, float]], ga
             row |= {"phi": phi, "phi_low": max(low, p.lower), "phi_high": min(high, p.upper)}
             for column, factor in factors.items():
                 row[column] = rescaled(found.ln_bayes(trial), phi, std, e.plausible, factor)
-        rows.append(row)
-    table = pd.DataFrame(rows)
-    table["posterior"] = posterior(table["ln_bayes"].to_numpy(dtype=float))[1]
-    return table.sort_values(["refitted", "ln_bayes"], ascending=False, ignore_index=True)[list(EFFECT_COLUMNS)]
+        rows.append((group, row))
+    chances = posterior(np.array([row["ln_bayes"] for _, row in rows], dtype=float))[1]
+    for (group, row), chance in zip(rows, chances, strict=True):
+        row["posterior"] = chance / len(group.names)  # what has the same fingerprint shares it
+    every = [one for group, row in rows for one in (row, *_members(row, group))]
+    table = pd.DataFrame([*every, *map(_untested, untested)], columns=list(EFFECT_COLUMNS))
+    return table.sort_values(["refitted", "ln_bayes"], ascending=False, kind="stable", ignore_index=True)
+
+
+def _members(row: dict[str, object], group: Group) -> list[dict[str, object]]:
+    """Rows of the effects that look the same: what the data say of the first they say of them, but for strengths."""
+    unknown = dict.fromkeys(("phi", "phi_low", "phi_high", "phi_min", "heldout_gain"), math.nan)
+    return [
+        {
+            **row, **unknown, "name": e.name, "title": e.title, "unit": e.strength.unit, "plausible": e.plausible,
+            "largest": max(abs(e.strength.lower), e.strength.upper), "refitted": False, "stands_for": "",
+            "confounded_with": ", ".join(n for n in group.names if n != e.name),
+        }
+        for e in group.others
+    ]  # fmt: skip
+
+
+def _untested(e: Effect) -> dict[str, object]:
+    """Row of an effect of which nothing is known."""
+    row: dict[str, object] = dict.fromkeys(EFFECT_COLUMNS, math.nan)
+    row |= {"name": e.name, "title": e.title, "unit": e.strength.unit, "plausible": e.plausible}
+    row |= {"largest": max(abs(e.strength.lower), e.strength.upper), "implausible": UNTESTED}
+    return row | {"visible": False, "refitted": False, "credible": False, "confounded_with": "", "stands_for": ""}
 
 
 def strength_of(trial: Trial, name: str) -> tuple[float, float]:
@@ -123,10 +163,13 @@ def strain_table(found: Findings) -> pd.DataFrame:
 
 
 def misfit_table(found: Findings) -> pd.DataFrame:
-    """Goodness of fit by mode and kind: ``stage, mode, kind, chi2, freedom, p``."""
+    """Goodness of fit by mode and kind: ``stage, mode, kind, chi2, freedom, p``.
+
+    Stages are ``base``, and ``explained`` or, where nothing could be named, ``attempt``.
+    """
     parts = [found.base_check.modes.assign(stage="base")]
     if found.chosen_check is not None:
-        parts.append(found.chosen_check.modes.assign(stage="explained"))
+        parts.append(found.chosen_check.modes.assign(stage="explained" if found.names_something else "attempt"))
     table = pd.concat(parts, ignore_index=True).replace({"mode": {"": "responses"}})
     return table[["stage", "mode", "kind", "chi2", "freedom", "p"]]
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
 from calib.effect import Effect
 from calib.missing.findings import Findings
+from calib.missing.tables import UNTESTED
 
 _LEAST = 1 / 4000
 """Probabilities below this are drawn too rarely to be told apart."""
@@ -37,13 +38,13 @@ def sentence(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advic
         "none_explains": _none,
     }[found.verdict](found, effects)
     if found.noise_scale != 1 and found.verdict != "noise_underestimated":
-        parts.append(f"The scatter was taken {found.noise_scale:.2g} times as large as the repeats say.")
-    if found.verdict in ("effect", "indistinguishable", "two_effects"):
+        parts.append(f"The scatter was taken {found.noise_scale:.2g} times as large as stated.")
+    if found.names_something:
         parts += _errors(errors)
-    parts += _unseen(effects)
+    parts += _unseen(effects, found.chosen.names if found.names_something and found.chosen is not None else ())
     if advice and found.verdict != "noise_underestimated":
         parts.append(advice)
-    if found.verdict in ("effect", "indistinguishable", "two_effects", "partial"):
+    if found.names_something or found.verdict == "partial":
         parts.append("Explanations outside the library cannot be excluded.")
     return " ".join(part for part in parts if part)
 
@@ -63,32 +64,42 @@ def _p(p: float) -> str:
 
 def _family(found: Findings) -> str:
     check = found.base_check
-    counts = f"{len(found.groups)} effects and {len(set(check.atoms.owners))} local changes"
+    local = f"{len(set(check.atoms.owners))} local changes"
+    counts = f"{len(found.groups)} effect{'s' * (len(found.groups) != 1)} and {local}"
+    test = f"family-wise over {counts}" if check.p_family <= max(check.p_fit, _LEAST) else "goodness of fit"
     p = min(check.p_family, check.p_fit)
-    return f"the chance of such a misfit with the model complete is {_chance(p)} (family-wise over {counts})"
+    return f"the chance of such a misfit with the model complete is {_chance(p)} ({test})"
 
 
 def _nothing(found: Findings, effects: pd.DataFrame) -> list[str]:
+    if not effects["visible"].astype(bool).any():
+        return [
+            "Nothing can be told: no effect of the library would show in these data at a plausible size. "
+            f"What they show fits; {_family(found)}."
+        ]
     return [f"Nothing detectable is missing: {_family(found)}."]
 
 
 def _noise(found: Findings, effects: pd.DataFrame) -> list[str]:
+    factor = f"{found.noise_scale:.2g}"
     return [
-        f"The misfit is spread over all modes by a common factor of {found.noise_scale:.2g}: check the scatter between "
-        f"set-ups, which repeats do not show. With the scatter {found.noise_scale:.2g} times as large nothing "
-        "detectable is missing."
+        f"The misfit is spread over all modes by a common factor of {factor}: check the scatter. Repeats do not show "
+        "what differs between set-ups, and an assumed scatter may be too small. With the scatter "
+        f"{factor} times as large nothing detectable is missing."
     ]
 
 
 def _strength(effects: pd.DataFrame, name: str) -> str:
     row = effects[effects["name"] == name].iloc[0]
     unit = "" if row["unit"] == "-" else f" {row['unit']}"
+    if not row["refitted"]:
+        return f"whose fingerprint is that of {str(row['confounded_with']).split(', ')[0]}"
     return f"{row['phi']:.3g}{unit} (95 %: {row['phi_low']:.3g} to {row['phi_high']:.3g}{unit})"
 
 
-def _titled(effects: pd.DataFrame, name: str) -> str:
+def _titled(effects: pd.DataFrame, name: str, alike: bool = True) -> str:
     row = effects[effects["name"] == name].iloc[0]
-    others = f", or what looks exactly the same here: {row['stands_for']}" if row["stands_for"] else ""
+    others = f", or what looks the same here: {row['stands_for']}" if alike and row["stands_for"] else ""
     return f"{row['title']} ({name}{others})"
 
 
@@ -98,12 +109,16 @@ def _look_for(found: Findings) -> list[str]:
 
 
 def _effects(found: Findings) -> tuple[Effect, ...]:
-    return tuple(g.effect for g in found.groups)
+    return tuple(e for g in found.groups for e in (g.effect, *g.others))
 
 
 def _clean(found: Findings) -> str:
-    assert found.chosen_check is not None
-    return f"After adding it nothing organised is left ({_p(found.chosen_check.p_family)})."
+    check = found.chosen_check
+    assert check is not None
+    whole = f"the fit as a whole has {_p(check.p_fit)}"
+    if check.p_fit <= found.alpha:
+        whole += ", which is poor: the scatter may be larger than stated, or something more may be missing"
+    return f"After adding it no effect or local change stands out ({_p(check.p_family)}); {whole}."
 
 
 def _effect(found: Findings, effects: pd.DataFrame) -> list[str]:
@@ -121,7 +136,7 @@ def _effect(found: Findings, effects: pd.DataFrame) -> list[str]:
 def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
     rows = effects[effects["name"].isin(found.credible)].sort_values("ln_bayes", ascending=False)
     odds = math.exp(float(rows["ln_bayes"].iloc[0] - rows["ln_bayes"].iloc[1]))
-    named = "; or ".join(f"{_titled(effects, n)}, {_strength(effects, n)}" for n in rows["name"])
+    named = "; or ".join(f"{_titled(effects, n, alike=False)}, {_strength(effects, n)}" for n in rows["name"])
     return [
         f"Something is missing: {_family(found)}.",
         f"These data cannot tell between: {named}. The odds of the first against the second are {rounded(odds)}:1.",
@@ -156,7 +171,10 @@ def _rest(found: Findings) -> str:
     words = "fits better than every listed effect" if better else "is where an unnamed local change would help most"
     title = atom.effects[0].title
     what = f"A {title}" if title.startswith("change of ") else f"A change of the {title}"
-    return f"{what} {words}; that is a place to look at, not a cause."
+    scores = found.base_check.atoms
+    name = atom.names[0]
+    score = f" (score {scores.z[scores.best(name)]:.1f})" if name in scores.owners else ""
+    return f"{what}{score} {words}; that is a place to look at, not a cause."
 
 
 def _partial(found: Findings, effects: pd.DataFrame) -> list[str]:
@@ -215,12 +233,17 @@ def _errors(errors: pd.DataFrame) -> list[str]:
     return out
 
 
-def _unseen(effects: pd.DataFrame) -> list[str]:
-    told = []
-    for row in effects[~effects["visible"].astype(bool)].to_dict("records"):
+def _unseen(effects: pd.DataFrame, chosen: Sequence[str]) -> list[str]:
+    """What these data would not show, and what was not tested; an effect that was found is no such thing."""
+    told, blind = [], ~effects["visible"].astype(bool) & ~effects["name"].isin(chosen)
+    untested = effects["implausible"] == UNTESTED
+    for row in effects[blind & ~untested & effects["phi_min"].notna()].to_dict("records"):
         unit, least = "" if row["unit"] == "-" else f" {row['unit']}", float(row["phi_min"])
         possible = least <= float(row["largest"])
         told.append(
             f"{row['name']} below {rounded(least)}{unit}" if possible else f"{row['name']} of any possible strength"
         )
-    return ["Not visible with these data: " + ", ".join(told) + "."] if told else []
+    out = ["Not visible with these data: " + ", ".join(told) + "."] if told else []
+    if untested.any():
+        out.append("Not tested, since the model fails with it: " + ", ".join(effects.loc[untested, "name"]) + ".")
+    return out

@@ -23,6 +23,7 @@ from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.sensitivity.sampling import sample
+from calib.space import ParameterSpace
 from calib.study import Study
 from calib.updating.cases import Agreement, Case, CaseResult, agreement, convergence_table, parameters_table, run_case
 from calib.updating.genetic import GeneticSettings
@@ -165,7 +166,7 @@ def calibrate(
     searched = [case.search for case in found if case.search is not None]
     parameters = _parameters(study, found, searched)
     spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
-    verdicts = best.judgement.verdicts(study.search_space, spread)
+    verdicts = _without_whole(best.judgement.verdicts(study.search_space, spread), study.search_space)
     level = expected_misfit(study, before)
     verdict = agreement(reported, study.search_space, level)
     raw = agreement(searched, study.search_space, level) if searched and study.settings.calibration.polish else None
@@ -329,11 +330,19 @@ def _parameters(study: Study, found: Sequence[CaseFound], searched: Sequence[Cas
         table["spread"], table["stable"], table["search_value"] = raw["spread"], raw["stable"], raw["value"]
     else:
         table["search_value"] = np.nan
-    known = pd.concat([case.judgement.verdicts(space, {}).assign(case=case.name) for case in found])
+    each = [case.judgement.verdicts(space, {}).assign(case=case.name) for case in found]
+    known = _without_whole(pd.concat(each), space)
     columns = ["case", "parameter", "std", "identified"]
     table = table.merge(known[columns], on=columns[:2], how="left")
     order = ["value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable", "std", "identified"]
     return table[["case", "parameter", *order, "search_value"]]
+
+
+def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
+    """The table without standard deviations of whole numbers, of which only whole steps mean anything."""
+    whole = table["parameter"].isin([p.name for p in space.free if p.integer])
+    std = [column for column in ("std", "std_of_range") if column in table]
+    return table.assign(**{column: table[column].mask(whole) for column in std})
 
 
 def expected_misfit(study: Study, answer: Answer) -> float:

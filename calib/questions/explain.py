@@ -11,12 +11,14 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
+from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
+from calib.loading import with_effects
 from calib.missing import explain as engine
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
 from calib.missing.advice import Prospects, advice_sentence, advise, expected_odds
 from calib.missing.findings import Findings, Trial
-from calib.missing.hypotheses import Hypotheses
+from calib.missing.hypotheses import Hypotheses, Scaled
 from calib.missing.left_out import left_out
 from calib.missing.profile import profile_interval
 from calib.missing.tables import (
@@ -28,6 +30,7 @@ from calib.missing.tables import (
     tried_table,
 )
 from calib.missing.verdict import rounded, sentence
+from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
 from calib.questions.modal_side import ModalSide
 from calib.questions.plain_side import PlainSide
@@ -35,7 +38,6 @@ from calib.results import Results
 from calib.study import Study
 
 Progress = Callable[[str], None]
-NAMES_SOMETHING = ("effect", "indistinguishable", "two_effects")
 GROUPS = ("fit", "left_out", "withheld_sensors", "withheld_modes")
 
 
@@ -58,6 +60,10 @@ class Side(Protocol):
 
     def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data, notes, and figures for the summary."""
+        ...
+
+    def failing(self) -> set[str]:
+        """Effects with which the model failed somewhere."""
         ...
 
     def prospects(self, found: Findings) -> Prospects | None:
@@ -129,6 +135,8 @@ def explain(study: Study, results: Results, progress: Progress = lambda words: N
             "every effect of the library is in the model already", place=study.file,
             remedy="add another one to the library, or explain the study it was extended from",
         )  # fmt: skip
+    for effect in study.candidates:  # one that cannot be built is told by its name, before anything is solved
+        with_effects(study.model, [effect], str(study.file))
     started = time.perf_counter()
     side: Side
     if isinstance(study.problem, FunctionProblem):
@@ -157,10 +165,12 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     intervals = {}
     if found.verdict in ("effect", "indistinguishable"):
         by_name = {t.names[0]: t for t in found.singles}
-        intervals = {name: profile_interval(by_name[name].state, name) for name in found.credible}
-    effects = effects_table(found, intervals, _gains(side.hypotheses, found))
+        intervals = {name: profile_interval(by_name[name].state, name) for name in found.credible if name in by_name}
+    untested = _untested(side, found)
+    effects = effects_table(found, intervals, _gains(side.hypotheses, found), _visible(side, found), untested)
     progress("withheld data")
-    before, after = {"before": found.base}, {} if found.chosen is None else {"after": found.chosen}
+    last = "after" if found.names_something else "attempt"
+    before, after = {"before": found.base}, {} if found.chosen is None else {last: found.chosen}
     errors, more_notes, figures = side.errors({**before, **after}, found.noise_scale)
     errors = errors[["group", "stage", "rows", "rms", "expected", "p", "unpaired"]]
     progress("what to measure next")
@@ -169,8 +179,9 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     progress("what the discretisation alone would look like")
     budget = side.budget(found)
     notes = [*([] if budget is None else [budget.sentence]), *side.notes(), *more_notes]
-    told = sentence(found, effects, errors if found.verdict in NAMES_SOMETHING else errors.head(0), advice)
-    stages = {"base": found.base} | ({} if found.chosen is None else {"explained": found.chosen})
+    told = sentence(found, effects, errors, advice)
+    last = "explained" if found.names_something else "attempt"
+    stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     tables = {
         "atoms": _atoms(side, found),
         "confounding": confounding_table(found),
@@ -185,6 +196,25 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
         figures["discretisation"] = budget.largest
     seconds = time.perf_counter() - started
     return Explanation(found, told, tuple(notes), effects, errors, tables, figures, seconds)
+
+
+def _untested(side: Side, found: Findings) -> list[Effect]:
+    """Effects with which the model could not be solved, at no strength or at none of their grid."""
+    scores = found.base_check.named
+    absorbed = {n for n in scores.owners if not scores.size[[k for k, o in enumerate(scores.owners) if o == n]].any()}
+    tested = {name for group in found.groups for name in group.names} - (absorbed & side.failing())
+    return [e for e in side.hypotheses.effects if e.name not in tested]
+
+
+def _visible(side: Side, found: Findings) -> dict[str, float]:
+    """Smallest visible strengths of effects that show at no plausible one to first order, asked of the model itself."""
+    state, out = found.base.state, {}
+    for effect in (group.effect for group in found.groups):
+        if not effect.nuisance and smallest_visible(found.base_check.named, effect.name) > effect.plausible:
+            inner = side.hypotheses.question((effect.name,))
+            question = inner if found.noise_scale == 1.0 else Scaled(inner, found.noise_scale)
+            out[effect.name] = visible_within_limits(question, state, effect)
+    return out
 
 
 def _gains(hypotheses: Hypotheses, found: Findings) -> dict[str, float]:
@@ -207,7 +237,8 @@ def _next(side: Side, found: Findings, effects: pd.DataFrame) -> tuple[pd.DataFr
     fitted = {t.names[0]: strength_of(t, t.names[0])[0] for t in found.singles}
     plausible = {g.effect.name: g.effect.plausible for g in found.groups}
     strengths = [fitted.get(name, plausible[name]) for name in prospects.effects]
-    pair = (found.credible[0], found.credible[1]) if found.verdict == "indistinguishable" else None
+    fitted_ones = [name for name in found.credible if name in fitted]  # others have the very same fingerprint
+    pair = (fitted_ones[0], fitted_ones[1]) if len(fitted_ones) > 1 and found.verdict == "indistinguishable" else None
     table = advise(prospects, strengths, pair)
     unseen = effects.loc[~effects["visible"].astype(bool), "name"].tolist()
     told = advice_sentence(table, pair, unseen)
@@ -234,7 +265,7 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "implausible", "confounded_with",
     )  # fmt: skip
     errors: dict[str, dict[str, float | None]] = {group: {"before": None, "after": None} for group in GROUPS}
-    for row in answer.errors.to_dict("records"):
+    for row in answer.errors[answer.errors["stage"] != "attempt"].to_dict("records"):
         errors[str(row["group"])][str(row["stage"])] = float(row["rms"])
     chosen, fits = found.chosen, found.chosen_check
     return {
@@ -250,6 +281,8 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "chosen": [] if chosen is None else list(chosen.names),
         "chosen_values": {} if chosen is None else {n: chosen.state.values[n] for e in chosen.effects for n in e.names},
         "adequacy_p": None if fits is None else min(fits.p_family, fits.p_fit),
+        "adequacy_p_family": None if fits is None else fits.p_family,
+        "adequacy_p_fit": None if fits is None else fits.p_fit,
         "noise_scale": found.noise_scale,
         "measured_noise_scale": found.measured_scale,
         "local_changes": len(set(check.atoms.owners)),

@@ -22,6 +22,8 @@ from calib.study import Study
 
 LEFT_BEHIND = ("results", "__pycache__")
 """Folders that are no part of a study; hidden files and folders are none either."""
+TOLD_OF_THE_OLD = "README.md"
+"""File that says what a study is; it would not be true of the new one."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,7 @@ def _left_behind(old: Path, draft: Path) -> Callable[[str, list[str]], set[str]]
 
     def ignored(folder: str, names: list[str]) -> set[str]:
         left = {name for name in names if _is_left_behind(Path(folder, name))}
+        left |= {TOLD_OF_THE_OLD} & set(names) if Path(folder) == old else set()
         for linked in (Path(folder, name) for name in names if name not in left):
             if linked.is_symlink() and linked.is_dir():
                 goal = linked.resolve()
@@ -191,7 +194,7 @@ def _extended_text(
         document: Any = tomlkit.parse(source.read_bytes().decode("utf-8"))
     except TOMLKitError as fault:
         raise InputError(f"it cannot be rewritten ({fault})", place=study.file, remedy="extend by hand") from None
-    document["title"] = f"{study.settings.title}, with {effect.title}"
+    document["title"] = f"{study.settings.title} + {effect.name}"
     for name in selected:
         document["selection"].append(name)
     moved = tuple(_move_paths(document, source.parent, new))

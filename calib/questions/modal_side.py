@@ -92,6 +92,10 @@ class ModalSide:
             notes.append(f"The reduced basis errs by {worst:.2g} standard deviations; set use = false in [reduction].")
         return pd.concat(parts, ignore_index=True), notes, {"basis_error": worst}
 
+    def failing(self) -> set[str]:
+        """An effect without which the model is solved has failed where it is not among the candidates."""
+        return set()
+
     def prospects(self, found: Findings) -> Prospects | None:
         """What else could be measured, seen from the base model."""
         held, whole = set(self.study.settings.withheld.modes), self.study.whole

@@ -13,7 +13,7 @@ from calib.function import FunctionModel, extend_function
 from calib.missing.advice import Prospects
 from calib.missing.findings import Findings, Trial
 from calib.questions.budget import Budget
-from calib.questions.function_hypotheses import FunctionHypotheses
+from calib.questions.function_hypotheses import Failure, FunctionHypotheses
 from calib.questions.verify import plain_errors, whitened, withheld_targets
 from calib.study import Study, Targets
 
@@ -60,7 +60,10 @@ class PlainSide:
             table = plain_errors(s.residual, -s.slope, s.names, s.prior_sd, labels, withheld)
             parts.append(table.assign(stage=stage))
         failures = self.hypotheses.failures
-        notes = [f"{len(failures)} points failed; the first: {failures[0].error}."] if failures else []
+        notes = []
+        if failures:
+            points = f"{len(failures)} point{'s' * (len(failures) > 1)} failed"
+            notes = [f"{points}; the first{_with(failures[0])}: {failures[0].error}."]
         return pd.concat(parts, ignore_index=True), notes, {"failed": len(failures)}
 
     def _unseen(self, targets: Targets, trial: Trial, scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -70,6 +73,10 @@ class PlainSide:
         problem = replace(problem, space=model.space, function=model.function)
         residual, jacobian = whitened(problem, targets, trial.state.values, trial.state.names)
         return residual / scale, jacobian / scale
+
+    def failing(self) -> set[str]:
+        """Effects of all points that failed."""
+        return {name for failure in self.hypotheses.failures for name in failure.effects}
 
     def prospects(self, found: Findings) -> Prospects | None:
         """A function does not tell what else could be measured."""
@@ -92,3 +99,7 @@ class PlainSide:
             for row, e in zip(self.hypotheses.rows, trial.state.residual, strict=True)
         ]
         return {"response_misfit": pd.DataFrame(rows, columns=["stage", "response", "residual"])}
+
+
+def _with(failure: Failure) -> str:
+    return f" (with {', '.join(failure.effects)})" if failure.effects else ""

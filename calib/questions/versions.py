@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -15,44 +16,67 @@ MOST = 50
 """Versions followed back; more of them can only be a circle."""
 
 
-def write_versions(study: Study, root: Path) -> pd.DataFrame:
+@dataclass(frozen=True, eq=False)
+class Versions:
+    """Errors over the versions of a model.
+
+    Attributes
+    ----------
+    table : DataFrame
+        ``version, study, effects, group, rms, expected``, the oldest version first.
+    notes : tuple of str
+        One sentence for every version whose errors are not known.
+    """
+
+    table: pd.DataFrame
+    notes: tuple[str, ...] = ()
+
+
+def write_versions(study: Study, root: Path) -> Versions:
     """Write ``versions.csv`` of a study that was extended from another; an empty table for any other.
 
     A version's errors are those of its last calibration, or of the base model of its explanation when it was never
-    calibrated; versions without either are left out.
+    calibrated; versions without either are left out, which a note says.
 
     Parameters
     ----------
     study : Study
     root : Path
         Where the folders with results are.
-
-    Returns
-    -------
-    DataFrame
-        ``version, study, effects, group, rms, expected``, the oldest version first.
     """
-    chain = [(study.name, study.settings.with_effects)]
+    nothing = pd.DataFrame(columns=list(COLUMNS))
+    chain = [(study.name, study.settings.with_effects, study.file)]
     file, settings = study.file, study.settings
+    notes = []
     while settings.extended_from is not None and len(chain) < MOST:
         older = file.resolve().parent / settings.extended_from
         file = (older if older.suffix == ".toml" else older / "study.toml").resolve()
         if not file.is_file():
+            newer = chain[-1][0]
+            notes.append(f"{newer} was extended from {_called(file)}, which is gone: versions before {newer} are lost.")
             break
         settings = read_settings(file)
-        chain.append((file.parent.name, settings.with_effects))
+        chain.append((file.parent.name, settings.with_effects, file))
     if len(chain) == 1:
-        return pd.DataFrame(columns=list(COLUMNS))
+        return Versions(nothing, tuple(notes))
     parts = []
-    for number, (name, effects) in enumerate(reversed(chain), start=1):
+    for number, (name, effects, origin) in enumerate(reversed(chain), start=1):
         errors = _errors(Results(root / name))
-        if errors is not None:
+        if errors is None:
+            command = f"calib explain {_called(origin)} --results {root}"
+            notes.append(f"Version {number} ({name}) has no errors under {root}: run '{command}'.")
+        else:
             parts.append(errors.assign(version=number, study=name, effects=" + ".join(effects)))
     if not parts:
-        return pd.DataFrame(columns=list(COLUMNS))
+        return Versions(nothing, tuple(notes))
     table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
     Results.at(root, study.name).write_table("versions", table)
-    return table
+    return Versions(table, tuple(notes))
+
+
+def _called(file: Path) -> Path:
+    """How a study is called on the command line."""
+    return file.parent if file.name == "study.toml" else file
 
 
 def _errors(results: Results) -> pd.DataFrame | None:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes
+from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
 
 _LINE_STYLES = ("-", "-.", ":")
 
@@ -130,7 +130,7 @@ def _write_values(
         known = name in values and not math.isnan(values[name])
         if known:
             unit = "" if units[name] == "-" else units[name]
-            text = _plain(values[name]).replace("-", "−") + f" {unit}"
+            text = plain(values[name]).replace("-", "−") + f" {unit}"
             _beside(ax, i, text.rstrip(), 6 if unstable[name] else 0, "black")
         if unstable[name]:
             spread = table.loc[table["parameter"] == name, "spread"].max()
@@ -211,8 +211,3 @@ def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_ylabel("misfit (–)")
     legend_above(ax)
     return ax
-
-
-def _plain(value: float) -> str:
-    """Four significant digits without an exponent, where that stays readable."""
-    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"

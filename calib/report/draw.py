@@ -147,8 +147,17 @@ def _plan_explanation(folder: Path, add: _Add) -> None:
         return None if table is None or table.empty else table
 
     kinds = read("misfit_kinds", ["stage", "mode", "kind"], ["chi2", "freedom", "p"])
+    errors = read("errors", ["group", "stage"], ["rms", "expected", "p"])
+    shifts = ["adopted", "value", "standardised", "limit"]
+    strain = read(
+        "strain", ["model", "parameter"], shifts, flags=["strained"], blank=["unit"], unbounded=["standardised"]
+    )
+    more = [] if strain is None else [m for m in dict.fromkeys(strain["model"]) if m != "base"]
+    name = more[0] if len(more) == 1 else ""
+    attempt = any(t is not None and (t["stage"] == "attempt").any() for t in (kinds, errors))
     if kinds is not None:
-        add("where_it_fails_sigma", "where the model fails, beyond noise", lambda: where_it_fails_figure(kinds))
+        caption = "where the model fails, beyond noise"
+        add("where_it_fails_sigma", caption, lambda: where_it_fails_figure(kinds, name=name))
     ends = ["x0", "y0", "z0", "x1", "y1", "z1"]
     mesh = read("structure", [], ends, complete=ends)
     sensors = read("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
@@ -157,12 +166,9 @@ def _plan_explanation(folder: Path, add: _Add) -> None:
     atoms = read("atoms", ["atom", "kind"], ["x", "y", "z", "score", "gamma"])
     if mesh is not None and atoms is not None:
         add("atom_map", "local changes that would fit, not causes", lambda: atom_map_figure(atoms, mesh))
-    shifts = ["adopted", "value", "standardised", "limit"]
-    strain = read(
-        "strain", ["model", "parameter"], shifts, flags=["strained"], blank=["unit"], unbounded=["standardised"]
-    )
     if strain is not None:
-        add("parameters_under_strain", "parameters under strain", lambda: _owner(draw_strain(strain)))
+        caption = "parameters under strain"
+        add("parameters_under_strain", caption, lambda: _owner(draw_strain(strain, attempt=attempt)))
     evidence = ["z", "gamma", "phi_min", "plausible", "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "posterior"]
     effects = read(
         "effects",
@@ -179,9 +185,8 @@ def _plan_explanation(folder: Path, add: _Add) -> None:
         alike = _square(path, "effect", may_be_empty=True)
         if not alike.empty:
             add("confounding", "which effects look alike", lambda: _owner(draw_confounding(alike, effects=effects)))
-    errors = read("errors", ["group", "stage"], ["rms", "expected", "p"])
     if errors is not None:
-        add("errors_before_after", "errors before and after", lambda: _owner(draw_errors(errors)))
+        add("errors_before_after", "errors before and after", lambda: _owner(draw_errors(errors, name=name)))
     versions = read("versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["effects"])
     if versions is not None:
         caption = "errors over the versions of the model"

@@ -72,19 +72,19 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     -------
     Axes
         One horizontal bar an effect, the strongest first, with its value; thin lines span the prior widths. The dashed
-        line is the ln odds that one of n effects must pass, ln n + 3. Linear to 10 and logarithmic beyond when a value
-        is over 60 in size.
+        line is the ln odds that one of n effects must pass, ln n + 3; values below it stand at its right. Linear to 10
+        and logarithmic beyond when a value is over 60 in size. Words about effects that are not visible are grey.
     """
     rows = ranked(table)
     ax = own_axes(ax, _height(len(rows)))
     if rows.empty:
         return blank(ax, "no effect was tested")
     values = rows["ln_bayes"].to_numpy(dtype=float)
-    looks, threshold = _looks(rows), _threshold(len(rows))
+    looks, seen, threshold = _looks(rows), _flags(rows["visible"]), _threshold(len(rows))
     odd_ones = [bool(words) for words in rows["implausible"].fillna("")]
     spans = rows[["ln_bayes_third", "ln_bayes", "ln_bayes_triple"]].to_numpy(dtype=float)
     ax.axvline(0.0, color=BLACK, linewidth=0.8)
-    for row, (value, look, odd, span) in enumerate(zip(values, looks, odd_ones, spans, strict=True)):
+    for row, (value, look, odd, span, visible) in enumerate(zip(values, looks, odd_ones, spans, seen, strict=True)):
         ax.barh(
             row,
             value,
@@ -97,14 +97,16 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         if len(known) > 1:
             ax.plot([known.min(), known.max()], [row, row], color=BLACK, linewidth=1.1, gid="prior", zorder=3)
         words = f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
+        # Beside its bar, or beyond the threshold's line where it would stand on that.
+        end = max(0.0, *known) if len(known) else 0.0
         ax.annotate(
             words + (" implausible" if odd else ""),
-            (max(0.0, *known) if len(known) else 0.0, row),
+            (max(end, threshold), row),
             xytext=(4, 0),
             textcoords="offset points",
             va="center",
             fontsize=8,
-            color=VERMILLION if odd else BLACK,
+            color=GREY if not visible else VERMILLION if odd else BLACK,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.6},
             zorder=4,
         )
@@ -115,7 +117,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     if high > _WIDE or low < -_WIDE:
         ax.set_xscale("symlog", linthresh=10.0)
         # Beside the longest bar there must be room for its value and a word: about a decade.
-        ax.set_xlim(1.3 * low - 2.0, max(high, 10.0) * 12.0)
+        ax.set_xlim(1.3 * low - 2.0, max(high * 12.0, 400.0))
         ax.xaxis.set_major_formatter("{x:g}")
         label += "\nlinear up to 10"
     else:
@@ -128,7 +130,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
 
 
 def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
-    """Draw the smallest strength of every effect that these data show, over the largest plausible one.
+    """Draw the smallest strength of every effect that these data show, over its plausible size.
 
     Parameters
     ----------
@@ -155,7 +157,7 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_xlim(low / 1.6, high * 2.5)
     ax.axvline(1.0, color=BLACK, linewidth=1.0, gid="plausible")
     ax.axvspan(1.0, high * 2.5, color="#F2F2F2", zorder=0)
-    seen = np.array([bool(flag) for flag in rows["visible"]])
+    seen = np.array(_flags(rows["visible"]))
     for flag, face in ((True, BLUE), (False, "white")):
         shown = known & (seen == flag)
         edge = BLUE if flag else GREY
@@ -174,7 +176,7 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         )
     _beside(ax, -0.8, "z", "posterior", GREY)
     _name_rows(ax, rows)
-    ax.set_xlabel("smallest visible strength /\nlargest plausible strength (–)")
+    ax.set_xlabel("smallest visible strength /\nplausible size (–)")
     return ax
 
 
@@ -206,7 +208,8 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     Returns
     -------
     Axes
-        A matrix with the values in the cells; those over 0.9 in size, off the diagonal, are outlined.
+        A matrix with the values in the cells; those over 0.9 in size, off the diagonal, are outlined. Rows have title,
+        name and gamma, columns the name.
     """
     names = table["effect"].astype(str).tolist()
     count = len(names)
@@ -219,7 +222,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     values = table.set_index("effect").reindex(columns=names).to_numpy(dtype=float)
     ax.imshow(np.ones_like(values), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
     image = ax.imshow(values, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
-    size = 7.5 if count <= 14 else max(4.5, 7.5 * 14 / count)
+    size = 7.5 if count <= 12 else max(4.5, 7.5 * 12.5 / count)
     for i, j in np.argwhere(np.isfinite(values)):
         colour = "white" if abs(values[i, j]) > 0.65 else BLACK
         text = f"{round(values[i, j], 2) + 0.0:.2f}".replace("-", "−")
@@ -228,11 +231,13 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     for i, j in np.argwhere((np.abs(values) > _ALIKE) & ~np.eye(count, dtype=bool)):
         looks: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.8, "clip_on": False, "zorder": 4}
         ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="alike", **looks))
-    known = {name: f" ({gammas[name]:.2f})" for name in names if not pd.isna(gammas.get(name, math.nan))}
+    known = {name: f"γ\xa0{gammas[name]:.2f}" for name in names if not pd.isna(gammas.get(name, math.nan))}
+    ends = {n: ", ".join([*([n] if titles.get(n, n) != n else []), *([known[n]] if n in known else [])]) for n in names}
+    words = [_two_lines(str(titles.get(n, n)), f" ({ends[n]})" if ends[n] else "") for n in names]
     ax.set_xticks(range(count), names, rotation=90, fontsize=8)
-    ax.set_yticks(range(count), [_two_lines(str(titles.get(n, n)), known.get(n, "")) for n in names], fontsize=7.5)
+    ax.set_yticks(range(count), words, fontsize=7.5)
     note = f"outlined: |ρ| > {_ALIKE:g}, hard to tell apart"
-    ax.set_xlabel(note + ("; in brackets: γ, the share that calibration cannot absorb" if known else ""))
+    ax.set_xlabel(note + ("; γ: the share that calibration cannot absorb" if known else ""))
     label = "correlation ρ of the fingerprints (–)"
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
     return ax
@@ -248,11 +253,14 @@ def _threshold(count: int) -> float:
     return math.log(max(count, 1)) + LEAST_ODDS
 
 
+def _flags(column: pd.Series) -> list[bool]:
+    """Flags that may be unknown, which is no."""
+    return [not pd.isna(flag) and bool(flag) for flag in column]
+
+
 def _looks(rows: pd.DataFrame) -> list[str]:
     """Which of the looks of a bar holds for every effect."""
-    credible, seen, refitted = (
-        [not pd.isna(flag) and bool(flag) for flag in rows[name]] for name in ("credible", "visible", "refitted")
-    )
+    credible, seen, refitted = (_flags(rows[name]) for name in ("credible", "visible", "refitted"))
     names = list(_LOOKS)
     return [
         names[0] if c else names[3] if not s else names[1] if r else names[2]
@@ -297,6 +305,8 @@ def _name_rows(ax: Axes, rows: pd.DataFrame) -> None:
     """Names of the effects at the left, on two lines where they are long, with lines between the rows."""
     titles = [str(title) or str(name) for name, title in zip(rows["name"], rows["title"], strict=True)]
     ax.set_yticks(range(len(rows)), [_two_lines(title) for title in titles], fontsize=8)
+    for words, visible in zip(ax.get_yticklabels(), _flags(rows["visible"]), strict=True):
+        words.set_color(BLACK if visible else GREY)
     ax.tick_params(axis="y", length=0)
     ax.set_ylim(len(rows) - 0.45, -0.55)
     ax.grid(axis="x")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 
 from calib.report.explanation import blank
 from calib.report.style import (
@@ -22,41 +24,55 @@ from calib.report.style import (
     GREEN,
     GREY,
     PURPLE,
+    REST,
     SKY,
     VERMILLION,
+    added,
     legend_above,
     matrix_height,
     new_figure,
     own_axes,
+    plain,
     separate_cells,
 )
 
 KINDS = ("frequency", "damping", "shape")
-STAGES = {"base": "base model, calibrated", "explained": "with the missing effect"}
+STAGES = ("base", "explained", "attempt")
+_LEAST_FREEDOM = 0.5
+"""Fewer degrees of freedom say nothing."""
+_UNNAMED = "responses"
+"""Row of a table that tells no modes apart."""
+_WORDS = {"freq": "frequency"}
 _MOST = 16.0
 """Largest -log10 p that is told apart."""
 _COLOURS = (BEFORE, AFTER, GREEN, PURPLE, SKY)
 
 
-def draw_where_it_fails(table: pd.DataFrame, ax: Axes | None = None, *, stage: str = "base", bar: bool = True) -> Axes:
+def draw_where_it_fails(
+    table: pd.DataFrame, ax: Axes | None = None, *, stage: str = "base", bar: bool = True, name: str = ""
+) -> Axes:
     """Draw how unlikely it is that noise alone made the misfit of every mode in every kind of response.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``stage, mode, kind``, ``chi2`` (sum of squared residuals in sigma), ``freedom`` (degrees of freedom
-        that are left) and ``p``; NaN where unknown.
+        Columns ``stage`` (``base``, ``explained`` or ``attempt``), ``mode, kind``, ``chi2`` (sum of squared residuals
+        in sigma), ``freedom`` (degrees of freedom that are left) and ``p``; NaN where unknown.
     ax : Axes, optional
     stage : str
         The rows to draw.
     bar : bool
         Whether a colour bar is added.
+    name : str
+        What the model of the stage has more than the base model; empty when unknown.
 
     Returns
     -------
     Axes
-        Colours are -log10 p, at most 16; the cells hold chi2 over its degrees of freedom. A cell without p is grey.
+        Colours are -log10 p, at most 16; the cells hold chi2 over its degrees of freedom, where at least half of one is
+        left. A cell without p is grey; those of an attempt are hatched.
     """
+    table = table.replace({"kind": _WORDS})
     modes = list(dict.fromkeys(table["mode"]))
     there = list(dict.fromkeys(table["kind"]))
     kinds = [*(k for k in KINDS if k in there), *(k for k in there if k not in KINDS)]
@@ -71,31 +87,47 @@ def draw_where_it_fails(table: pd.DataFrame, ax: Axes | None = None, *, stage: s
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         unlikely = np.minimum(-np.log10(p), _MOST) + 0.0
-        ratio = np.where(freedom > 0.0, chi2 / freedom, np.nan)
+        ratio = np.where(freedom >= _LEAST_FREEDOM, chi2 / freedom, np.nan)
     ax.imshow(np.ones_like(unlikely), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
     image = ax.imshow(unlikely, cmap="OrRd", norm=Normalize(0.0, _MOST), aspect="auto", gid="unlikely")
+    tried = stage == "attempt"
     for i, j in np.ndindex(ratio.shape):
         words = f"{ratio[i, j]:.3g}" if math.isfinite(ratio[i, j]) else "–"
-        colour = "white" if unlikely[i, j] > 0.6 * _MOST else BLACK
+        colour = "white" if unlikely[i, j] > 0.6 * _MOST and not tried else BLACK
         ax.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
     ax.set_xticks(range(len(kinds)), kinds)
     ax.set_yticks(range(len(modes)), [str(mode) for mode in modes])
     separate_cells(ax, len(modes), len(kinds))
-    ax.set_title(STAGES.get(stage, stage))
+    words = "base model, calibrated" if stage == "base" else added(stage, name)
+    ax.set_title(words.replace(": ", ":\n"), color=GREY if tried else BLACK)
+    if tried:
+        for text in ax.texts:
+            text.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8})
+        whole = Rectangle((-0.5, -0.5), len(kinds), len(modes), fill=False, hatch="//", edgecolor=REST, linewidth=0.0)
+        whole.set_gid("attempt")
+        ax.add_patch(whole)
     ax.set_xlabel("in the cells: χ² / degrees of freedom")
-    ax.set_ylabel("mode")
+    ax.set_ylabel("" if modes == [_UNNAMED] else "mode")
     if bar:
         _unlikely_bar(image, [ax])
     return ax
 
 
-def where_it_fails_figure(table: pd.DataFrame) -> Figure:
-    """Draw a panel of `draw_where_it_fails` for the base model and, where the table has it, for the explained one."""
+def where_it_fails_figure(table: pd.DataFrame, *, name: str = "") -> Figure:
+    """Draw a panel of `draw_where_it_fails` for the base model and for the explained or attempted one there is.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As for `draw_where_it_fails`.
+    name : str
+        What that other model has more than the base model; empty when unknown.
+    """
     stages = [stage for stage in STAGES if (table["stage"] == stage).any()] or ["base"]
     figure = new_figure(0.2 + matrix_height(table["mode"].nunique(), len(KINDS)))
     panels = list(np.atleast_1d(figure.subplots(1, len(stages), sharey=True)))
     for ax, stage in zip(panels, stages, strict=True):
-        draw_where_it_fails(table, ax, stage=stage, bar=False)
+        draw_where_it_fails(table, ax, stage=stage, bar=False, name=name)
     for ax in panels[1:]:
         ax.set_ylabel("")
     if panels[0].images:
@@ -108,7 +140,7 @@ def _unlikely_bar(image: ScalarMappable, panels: list[Axes]) -> None:
     bar.set_ticks([0, 4, 8, 12, 16], labels=["0", "4", "8", "12", "≥ 16"])
 
 
-def draw_strain(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+def draw_strain(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = False) -> Axes:
     """Draw how far each parameter was pulled from its adopted value, in units of what chance would do.
 
     Parameters
@@ -118,6 +150,8 @@ def draw_strain(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         ``standardised`` (shift over the root of prior less posterior variance), ``limit`` (of the normal distribution,
         after Bonferroni) and ``strained`` (bool, or None).
     ax : Axes, optional
+    attempt : bool
+        Whether the models with effects are attempts that are not believed; their dots are then hollow and grey.
 
     Returns
     -------
@@ -129,18 +163,21 @@ def draw_strain(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax = own_axes(ax, 1.2 + 0.38 * max(1, len(names)))
     if not names:
         return blank(ax, "no parameter was calibrated")
-    plain = {"marker": "o", "linestyle": "none", "markersize": 11}
-    ring: dict[str, Any] = {**plain, "markerfacecolor": "none", "markeredgewidth": 1.6, "markeredgecolor": VERMILLION}
+    dot = {"marker": "o", "linestyle": "none", "markersize": 11}
+    ring: dict[str, Any] = {**dot, "markerfacecolor": "none", "markeredgewidth": 1.6, "markeredgecolor": VERMILLION}
     step = min(0.3, 0.7 / len(models))
     handles: list[Artist] = []
     for k, model in enumerate(models):
         rows = table[table["model"] == model].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(models) - 1) / 2) * step
         shift = rows["standardised"].to_numpy(dtype=float)
-        label = "base model" if model == "base" else f"with {model}"
-        colour = _COLOURS[k % len(_COLOURS)]
+        tried = attempt and model != "base"
+        label = "base model" if model == "base" else added("attempt" if tried else "explained", model)
+        looks: dict[str, Any] = (
+            {"color": GREY, "markerfacecolor": "white"} if tried else {"color": _COLOURS[k % len(_COLOURS)]}
+        )
         handles += ax.plot(
-            shift, y, "osD^v"[k % 5], color=colour, markersize=5.5, label=label, gid=f"shift {model}", zorder=3
+            shift, y, "osD^v"[k % 5], markersize=5.5, label=label, gid=f"shift {model}", zorder=3, **looks
         )
         ringed = np.array([not pd.isna(flag) and bool(flag) for flag in rows["strained"]])
         ax.plot(shift[ringed], y[ringed], gid=f"strained {model}", zorder=4, **ring)
@@ -161,7 +198,8 @@ def draw_strain(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set(ylim=(len(names) - 0.4, -0.6), xlim=(-reach, reach))
     ax.grid(axis="x")
     ax.set_xlabel("shift from the adopted value, standardised (–)")
-    words = " → ".join(["adopted", *("base" if model == "base" else "explained" for model in models)])
+    words = " → ".join(["adopted", *("base" if model == "base" else f"with {model}" for model in models)])
+    words = textwrap.fill(words, 40, break_long_words=False)
     ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=GREY)
     if limits:
         label = "limit ± " + ", ".join(f"{limit:.2f}" for limit in limits)
@@ -177,5 +215,5 @@ def _values(rows: pd.DataFrame, models: list[str]) -> str:
     by_model = rows.set_index("model")
     values = [rows["adopted"].iloc[0], *by_model["value"].reindex(models)]
     unit = str(rows["unit"].iloc[0])
-    text = " → ".join("–" if pd.isna(value) else f"{value:.4g}".replace("-", "−") for value in values)
+    text = " → ".join("–" if pd.isna(value) else plain(value).replace("-", "−") for value in values)
     return text if unit in ("", "-", "–") else f"{text} {unit}"

@@ -30,6 +30,8 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILLION, PURPLE = (
 BEFORE, AFTER, MEASURED = ORANGE, BLUE, VERMILLION
 CASES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, BLACK, YELLOW)
 GREY, REST = "#767676", "#BDBDBD"
+ATTEMPT: dict[str, Any] = {"facecolor": "#D0D0D0", "hatch": "xxxx", "edgecolor": "white"}
+"""What was tried and is not believed."""
 WIDTH = 8.0
 """Width of a figure in inches: 1200 pixels at `DPI`, so that text is seen at the size chosen here."""
 DPI = 150
@@ -80,6 +82,18 @@ def legend_above(ax: Axes, handles: list[Artist] | None = None) -> None:
     longest = max((len(str(h.get_label())) for h in shown), default=1)
     columns = max(1, min(len(shown), int(105 / (longest + 9))))
     ax.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=columns)
+
+
+def added(stage: str, name: str = "") -> str:
+    """Say what a model has more than the base model, at a stage of an explanation, where the name is known."""
+    if stage == "attempt":
+        return f"with {name}: best attempt, not believed" if name else "with the best attempt, not believed"
+    return f"with {name}" if name else "with the missing effect"
+
+
+def plain(value: float) -> str:
+    """Four significant digits without an exponent, where that stays readable."""
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
 def matrix_height(rows: int, columns: int) -> float:

@@ -16,6 +16,7 @@ from matplotlib.patches import Patch
 from calib.report.explanation import LEAST_ODDS, blank
 from calib.report.style import (
     AFTER,
+    ATTEMPT,
     BEFORE,
     BLACK,
     CASES,
@@ -24,6 +25,7 @@ from calib.report.style import (
     ORANGE,
     PURPLE,
     SKY,
+    added,
     legend_above,
     new_figure,
     own_axes,
@@ -35,9 +37,10 @@ GROUPS = {
     "withheld_sensors": "withheld sensors",
     "withheld_modes": "withheld modes",
 }
-_STAGES: dict[str, tuple[str, dict[str, Any]]] = {
-    "before": ("before: base model", {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"}),
-    "after": ("after: with the missing effect", {"facecolor": AFTER}),
+_STAGES: dict[str, dict[str, Any]] = {
+    "before": {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"},
+    "after": {"facecolor": AFTER},
+    "attempt": ATTEMPT,
 }
 _OPTIONS = {
     "sensor": ("further sensor", SKY),
@@ -50,15 +53,17 @@ _RANGE = 20.0
 _SHOWN = 10
 
 
-def draw_errors(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") -> Axes:
     """Draw the error before and after an effect was added, in data that were used and in data that were not.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``group, stage`` (``before`` or ``after``), ``rms`` (sigma), ``expected`` (from noise alone, sigma) and
-        ``p``; NaN where unknown.
+        Columns ``group, stage`` (``before``, ``after``, or ``attempt`` for an effect that is not believed), ``rms``
+        (sigma), ``expected`` (from noise alone, sigma) and ``p``; NaN where unknown.
     ax : Axes, optional
+    name : str
+        What was added; empty when unknown.
 
     Returns
     -------
@@ -76,7 +81,9 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         rows = table[table["stage"] == stage].set_index("group").reindex(groups)
         x = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * width
         rms, expected, p = (rows[name].to_numpy(dtype=float) for name in ("rms", "expected", "p"))
-        label, looks = _STAGES[stage]
+        looks = _STAGES[stage]
+        label = "before: base model" if stage == "before" else added(stage, name)
+        label = f"after: {label}" if stage == "after" else label
         ax.bar(x, rms, 0.92 * width, label=label, gid=stage, **looks)
         for at, (r, e, q) in zip(x, zip(rms, expected, p, strict=True), strict=True):
             if np.isfinite(r):  # over the bar and over the line of the noise

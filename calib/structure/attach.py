@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.sparse as sp
 
+from calib.errors import InputError
 from calib.structure.affine import Coefficient, Monomial, Term
 from calib.structure.extend import Addition
 from calib.structure.model import StructuralModel
@@ -20,8 +21,19 @@ Place = tuple[str | None, tuple[float, float, float]]
 
 
 def motion(model: StructuralModel, place: Place, direction: int) -> np.ndarray:
-    """Motion of a place over the model's degrees of freedom, (n_dof,); direction 0..5 for ux, uy, uz, rx, ry, rz."""
-    return model.locator.row(place[1], direction, place[0])[0]
+    """Motion of a place over the model's degrees of freedom, (n_dof,); direction 0..5 for ux, uy, uz, rx, ry, rz.
+
+    InputError for an unknown part, or a point farther from its part than the model is large.
+    """
+    part, point = place
+    row, distance = model.locator.row(point, direction, part)
+    extent = float(np.ptp(model.mesh.points, axis=0).max(initial=0.0))
+    if distance > max(extent, model.sensor_tolerance):
+        raise InputError(
+            f"the point ({', '.join(f'{c:g}' for c in point)}) lies {distance:.4g} m from the {part or 'model'}",
+            remedy="coordinates are in m",
+        )
+    return row
 
 
 def between(model: StructuralModel, one: Place, other: Place, direction: int) -> np.ndarray:

@@ -91,7 +91,11 @@ def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel
 
 def _built(model: StructuralModel, effect: Effect) -> Addition:
     place = f"effect {effect.name}"
-    addition = effect.build(model)
+    try:
+        addition = effect.build(model)
+    except InputError as fault:
+        where = place if fault.place is None else f"{place}, {fault.place}"
+        raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
     if not isinstance(addition, Addition):
         raise InputError(f"it builds {type(addition).__name__}", place=place, remedy="return an Addition")
     n = model.n_dof + addition.n_added

@@ -77,6 +77,8 @@ class FitSettings:
         First damping over the largest curvature.
     rejections : int
         Steps in a row that may fail to lower the sum of squares.
+    evaluations : int
+        Residuals after which no further step is begun.
     """
 
     iterations: int = 50
@@ -84,6 +86,7 @@ class FitSettings:
     relative: float = 1e-9
     damping: float = 1e-3
     rejections: int = 20
+    evaluations: int = 10_000
 
 
 DEFAULT = FitSettings()
@@ -186,7 +189,7 @@ def fit(
         if promised <= max(settings.gain, settings.relative * here.misfit):
             reason, converged = "no step promises to lower the misfit", True
             break
-        if iteration >= settings.iterations:
+        if iteration >= settings.iterations or search.evaluations >= settings.evaluations:
             reason = f"stopped after {iteration} iterations, before it converged"
             break
         mu = mu or settings.damping * float(np.max(np.sum(matrix**2, axis=0)))

@@ -13,18 +13,15 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
 import argparse
-import importlib.util
 from collections import Counter
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
+from rates_world import ROOT, module_of
 
 from calib.missing.explain import Settings, explain
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.study import Study
 
-ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "studies/five_mass_chain"
 NAMING = ("effect", "indistinguishable", "two_effects")
 COLUMNS = ("right", "with a false one", "rival left in", "none or partial", "nothing", "wrong")
@@ -35,7 +32,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     arguments.add_argument("--runs", type=int, default=200, help="runs of each row (default 200)")
     given = arguments.parse_args()
-    study, twin = Study.load(FOLDER), _twin()
+    study, twin = Study.load(FOLDER), module_of(FOLDER / "make_twin.py")
     hidden = ["", *(e.name for e in twin.chain_effects() if e.name not in twin.INVISIBLE)]
     print(f"{'hidden':20s}" + "".join(f"{c:>18s}" for c in COLUMNS) + f"{'calls (mean)':>14s}{'(most)':>8s}")
     for name in hidden:
@@ -63,14 +60,6 @@ def _outcome(verdict: str, credible: tuple[str, ...], hidden: str) -> str:
     if len(credible) == 1:
         return "right"
     return "with a false one" if verdict == "two_effects" else "rival left in"
-
-
-def _twin() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("five_mass_twin", FOLDER / "make_twin.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 if __name__ == "__main__":

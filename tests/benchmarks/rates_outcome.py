@@ -52,7 +52,7 @@ def outcome(found: Findings, measured: Measured) -> dict[str, Any]:
     of two; ``second``: in the set but not the best; ``extra``: named with a second one that is not there; ``wrong``:
     something is named and the truth is not in the set; otherwise the verdict itself.
     """
-    stands = {other: g.effect.name for g in found.groups for other in (g.effect.name, *g.others)}
+    stands = {name: g.effect.name for g in found.groups for name in g.names}
     true = {stands[name] for name in measured.hidden if name in stands}
     named = found.verdict in NAMING
     best = list(found.chosen.names) if found.chosen is not None else []
@@ -60,7 +60,7 @@ def outcome(found: Findings, measured: Measured) -> dict[str, Any]:
         "verdict": found.verdict, "credible": list(found.credible), "best": best,
         "outcome": _judged(found.verdict, set(found.credible), best, true) if named else found.verdict,
         "z": _expected_score(found, measured, stands),
-        "groups": {g.effect.name: list(g.others) for g in found.groups if g.others},
+        "groups": {g.effect.name: list(g.names[1:]) for g in found.groups if g.others},
         "p_named": found.base_check.p_named, "p_atoms": found.base_check.p_atoms, "p_fit": found.base_check.p_fit,
         "p_family": found.base_check.p_family, "measured_scale": found.measured_scale,
         "noise_scale": found.noise_scale, "evaluations": found.evaluations,

@@ -87,7 +87,7 @@ def test_interrupted_by_the_keyboard(mast, runner, left, drafts, workers, whole)
     time.sleep(0.05)
     run.send(signal.SIGINT, everybody=True)  # as a terminal does
     assert run.wait() == 130, (run.out, run.err)
-    assert run.err == "calib: interrupted; the same command continues where it was\n"
+    assert run.err == "calib: interrupted; the same command again completes it\n"
     assert run.nobody_left() and drafts(Path("results")) == [] and not Path("calib-error.log").exists()
     again = runner.fork("calibrate", "mast", "--workers", "1")
     assert again.wait() == 0
@@ -113,7 +113,7 @@ def test_interrupted_at_any_moment(mast, runner, left, drafts):
             continue
         stopped += 1
         assert run.code == 130, (run.code, run.err)
-        assert run.err == "calib: interrupted; the same command continues where it was\n"
+        assert run.err == "calib: interrupted; the same command again completes it\n"
         assert drafts(FOLDER) == [] and not Path("calib-error.log").exists()
     assert start().wait() == 0
     assert left(FOLDER) == whole
@@ -129,7 +129,7 @@ def test_interrupted_again_while_leaving(mast, runner, left, whole):
             run.send(signal.SIGINT, everybody=True)
             time.sleep(draw.uniform(0.0, 0.02))
         assert run.wait() == 130, run.err
-        assert run.err == "calib: interrupted; the same command continues where it was\n" and run.nobody_left()
+        assert run.err == "calib: interrupted; the same command again completes it\n" and run.nobody_left()
     again = runner.fork("calibrate", "mast", "--workers", "1")
     assert again.wait() == 0
     assert left(FOLDER) == whole[0]

@@ -119,6 +119,14 @@ class Toy:
         exact = self.answer({**values, **(truth or {})})
         return replace(self, data=exact + noise * rng.standard_normal(len(self.rows)), count=[0])
 
+    def alike(self, name: str, of: str, share: float, seed: int = 1) -> Toy:
+        """With a column of unchanged length whose direction correlates with another's by a share."""
+        other = np.random.default_rng(seed).standard_normal(len(self.rows))
+        one = self.columns[of]
+        other -= one * (one @ other) / (one @ one)
+        column = share * one + np.sqrt(1 - share**2) * np.linalg.norm(one) * other / np.linalg.norm(other)
+        return replace(self, columns={**self.columns, name: column})
+
     def calibrated(self, *names: str, start: Mapping[str, float] | None = None, whole: int = 0) -> State:
         question = self.question(names)
         return fitted(question, names, {**question.space.values, **(start or {})}, whole)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from calib.missing.advice import (
     COLUMNS,
+    WITHHELD,
     WORTHWHILE,
     Option,
     Prospects,
@@ -18,6 +19,7 @@ from calib.missing.advice import (
     advise,
     expected_odds,
 )
+from calib.questions.prospects import _mode_in_words
 
 P, M, MORE = 3, 4, 6
 TWICE = Option("twice the repeats", "repeats", scale=1 / math.sqrt(2))
@@ -251,3 +253,32 @@ def test_what_is_not_worthwhile_is_not_advised():
 def test_no_more_than_three_are_told():
     table = table_of(*[("A", f"E{k}", 5.0) for k in range(6)])
     assert advice_sentence(table, None, [f"E{k}" for k in range(6)]).count("times the score") == 3
+
+
+VERIFIES = " A withheld mode that is used no longer verifies the result."
+
+
+def test_a_withheld_mode_is_said_to_verify_no_more_and_something_new_stands_beside_it():
+    held = f"mode 4BT{WITHHELD}"
+    table = table_of((held, "E0", 5.0), ("mode 9BT, withheld so far", "E0", 4.0), ("A", "E0", 2.0), ("B", "E0", 1.9))
+    told = advice_sentence(table, None, ["E0"])
+    assert told == (
+        f"To see more, measure next: {held}: 5 times the score of E0 (new: A: 2 times the score of E0).{VERIFIES}"
+    )
+    alone = advice_sentence(table_of((held, "E0", 5.0), ("A", "E0", WORTHWHILE - 0.01)), None, ["E0"])
+    assert alone == f"To see more, measure next: {held}: 5 times the score of E0.{VERIFIES}"
+    new = advice_sentence(table_of((held, "E0", 2.0), ("A", "E0", 5.0)), None, ["E0"])
+    assert new == "To see more, measure next: A: 5 times the score of E0."
+
+
+def test_so_it_is_where_a_pair_is_told_apart():
+    p = apart()
+    held = replace(p.options[1], name=f"mode 4BT{WITHHELD}", kind="mode")
+    told = advice_sentence(advise(replace(p, options=(TWICE, held)), [1.0] * M, ("E0", "E1")), ("E0", "E1"), [])
+    assert told.startswith(f"To tell them apart, measure next: {held.name}: odds of ") and told.endswith(VERIFIES)
+    assert " (new: twice the repeats: odds of 1:1 between E0 and E1)." in told
+
+
+def test_withheld_modes_are_known_by_the_end_of_their_name():
+    assert _mode_in_words(10.1, {"4BT": 10.0}) == f"mode 4BT{WITHHELD}"
+    assert WITHHELD not in _mode_in_words(20.0, {"4BT": 10.0})

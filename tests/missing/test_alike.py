@@ -35,7 +35,7 @@ def apart(toy):
 
 
 def names(groups):
-    return {g.effect.name: g.others for g in groups}
+    return {g.effect.name: g.names[1:] for g in groups}
 
 
 def test_only_beyond_the_threshold(apart):

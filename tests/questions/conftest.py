@@ -1,4 +1,4 @@
-"""A small study for questions that take well under a second, and the reduced basis that all blind studies share."""
+"""Small studies for questions that take well under a second, and the reduced basis that all blind studies share."""
 
 import importlib.util
 import shutil
@@ -9,11 +9,14 @@ from types import ModuleType
 
 import pytest
 
+from calib.questions.explain import Explanation, explain
 from calib.questions.library import modal_hypotheses
 from calib.results import Results
 from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
+CHAIN = ROOT / "studies/five_mass_chain"
+HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
 
 
 def script(path: Path) -> ModuleType:
@@ -30,6 +33,53 @@ def script(path: Path) -> ModuleType:
 def mast() -> ModuleType:
     """See `tests/template/mast_effects.py`."""
     return script(ROOT / "tests/template/mast_effects.py")
+
+
+@pytest.fixture(scope="session")
+def edited() -> Callable[[Path, str, str], Path]:
+    """Replaces words in the study file of a folder, and returns the folder."""
+
+    def edit(folder: Path, old: str, new: str) -> Path:
+        text = (folder / "study.toml").read_text()
+        assert old in text, old
+        (folder / "study.toml").write_text(text.replace(old, new))
+        return folder
+
+    return edit
+
+
+@pytest.fixture(scope="session")
+def guyed(
+    mast: ModuleType, edited: Callable[[Path, str, str], Path], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Study, Results, Explanation, list[str]]:
+    """A mast with a guy rope that its model lacks; one mode and two sensors are withheld. Last what was told."""
+    folder = tmp_path_factory.mktemp("guyed")
+    study = Study.load(edited(mast.write_study(folder / "mast", {"guy": 9000.0}), *HELD))
+    results, told = Results.at(folder / "results", study.name), []
+    return study, results, explain(study, results, told.append), told
+
+
+@pytest.fixture(scope="session")
+def bare(mast: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Results, Explanation]:
+    """A mast that lacks nothing."""
+    folder = tmp_path_factory.mktemp("bare")
+    study = Study.load(mast.write_study(folder / "mast"))
+    results = Results.at(folder / "results", study.name)
+    return study, results, explain(study, results)
+
+
+@pytest.fixture(scope="session")
+def chain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Results, Explanation]:
+    """The chain without matrices."""
+    study = Study.load(CHAIN)
+    results = Results.at(tmp_path_factory.mktemp("chain"), study.name)
+    return study, results, explain(study, results)
+
+
+@pytest.fixture
+def chain_folder(tmp_path: Path) -> Path:
+    """A copy of the chain's study that may be changed."""
+    return Path(shutil.copytree(CHAIN, tmp_path / "chain", ignore=shutil.ignore_patterns("__pycache__", "results")))
 
 
 @pytest.fixture(scope="session")

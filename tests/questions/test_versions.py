@@ -35,15 +35,16 @@ def test_versions_come_oldest_first_with_their_effects(chain, tmp_path):
     root = tmp_path / "results"
     for k, study in enumerate(chain):
         answers(root, study.name, 5.0 - k)
-    table = write_versions(chain[-1], root)
-    assert list(table.columns) == list(COLUMNS)
+    found = write_versions(chain[-1], root)
+    table = found.table
+    assert list(table.columns) == list(COLUMNS) and found.notes == ()
     assert list(table["version"]) == [1, 1, 1, 2, 2, 2, 3, 3, 3]
     assert list(table["study"].unique()) == ["mast", "mast_2", "mast_3"]
     assert list(table["effects"].unique()) == ["", "platform", "platform + guy"]
     assert list(table.loc[table["group"] == "fit", "rms"]) == [5.0, 4.0, 3.0]
     written = pd.read_csv(root / "mast_3/versions.csv", keep_default_na=False)
     pd.testing.assert_frame_equal(written, table)
-    middle = write_versions(chain[1], root)
+    middle = write_versions(chain[1], root).table
     assert list(middle["study"].unique()) == ["mast", "mast_2"]
 
 
@@ -52,7 +53,7 @@ def test_a_version_that_was_only_explained_counts_with_its_base_model(chain, tmp
     answers(root, "mast", 5.0, "errors")
     answers(root, "mast_2", 4.0)
     answers(root, "mast_2", 7.0, "errors")  # its calibration goes first
-    table = write_versions(chain[-1], root)
+    table = write_versions(chain[-1], root).table
     assert list(table["study"].unique()) == ["mast", "mast_2"]
     assert list(table.loc[table["group"] == "fit", "rms"]) == [5.0, 4.0]
     assert 0.1 not in set(table["rms"])
@@ -62,19 +63,24 @@ def test_a_version_without_answers_is_left_out_and_keeps_its_number(chain, tmp_p
     root = tmp_path / "results"
     answers(root, "mast", 5.0)
     answers(root, "mast_3", 3.0)
-    assert list(write_versions(chain[-1], root)["version"].unique()) == [1, 3]
+    found = write_versions(chain[-1], root)
+    assert list(found.table["version"].unique()) == [1, 3]
+    command = f"calib explain {tmp_path / 'mast_2'} --results {root}"
+    assert found.notes == (f"Version 2 (mast_2) has no errors under {root}: run '{command}'.",)
 
 
 def test_without_any_answer_nothing_is_written(chain, tmp_path):
-    table = write_versions(chain[-1], tmp_path / "results")
+    found = write_versions(chain[-1], tmp_path / "results")
+    table = found.table
+    assert [note[:9] for note in found.notes] == ["Version 1", "Version 2", "Version 3"]
     assert table.empty and list(table.columns) == list(COLUMNS)
     assert not list(tmp_path.rglob("versions.csv"))
 
 
 def test_a_study_that_comes_from_no_other_has_no_versions(chain, tmp_path):
     answers(tmp_path / "results", "mast", 5.0)
-    table = write_versions(chain[0], tmp_path / "results")
-    assert table.empty and not list(tmp_path.rglob("versions.csv"))
+    found = write_versions(chain[0], tmp_path / "results")
+    assert found.table.empty and found.notes == () and not list(tmp_path.rglob("versions.csv"))
 
 
 def test_an_ancestor_that_is_gone_ends_the_line(chain, tmp_path):
@@ -82,7 +88,22 @@ def test_an_ancestor_that_is_gone_ends_the_line(chain, tmp_path):
     for study in chain:
         answers(root, study.name, 5.0)
     (tmp_path / "mast_2/study.toml").unlink()
-    assert write_versions(chain[-1], root).empty
+    found = write_versions(chain[-1], root)
+    gone = tmp_path / "mast_2"
+    assert found.table.empty
+    assert found.notes == (f"mast_3 was extended from {gone}, which is gone: versions before mast_3 are lost.",)
+
+
+def test_what_follows_an_ancestor_that_is_gone_is_still_told(chain, tmp_path):
+    root = tmp_path / "results"
+    for study in chain:
+        answers(root, study.name, 5.0)
+    (tmp_path / "mast/study.toml").unlink()
+    found = write_versions(chain[-1], root)
+    assert list(found.table["study"].unique()) == ["mast_2", "mast_3"]
+    assert found.notes == (
+        f"mast_2 was extended from {tmp_path / 'mast'}, which is gone: versions before mast_2 are lost.",
+    )
 
 
 def test_a_circle_ends(chain, tmp_path):
@@ -91,7 +112,7 @@ def test_a_circle_ends(chain, tmp_path):
         answers(root, study.name, 5.0)
     file = tmp_path / "mast/study.toml"
     file.write_text(f'extended_from = "../mast_3"\n{file.read_text()}')
-    table = write_versions(chain[-1], root)
+    table = write_versions(chain[-1], root).table
     assert table["version"].max() <= MOST
 
 
@@ -101,4 +122,8 @@ def test_an_ancestor_may_be_a_study_file_of_another_name(mast, tmp_path):
     new = Study.load(extend(Study.load(folder / "second.toml"), "guy", tmp_path / "mast_2").file)
     for name in ("mast", "mast_2"):
         answers(tmp_path / "results", name, 5.0)
-    assert list(write_versions(new, tmp_path / "results")["study"].unique()) == ["mast", "mast_2"]
+    root = tmp_path / "results"
+    assert list(write_versions(new, root).table["study"].unique()) == ["mast", "mast_2"]
+    (root / "mast/data_errors.csv").unlink()
+    (note,) = write_versions(new, root).notes
+    assert f"calib explain {folder / 'second.toml'} --results" in note

@@ -15,7 +15,7 @@ from calib.report.explanation import (
     ranked,
     ranked_effects_figure,
 )
-from calib.report.style import BLUE, ORANGE, REST, SYNTHETIC, new_figure
+from calib.report.style import BLUE, GREY, ORANGE, REST, SYNTHETIC, new_figure
 
 nan = np.nan
 FIGURES = [
@@ -96,6 +96,25 @@ def test_thin_lines_span_the_prior_widths(effects):
     assert spans == [[39.0, 41.0], [28.5, 30.0]]
 
 
+def test_values_do_not_stand_on_the_line_of_the_threshold(effects):
+    """They begin beyond it, whatever end of their bar."""
+    ax = draw_ranked_effects(effects.assign(ln_bayes=[-1.8, 3.9, 40.0, 0.0, -0.5]))
+    ax.figure.savefig(os.devnull, format="png")
+    (line,) = [x for x in ax.lines if x.get_gid() == "threshold"]
+    across = ax.transData.transform((line.get_xdata()[0], 0.0))[0]
+    assert all(t.get_window_extent().x0 > across for t in ax.texts)
+
+
+def test_words_about_what_is_not_visible_are_grey(effects):
+    figure = ranked_effects_figure(effects.assign(implausible=""))
+    _, left, right = figure.axes
+    grey = [t.get_color() == GREY for t in left.get_yticklabels()]
+    assert grey == [t.get_color() == GREY for t in left.texts] == [False, False, False, True, True]
+    beside = sorted((t for t in right.texts if t.xy[1] >= 0), key=lambda t: t.xy[1])
+    assert [t.get_color() == GREY for t in beside[::2]] == grey
+    assert right.get_xlabel() == "smallest visible strength /\nplausible size (–)"
+
+
 @pytest.mark.parametrize(("factor", "scale"), [(1.0, "linear"), (100.0, "symlog")])
 def test_overwhelming_evidence_is_drawn_on_another_axis(effects, factor, scale):
     wide = effects.assign(ln_bayes=factor * effects["ln_bayes"])
@@ -155,7 +174,11 @@ def test_confounding_cells_hold_the_correlations(alike, effects):
     np.testing.assert_array_equal(ax.images[-1].get_array().filled(nan), values)
     cells = {(round(t.get_position()[1]), round(t.get_position()[0])): t.get_text() for t in ax.texts}
     assert cells[0, 1] == "0.95" and cells[0, 2] == "−0.20" and (1, 2) not in cells
-    assert labels(ax.get_yticklabels()) == ["anti-roll bar (0.50)", "seats (0.80)", "rod (0.90)"]
+    assert labels(ax.get_yticklabels()) == [
+        "anti-roll bar (arb,\nγ\xa00.50)",
+        "seats (γ\xa00.80)",
+        "rod (γ\xa00.90)",
+    ]
     assert labels(ax.get_xticklabels()) == ["arb", "seats", "rod"]
 
 
@@ -224,6 +247,28 @@ def test_headings_say_that_local_changes_are_no_causes_and_what_is_synthetic(fol
         assert SYNTHETIC in [t.get_text() for t in figure.texts]
     heading = [t.get_text().replace("\n", " ") for t in saved["atom_map"].texts]
     assert "Bogie: local changes that would fit, not causes" in heading
+
+
+@pytest.mark.parametrize(("stage", "later"), [("explained", "after"), ("attempt", "attempt")])
+def test_an_attempt_is_never_drawn_as_the_missing_effect(folder, saved, stage, later):
+    with (folder / "misfit_kinds.csv").open("a") as file:
+        file.write(f"{stage},1BT,shape,44,44,0.5\n")
+    with (folder / "strain.csv").open("a") as file:
+        file.write("arb,K,,1,1.1,0.1,1.4,2.5,False\n")
+    (folder / "errors.csv").write_text(TABLES["errors"].replace("after", later))
+    draw_all(folder, "Bogie", False)
+    said = {}
+    for name in ("where_it_fails_sigma", "parameters_under_strain", "errors_before_after"):
+        axes = saved[name].axes
+        said[name] = [a.get_title(loc="left") for a in axes] + [t for a in axes for t in words(a)]
+        said[name] += [t for a in axes if a.get_legend() for t in labels(a.get_legend().get_texts())]
+        said[name] = [t.replace("\n", " ") for t in said[name]]
+    attempt = "with arb: best attempt, not believed"
+    for name, texts in said.items():
+        assert (attempt in texts) == (stage == "attempt"), name
+        assert not any("missing effect" in t for t in texts)
+    assert ("after: with arb" in said["errors_before_after"]) == (stage == "explained")
+    assert ("with arb" in said["where_it_fails_sigma"]) == (stage == "explained")
 
 
 def test_an_empty_cell_written_as_nan_holds_no_words(folder, saved, effects):

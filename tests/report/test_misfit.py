@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from calib.report.misfit import draw_strain, draw_where_it_fails, where_it_fails_figure
+from calib.report.style import GREY
 
 
 @pytest.fixture
@@ -61,6 +62,37 @@ def test_the_explained_model_stands_beside_the_base_model(kinds):
     assert len(where_it_fails_figure(kinds[kinds["stage"] == "base"]).axes) == 2  # one panel and the colour bar
 
 
+def test_an_attempt_is_said_to_be_one_and_looks_it(kinds):
+    def panels(table, **more):
+        return [ax for ax in where_it_fails_figure(table, **more).axes if ax.images][:2]
+
+    def hatched(ax):
+        return [p for p in ax.patches if p.get_hatch() and p.get_gid() == "attempt"]
+
+    base, named = panels(kinds, name="arb")
+    assert named.get_title() == "with arb" and not hatched(base) and not hatched(named)
+    tried = kinds.replace({"stage": {"explained": "attempt"}})
+    base, attempt = panels(tried, name="arb")
+    assert attempt.get_title() == "with arb:\nbest attempt, not believed"
+    assert len(hatched(attempt)) == 1 and not hatched(base)
+    assert {t.get_color() for t in attempt.texts} == {"#000000"}  # on white, however dark the cell
+    assert panels(tried)[1].get_title() == "with the best attempt, not believed"
+
+
+def test_less_than_half_a_degree_of_freedom_has_no_ratio(kinds):
+    words, _ = cells(draw_where_it_fails(kinds.assign(freedom=0.49)))
+    assert set(words.values()) == {"–"}
+    words, _ = cells(draw_where_it_fails(kinds.assign(freedom=0.5)))
+    assert words["1BT", "frequency"] == "18"
+
+
+def test_responses_that_are_no_modes_are_not_called_modes(kinds):
+    rows = [("base", "responses", kind, 2.0, 1.0, 0.5) for kind in ("shape", "heat", "damping", "freq")]
+    ax = draw_where_it_fails(pd.DataFrame(rows, columns=kinds.columns))
+    assert ax.get_ylabel() == "" and draw_where_it_fails(kinds).get_ylabel() == "mode"
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["frequency", "damping", "shape", "heat"]
+
+
 def test_nothing_compared(kinds):
     where_it_fails_figure(kinds.iloc[:0]).savefig(os.devnull, format="png")
     assert [t.get_text() for t in draw_where_it_fails(kinds.iloc[:0]).texts] == ["no mode was compared"]
@@ -98,7 +130,9 @@ def test_dots_are_the_standardised_shifts_and_strained_ones_have_a_ring(strain):
 
 def test_values_stand_beside_the_dots_with_their_unit(strain):
     words = [t.get_text() for t in draw_strain(strain).texts]
-    assert words == ["1.5 → 1.2 → 1.49 MN/m", "1 → 1.05 → –", "adopted → base → explained"]
+    assert words == ["1.5 → 1.2 → 1.49 MN/m", "1 → 1.05 → –", "adopted → base → with arb + seats"]
+    long = strain.replace({"K": "K_block"}).assign(adopted=12000.0)
+    assert draw_strain(long).texts[0].get_text() == "12000 → 1.2 → 1.49 MN/m"
 
 
 def test_the_legend_says_what_is_there(strain):
@@ -106,6 +140,14 @@ def test_the_legend_says_what_is_there(strain):
     assert words == ["base model", "with arb + seats", "limit ± 2.50", "strained"]
     calm = strain[strain["model"] != "base"].assign(limit=np.nan)
     assert [t.get_text() for t in draw_strain(calm).get_legend().get_texts()] == ["with arb + seats"]
+
+
+def test_the_dots_of_an_attempt_are_hollow_and_grey(strain):
+    ax = draw_strain(strain, attempt=True)
+    looks = {x.get_gid(): (x.get_color(), x.get_markerfacecolor()) for x in ax.lines}
+    assert looks["shift arb + seats"] == (GREY, "white") and GREY not in looks["shift base"]
+    words = [t.get_text() for t in ax.get_legend().get_texts()]
+    assert words[:2] == ["base model", "with arb + seats: best attempt, not believed"]
 
 
 def test_no_parameter(strain):

@@ -61,6 +61,19 @@ def test_errors_that_differ_much_have_a_logarithmic_axis(errors):
     assert ax.get_ylim()[0] < 0.9 and ax.get_ylim()[1] > 40.0
 
 
+def test_an_attempt_is_no_explanation(errors):
+    tried = errors.replace({"stage": {"after": "attempt"}})
+    after, attempt = draw_errors(errors, name="arb"), draw_errors(tried, name="arb")
+    assert labels(after.get_legend().get_texts())[1] == "after: with arb"
+    assert labels(attempt.get_legend().get_texts())[1] == "with arb: best attempt, not believed"
+    assert labels(draw_errors(tried).get_legend().get_texts())[1] == "with the best attempt, not believed"
+    assert labels(draw_errors(errors).get_legend().get_texts())[1] == "after: with the missing effect"
+    shown, plain = bars(attempt, "attempt"), bars(after, "after")
+    np.testing.assert_array_equal([b.get_height() for b in shown], [0.9, 1.0])
+    assert shown[0].get_hatch() and not plain[0].get_hatch()
+    assert shown[0].get_facecolor() != plain[0].get_facecolor()
+
+
 def test_no_errors(errors):
     for table in (errors.iloc[:0], errors.assign(rms=nan)):
         ax = draw_errors(table)

@@ -1,11 +1,14 @@
 """Hung masses and soft mounts against closed forms of one or two degrees of freedom."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
 from calib.effect import Effect
+from calib.errors import InputError
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.attach import between, elongation, hung_masses, motion, outer_term, soft_mounts
@@ -142,6 +145,42 @@ def test_sum_of_springs():
     np.testing.assert_allclose(term.matrix.toarray(), expected)
     assert term.coefficient({}) == 3.0 and term.name == "two"
     np.testing.assert_allclose(outer_term("one", [rows[0]], Monomial()).matrix.toarray(), np.outer(rows[0], rows[0]))
+
+
+class Line:
+    """Places between 0 and 19 m along x."""
+
+    def row(self, point, direction, on=None):
+        foot = min(max(point[0], 0.0), 19.0)
+        return np.eye(20)[round(foot)], float(np.linalg.norm(np.subtract(point, (foot, 0.0, 0.0))))
+
+
+def test_a_point_farther_off_than_the_model_is_large_is_refused(ladder):
+    """The model is 19 m long."""
+    model = replace(ladder(20), locator=Line())
+    near, far = (None, (5.0, 18.999, 0.0)), (None, (38.1, 0.0, 0.0))
+    assert motion(model, near, 0).any()
+    with pytest.raises(InputError, match=r"point \(38\.1, 0, 0\) lies 19\.1 m from the model; coordinates are in m"):
+        motion(model, far, 0)
+    with pytest.raises(InputError, match=r"the point \(9000, 250, 0\) lies 8984 m from the tip"):
+        motion(model, ("tip", (9000.0, 250.0, 0.0)), 0)
+    with pytest.raises(InputError, match="coordinates are in m"):
+        elongation(model, near, far)
+    with pytest.raises(InputError, match="coordinates are in m"):
+        between(model, near, far, 1)
+
+
+def test_what_a_sensor_may_be_off_is_never_refused(body):
+    """A model of one node has no extent."""
+
+    class Off(Corner):
+        def row(self, point, direction, on=None):
+            return np.eye(3)[direction], float(np.linalg.norm(point))
+
+    model = replace(body, locator=Off())
+    assert motion(model, (None, (body.sensor_tolerance, 0.0, 0.0)), 0).any()
+    with pytest.raises(InputError):
+        motion(model, (None, (1.01 * body.sensor_tolerance, 0.0, 0.0)), 0)
 
 
 def test_motions_of_places(body):

@@ -187,6 +187,20 @@ def test_what_does_not_fit_is_said(ladder):
         extend(model, [effect("e", lambda m: Addition(selected=(vector,)))])
 
 
+def test_what_fails_in_an_effects_own_function_names_the_effect(ladder):
+    def build(problem, **more):
+        def fail(model):
+            raise InputError(problem, **more)
+
+        return effect("stay", fail)
+
+    with pytest.raises(InputError) as said:
+        extend(ladder(N), [build("the model has no part 'fram'", place="frame", remedy="its parts are frame")])
+    assert str(said.value) == "effect stay, frame: the model has no part 'fram'; its parts are frame."
+    with pytest.raises(InputError, match=r"^effect stay: too far\.$"):
+        extend(ladder(N), [build("too far")])
+
+
 def test_the_same_effect_twice_is_refused(ladder):
     with pytest.raises(InputError):
         extend(ladder(N), [spring(), spring()])

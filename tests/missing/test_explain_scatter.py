@@ -1,0 +1,61 @@
+"""Whether the scatter is taken for understated, and the decision begun anew."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.missing.explain import GUARD, explain
+from calib.missing.goodness import goodness, noise_scale
+
+ANEW = "beginning anew"
+
+
+def spread(toy, *names):
+    """The toy with effects that spoil the shapes of all modes alike."""
+    rng = np.random.default_rng(7)
+    shape = np.array([row.kind == "shape" for row in toy.rows])
+    columns = dict(toy.columns)
+    for name in names:
+        signs = shape * rng.choice((-1.0, 1.0), len(shape))
+        columns[name] = signs * np.linalg.norm(columns[name]) / np.linalg.norm(signs)
+    return replace(toy, columns=columns)
+
+
+def asked(toy, seed, truth, noise=1.0):
+    """Findings and what was told: until a new beginning, and from it on."""
+    told = []
+    found = explain(toy.drawn(np.random.default_rng(seed), truth, noise), progress=told.append)
+    cut = next((k for k, words in enumerate(told) if ANEW in words), len(told))
+    return found, told[:cut], told[cut:]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_effects_that_spoil_all_modes_alike_are_no_reason_to_doubt_the_scatter(toy, seed):
+    made = spread(toy(modes=10, sensors=20), "E0", "E1")
+    found, _, anew = asked(made, seed, {"E0": 3.0, "E1": 2.5})
+    modes = goodness(found.singles[0].state, made.rows, {}, {})[1]
+    assert noise_scale(modes) > 1.3 * GUARD  # one effect alone asks for a larger scatter
+    assert anew == [] and found.noise_scale == 1.0 and found.measured_scale < GUARD
+    assert found.verdict == "two_effects" and set(found.credible) == {"E0", "E1"}
+    values = found.chosen.state.values
+    assert [values["E0"], values["E1"]] == pytest.approx([3.0, 2.5], abs=0.5)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+@pytest.mark.parametrize(
+    ("truth", "verdict", "credible"), [({}, "noise_underestimated", ()), ({"E2": 3.0}, "effect", ("E2",))]
+)
+def test_a_scatter_stated_half_as_large_is_begun_anew_before_pairs_are_tried(toy, seed, truth, verdict, credible):
+    found, before, anew = asked(toy(modes=10, sensors=20), seed, truth, 2.0)
+    assert found.verdict == verdict and found.credible == credible
+    assert found.noise_scale == pytest.approx(2.0, rel=0.1) and found.measured_scale == pytest.approx(1.0, rel=0.1)
+    assert anew[0] == f"the scatter seems understated by a factor of {found.noise_scale:.2f}: beginning anew"
+    assert anew[1] == "calibrating the base model" and sum(ANEW in words for words in anew) == 1
+    assert not any(" with " in words for words in before)
+
+
+def test_a_scatter_stated_right_is_never_begun_anew(toy):
+    for truth in ({}, {"E2": 3.0}):
+        found, _, anew = asked(toy(modes=10, sensors=20), 0, truth)
+        assert anew == [] and found.noise_scale == 1.0

@@ -1,0 +1,142 @@
+"""Every table that an explanation writes, against what it is made from."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.missing.left_out import left_out
+from calib.missing.tables import EFFECT_COLUMNS
+from calib.questions.explain import GROUPS, explain
+from calib.results import Results
+from calib.study import Study
+
+ROOT = Path(__file__).resolve().parents[2]
+ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired"]
+COMMON = {"effects", "errors", "atoms", "confounding", "strain", "misfit_kinds", "tried", "next_measurement"}
+MODAL = COMMON | {"sensor_misfit", "structure"}
+
+
+def saved(results, name):
+    return pd.read_csv(results.path / f"{name}.csv", keep_default_na=False, na_values=[""])
+
+
+def test_every_table_is_written_as_it_was_answered(guyed, bare, chain):
+    for results, answer, names in (
+        (guyed[1], guyed[2], MODAL),
+        (bare[1], bare[2], MODAL),
+        (chain[1], chain[2], COMMON | {"response_misfit"}),
+    ):
+        assert {p.stem for p in results.path.glob("*.csv")} == names
+        assert {p.name for p in results.path.iterdir() if p.suffix != ".csv"} == {"explanation.json"}
+        for name in names:
+            table = {"effects": answer.effects, "errors": answer.errors, **answer.tables}[name]
+            assert list(saved(results, name).columns) == list(table.columns) and len(saved(results, name)) == len(table)
+
+
+def test_asked_twice_the_answer_is_the_same(guyed, tmp_path):
+    study, results, _, _ = guyed
+    again = Results.at(tmp_path, study.name)
+    explain(Study.load(study.file), again)
+    for path in results.path.glob("*.csv"):
+        assert path.read_bytes() == (again.path / path.name).read_bytes(), path.name
+
+
+# -- errors and misfit -------------------------------------------------------------------------------------------------
+
+
+def test_errors_are_told_by_group_before_and_after(guyed, bare):
+    _, results, answer, _ = guyed
+    table = answer.errors
+    assert list(table.columns) == ERRORS == list(saved(results, "errors").columns)
+    assert list(zip(table["stage"], table["group"], strict=True)) == [
+        (s, g) for s in ("before", "after") for g in GROUPS
+    ]
+    by = table.set_index(["group", "stage"])["rms"]
+    expected = table.set_index(["group", "stage"])["expected"]
+    for group in ("fit", "left_out", "withheld_modes"):
+        assert by[group, "after"] < by[group, "before"]
+    for group in ("fit", "withheld_sensors", "withheld_modes"):
+        assert by[group, "after"] < 1.5 * expected[group, "after"]
+    content = json.loads((results.path / "explanation.json").read_text())["errors"]
+    assert content == {g: {s: by[g, s] for s in ("before", "after")} for g in GROUPS}
+    assert set(bare[2].errors["stage"]) == {"before"}
+
+
+def test_withheld_responses_of_a_function_enter_no_fit_and_tell_whether_it_holds(chain_folder, tmp_path):
+    file = chain_folder / "study.toml"
+    held = '[withheld]\nmodes = ["freq_2", "damping_2"]\nsensors = ["shape_1_3", "shape_2_4"]\n\n[calibration]'
+    file.write_text(file.read_text().replace("[calibration]", held))
+    study = Study.load(chain_folder)
+    answer = explain(study, Results.at(tmp_path / "results", "chain"))
+    assert answer.findings.credible == ("hung_mass_5",)
+    table = answer.errors.set_index(["group", "stage"])
+    rows = table["rows"].xs("after", level=1).to_dict()
+    assert rows == {"fit": 26, "left_out": 26, "withheld_sensors": 2, "withheld_modes": 2}
+    values = answer.findings.chosen.state.values
+    effect = answer.findings.chosen.effects[0]
+    function = effect.build(study.model) or study.model.function
+    model = function(values)
+    e = [(study.whole_targets[n][0] - model[n]) / study.whole_targets[n][1] for n in ("freq_2", "damping_2")]
+    assert table.loc[("withheld_modes", "after"), "rms"] == pytest.approx(np.sqrt(np.mean(np.square(e))), rel=1e-6)
+    assert table.loc[("withheld_modes", "after"), "p"] > 0.01
+
+
+def test_misfit_by_sensor_is_that_of_the_fits(guyed, chain):
+    _, results, answer, _ = guyed
+    table = saved(results, "sensor_misfit")
+    for stage, trial in (("base", answer.findings.base), ("explained", answer.findings.chosen)):
+        own = table[table["stage"] == stage]
+        shapes = [k for k, row in enumerate(trial.state.question.inner.rows) if row.kind == "shape"]
+        np.testing.assert_allclose(own["re"], trial.state.residual[shapes], rtol=1e-8, atol=1e-9)
+    plain = saved(chain[1], "response_misfit")
+    np.testing.assert_allclose(
+        plain.loc[plain["stage"] == "base", "residual"], chain[2].findings.base.state.residual, rtol=1e-8
+    )
+
+
+# -- effects and local changes -----------------------------------------------------------------------------------------
+
+
+def test_effects_have_the_documented_columns(guyed, chain):
+    for results in (guyed[1], chain[1]):
+        assert tuple(saved(results, "effects").columns) == EFFECT_COLUMNS
+    readme = (ROOT / "README.md").read_text("utf-8")
+    (row,) = [line for line in readme.splitlines() if line.startswith("| `effects.csv`")]
+    documented = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]*)`", row))))
+    assert set(EFFECT_COLUMNS) - {"name", "title", "unit", "ln_bayes_third", "ln_bayes_triple"} <= documented
+
+
+def test_gains_on_data_left_out_are_those_of_the_two_models(guyed):
+    *_, answer, _ = guyed
+    found = answer.findings
+    modes = [row.mode for row in found.base.state.question.inner.rows]
+
+    def density(trial):
+        s = trial.state
+        return left_out(s.residual, s.slope, s.prior_sd, modes).elpd.sum()
+
+    table = answer.effects.set_index("name")["heldout_gain"]
+    for trial in found.singles:
+        assert table[trial.names[0]] == pytest.approx(density(trial) - density(found.base))
+    assert (
+        table["guy"] > 10
+        and table[[n for n in table.index if n not in {t.names[0] for t in found.singles}]].isna().all()
+    )
+
+
+def test_local_changes_are_told_with_their_places(guyed, chain):
+    study, results, answer, _ = guyed
+    table = saved(results, "atoms")
+    assert list(table.columns) == ["atom", "kind", "x", "y", "z", "sensor", "score", "gamma"]
+    places = {s.name: s.point for s in study.measured.sensors}
+    for row in table[table["sensor"].notna()].to_dict("records"):
+        assert (row["x"], row["y"], row["z"]) == places[row["sensor"]] and row["sensor"] in row["atom"]
+    scores = answer.findings.base_check.atoms
+    np.testing.assert_allclose(table["score"], scores.z, rtol=1e-8, atol=1e-9)
+    assert list(table["atom"]) == list(scores.owners) and {"2x", "4z"}.isdisjoint(table["sensor"].dropna())
+    plain = saved(chain[1], "atoms")
+    assert set(plain["kind"]) == {"parameter"} and plain[["x", "y", "z"]].isna().all(axis=None)

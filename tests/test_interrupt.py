@@ -1,0 +1,83 @@
+"""What the keyboard's interrupt does, the first time and again."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from calib import interrupt
+
+ROOT = Path(__file__).resolve().parent.parent
+
+CHILD = """\
+import signal, time
+from calib import interrupt
+
+def hand(times=1):
+    for _ in range(times):
+        signal.raise_signal(signal.SIGINT)
+
+def say(words):
+    print(words, flush=True)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+interrupt.PATIENCE = {patience}
+interrupt.once()
+try:
+    hand()
+    say("nothing was raised")
+except KeyboardInterrupt:
+    say("leaving")
+{then}
+"""
+
+
+def child(patience, *then):
+    """Exit code, output and complaints of a process that is interrupted, and of what it does while leaving."""
+    script = CHILD.format(patience=patience, then="\n".join(then))
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    run = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    return run.returncode, run.stdout, run.stderr
+
+
+@pytest.fixture
+def handled():
+    """Sets the process' handler for the time of a test."""
+    before = signal.getsignal(signal.SIGINT)
+    yield lambda handler: signal.signal(signal.SIGINT, handler)
+    signal.signal(signal.SIGINT, before)
+
+
+def test_asking_twice_is_asking_once(handled):
+    handled(signal.default_int_handler)
+    interrupt.once()
+    first = signal.getsignal(signal.SIGINT)
+    interrupt.once()
+    assert signal.getsignal(signal.SIGINT) is first is not signal.default_int_handler
+
+
+@pytest.mark.parametrize("own", [signal.SIG_IGN, signal.SIG_DFL, lambda *given: None], ids=["ignored", "system", "own"])
+def test_another_handler_is_left_alone(handled, own):
+    handled(own)
+    interrupt.once()
+    assert signal.getsignal(signal.SIGINT) is own
+
+
+def test_the_first_interrupt_is_raised_and_later_ones_are_ignored():
+    code, out, err = child(60.0, "hand(5)", "say('left in order')")
+    assert (code, out, err) == (0, "leaving\nleft in order\n", "")
+
+
+def test_a_leaving_that_takes_too_long_is_ended_by_the_next_interrupt():
+    code, out, err = child(0.1, "time.sleep(0.2)", "say('still here')", "hand()", "say('never said')")
+    assert (code, out, err) == (130, "leaving\nstill here\n", f"calib: {interrupt.WORDS}\n")
+    assert interrupt.CODE == 130 and interrupt.WORDS == "interrupted; the same command again completes it"
+
+
+def test_nothing_but_an_interrupt_ends_a_leaving_that_takes_long():
+    assert child(0.1, "time.sleep(0.2)", "say('left in order')") == (0, "leaving\nleft in order\n", "")

@@ -1,0 +1,103 @@
+"""Derivatives by differences against closed forms, at limits and where the model fails."""
+
+import math
+
+import numpy as np
+import pytest
+
+from calib.errors import EvaluationError, InputError
+from calib.space import Parameter, ParameterSpace
+from calib.updating.differences import DifferencedResponses, central_jacobian, difference
+from calib.updating.gauss_newton import Prior, fit
+
+WHOLE = Parameter("n", 4.0, 2.0, 8.0, integer=True)
+
+
+def box(n):
+    return ParameterSpace(tuple(Parameter(f"p{k}", 1.0, 0.0, 4.0, prior_sd=0.7) for k in range(n)))
+
+
+def test_plain_responses():
+    space = box(2)
+
+    def answer(values):
+        return {"one": values["p0"] ** 2, "two": math.exp(values["p1"]), "other": 1.0}
+
+    problem = DifferencedResponses(answer, {"one": (9.0, 0.01), "two": (4.0, None)}, space)
+    at = {"p0": 2.0, "p1": 1.0}
+    np.testing.assert_allclose(problem.residual(at), [(9 - 4) / 0.01, (4 - math.e) / 0.04])
+    np.testing.assert_allclose(
+        problem.jacobian(at, ("p1", "p0")), [[0.0, -4 / 0.01], [-math.e / 0.04, 0.0]], rtol=1e-6, atol=1e-9
+    )
+    found = fit(problem, space, prior=Prior.none())
+    np.testing.assert_allclose([found.values["p0"], found.values["p1"]], [3.0, math.log(4.0)], rtol=1e-4)
+    with pytest.raises(EvaluationError, match="'one' is nan"):
+        DifferencedResponses(lambda v: {}, {"one": (9.0, 0.01)}, space).residual(at)
+    with pytest.raises(InputError, match="is 0 and its standard deviation unknown"):
+        DifferencedResponses(answer, {"one": (0.0, None)}, space)
+
+
+def test_differences_stay_inside_the_limits():
+    space = box(1)
+    asked = []
+
+    def line(values):
+        asked.append(values["p0"])
+        return np.array([3.0 * values["p0"]])
+
+    for value in (0.0, 4.0):
+        np.testing.assert_allclose(central_jacobian(line, space, {"p0": value}, ("p0",)), [[3.0]])
+    assert min(asked) >= 0.0 and max(asked) <= 4.0
+
+
+# -- one at a time -----------------------------------------------------------------------------------------------------
+
+
+def cubic(lower=-math.inf, upper=math.inf):
+    """``(p0^3, 2 p0 + n)``, which cannot be had outside limits of its own."""
+
+    def answer(values):
+        x = values["p0"]
+        if not lower <= x <= upper:
+            raise EvaluationError(f"nothing at {x:g}")
+        return np.array([x**3, 2 * x + values.get("n", 0.0)])
+
+    return answer
+
+
+def along(residual, at=2.0, step=0.01):
+    """Half a difference is 0.04."""
+    return difference(residual, {"p0": at}, Parameter("p0", 1.0, 0.0, 4.0), step)
+
+
+def test_a_difference_is_central_where_both_ends_can_be_had():
+    np.testing.assert_allclose(along(cubic()), [3 * 2.0**2 + 0.04**2, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("failing", "other"), [({"upper": 2.0}, -0.04), ({"lower": 2.0}, 0.04)], ids=["above fails", "below fails"]
+)
+def test_a_difference_is_one_sided_where_one_end_fails(failing, other):
+    np.testing.assert_allclose(along(cubic(**failing)), [3 * 2.0**2 + 3 * 2.0 * other + other**2, 2.0])
+
+
+@pytest.mark.parametrize(("at", "other"), [(0.0, 0.04), (4.0, -0.04)])
+def test_a_difference_is_one_sided_at_a_limit(at, other):
+    np.testing.assert_allclose(along(cubic(), at), [3 * at**2 + 3 * at * other + other**2, 2.0])
+
+
+def test_a_difference_that_cannot_be_had_on_either_side_is_said():
+    with pytest.raises(EvaluationError, match=r"nothing at 1\.96"):
+        along(cubic(lower=2.0, upper=2.0))
+    with pytest.raises(EvaluationError, match=r"nothing at 0\.04"):  # at a limit there is one side only
+        along(cubic(upper=0.0), at=0.0)
+
+
+def test_whole_and_held_parameters_have_no_derivative():
+    values = {"p0": 2.0, "n": 4.0}
+    held = Parameter("p0", 2.0, 2.0, 2.0, distribution="fixed")
+    for p in (WHOLE, held):
+        np.testing.assert_array_equal(difference(cubic(), values, p, 0.01), np.zeros(2))
+    space = ParameterSpace((Parameter("p0", 1.0, 0.0, 4.0), WHOLE))
+    matrix = central_jacobian(cubic(), space, values, ("n", "p0"))
+    np.testing.assert_allclose(matrix, [[0.0, 12.0], [0.0, 2.0]], rtol=1e-6)
