@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -97,6 +98,16 @@ class Calibration:
     agreement: Agreement
     search_agreement: Agreement | None
     method: Method
+
+
+def fingerprint(study: Study) -> str:
+    """Changes with everything that a calibration's answer depends on: model, measurement, limits, settings."""
+    given = study.settings
+    told = (
+        study.problem.fingerprint, study.targets, study.search_space, given.calibration.model_dump(),
+        given.reduction.model_dump(),
+    )  # fmt: skip
+    return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 
 def objective_of(study: Study) -> Objective:
@@ -383,6 +394,7 @@ def _summary(
     return {
         "study": study.name,
         "synthetic": study.synthetic,
+        "fingerprint": fingerprint(study),
         "method": method,
         "best_case": best.name,
         "mean_freq_error_before": before.mean_freq_error,
