@@ -5,8 +5,9 @@
 The twin is not the fitted mathematics: every edge of its shells is halved and its bogies' beams are cut finer, the
 bogies' masses are distributed, and its sensors sit up to 5 mm off their nominal places. It stands on the bogies that
 ``studies/bogie`` measured, drawn anew from the same seed. The selected parameters are drawn within the limits of the
-study's search, the car's other ones within 5 % of their adopted values. All are written to TRUTH.json, which nothing
-under ``calib``, ``models`` or ``studies`` ever reads.
+study's search, the car's other uncertain ones within 5 % of their adopted values; what the case study calls
+deterministic (modulus, density, thicknesses) keeps its value. All are written to TRUTH.json, which nothing under
+``calib``, ``models`` or ``studies`` ever reads.
 
 Seeds are tried in turn until the front secondary springs are stiffer than the rear ones and the walls' ratio of
 moments of inertia has fallen (as found in the case study), the model with the true bogies and else its adopted values
@@ -153,10 +154,11 @@ def drawn(first: int = 1) -> bogie.Twin:
     adopted = {name: below[name] for name in settings.adopted.parameters}
     space = sensitivity_space(coarse.space, settings, lambda *keys: "study.toml", adopted)
     selected = search_space(space, settings, lambda *keys: "study.toml")
+    known = {p.name: p.value for p in space.parameters if p.distribution == "fixed"}
     initial, nominal = named(coarse, space.values, layout)
     for seed in range(first, first + 10_000):
         rng = np.random.default_rng(seed)
-        truth = bogie.draw(space, selected, rng) | below
+        truth = bogie.draw(space, selected, rng) | known | below
         if not admissible(space, truth):
             continue
         modes = coarse.modes(truth, SOLVED)
