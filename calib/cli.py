@@ -18,13 +18,13 @@ from calib.questions import calibrate as calibration
 from calib.questions import compare as comparison
 from calib.questions import explain as explanation
 from calib.questions import extend as extension
-from calib.questions import places
+from calib.questions import phases, places
 from calib.questions import sensitivity as influence
 from calib.questions.reduction import fingerprints
 from calib.questions.versions import write_versions
 from calib.report.draw import draw_all
 from calib.results import Results
-from calib.study import Study
+from calib.study import Study, study_file
 
 app = typer.Typer(
     name="calib",
@@ -77,7 +77,7 @@ def new(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder 
 @app.command()
 def compare(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     """Compare model and measurement, nothing fitted: how far apart, and where it fails."""
-    loaded = Study.load(study)
+    loaded = _load(study, results)
     folder = places.results_of(loaded, results)
     _compare(loaded, folder)
     _draw(loaded, folder)
@@ -97,7 +97,7 @@ def sensitivity(
     ] = False,
 ) -> None:
     """Find which parameters matter: Latin hypercube, rank correlations, influence, and a selection with reasons."""
-    loaded = Study.load(study)
+    loaded = _load(study, results, workers, quick)
     folder = places.results_of(loaded, results, quick)
     if method is SensitivityMethod.ranks:
         _sensitivity(loaded, folder, results, workers, quick)
@@ -121,7 +121,7 @@ def calibrate(
 
     Interrupt it at any time: started again, it continues where it was and ends with the same result.
     """
-    loaded = Study.load(study)
+    loaded = _load(study, results, workers, quick)
     calibration.chosen_cases(loaded, case)
     folder = places.results_of(loaded, results, quick, case, method.value if method else None)
     _calibrate(loaded, folder, results, workers, case, quick, method.value if method else None)
@@ -135,7 +135,7 @@ def explain(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     Calibrates by least squares, tests every effect of the study's library and every local change of the model, fits
     the promising ones, and checks what is left.
     """
-    loaded = Study.load(study)
+    loaded = _load(study, results)
     folder = places.results_of(loaded, results)
     _explain(loaded, folder)
     _draw(loaded, folder)
@@ -146,15 +146,16 @@ def extend(
     study: StudyPath,
     effect: Annotated[str, typer.Argument(metavar="EFFECT", help="One of the study's library of effects.")],
     into: Annotated[Path, typer.Option("--into", metavar="FOLDER", help="A folder that does not exist yet.")],
+    results: ResultsPath = DEFAULT_RESULTS,
 ) -> None:
     """Write a new study whose model has one more effect; the old one stays as it is."""
-    console.tell_extension(extension.extend(Study.load(study), effect, into))
+    console.tell_extension(extension.extend(_load(study, results), effect, into))
 
 
 @app.command()
 def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     """Draw every figure anew from the tables of earlier answers, and the errors over the versions of the model."""
-    loaded = Study.load(study)
+    loaded = _load(study, results)
     home = results / loaded.name
     folders = [home, *sorted(p for p in home.glob("*") if p.is_dir() and any(p.glob("*.csv")))]
     if not any(home.glob("*.csv")) and len(folders) == 1:
@@ -169,7 +170,7 @@ def run(
     study: StudyPath, results: ResultsPath = DEFAULT_RESULTS, workers: Workers = None, quick: Quick = False
 ) -> None:
     """Ask everything: compare, sensitivity, calibrate, explain where effects are named, and draw."""
-    loaded = Study.load(study)
+    loaded = _load(study, results, workers, quick)
     folder = places.results_of(loaded, results, quick)
     _compare(loaded, folder)
     _sensitivity(loaded, folder, results, workers, quick)
@@ -190,6 +191,29 @@ def _main(
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
 ) -> None:
     pass
+
+
+# -- reading a study ---------------------------------------------------------------------------------------------------
+
+
+def _load(path: Path, root: Path, workers: int | None = None, quick: bool = False) -> Study:
+    """The study; one whose values it takes over comes first, unless its answer is there."""
+    adopted: dict[str, float] = {}
+    for file in phases.in_order(path):
+        study = Study.load(file, adopted)
+        if file == study_file(path):
+            return study
+        found = phases.values_found(study, root, quick)
+        if found is None:
+            console.say(f"{study.settings.title} comes first: {path} takes over what it finds.")
+            folder = places.results_of(study, root, quick)
+            if isinstance(study.settings.selection, str):
+                _sensitivity(study, folder, root, workers, quick)
+            _calibrate(study, folder, root, workers, None, quick, None)
+            _draw(study, folder)
+            found = phases.values_found(study, root, quick)
+        adopted = found or {}
+    raise AssertionError("a chain of studies ends with the one that was asked for")
 
 
 # -- verbs, once the study is read -------------------------------------------------------------------------------------

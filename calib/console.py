@@ -175,6 +175,8 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
         allowed = "" if math.isnan(after.noise_mac) else f" (noise alone allows {after.noise_mac:.4f})"
         say(f"Mean MAC {before.mean_mac:.4f} -> {after.mean_mac:.4f}{allowed}.")
     _tell_withheld(study)
+    if answer.modes is not None and study.settings.withheld.modes:
+        _print_modes(answer.modes)
 
 
 def tell_extension(extension: Extension) -> None:
@@ -269,6 +271,20 @@ def _tell_withheld(study: Study) -> None:
     if held.modes or held.sensors:
         modes, sensors = (", ".join(names) or "none" for names in (held.modes, held.sensors))
         say(f"Withheld, never fitted: modes {modes}; sensors {sensors}.")
+
+
+def _print_modes(modes: pd.DataFrame) -> None:
+    rows = [
+        (
+            str(r["mode"]) + (" (withheld)" if r["withheld"] else ""),
+            *(_number(r[f"damped_freq_{stage}"], 3) for stage in ("measured", "before", "after")),
+            *("" if pd.isna(r[name]) else f"{100 * r[name]:+.2f} %" for name in ("error_before", "error_after")),
+            *(_number(r[name], 3) for name in ("mac_before", "mac_after")),
+        )
+        for r in modes.to_dict("records")
+    ]
+    say("Damped frequencies of every measured mode before and after:")
+    _table(("mode", "measured Hz", "before", "after", "error before", "after", "MAC before", "after"), rows)
 
 
 def _print_answer(answer: Answer) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from calib.errors import InputError
 from calib.settings import StudySettings
@@ -12,8 +12,14 @@ Place = Callable[..., str]
 """Tells file and line of a key of the study, such as ``place("parameters", "K_block")``."""
 
 
-def sensitivity_space(space: ParameterSpace, settings: StudySettings, place: Place) -> ParameterSpace:
-    """The model's space with the study's values, limits and constraints; InputError with its place for any fault."""
+def sensitivity_space(
+    space: ParameterSpace, settings: StudySettings, place: Place, adopted: Mapping[str, float]
+) -> ParameterSpace:
+    """The model's space with the study's values, limits and constraints; InputError with its place for any fault.
+
+    ``adopted`` are the values that another study has found for parameters that this one holds.
+    """
+    space = _holding(space, settings, place, adopted)
     for name, change in settings.parameters.items():
         where = f"{place('parameters', name)}, [parameters.{name}]"
         fields: dict[str, object] = {}
@@ -48,6 +54,30 @@ def sensitivity_space(space: ParameterSpace, settings: StudySettings, place: Pla
     except InputError as fault:
         raise InputError(fault.problem, place=place("constraints"), remedy=fault.remedy) from None
     return _feasible(space, "limits", place)
+
+
+def _holding(
+    space: ParameterSpace, settings: StudySettings, place: Place, adopted: Mapping[str, float]
+) -> ParameterSpace:
+    if settings.adopted is None:
+        return space
+    for name in settings.adopted.parameters:
+        where = place("adopted", "parameters")
+        if name in settings.parameters:
+            raise InputError(
+                f"the parameter {name!r} is adopted and changed as well", place=where, remedy="leave one of them out"
+            )
+        if name not in adopted:
+            raise InputError(
+                f"the value of {name!r} is to come from the study {settings.adopted.study!r} and is not known",
+                place=where,
+                remedy=f"calibrate that study first, with {name!r} among its parameters",
+            )
+        try:
+            space = space.freeze({name: adopted[name]})
+        except InputError as fault:
+            raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
+    return space
 
 
 def search_space(

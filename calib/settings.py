@@ -74,6 +74,20 @@ class ParameterSettings(_Section):
     fixed: bool | None = None
 
 
+class AdoptedSettings(_Section):
+    """``[adopted]``: parameters that another study has found; here they are held at its values.
+
+    Attributes
+    ----------
+    study : str
+        Folder of that study, relative to this one.
+    parameters : tuple of str
+    """
+
+    study: str
+    parameters: tuple[str, ...] = Field(min_length=1)
+
+
 class ConstraintSettings(_Section):
     """``[[constraints]]``: limits on a weighted sum of parameters."""
 
@@ -168,6 +182,7 @@ class StudySettings(_Section):
     measurement: MeasurementSettings
     withheld: WithheldSettings = WithheldSettings()
     pairing: PairingSettings = PairingSettings()
+    adopted: AdoptedSettings | None = None
     parameters: dict[str, ParameterSettings] = {}
     constraints: tuple[ConstraintSettings, ...] = ()
     selection: tuple[str, ...] | Literal["from sensitivity"]

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import pandas as pd
 
@@ -54,6 +55,8 @@ class Study:
         Likewise for plain responses.
     library : tuple of Effect
         Every effect that the study knows, in its model or not.
+    adopted : mapping from parameter name to value
+        Taken over from an earlier study.
     """
 
     name: str
@@ -68,6 +71,7 @@ class Study:
     whole: MeasuredModes | None = None
     whole_targets: Targets = field(default_factory=dict)
     library: tuple[Effect, ...] = ()
+    adopted: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def synthetic(self) -> bool:
@@ -122,11 +126,14 @@ class Study:
         return replace(self, search_space=search_space(self.sensitivity_space, self.settings, reader.place, names))
 
     @staticmethod
-    def load(path: Path) -> Study:
-        """Read a study folder (or its TOML file) with everything it names; InputError for anything wrong in it."""
-        file = path if path.suffix == ".toml" else path / "study.toml"
-        settings = read_settings(file)
-        return _Reader(file, settings).study()
+    def load(path: Path, adopted: Mapping[str, float] = MappingProxyType({})) -> Study:
+        """Read a study folder (or its TOML file) with everything it names; InputError for anything wrong in it.
+
+        ``adopted`` are values that an earlier study has found, where this one takes some over; see
+        `calib.questions.phases`.
+        """
+        file = study_file(path)
+        return _Reader(file, read_settings(file)).study(adopted)
 
 
 @dataclass(frozen=True)
@@ -141,15 +148,18 @@ class EvaluationSource:
         Of the problem at the start; a study edited meanwhile is refused.
     basis : str
         File of a reduced basis to work on; empty for full order.
+    adopted : tuple of (parameter name, value)
+        Taken over from an earlier study.
     """
 
     path: str
     fingerprint: str
     basis: str = ""
+    adopted: tuple[tuple[str, float], ...] = ()
 
     def __call__(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
         """The function from named values to named responses."""
-        problem = Study.load(Path(self.path)).problem
+        problem = Study.load(Path(self.path), dict(self.adopted)).problem
         if self.basis and isinstance(problem, ModalProblem):
             problem = problem.reduced(Basis.load(Path(self.basis)))
         if problem.fingerprint != self.fingerprint:
@@ -157,6 +167,11 @@ class EvaluationSource:
                 "the study or its model changed while it was running", place=self.path, remedy="start the command again"
             )
         return problem.evaluate
+
+
+def study_file(path: Path) -> Path:
+    """The TOML file of a study that is named by its folder or by that file."""
+    return path if path.suffix == ".toml" else path / "study.toml"
 
 
 @dataclass(frozen=True)
@@ -173,13 +188,13 @@ class _Reader:
         line = line_of(self.file.read_text("utf-8"), keys)
         return f"{self.file}, line {line}" if line else str(self.file)
 
-    def study(self) -> Study:
+    def study(self, adopted: Mapping[str, float]) -> Study:
         sources = Sources(self.settings, self.folder, self.place)
         base = sources.model()
         library = sources.library(base)
         included = sources.included(library)
         model = with_effects(base, included, self.place("with_effects"))
-        space = sensitivity_space(model.space, self.settings, self.place)
+        space = sensitivity_space(model.space, self.settings, self.place, adopted)
         model = replace(model, space=space)
         whole, whole_targets = self._measurement(model)
         measured, targets = self._used(whole, whole_targets)
@@ -195,7 +210,7 @@ class _Reader:
             raise InputError("both weights are zero", place=self.place("calibration"), remedy="give one of them weight")
         return Study(
             self.folder.name, self.file, self.settings, model, measured, targets, problem, space, selected,
-            whole, whole_targets, library,
+            whole, whole_targets, library, dict(adopted),
         )  # fmt: skip
 
     # -- measurement ---------------------------------------------------------------------------------------------------

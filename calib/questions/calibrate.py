@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -17,6 +18,7 @@ from calib.errors import EvaluationError, InputError
 from calib.evaluate import Outcome
 from calib.ledger import Ledger
 from calib.questions.compare import Answer, answer_at, compare, responses_at, write_answer
+from calib.questions.every_mode import every_mode
 from calib.questions.judge import FitProgress, Judgement, RecordedResidual, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
@@ -87,6 +89,8 @@ class Calibration:
     search_agreement : Agreement or None
         The same of the genetic searches before least squares, which know no priors; None without either.
     method : {"genetic", "gauss-newton"}
+    modes : DataFrame or None
+        ``modes.csv``; None for plain responses.
     """
 
     cases: tuple[CaseFound, ...]
@@ -97,6 +101,17 @@ class Calibration:
     agreement: Agreement
     search_agreement: Agreement | None
     method: Method
+    modes: pd.DataFrame | None = None
+
+
+def fingerprint(study: Study) -> str:
+    """Changes with everything that a calibration's answer depends on: model, measurement, limits, settings."""
+    given = study.settings
+    told = (
+        study.problem.fingerprint, study.targets, study.search_space, given.calibration.model_dump(),
+        given.reduction.model_dump(),
+    )  # fmt: skip
+    return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 
 def objective_of(study: Study) -> Objective:
@@ -177,12 +192,18 @@ def calibrate(
     results.write_table("unseen_directions", best.judgement.identification.directions)
     results.write_table("predictions", best.judgement.predictions)
     results.write_table("convergence", convergence_table(reported))
+    results.remove("modes.csv")
+    modes = None
+    if before.comparison is not None and best.answer.comparison is not None:
+        with suppress(EvaluationError):
+            modes = every_mode(study, before.comparison, best.answer.comparison)
+            results.write_table("modes", modes)
     results.remove("data_errors.csv")
     with suppress(EvaluationError):  # a model that fails beside the optimum has no errors to tell
         results.write_table("data_errors", errors_at(study, best.judgement.values))
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
     results.write_json("summary", summary)
-    return Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen)
+    return Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen, modes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,6 +404,7 @@ def _summary(
     return {
         "study": study.name,
         "synthetic": study.synthetic,
+        "fingerprint": fingerprint(study),
         "method": method,
         "best_case": best.name,
         "mean_freq_error_before": before.mean_freq_error,

@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,7 +81,7 @@ def extend(study: Study, name: str, folder: Path) -> Extension:
             target.write_text(text, encoding="utf-8", newline="")
         except (OSError, shutil.Error) as fault:
             raise _unwritable(fault, folder) from None
-        _check(target, folder)
+        _check(target, folder, study.adopted)
         for cache in draft.rglob("__pycache__"):  # made by the check
             shutil.rmtree(cache, ignore_errors=True)
         try:
@@ -172,10 +172,10 @@ def _unwritable(fault: OSError, folder: Path) -> InputError:
     return InputError(f"it cannot be written ({words or fault})", place=folder, remedy="free it or name another place")
 
 
-def _check(target: Path, folder: Path) -> None:
+def _check(target: Path, folder: Path, adopted: Mapping[str, float]) -> None:
     """Load the draft of the new study, complaining as if it were in its place."""
     try:
-        Study.load(target)
+        Study.load(target, adopted)
     except InputError as fault:
         said = str(fault).replace(str(target.parent), str(folder))
         raise InputError(
@@ -239,6 +239,9 @@ def _move_paths(document: Any, old: Path, new: Path) -> Iterator[tuple[str, str]
         if where.endswith(".py") and moved(where) != where:
             document[key] = f"{moved(where)}:{function}"
             yield where, moved(where)
+    if "adopted" in document and moved(path := str(document["adopted"]["study"])) != path:
+        document["adopted"]["study"] = moved(path)
+        yield path, moved(path)
     measurement = document["measurement"]
     for key in ("sensors", "responses"):
         if key in measurement and moved(path := str(measurement[key])) != path:

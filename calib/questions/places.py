@@ -48,8 +48,9 @@ def open_evaluator(
         worthwhile = attempt(asked.evaluate, study.model.space.values).seconds * count > _WORTHWHILE
         chosen = available_cores() if worthwhile else 1
     source = EvaluationSource(
-        str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve())
-    )
+        str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve()),
+        tuple(study.adopted.items()),
+    )  # fmt: skip
     return Evaluator(source, chosen, study.settings.calibration.time_limit)
 
 

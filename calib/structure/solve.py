@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg as la
@@ -13,9 +12,10 @@ import scipy.sparse.linalg as spla
 
 from calib.errors import EvaluationError
 from calib.structure.inertia import count_below, symmetric_factor
-from calib.structure.missed import missed_vectors, real_span
+from calib.structure.lowest import lowest_roots, start_vector
+from calib.structure.missed import missed_vectors
 from calib.structure.modes import Modes
-from calib.structure.roots import TurningShare, damped_modes, is_zero, real_modes, vibrates
+from calib.structure.roots import TurningShare, damped_modes, is_zero, real_modes
 
 DENSE_LIMIT = 80
 """Up to this many degrees of freedom dense LAPACK is faster and safer than Arnoldi iteration."""
@@ -25,6 +25,9 @@ _COPY = 1e-6
 
 _SHIFT = 1e-10
 """Square of the shift over the largest local eigenvalue: keeps the factor regular when rigid-body modes exist."""
+
+_TURNING = 10.0
+"""Largest local eigenvalue of rotations over that of translations that the shift heeds."""
 
 
 def solve_modes(
@@ -71,7 +74,7 @@ def solve_modes(
     if not mass.diagonal().max(initial=0.0) > 0:
         raise EvaluationError("the model has no mass")
     turning = _turning_share(mass, rotational)
-    shift = _shift(stiffness, mass)
+    shift = _shift(stiffness, mass, rotational)
     try:
         if damping is None or not np.any(damping.data):
             return _real_modes(stiffness, mass, count, shift, turning)
@@ -82,11 +85,19 @@ def solve_modes(
         raise EvaluationError(f"the eigenproblem could not be solved ({fault})") from fault
 
 
-def _shift(stiffness: sp.csc_array, mass: sp.csc_array) -> float:
-    """Small positive shift in rad/s, far below the vibration modes and above the rounding of zero roots."""
+def _shift(stiffness: sp.csc_array, mass: sp.csc_array, rotational: np.ndarray | None = None) -> float:
+    """Small positive shift in rad/s, far below the vibration modes and above the rounding of zero roots.
+
+    Rotations of thin walls have next to no inertia of their own: a shift scaled by their local eigenvalues would lie
+    above the modes of a body on soft springs, and count these as zero. They are bounded by those of translations.
+    """
     k, m = stiffness.diagonal(), mass.diagonal()
     heavy = m > 1e-12 * m.max()
-    return float(np.sqrt(_SHIFT * max(np.max(np.abs(k[heavy]) / m[heavy]), 1e-300)))
+    local = np.abs(k[heavy]) / m[heavy]
+    largest = float(local.max())
+    if rotational is not None and not np.all(rotational[heavy]):
+        largest = min(largest, _TURNING * float(local[~rotational[heavy]].max()))
+    return float(np.sqrt(_SHIFT * max(largest, 1e-300)))
 
 
 def _turning_share(mass: sp.csc_array, rotational: np.ndarray | None) -> TurningShare:
@@ -98,11 +109,6 @@ def _turning_share(mass: sp.csc_array, rotational: np.ndarray | None) -> Turning
         return float(abs(np.vdot(part, mass @ part)) / total) if total > 0 else 0.0
 
     return share
-
-
-def _start_vector(n: int) -> np.ndarray:
-    """Fixed start of the iteration: the same point gives the same digits in every process."""
-    return np.random.default_rng(20110713).standard_normal(n)
 
 
 # -- undamped ----------------------------------------------------------------------------------------------------------
@@ -123,7 +129,7 @@ def _real_modes(stiffness: sp.csc_array, mass: sp.csc_array, count: int, shift: 
                 M=sp.csr_matrix(mass),
                 sigma=-(shift**2),
                 OPinv=spla.LinearOperator((n, n), matvec=lu.solve, dtype=float),
-                v0=_start_vector(n),
+                v0=start_vector(n),
             )
             squares, shapes = _with_missed_real(squares, shapes, lu, stiffness, mass, count, shift)
             complete = False
@@ -207,24 +213,8 @@ def _complex_modes(
         out[h:] = (state[:h] + shift * out[:h]) / speed
         return out
 
-    asked = 2 * count + 2
-    while True:
-        if n <= DENSE_LIMIT or asked >= 2 * h - 2:
-            inverses, states = la.eig(inverse(np.eye(2 * h)))
-            complete = True
-        else:
-            operator = spla.LinearOperator((2 * h, 2 * h), matvec=inverse, dtype=float)
-            inverses, states = spla.eigs(
-                operator, k=asked, which="LM", v0=_start_vector(2 * h), ncv=min(2 * h, 2 * asked + 4), tol=1e-11
-            )
-            inverses, states = _with_missed_damped(inverses, states, inverse, count, shift)
-            complete = False
-        finite = np.abs(inverses) > 1e-14 * np.abs(inverses).max()
-        inverses, states = inverses[finite], states[:, finite]
-        roots = shift + 1.0 / inverses
-        if complete or np.count_nonzero(vibrates(roots, shift)) >= count:
-            break
-        asked = min(2 * asked, 2 * h)
+    inverses, states = lowest_roots(inverse, 2 * h, count, shift, dense=n <= DENSE_LIMIT)
+    roots = shift + 1.0 / inverses
 
     def displacement(which: np.ndarray) -> np.ndarray:
         """Displacements of all motions in some of the eigenvectors, (n, len(which))."""
@@ -235,32 +225,9 @@ def _complex_modes(
     return damped_modes(roots, displacement, damping, mass, count, shift, turning)
 
 
-def _with_missed_damped(
-    inverses: np.ndarray,
-    states: np.ndarray,
-    inverse: Callable[[np.ndarray], np.ndarray],
-    count: int,
-    shift: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenpairs of the inverse found and those that the iteration left out below the last mode wanted."""
-    while True:
-        roots = shift + 1.0 / inverses
-        wanted = np.flatnonzero(vibrates(roots, shift))
-        if len(wanted) < count:
-            return inverses, states  # more will be asked
-        last = wanted[np.argsort(np.abs(roots[wanted]))[count - 1]]
-        found = real_span(inverses, states)
-        more, _ = missed_vectors(inverse, found, float(np.abs(inverses[last])))
-        if not more.shape[1]:
-            return inverses, states
-        basis = np.hstack([found, more])
-        inverses, weights = la.eig(basis.T @ inverse(basis))
-        states = basis @ weights
-
-
 def _typical_speed(lu: spla.SuperLU, mass: sp.csc_array) -> float:
     """A frequency in rad/s that balances displacements and velocities in the state vector."""
-    x = _start_vector(mass.shape[0])
+    x = start_vector(mass.shape[0])
     for _ in range(2):
         x = lu.solve(mass @ x)
         x /= np.linalg.norm(x)

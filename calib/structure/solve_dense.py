@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg as la
+import scipy.sparse.linalg as spla
 
 from calib.errors import EvaluationError
+from calib.structure.lowest import lowest_roots
 from calib.structure.modes import Modes
 from calib.structure.roots import TurningShare, damped_modes, is_zero, real_modes, vibrates
 
@@ -15,6 +17,8 @@ _REACH = 2.5
 _EXACT = 1e-9
 """Largest relative eigenvalue error left by that, by its residual; else all of the matrices are used."""
 _SAME = 1e-10
+_FEW = 8
+"""Up to this many coordinates for each mode wanted all roots are as quickly found as a few."""
 
 
 def solve_dense(
@@ -75,7 +79,7 @@ def _damped(
     low = _low(inverse, count, shift)
     for whole in (False, True):
         kept = np.eye(len(inverse)) if whole else _compressed(inverse, local, low)
-        roots, motions = _roots(kept.T @ (inverse[:, None] * kept), kept.T @ local @ kept, shift)
+        roots, motions = _roots(kept.T @ (inverse[:, None] * kept), kept.T @ local @ kept, shift, count)
         if whole or kept.shape[1] >= len(inverse):
             break
         found = np.flatnonzero(vibrates(roots, shift))
@@ -133,17 +137,20 @@ def _span(vectors: np.ndarray, size: float, beside: np.ndarray) -> np.ndarray:
     return left[:, sizes > _SAME * size]
 
 
-def _roots(mass: np.ndarray, damping: np.ndarray, shift: float) -> tuple[np.ndarray, np.ndarray]:
-    """Roots of ``lambda^2 M + lambda C + I - shift^2 M`` and the displacements of their eigenvectors."""
+def _roots(mass: np.ndarray, damping: np.ndarray, shift: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Roots of ``lambda^2 M + lambda C + I - shift^2 M``, the lowest at least, and displacements of their vectors."""
     n = len(mass)
     factor = la.cho_factor(np.eye(n) + shift * damping, check_finite=False)
     speed = 1.0 / np.sqrt(max(float(np.trace(mass)) / n, 1e-300))
     first = -la.cho_solve(factor, np.hstack([damping + shift * mass, speed * mass]), check_finite=False)
     second = shift * first / speed
     second[:, :n] += np.eye(n) / speed
-    inverses, states = la.eig(np.vstack([first, second]), check_finite=False, overwrite_a=True)
-    finite = np.abs(inverses) > 1e-14 * np.abs(inverses).max()
-    return shift + 1.0 / inverses[finite], states[:n, finite]
+    inverse = np.asfortranarray(np.vstack([first, second]))
+    try:
+        inverses, states = lowest_roots(lambda s: inverse @ s, 2 * n, count, shift, dense=n <= _FEW * count)
+    except spla.ArpackError:
+        inverses, states = lowest_roots(lambda s: inverse @ s, 2 * n, count, shift, dense=True)
+    return shift + 1.0 / inverses, states[:n]
 
 
 def _error(inverse: np.ndarray, damping: np.ndarray, roots: np.ndarray, motions: np.ndarray, shift: float) -> float:

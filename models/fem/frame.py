@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,108 +13,22 @@ import scipy.sparse as sp
 from calib.errors import InputError
 from calib.structure.model import DofMap, Mesh
 from models.fem import beam
-from models.fem.section import Section
+from models.fem.member import Member, Particle, Point, Suppression, Tie
+from models.fem.nodes import MERGE, NodeTable, assemble
 
-Point = tuple[float, float, float]
-
-_MERGE = 1e-6
-"""Nodes of one body closer than this (m) are one node."""
+__all__ = ["Carrier", "Frame", "Member", "Particle", "Point", "Suppression", "Tie", "known_groups"]
 
 
-def _cell(station: np.ndarray) -> tuple[int, ...]:
-    """Cell of a grid ten times coarser than `_MERGE`."""
-    return tuple(int(c) for c in np.round(station / (10 * _MERGE)))
+class Carrier(NamedTuple):
+    """An element's nearest place to a point: its distance, its nodes and the point's motion over theirs.
 
-
-def _cells(station: np.ndarray) -> Iterator[tuple[int, ...]]:
-    """Every cell that may hold a node closer than `_MERGE`: two along an axis where the station is near a border."""
-    both = zip(_cell(station - _MERGE), _cell(station + _MERGE), strict=True)
-    return itertools.product(*(sorted({low, high}) for low, high in both))
-
-
-@dataclass(frozen=True)
-class Member:
-    """A straight beam of one section.
-
-    Attributes
-    ----------
-    body : str
-        Members of one body share the nodes where they meet; those of different bodies never do.
-    group : str
-        Name under which its stiffness and mass are assembled.
-    section : Section
-    start, end : (3,) coordinates in m
-    size : float
-        Largest element length in m.
-    through : tuple of points
-        Places on the axis that must be nodes: attachments and crossings.
-    up : (3,) float
-        Reference direction of the local y axis.
-    arm : (3,) float
-        Rigid arm from the nodes to the beam's axis, m.
-    released_start, released_end : tuple of int
-        Local motions 0..5 (ux, uy, uz, rx, ry, rz) hinged at either end.
-    part : str
-        Members of one part are one piece of the model in maps of where it is off; without it the group.
+    ``problem`` tells why the place cannot carry the point.
     """
 
-    body: str
-    group: str
-    section: Section
-    start: Point
-    end: Point
-    size: float
-    through: tuple[Point, ...] = ()
-    up: Point = (0.0, 1.0, 0.0)
-    arm: Point = (0.0, 0.0, 0.0)
-    released_start: tuple[int, ...] = ()
-    released_end: tuple[int, ...] = ()
-    part: str = ""
-
-    def stations(self) -> np.ndarray:
-        """Node places along the member, shape (n_nodes, 3)."""
-        start, end = np.array(self.start), np.array(self.end)
-        length = np.linalg.norm(end - start)
-        if not length > _MERGE:
-            raise InputError("its ends coincide", place=f"member {self.body}/{self.group}")
-        if not np.linalg.norm(np.cross(end - start, self.up)) > 1e-6 * length * np.linalg.norm(self.up):
-            raise InputError(
-                f"its reference direction up = {self.up} lies along it",
-                place=f"member {self.body}/{self.group}",
-                remedy="choose one across the beam",
-            )
-        cuts = [0.0, 1.0]
-        for point in self.through:
-            t = float((np.array(point) - start) @ (end - start) / length**2)
-            if np.linalg.norm(start + t * (end - start) - point) > _MERGE or not -1e-9 <= t <= 1 + 1e-9:
-                raise InputError(f"point {point} is not on its axis", place=f"member {self.body}/{self.group}")
-            cuts.append(t)
-        cuts = sorted({round(min(max(t, 0.0), 1.0), 9) for t in cuts})
-        fine: list[float] = [cuts[0]]
-        for a, b in pairwise(cuts):
-            n = max(1, int(np.ceil((b - a) * length / self.size - 1e-9)))
-            fine.extend(a + (b - a) * np.arange(1, n + 1) / n)
-        return start + np.array(fine)[:, None] * (end - start)
-
-
-@dataclass(frozen=True)
-class Tie:
-    """Two bodies share some motions (global directions 0..5) at a node that each of them has there."""
-
-    body: str
-    other: str
-    point: Point
-    directions: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Suppression:
-    """Some motions (global directions 0..5) are zero: at one node of a body, or at all nodes of the named groups."""
-
-    directions: tuple[int, ...]
-    groups: tuple[str, ...] = ()
-    body: str = ""
-    point: Point | None = None
+    distance: float
+    nodes: np.ndarray
+    motion: np.ndarray
+    problem: InputError | None = None
 
 
 @dataclass(frozen=True)
@@ -126,38 +40,37 @@ class Frame:
     members : tuple of Member
     ties : tuple of Tie
     suppressions : tuple of Suppression
+    particles : tuple of Particle
     """
 
     members: tuple[Member, ...]
     ties: tuple[Tie, ...] = ()
     suppressions: tuple[Suppression, ...] = ()
+    particles: tuple[Particle, ...] = ()
     points: np.ndarray = field(init=False, repr=False, compare=False)
     bodies: tuple[str, ...] = field(init=False, repr=False, compare=False)
     ends: np.ndarray = field(init=False, repr=False, compare=False)
     member_of: np.ndarray = field(init=False, repr=False, compare=False)
+    particle_nodes: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        near: dict[tuple[str, tuple[int, ...]], list[int]] = {}
-        points: list[np.ndarray] = []
-        bodies: list[str] = []
+        table = NodeTable()
+        self._fill(table)
+        object.__setattr__(self, "points", np.array(table.points).reshape(-1, 3))
+        object.__setattr__(self, "bodies", tuple(table.bodies))
+
+    def _fill(self, table: NodeTable) -> None:
+        """Cut everything into elements and number their nodes."""
         ends: list[tuple[int, int]] = []
         owner: list[int] = []
         for m, member in enumerate(self.members):
-            chain = []
-            for station in member.stations():
-                known = (k for cell in _cells(station) for k in near.get((member.body, cell), ()))
-                node = next((k for k in known if np.linalg.norm(points[k] - station) <= _MERGE), len(points))
-                if node == len(points):
-                    near.setdefault((member.body, _cell(station)), []).append(node)
-                    points.append(station)
-                    bodies.append(member.body)
-                chain.append(node)
-            ends += list(itertools.pairwise(chain))
+            chain = [table.number(member.body, station) for station in member.stations()]
+            ends += list(pairwise(chain))
             owner += [m] * (len(chain) - 1)
-        object.__setattr__(self, "points", np.array(points))
-        object.__setattr__(self, "bodies", tuple(bodies))
-        object.__setattr__(self, "ends", np.array(ends))
-        object.__setattr__(self, "member_of", np.array(owner))
+        object.__setattr__(self, "ends", np.array(ends, dtype=int).reshape(-1, 2))
+        object.__setattr__(self, "member_of", np.array(owner, dtype=int))
+        nodes = [table.number(p.body, np.array(p.point, dtype=float)) for p in self.particles]
+        object.__setattr__(self, "particle_nodes", np.array(nodes, dtype=int))
 
     # -- places --------------------------------------------------------------------------------------------------------
 
@@ -173,21 +86,33 @@ class Frame:
             raise InputError(f"there is no body {body!r}", place="frame")
         distance = np.where(own, np.linalg.norm(self.points - np.asarray(point), axis=1), np.inf)
         nearest = int(np.argmin(distance))
-        if distance[nearest] > 10 * _MERGE:
+        if distance[nearest] > 10 * MERGE:
             raise InputError(f"body {body!r} has no node at {tuple(point)}", place="frame")
         return nearest
+
+    @property
+    def groups(self) -> frozenset[str]:
+        """Names of all groups."""
+        return frozenset([*(m.group for m in self.members), *(p.group for p in self.particles)])
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """Names of everything that carries points."""
+        return self.groups | set(self.bodies)
 
     def group_nodes(self, groups: Iterable[str]) -> np.ndarray:
         """Sorted indices of the nodes touched by the named groups."""
         wanted = set(groups)
-        unknown = wanted - {m.group for m in self.members}
-        if unknown:
-            raise InputError(f"there is no group {sorted(unknown)[0]!r}", place="frame")
-        chosen = np.array([self.members[m].group in wanted for m in self.member_of])
-        return np.unique(self.ends[chosen])
+        known_groups(wanted, self.groups)
+        return np.unique(self._touched(wanted))
+
+    def _touched(self, wanted: set[str]) -> np.ndarray:
+        members = np.array([m.group in wanted for m in self.members], dtype=bool)[self.member_of]
+        particles = np.array([p.group in wanted for p in self.particles], dtype=bool)
+        return np.concatenate([self.ends[members].ravel(), self.particle_nodes[particles]])
 
     def motion(self, point: Sequence[float] | np.ndarray, on: str | None = None) -> tuple[np.ndarray, float]:
-        """Six motions of a point that a rigid arm ties to the nearest place of a beam's axis.
+        """Six motions of a point that a rigid arm ties to the nearest place of the structure.
 
         Parameters
         ----------
@@ -203,11 +128,26 @@ class Frame:
             Length of the rigid arm, m.
         """
         p = np.asarray(point, dtype=float)
-        allowed = np.array([on is None or on in (self.members[m].body, self.members[m].group) for m in self.member_of])
+        found = self._carriers(p, on)
+        if not found:
+            known = ", ".join(sorted(self.parts))
+            raise InputError(f"the model has no part {on!r}", place="frame", remedy=f"its parts are {known}")
+        nearest = min(found, key=lambda carrier: round(carrier.distance, 9))
+        if nearest.problem is not None:
+            raise nearest.problem
+        rows = np.zeros((6, self.n_full))
+        for k, node in enumerate(nearest.nodes):
+            rows[:, 6 * node : 6 * node + 6] += nearest.motion[:, 6 * k : 6 * k + 6]
+        return rows, nearest.distance
+
+    def _carriers(self, p: np.ndarray, on: str | None) -> list[Carrier]:
+        """The nearest place of every kind of element; of equally near ones the first is taken."""
+        found = self._particle_carriers(p, on)
+        of_member = np.array([on is None or on in (m.body, m.group) for m in self.members], dtype=bool)
+        allowed = of_member[self.member_of]
         if not allowed.any():
-            parts = sorted({m.body for m in self.members} | {m.group for m in self.members})
-            raise InputError(f"the model has no part {on!r}", place="frame", remedy=f"its parts are {', '.join(parts)}")
-        arm = np.array([self.members[m].arm for m in self.member_of])
+            return found
+        arm = np.array([m.arm for m in self.members])[self.member_of]
         start, end = self.points[self.ends[:, 0]] + arm, self.points[self.ends[:, 1]] + arm
         along = end - start
         t = np.clip(np.einsum("ij,ij->i", p - start, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
@@ -221,11 +161,18 @@ class Frame:
         r6 = np.kron(np.eye(2), rotation[0])
         at_axis = r6.T @ local @ beam.transformation(rotation, arms)[0]
         at_axis[:3] += beam.arm_matrix(p - foot[e]) @ at_axis[3:]
-        rows = np.zeros((6, self.n_full))
-        for side in (0, 1):
-            node = self.ends[e, side]
-            rows[:, 6 * node : 6 * node + 6] += at_axis[:, 6 * side : 6 * side + 6]
-        return rows, float(distance[e])
+        return [*found, Carrier(float(distance[e]), self.ends[e], at_axis)]
+
+    def _particle_carriers(self, p: np.ndarray, on: str | None) -> list[Carrier]:
+        own = np.array([on is None or on in (part.body, part.group) for part in self.particles], dtype=bool)
+        if not own.any():
+            return []
+        nodes = self.particle_nodes[own]
+        arms = p - self.points[nodes]
+        k = int(np.argmin(np.linalg.norm(arms, axis=1)))
+        rigid = np.eye(6)
+        rigid[:3, 3:] = beam.arm_matrix(arms[k])
+        return [Carrier(float(np.linalg.norm(arms[k])), nodes[k : k + 1], rigid)]
 
     # -- degrees of freedom and matrices -------------------------------------------------------------------------------
 
@@ -303,7 +250,7 @@ class Frame:
     ) -> Iterator[tuple[np.ndarray, Member, np.ndarray, np.ndarray, np.ndarray]]:
         wanted = None if groups is None else set(groups)
         if wanted is not None:
-            self.group_nodes(wanted)
+            known_groups(wanted, {m.group for m in self.members})
         for m, member in enumerate(self.members):
             if wanted is not None and member.group not in wanted:
                 continue
@@ -327,8 +274,11 @@ class Frame:
         if not parts:
             return sp.csr_array((n, n))
         elements = np.concatenate([e for e, _ in parts])
-        blocks = np.concatenate([b for _, b in parts])
-        dofs = (6 * self.ends[elements][:, :, None] + np.arange(6)).reshape(len(elements), 12)
-        rows = np.repeat(dofs, 12, axis=1).ravel()
-        cols = np.tile(dofs, (1, 12)).ravel()
-        return sp.csr_array(sp.coo_array((blocks.ravel(), (rows, cols)), shape=(n, n)))
+        return assemble(self.ends[elements], np.concatenate([b for _, b in parts]), n)
+
+
+def known_groups(wanted: set[str], groups: Iterable[str]) -> None:
+    """Raise InputError for a wanted name that is none of the groups."""
+    unknown = wanted - set(groups)
+    if unknown:
+        raise InputError(f"there is no group {sorted(unknown)[0]!r}", place="frame")

@@ -1,4 +1,4 @@
-"""Parameters of the bogie and of the bogie under test (Tables 3 and 5 of the case study).
+"""Parameters of the car, of the bogie and of the bogie under test (Tables 1, 3 and 5 of the case study).
 
 Source: D. Ribeiro, R. Calcada, R. Delgado, M. Brehm, V. Zabel, "Model calibration of a railway vehicle", RDO-Journal 02
 (the case study of the same authors' Vehicle System Dynamics 51(6), 2013, 821-856). Limits not printed there follow from
@@ -9,8 +9,95 @@ from __future__ import annotations
 
 from calib.space import Parameter
 
+_TABLE_1 = "Ribeiro et al., case study, Table 1"
 _TABLE_3 = "Ribeiro et al., case study, Table 3"
 _TABLE_5 = "Ribeiro et al., case study, Table 5"
+
+CAR: tuple[Parameter, ...] = (
+    Parameter(
+        "K_secondary_front", 256.4, 242.0, 270.8, "kN/m",
+        description="vertical stiffness of one secondary spring of the front bogie", symbol="KS1", source=_TABLE_1,
+        assumed="adopted value (printed mean taken)",
+    ),
+    Parameter(
+        "K_secondary_rear", 256.4, 242.0, 270.8, "kN/m",
+        description="vertical stiffness of one secondary spring of the rear bogie", symbol="KS2", source=_TABLE_1,
+        assumed="adopted value (printed mean taken)",
+    ),
+    Parameter(
+        "c_secondary", 35.0, 28.0, 42.0, "kNs/m",
+        description="one secondary damper", symbol="cS", source=_TABLE_1,
+        assumed="adopted value (printed mean taken) and limits (mean -/+ 20 %)",
+    ),
+    Parameter(
+        "c_yaw", 400.0, 320.0, 480.0, "kNs/m",
+        description="one yaw damper", symbol="cAL", source=_TABLE_1,
+        assumed="adopted value (printed mean taken) and limits (mean -/+ 20 %)",
+    ),
+    Parameter(
+        "K_rod_tilting", 20_000.0, 5_000.0, 35_000.0, "kN/m",
+        description="connecting rod between tilting and load bolster", symbol="Kb", source=_TABLE_1,
+    ),
+    Parameter(
+        "rho_aluminium", 2700.0, 2600.0, 2800.0, "kg/m3", distribution="fixed",
+        description="density of the car body", symbol="rho_alu", source=_TABLE_1,
+        assumed="limits (deterministic in the source)",
+    ),
+    Parameter(
+        "E_aluminium", 70.0, 65.0, 75.0, "GPa", distribution="fixed",
+        description="Young's modulus of the car body", symbol="E_alu", source=_TABLE_1,
+        assumed="limits (deterministic in the source)",
+    ),
+    Parameter(
+        "RMI_base", 225.0, 50.0, 400.0,
+        description="ratio of moments of inertia of the base: real panel over equivalent sheet", symbol="RMIb",
+        source=_TABLE_1, assumed="adopted value (printed mean taken)",
+    ),
+    Parameter(
+        "RMI_walls", 90.0, 20.0, 160.0,
+        description="ratio of moments of inertia of side and end walls", symbol="RMIp", source=_TABLE_1,
+        assumed="adopted value (printed mean taken) and limits",
+    ),
+    Parameter(
+        "RMI_cover", 300.0, 100.0, 500.0,
+        description="ratio of moments of inertia of the cover", symbol="RMIc", source=_TABLE_1,
+        assumed="adopted value (printed mean taken) and limits",
+    ),
+    Parameter(
+        "m_base", 70.0, 50.0, 90.0, "%",
+        description="share of the further equipment's 12 t that is spread over the base", symbol="Mb", source=_TABLE_1,
+        assumed="the 12 t (lost)",
+    ),
+    Parameter(
+        "m_walls", 20.0, 5.0, 35.0, "%",
+        description="share of the further equipment's 12 t that is spread over the side walls", symbol="Mp",
+        source=_TABLE_1, assumed="the 12 t (lost)",
+    ),
+    Parameter(
+        "m_cover", 10.0, 0.0, 15.0, "%",
+        description="share of the further equipment's 12 t that is spread over the cover", symbol="Mc", source=_TABLE_1,
+        assumed="the 12 t (lost)",
+    ),
+    Parameter(
+        "t_base", 10.2, 9.2, 11.2, "mm", distribution="fixed",
+        description="equivalent thickness of the base", symbol="e_bas", source=_TABLE_1,
+        assumed="limits (deterministic in the source)",
+    ),
+    Parameter(
+        "t_walls", 10.3, 9.3, 11.3, "mm", distribution="fixed",
+        description="equivalent thickness of side and end walls", symbol="e_par", source=_TABLE_1,
+        assumed="limits (deterministic in the source)",
+    ),
+    Parameter(
+        "t_cover", 8.8, 7.9, 9.7, "mm", distribution="fixed",
+        description="equivalent thickness of the cover", symbol="e_cob", source=_TABLE_1,
+        assumed="limits (deterministic in the source)",
+    ),
+)  # fmt: skip
+"""Table 1."""
+
+OTHERS = 12_000.0
+"""Mass in kg of the further equipment, which `m_base`, `m_walls` and `m_cover` share; assumed."""
 
 BOGIE: tuple[Parameter, ...] = (
     Parameter(

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,7 @@ def write_measurement(
     shapes: np.ndarray,
     layout: tuple[Sensor, ...],
     rng: np.random.Generator,
+    title: str = "bogie test",
 ) -> None:
     """All repeats of a test and the table of its sensors."""
     into.mkdir(parents=True, exist_ok=True)
@@ -118,29 +120,51 @@ def write_measurement(
         natural, damping, complex_shapes = scattered(modes, shapes, rng)
         write_uff(
             path, names=names, natural_freq=natural, damping_ratio=damping, sensors=layout, shapes=complex_shapes,
-            title=f"SYNTHETIC twin of the bogie test, {path.stem}",
+            title=f"SYNTHETIC twin of the {title}, {path.stem}",
         )  # fmt: skip
     pd.DataFrame(
         [{"node": s.node, "x": s.point[0], "y": s.point[1], "z": s.point[2], "on": s.on} for s in layout if s.point]
     ).to_csv(into / "sensors.csv", index=False)
 
 
-def main() -> None:
-    """Draw a truth, measure the twin five times, write truth and repeats."""
-    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    arguments.add_argument("truth", type=Path, help="where the hidden values are written")
-    arguments.add_argument("--seed", type=int, default=1, help="first seed tried (default 1)")
-    arguments.add_argument("--into", type=Path, default=HERE / "measured", help="folder for the repeats")
-    given = arguments.parse_args()
+@dataclass(frozen=True)
+class Twin:
+    """A twin drawn, before it is measured.
 
+    Attributes
+    ----------
+    seed : int
+    truth : dict from parameter name to value
+    error : float
+        Mean frequency error of the initial model.
+    modes : Modes
+    shapes : ndarray (n_sensors, n_modes)
+        At the sensors where they really sit.
+    layout : tuple of Sensor
+        Where they are said to sit.
+    rng : Generator
+        Goes on with the scatter of the test.
+    """
+
+    seed: int
+    truth: dict[str, float]
+    error: float
+    modes: Modes
+    shapes: np.ndarray
+    layout: tuple[Sensor, ...]
+    rng: np.random.Generator
+
+
+def drawn(first: int = 1) -> Twin:
+    """The twin of the first seed, from a given one on, that makes a study."""
     twin = bogie_on_rig(element_size=0.025, distributed=True)
     settings = read_settings(HERE / "study.toml")
-    space = sensitivity_space(twin.space, settings, lambda *keys: "study.toml")
+    space = sensitivity_space(twin.space, settings, lambda *keys: "study.toml", {})
     selected = search_space(space, settings, lambda *keys: "study.toml")
     layout = sensors()
     initial = bogie_on_rig().modes(space.values, len(MODES))
     nominal = bogie_on_rig().sensor_rows(layout) @ initial.shapes
-    for seed in range(given.seed, given.seed + 10_000):
+    for seed in range(first, first + 10_000):
         rng = np.random.default_rng(seed)
         truth = draw(space, selected, rng)
         if truth["K_primary"] <= space["K_primary"].upper:
@@ -150,21 +174,34 @@ def main() -> None:
         if modes is not None:
             error = float(np.abs(initial.natural_freq / modes.natural_freq - 1).mean())
             if INITIAL_ERROR[0] <= error <= INITIAL_ERROR[1]:
-                break
-    else:
-        raise SystemExit("no seed gave an initial model as far off as in the case study")
+                return Twin(seed, truth, error, modes, rows @ modes.shapes, layout, rng)
+    raise SystemExit("no seed gave an initial model as far off as in the case study")
 
-    write_measurement(given.into, MODES, modes, rows @ modes.shapes, layout, rng)
-    given.truth.parent.mkdir(parents=True, exist_ok=True)
+
+def write_truth(path: Path, names: tuple[str, ...], twin: Twin) -> None:
+    """What a measurement was made from, where nothing that answers ever reads it."""
     content = {
-        "seed": seed,
-        "parameters": truth,
-        "natural_freq": dict(zip(MODES, modes.natural_freq.tolist(), strict=True)),
-        "damping_ratio": dict(zip(MODES, modes.damping_ratio.tolist(), strict=True)),
-        "initial_mean_freq_error": error,
+        "seed": twin.seed,
+        "parameters": twin.truth,
+        "natural_freq": dict(zip(names, twin.modes.natural_freq.tolist(), strict=True)),
+        "damping_ratio": dict(zip(names, twin.modes.damping_ratio.tolist(), strict=True)),
+        "initial_mean_freq_error": twin.error,
     }
-    given.truth.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    print(f"seed {seed}: the initial model's mean frequency error is {100 * error:.1f} %")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    print(f"seed {twin.seed}: the initial model's mean frequency error is {100 * twin.error:.1f} %")
+
+
+def main() -> None:
+    """Draw a truth, measure the twin five times, write truth and repeats."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("truth", type=Path, help="where the hidden values are written")
+    arguments.add_argument("--seed", type=int, default=1, help="first seed tried (default 1)")
+    arguments.add_argument("--into", type=Path, default=HERE / "measured", help="folder for the repeats")
+    given = arguments.parse_args()
+    twin = drawn(given.seed)
+    write_measurement(given.into, MODES, twin.modes, twin.shapes, twin.layout, twin.rng)
+    write_truth(given.truth, MODES, twin)
 
 
 if __name__ == "__main__":

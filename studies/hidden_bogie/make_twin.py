@@ -182,7 +182,7 @@ def main() -> None:
     settings = read_settings(HERE / "study.toml")
     model, fine, layout = bogie_on_rig(), twin_model(), twin.sensors()
     space = search_space(
-        sensitivity_space(model.space, settings, lambda *keys: "study.toml"), settings, lambda *keys: "study.toml"
+        sensitivity_space(model.space, settings, lambda *keys: "study.toml", {}), settings, lambda *keys: "study.toml"
     )
     model = replace(model, space=space)
     nominal = (model.sensor_rows(layout) @ model.modes(space.values, len(MODES)).shapes)[:, : len(MODES)]

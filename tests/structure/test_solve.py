@@ -242,6 +242,20 @@ def test_a_soft_mode_among_stiff_ones_is_kept(n):
         assert modes.natural_freq[0] == pytest.approx(1 / (2 * np.pi), rel=1e-4)
 
 
+def test_rotations_of_next_to_no_inertia_hide_no_soft_mode():
+    # Masses in a row on one soft spring; beside each a rotation as light as that of a thin wall.
+    n = 60
+    row = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    row[0, 0] = row[-1, -1] = 1.0
+    row = 1e8 * row
+    row[0, 0] += 60.0
+    k = sp.csc_array(np.kron(row, np.diag([1.0, 0.0])) + np.kron(np.eye(n), np.diag([0.0, 1e6])))
+    m = sp.csc_array(np.kron(np.eye(n), np.diag([1.0, 1e-9])))
+    modes = solve_modes(k, None, m, 1, rotational=np.arange(2 * n) % 2 == 1)
+    assert modes.natural_freq[0] == pytest.approx(1 / (2 * np.pi), rel=1e-4)
+    assert not modes.excluded
+
+
 @pytest.mark.parametrize("n", [10, 120])
 @pytest.mark.parametrize("broken", ["stiffness", "damping", "mass"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])

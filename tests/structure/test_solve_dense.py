@@ -79,3 +79,18 @@ def test_matrices_that_are_not_finite_are_told(broken):
     matrices[broken][2, 3] = np.nan
     with pytest.raises(EvaluationError, match="not finite"):
         solve_dense(*matrices, 2, nothing)
+
+
+@pytest.mark.parametrize("strength", [1.0, 60.0])
+def test_few_roots_of_many_are_those_that_all_of_them_give(monkeypatch, strength):
+    """Inverse iteration and the solution for all roots at once, repeated and overdamped ones among them."""
+    k, c, m = system(90, 5, rank=6, strength=strength)
+    twice = [np.kron(np.eye(2), a) for a in (k, c, m)]
+    answers = {}
+    for few in (0, 1000):
+        monkeypatch.setattr(module, "_FEW", few)
+        answers[few] = solve_dense(*twice, 10, nothing)
+    np.testing.assert_allclose(roots_of(answers[0]), roots_of(answers[1000]), rtol=1e-7)
+    pairs = np.sort(answers[0].natural_freq).reshape(5, 2)
+    np.testing.assert_allclose(pairs[:, 0], pairs[:, 1], rtol=1e-7)
+    assert len(answers[0].excluded) == len(answers[1000].excluded)

@@ -1,0 +1,263 @@
+"""Flat four-node shell element with six motions a node, vectorised over elements.
+
+Membrane: bilinear with the incompatible modes of Taylor, Beresford and Wilson (1976, QM6), exact in the in-plane
+bending of a rectangle. Bending: bilinear rotations with the assumed transverse shear of Bathe and Dvorkin (1985,
+MITC4), free of shear locking. Drilling: rotations about the normal are tied to the in-plane rotation by the penalty of
+Hughes and Brezzi (1989); that rotation counts the incompatible modes as well (Ibrahimbegovic and Wilson 1991), so
+in-plane bending pays nothing for the tie. A warped quadrilateral is projected on its mean plane and rigid arms lead
+from its nodes to the projected corners, so that rigid motions strain nothing.
+
+Local motions are ``(ux, uy, uz, rx, ry, rz)`` at the four corners in turn, z along the normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.errors import InputError
+from models.fem.beam import arm_matrix
+from models.fem.sheet import Sheet
+
+CORNER = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_GAUSS = CORNER / np.sqrt(3.0)
+_MID_BOTTOM, _MID_RIGHT, _MID_TOP, _MID_LEFT = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+_IN_PLANE = (6 * np.arange(4)[:, None] + np.array([0, 1])).ravel()
+_DRILL = 6 * np.arange(4) + 5
+_PLATE = (6 * np.arange(4)[:, None] + np.array([2, 3, 4])).ravel()
+_FLATTEST = 1e-6
+"""Least parallelogram at a corner over the area of the element."""
+
+
+def shape(at: np.ndarray) -> np.ndarray:
+    """Bilinear shape functions at natural coordinates (..., 2), shape (..., 4)."""
+    return np.prod(1 + at[..., None, :] * CORNER, axis=-1) / 4
+
+
+def slope(at: np.ndarray) -> np.ndarray:
+    """Derivatives of the shape functions by the natural coordinates (..., 2), shape (..., 2, 4)."""
+    other = 1 + at[..., None, ::-1] * CORNER[:, ::-1]
+    return np.swapaxes(CORNER * other, -1, -2) / 4
+
+
+@dataclass(frozen=True, eq=False)
+class Quads:
+    """Flat projections of quadrilaterals.
+
+    Attributes
+    ----------
+    corners : ndarray (n, 4, 2)
+        In local axes about the centre, m.
+    centre : ndarray (n, 3)
+    axes : ndarray (n, 3, 3)
+        Local axes as rows, z along the normal.
+    arms : ndarray (n, 4, 3)
+        From the nodes to the projected corners, global axes.
+    """
+
+    corners: np.ndarray
+    centre: np.ndarray
+    axes: np.ndarray
+    arms: np.ndarray
+
+    @property
+    def area(self) -> np.ndarray:
+        """Areas, shape (n,), m2."""
+        a, b = self.corners[:, 2] - self.corners[:, 0], self.corners[:, 3] - self.corners[:, 1]
+        return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+
+    def some(self, which: np.ndarray) -> Quads:
+        """Only those at ``which``."""
+        return Quads(self.corners[which], self.centre[which], self.axes[which], self.arms[which])
+
+    def jacobian(self, at: np.ndarray) -> np.ndarray:
+        """``d(x, y)/d(xi, eta)`` at natural coordinates (m, 2), row by natural coordinate, shape (n, m, 2, 2)."""
+        return np.einsum("pan,enb->epab", slope(at), self.corners)
+
+    def transformation(self) -> np.ndarray:
+        """Local motions of the corners over global motions of the nodes, shape (n, 24, 24)."""
+        t = np.zeros((len(self.centre), 24, 24))
+        for corner in range(4):
+            k = 6 * corner
+            t[:, k : k + 3, k : k + 3] = t[:, k + 3 : k + 6, k + 3 : k + 6] = self.axes
+            t[:, k : k + 3, k + 3 : k + 6] = self.axes @ arm_matrix(self.arms[:, corner])
+        return t
+
+
+def quads(nodes: np.ndarray, along: np.ndarray | None = None, place: str = "shell") -> Quads:
+    """Project quadrilaterals on their mean planes, which are parallel to both diagonals.
+
+    Parameters
+    ----------
+    nodes : ndarray (n, 4, 3)
+        Corners in turn, m.
+    along : ndarray (3,), optional
+        Its projection is the local x axis; without it the mean direction of the first and third edge.
+    place : str
+        Names the elements in messages.
+
+    Raises
+    ------
+    InputError
+        For corners that coincide, lie on a line, or go round in no convex turn; for ``along`` square to an element.
+    """
+    centre = nodes.mean(axis=1)
+    normal = np.cross(nodes[:, 2] - nodes[:, 0], nodes[:, 3] - nodes[:, 1])
+    size = np.linalg.norm(normal, axis=1)
+    longest = np.linalg.norm(nodes - centre[:, None], axis=2).max(axis=1)
+    _refuse(size <= _FLATTEST * longest**2, centre, place, "has no area")
+    normal = normal / size[:, None]
+    first = nodes[:, 1] + nodes[:, 2] - nodes[:, 0] - nodes[:, 3]
+    x = first if along is None else np.broadcast_to(np.asarray(along, dtype=float), first.shape)
+    flat = x - np.einsum("ei,ei->e", x, normal)[:, None] * normal
+    length = np.linalg.norm(flat, axis=1)
+    _refuse(
+        length <= 1e-6 * np.linalg.norm(x, axis=1), centre, place, "is square to the panel's direction along",
+        "choose a direction within the wall",
+    )  # fmt: skip
+    flat = flat / length[:, None]
+    axes = np.stack([flat, np.cross(normal, flat), normal], axis=1)
+    local = np.einsum("eij,enj->eni", axes, nodes - centre[:, None])
+    back, on = local - np.roll(local, 1, axis=1), np.roll(local, -1, axis=1) - local
+    turn = back[..., 0] * on[..., 1] - back[..., 1] * on[..., 0]
+    _refuse(turn.min(axis=1) <= _FLATTEST * size / 2, centre, place, "is not convex, or two of its corners coincide")
+    return Quads(local[..., :2], centre, axes, -local[..., 2, None] * normal[:, None])
+
+
+def _refuse(
+    bad: np.ndarray, centre: np.ndarray, place: str, problem: str,
+    remedy: str = "give four corners in turn round a convex quadrilateral",
+) -> None:  # fmt: skip
+    if bad.any():
+        x, y, z = centre[np.flatnonzero(bad)[0]]
+        raise InputError(f"the element at ({x:.4g}, {y:.4g}, {z:.4g}) {problem}", place=place, remedy=remedy)
+
+
+class Stiffness(NamedTuple):
+    """The four shares of the stiffness, whose sum it is.
+
+    Membrane, shear and drilling grow with the thickness and bending with its cube; all grow with the moduli. Shapes
+    are (n, 24, 24) for elements, or those of whole models.
+    """
+
+    membrane: np.ndarray
+    bending: np.ndarray
+    shear: np.ndarray
+    drilling: np.ndarray
+
+
+def stiffness(elements: Quads, sheet: Sheet) -> Stiffness:
+    """Element stiffness in local axes, each share of shape (n, 24, 24)."""
+    free = _in_plane(elements, sheet, 0.0)
+    tied = _in_plane(elements, sheet, sheet.drilling)
+    return Stiffness(free, _bending(elements, sheet.bending), _shear(elements, sheet.shear), tied - free)
+
+
+def _gradients(elements: Quads) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the shape functions by x and y (n, 4, 2, 4) and areas (n, 4) of the Gauss points."""
+    jacobian = elements.jacobian(_GAUSS)
+    natural = np.broadcast_to(slope(_GAUSS), (*jacobian.shape[:2], 2, 4))
+    return np.linalg.solve(jacobian, natural), np.linalg.det(jacobian)
+
+
+def _in_plane(elements: Quads, sheet: Sheet, tie: float) -> np.ndarray:
+    """Membrane and drilling with the incompatible modes condensed out, shape (n, 24, 24).
+
+    The modes' gradients are taken with the Jacobian of the centre, so that constant stresses do no work on them and
+    every shape of element passes the patch test (Taylor, Beresford and Wilson 1976).
+    """
+    gradient, area = _gradients(elements)
+    n = len(area)
+    centre = elements.jacobian(np.zeros((1, 2)))[:, 0]
+    natural = np.zeros((4, 2, 2))  # derivatives of 1 - xi^2 and 1 - eta^2 by xi and eta
+    natural[:, 0, 0], natural[:, 1, 1] = -2 * _GAUSS[:, 0], -2 * _GAUSS[:, 1]
+    modes = np.einsum("eab,pbm->epam", np.linalg.inv(centre), natural)
+    modes *= (np.linalg.det(centre)[:, None] / area)[:, :, None, None]
+    both = np.concatenate([gradient, modes], axis=3)
+    b = np.zeros((n, 4, 4, 16))  # exx, eyy, 2 exy and drilling angle over (u, v) of corners, modes; then corners' rz
+    order = np.r_[0:4, 6:8]
+    b[:, :, 0, 2 * order] = b[:, :, 2, 2 * order + 1] = both[:, :, 0]
+    b[:, :, 1, 2 * order + 1] = b[:, :, 2, 2 * order] = both[:, :, 1]
+    b[:, :, 3, 2 * order + 1], b[:, :, 3, 2 * order] = both[:, :, 0] / 2, -both[:, :, 1] / 2
+    b[:, :, 3, 8:12] = -shape(_GAUSS)
+    rigidity = np.zeros((4, 4))
+    rigidity[:3, :3], rigidity[3, 3] = sheet.membrane, tie
+    k = _integrate(b, rigidity, area)
+    kept, inner = k[:, :12, :12], k[:, 12:, 12:]
+    across = k[:, 12:, :12]
+    out = np.zeros((n, 24, 24))
+    where = np.r_[_IN_PLANE, _DRILL]
+    out[:, where[:, None], where] = kept - np.swapaxes(across, 1, 2) @ np.linalg.solve(inner, across)
+    return out
+
+
+def _bending(elements: Quads, rigidity: np.ndarray) -> np.ndarray:
+    """Bending from the bilinear rotations, shape (n, 24, 24)."""
+    gradient, area = _gradients(elements)
+    b = np.zeros((len(area), 4, 3, 12))  # kxx, kyy, 2 kxy over (uz, rx, ry) of corners
+    b[:, :, 0, 2::3] = gradient[:, :, 0]
+    b[:, :, 1, 1::3] = -gradient[:, :, 1]
+    b[:, :, 2, 2::3], b[:, :, 2, 1::3] = gradient[:, :, 1], -gradient[:, :, 0]
+    return _plate(_integrate(b, rigidity, area))
+
+
+def _shear(elements: Quads, rigidity: np.ndarray) -> np.ndarray:
+    """Transverse shear, interpolated between the middles of the edges (Bathe and Dvorkin 1985), shape (n, 24, 24)."""
+    jacobian = elements.jacobian(_GAUSS)
+    ends = []
+    for axis, low, high in ((0, _MID_BOTTOM, _MID_TOP), (1, _MID_LEFT, _MID_RIGHT)):
+        weight = (1 + np.outer(_GAUSS[:, 1 - axis], [-1.0, 1.0])) / 2
+        rows = [_covariant_shear(elements, at, axis) for at in (low, high)]
+        ends.append(np.einsum("ps,sej->epj", weight, np.array(rows)))
+    b = np.linalg.solve(jacobian, np.stack(ends, axis=2))
+    return _plate(_integrate(b, rigidity, np.linalg.det(jacobian)))
+
+
+def _covariant_shear(elements: Quads, at: np.ndarray, axis: int) -> np.ndarray:
+    """Shear angle times length along one natural coordinate, over (uz, rx, ry) of the corners, shape (n, 12)."""
+    n, tangent = shape(at), elements.jacobian(at[None])[:, 0, axis]
+    b = np.zeros((len(tangent), 12))
+    b[:, 0::3] = slope(at)[axis]
+    b[:, 1::3], b[:, 2::3] = -np.outer(tangent[:, 1], n), np.outer(tangent[:, 0], n)
+    return b
+
+
+def _integrate(b: np.ndarray, rigidity: np.ndarray, area: np.ndarray) -> np.ndarray:
+    weighted = (rigidity @ b) * area[:, :, None, None]
+    n, points, rows, columns = b.shape
+    flat, weighted = b.reshape(n, points * rows, columns), weighted.reshape(n, points * rows, columns)
+    return np.swapaxes(flat, 1, 2) @ weighted
+
+
+def _plate(blocks: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(blocks), 24, 24))
+    out[:, _PLATE[:, None], _PLATE] = blocks
+    return out
+
+
+def mass(elements: Quads, per_area: float, rotary: float = 0.0) -> np.ndarray:
+    """Consistent mass in local axes, shape (n, 24, 24); 2 x 2 points integrate it exactly.
+
+    Parameters
+    ----------
+    elements : Quads
+    per_area : float
+        kg/m2.
+    rotary : float
+        Rotary inertia per area about the local x and y axes, kg; about the normal a sheet has none.
+    """
+    area = np.linalg.det(elements.jacobian(_GAUSS))
+    products = np.einsum("pi,pj->pij", shape(_GAUSS), shape(_GAUSS))
+    block = np.einsum("ep,pij->eij", area, products)
+    out = np.zeros((len(area), 24, 24))
+    for motion, weight in ((0, per_area), (1, per_area), (2, per_area), (3, rotary), (4, rotary)):
+        where = 6 * np.arange(4) + motion
+        out[:, where[:, None], where] = weight * block
+    return out
+
+
+def to_global(matrices: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """``t^T matrix t`` of every element, shape (n, 24, 24)."""
+    return np.swapaxes(t, 1, 2) @ matrices @ t

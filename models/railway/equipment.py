@@ -1,0 +1,109 @@
+"""What hangs under the floor, stands on the roof and fills the car: equipment and passenger seats.
+
+The case study has equipment as point masses and every seat as an oscillator of one degree of freedom; items, masses and
+places are lost there and assumed (see `ASSUMPTIONS`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from calib.structure.model import Assumption
+from models.fem.discrete import PointMass, Spring
+from models.fem.frame import Particle, Point, Suppression
+from models.fem.spider import Spider
+from models.railway.bogie import RX, RY, RZ, UX, UZ
+from models.railway.bolsters import FLOOR_Y
+from models.railway.car_lines import COVER
+
+UNDER_Y, UNDER_Z = 0.75, 0.70
+ROOF_Y, _ROOF_LINE = 3.60, 2
+
+
+@dataclass(frozen=True)
+class Item:
+    """A piece of equipment on four feet; ``half`` is half their distance along x, m."""
+
+    name: str
+    mass: float
+    x: float
+    half: float
+
+
+UNDER_FLOOR = (
+    Item("traction converter", 2600.0, -4.0, 1.0),
+    Item("traction motor", 2200.0, 6.0, 1.0),
+    Item("auxiliary converter", 1600.0, 0.0, 1.0),
+    Item("compressor", 900.0, -2.0, 1.0),
+    Item("batteries", 800.0, 2.0, 1.0),
+)
+ON_ROOF = (Item("front roof unit", 600.0, 4.0, 1.0), Item("rear roof unit", 600.0, -4.0, 1.0))
+
+SEAT_X = tuple(float(x) for x in range(-7, 8))
+SEAT_Z = (1.12, 0.62, -0.62, -1.12)
+SEAT_Y, SEAT_FOOT = 1.60, (0.20, 0.15)
+SEAT_MASS, SEAT_STIFFNESS, SEAT_DAMPING = 35.0, 670e3, 0.70e3
+
+_REASON = "lost in the case study; plausible for a motor car of 50 t"
+
+ASSUMPTIONS: tuple[Assumption, ...] = (
+    *(Assumption(f"{i.name}: mass, x, y, z of its feet", f"{i.mass:g}, {i.x:g}, {UNDER_Y:g}, +-{UNDER_Z:g}", "kg, m",
+                 _REASON) for i in UNDER_FLOOR),
+    *(Assumption(f"{i.name}: mass, x, y, z of its feet", f"{i.mass:g}, {i.x:g}, {ROOF_Y:g}, +-{COVER[_ROOF_LINE][1]:g}",
+                 "kg, m", _REASON) for i in ON_ROOF),
+    Assumption("seats: 15 rows of 4, x from -7 to 7, z", "+-0.62, +-1.12", "m", _REASON),
+    Assumption("seat: mass, stiffness, damping", "35, 670, 0.70", "kg, kN/m, kNs/m",
+               "empty: 22 Hz and 7 %; with passengers 60 modes would lie among those of the bogies"),
+)  # fmt: skip
+"""Every number of equipment and seats that is an engineering assumption."""
+
+
+class Equipment(NamedTuple):
+    """Point masses and the spiders they stand on."""
+
+    masses: tuple[PointMass, ...]
+    spiders: tuple[Spider, ...]
+
+
+def equipment() -> Equipment:
+    """Equipment under the floor and on the roof; its feet stand on crossings of the panels' lines."""
+    masses, spiders = [], []
+    roof_y, roof_z = COVER[_ROOF_LINE]
+    places = [("base", FLOOR_Y, UNDER_Z, UNDER_Y, i) for i in UNDER_FLOOR]
+    places += [("cover", roof_y, roof_z, ROOF_Y, i) for i in ON_ROOF]
+    for panel, y, z, height, item in places:
+        feet = _feet((item.x, y, 0.0), item.half, z)
+        spiders.append(Spider(item.name, panel, feet))
+        masses.append(PointMass((item.name, (item.x, height, 0.0)), item.mass, name=item.name))
+    return Equipment(tuple(masses), tuple(spiders))
+
+
+class Seats(NamedTuple):
+    """Seats as particles that move upright only, on springs and dampers."""
+
+    particles: tuple[Particle, ...]
+    suppressions: tuple[Suppression, ...]
+    masses: tuple[PointMass, ...]
+    spiders: tuple[Spider, ...]
+    springs: tuple[Spring, ...]
+
+
+def seats() -> Seats:
+    """All seats; ``springs`` serve stiffness and damping alike."""
+    particles, masses, spiders, springs = [], [], [], []
+    for k, x in enumerate(SEAT_X):
+        third = ("rear", "middle", "front")[k * 3 // len(SEAT_X)]
+        for j, z in enumerate(SEAT_Z):
+            name, seat, floor = f"seat_{k + 1}{'abcd'[j]}", (x, SEAT_Y, z), (x, FLOOR_Y, z)
+            particles.append(Particle(name, "seat", seat))
+            masses.append(PointMass((name, seat), SEAT_MASS, name=f"seats {third}"))
+            spiders.append(Spider(f"floor_{name}", "base", _feet(floor, *SEAT_FOOT)))
+            springs.append(Spring((name, seat), (f"floor_{name}", floor), (0, 1, 0), name=f"seats {third}"))
+    held = Suppression((UX, UZ, RX, RY, RZ), groups=("seat",))
+    return Seats(tuple(particles), (held,), tuple(masses), tuple(spiders), tuple(springs))
+
+
+def _feet(centre: Point, half_x: float, half_z: float) -> tuple[Point, ...]:
+    x, y, z = centre
+    return tuple((x + a * half_x, y, z + b * half_z) for a in (1, -1) for b in (1, -1))

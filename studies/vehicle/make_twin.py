@@ -1,0 +1,198 @@
+"""Makes the synthetic measurement of the whole vehicle: a twin of the test, since no raw data were published.
+
+    python studies/vehicle/make_twin.py TRUTH.json
+
+The twin is not the fitted mathematics: every edge of its shells is halved and its bogies' beams are cut finer, the
+bogies' masses are distributed, and its sensors sit up to 5 mm off their nominal places. It stands on the bogies that
+``studies/bogie`` measured, drawn anew from the same seed. The selected parameters are drawn within the limits of the
+study's search, the car's other uncertain ones within 5 % of their adopted values; what the case study calls
+deterministic (modulus, density, thicknesses) keeps its value. All are written to TRUTH.json, which nothing under
+``calib``, ``models`` or ``studies`` ever reads.
+
+Seeds are tried in turn until the front secondary springs are stiffer than the rear ones and the walls' ratio of
+moments of inertia has fallen (as found in the case study), the model with the true bogies and else its adopted values
+is off by at least 10 % in mean frequency over the five modes that enter, and the named modes can be told apart: each
+looks like its own nominal one, and no other mode is near those of the car in frequency. The 20 % of the case study
+cannot be had: within the limits of the search the initial error is 4.5 % in the median of 800 draws and 12.5 % at most,
+since 3C and 5C hardly depend on what is searched. No seed is chosen by what any search makes of it.
+
+Twelve modes are measured: the six of the car, and the bogies' bouncing, rolling and pitching, each in phase and
+antiphase. The study withholds all but five.
+
+Noise is that of the bogie's twin.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from calib.limits import search_space, sensitivity_space
+from calib.mac import mac
+from calib.measurement.modal import Sensor
+from calib.settings import read_settings
+from calib.space import ParameterSpace
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+from models.railway import vehicle
+from models.railway.parameters import BOGIE
+
+HERE = Path(__file__).resolve().parent
+CAR = ("1C", "2C", "3C", "4C", "5C", "6C")
+BOGIES = ("1B_in", "1B_anti", "2B_in", "2B_anti", "3B_in", "3B_anti")
+MODES = CAR + BOGIES
+FITTED = CAR[:5]
+INITIAL_ERROR = 0.10
+SOLVED = 18
+THIRD_BENDING = 16.0
+ALIKE, BOGIES_ALIKE = 0.6, 0.5
+APART = 0.02
+
+
+def _module(path: Path) -> ModuleType:
+    name = f"{path.parent.name}_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+bogie = _module(HERE.parent / "bogie" / "make_twin.py")
+
+
+def sensors() -> tuple[Sensor, ...]:
+    """The 36 measured directions: sole bars, left cantrail, ends of the girders and of the load bolsters (m)."""
+    along, fewer = (-12.95, -9.5, -5.0, 0.2, 5.0, 9.5, 12.95), (-12.95, -5.0, 0.2, 5.0, 12.95)
+    places = [("y", (x, 1.15, z), "car") for z in (1.40, -1.40) for x in along]
+    places += [("z", (x, y, z), "car") for y, z in ((1.15, 1.40), (3.05, 1.27)) for x in fewer]
+    for name, centre in (("front", 9.5), ("rear", -9.5)):
+        ends = [(centre + dx, 0.62, z) for z in (1.05, -1.05) for dx in (2.005, -2.005)]
+        places += [("y", place, f"{name}_frame") for place in ends]
+        places += [("y", (centre, 0.86, z), f"{name}_load_bolster") for z in (1.17, -1.17)]
+    return tuple(Sensor(201 + k, d, point, on) for k, (d, point, on) in enumerate(places))
+
+
+def templates(layout: tuple[Sensor, ...]) -> np.ndarray:
+    """What the modes look like at the sensors, if only roughly; (n_sensors, n_modes)."""
+    x, y, z = np.array([s.point for s in layout]).T
+    on = np.array([s.on for s in layout])
+    rising = 1.0 * ((on == "car") & np.array([s.direction == "y" for s in layout]))
+    aside = 1.0 * (on == "car") - rising
+    front, rear = 1.0 * (on == "front_frame"), 1.0 * (on == "rear_frame")
+    bell = np.cos(np.pi * x / 21.0)
+    shapes = [
+        rising * z - aside * (y - 1.0),
+        rising,
+        rising * x,
+        (rising * 0.55 * z + aside * 0.9 * (y - 2.1)) * bell,
+        rising * (2 * (x / 12.95) ** 2 - 0.6),
+        x * (rising * z - aside * (y - 0.8)),
+    ]
+    for shape in (np.ones(len(x)), z, np.where(front > 0, x - 9.5, x + 9.5)):
+        shapes += [shape * (front + rear), shape * (front - rear)]
+    return np.column_stack(shapes)
+
+
+def named(model: StructuralModel, values: dict[str, float], layout: tuple[Sensor, ...]) -> tuple[Modes, np.ndarray]:
+    """The named modes and their shapes at the sensors, found by what they look like."""
+    modes = model.modes(values, SOLVED)
+    shapes = model.sensor_rows(layout) @ modes.shapes
+    similar = mac(templates(layout), shapes)
+    similar[: len(CAR), modes.natural_freq > THIRD_BENDING] = 0.0  # it looks more like the first than this itself
+    index = linear_sum_assignment(-similar)[1]
+    return chosen(modes, index), shapes[:, index]
+
+
+def found(modes: Modes, shapes: np.ndarray, nominal: np.ndarray) -> np.ndarray | None:
+    """Which modes are the named ones, by their nominal shapes; None when they cannot be told apart."""
+    similar = mac(nominal, shapes)
+    car = similar[: len(CAR)].argmax(axis=1)
+    if len(set(car)) < len(CAR) or similar[: len(CAR)].max(axis=1).min() < ALIKE:
+        return None
+    near = np.abs(modes.natural_freq[:, None] / modes.natural_freq[car] - 1)
+    near[car, np.arange(len(car))] = np.inf
+    if near.min() <= APART:
+        return None
+    left = np.setdiff1d(np.arange(modes.n_modes), car)
+    rows, columns = linear_sum_assignment(-similar[len(CAR) :, left])
+    if similar[len(CAR) :, left][rows, columns].min() < BOGIES_ALIKE:
+        return None
+    return np.concatenate([car, left[columns]])
+
+
+def admissible(space: ParameterSpace, truth: dict[str, float]) -> bool:
+    """Whether values keep the constraints and lie on the side of the adopted ones where the case study found them."""
+    point = np.array([truth[name] for name in space.free_names])
+    return bool(
+        np.all(space.violation(point) == 0)
+        and truth["RMI_walls"] < space["RMI_walls"].value
+        and truth["K_secondary_front"] > truth["K_secondary_rear"]
+    )
+
+
+def chosen(modes: Modes, index: np.ndarray) -> Modes:
+    """Some of the modes."""
+    return Modes(
+        modes.natural_freq[index], modes.damped_freq[index], modes.damping_ratio[index], modes.shapes[:, index]
+    )
+
+
+def drawn(first: int = 1) -> bogie.Twin:
+    """The twin of the first seed, from a given one on, that makes a study."""
+    coarse, layout = vehicle(), sensors()
+    settings = read_settings(HERE / "study.toml")
+    assert settings.adopted is not None
+    below = {p.name: bogie.drawn().truth[p.name] for p in BOGIE}
+    adopted = {name: below[name] for name in settings.adopted.parameters}
+    space = sensitivity_space(coarse.space, settings, lambda *keys: "study.toml", adopted)
+    selected = search_space(space, settings, lambda *keys: "study.toml")
+    known = {p.name: p.value for p in space.parameters if p.distribution == "fixed"}
+    initial, nominal = named(coarse, space.values, layout)
+    for seed in range(first, first + 10_000):
+        rng = np.random.default_rng(seed)
+        truth = bogie.draw(space, selected, rng) | known | below
+        if not admissible(space, truth):
+            continue
+        modes = coarse.modes(truth, SOLVED)
+        index = found(modes, coarse.sensor_rows(layout) @ modes.shapes, nominal)
+        if index is None or _error(initial, chosen(modes, index)) < INITIAL_ERROR:
+            continue
+        # The finer mesh decides; the coarse one spares solving it for every seed.
+        twin = vehicle(refine=2, distributed=True)
+        rows, modes = twin.sensor_rows(bogie.moved(layout, rng)), twin.modes(truth, SOLVED)
+        index = found(modes, rows @ modes.shapes, nominal)
+        if index is None:
+            continue
+        twelve = chosen(modes, index)
+        error = _error(initial, twelve)
+        if error >= INITIAL_ERROR:
+            return bogie.Twin(seed, truth, error, twelve, rows @ twelve.shapes, layout, rng)
+    raise SystemExit("no seed gave an initial model as far off as asked")
+
+
+def _error(initial: Modes, modes: Modes) -> float:
+    return float(np.abs(initial.natural_freq / modes.natural_freq - 1)[: len(FITTED)].mean())
+
+
+def main() -> None:
+    """Draw a truth, measure the twin five times, write truth and repeats."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("truth", type=Path, help="where the hidden values are written")
+    arguments.add_argument("--seed", type=int, default=1, help="first seed tried (default 1)")
+    arguments.add_argument("--into", type=Path, default=HERE / "measured", help="folder for the repeats")
+    given = arguments.parse_args()
+    twin = drawn(given.seed)
+    bogie.write_measurement(given.into, MODES, twin.modes, twin.shapes, twin.layout, twin.rng, "vehicle test")
+    bogie.write_truth(given.truth, MODES, twin)
+
+
+if __name__ == "__main__":
+    main()

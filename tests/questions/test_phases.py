@@ -1,0 +1,196 @@
+"""A study that takes over what an earlier one has found."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib import cli
+from calib.errors import InputError
+from calib.questions.phases import in_order, values_found
+from calib.study import Study
+
+MODEL = """
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+SPACE = ParameterSpace(tuple(Parameter(name, 2.0, 1.0, 3.0) for name in "abc"))
+
+def answer(values):
+    a, b, c = (values[n] for n in "abc")
+    return {"p": a + b, "q": a - b, "r": a * c, "s": b + c}
+
+def model():
+    return FunctionModel("plain", SPACE, answer)
+"""
+STUDY = """
+title = "{title}"
+model = "model.py:model"
+selection = {selection}
+{adopted}
+[measurement]
+responses = "measured.csv"
+[calibration]
+method = "gauss-newton"
+starts = 2
+cases = [{{ name = "A1", seed = 1 }}]
+"""
+ADOPTED = '[adopted]\nstudy = "../one"\nparameters = ["a", "b"]\n'
+
+
+def write(folder, title, selection, measured, adopted=""):
+    folder.mkdir()
+    (folder / "model.py").write_text(MODEL)
+    (folder / "measured.csv").write_text("response,value,std\n" + "".join(f"{n},{v},0.01\n" for n, v in measured))
+    (folder / "study.toml").write_text(STUDY.format(title=title, selection=json.dumps(selection), adopted=adopted))
+    return folder
+
+
+def insert(folder, before, line):
+    path = Path(folder, "study.toml")
+    path.write_text(path.read_text().replace(before, line + before, 1))
+
+
+@pytest.fixture
+def phases(tmp_path, monkeypatch):
+    """Phase one finds a = 2.3 and b = 1.2; phase two holds them and finds c = 1.5."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
+    write(Path("one"), "One", ["a", "b"], (("p", 3.5), ("q", 1.1)))
+    return write(Path("two"), "Two", ["c"], (("r", 3.45), ("s", 2.7)), ADOPTED)
+
+
+def test_the_earlier_study_runs_first_and_its_values_are_held(phases, capsys):
+    assert cli.answer(["calibrate", "two"]) == 0
+    assert "One comes first: two takes over what it finds." in capsys.readouterr().out
+    found = pd.read_csv("results/two/parameters.csv")
+    assert found["parameter"].tolist() == ["c"] and found["value"].item() == pytest.approx(1.5, abs=1e-3)
+    study = Study.load(Path("two"), values_found(Study.load(Path("one")), Path("results")))
+    assert study.search_space.values["a"] == pytest.approx(2.3, abs=1e-3)
+    assert study.search_space.free_names == ("c",) and study.sensitivity_space.free_names == ("c",)
+
+
+def test_an_answer_that_is_there_is_taken_without_a_word(phases, capsys):
+    assert cli.answer(["calibrate", "one"]) == 0
+    made = Path("results/one/summary.json").stat().st_mtime_ns
+    capsys.readouterr()
+    for verb in ("compare", "calibrate"):
+        assert cli.answer([verb, "two"]) == 0
+        assert "comes first" not in capsys.readouterr().out
+    assert Path("results/one/summary.json").stat().st_mtime_ns == made
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("measured.csv", "3.5", "3.6"),
+        ("model.py", "a + b", "a + 1.01 * b"),
+        ("study.toml", "starts = 2", "starts = 3"),
+        ("study.toml", "selection = [", 'parameters.a.search = [1.5, 3.0]\nselection = ['),
+    ],
+)  # fmt: skip
+def test_an_answer_of_another_state_of_the_study_is_made_anew(phases, capsys, file, old, new):
+    assert cli.answer(["compare", "two"]) == 0
+    path = Path("one", file)
+    path.write_text(path.read_text().replace(old, new))
+    capsys.readouterr()
+    assert cli.answer(["compare", "two"]) == 0
+    assert "One comes first" in capsys.readouterr().out
+    assert cli.answer(["compare", "two"]) == 0
+    assert "comes first" not in capsys.readouterr().out
+
+
+def test_a_quick_look_is_content_with_a_quick_answer(phases, capsys):
+    assert cli.answer(["calibrate", "two", "--quick"]) == 0
+    assert Path("results/one/quick/summary.json").exists() and not Path("results/one/summary.json").exists()
+    assert cli.answer(["calibrate", "two"]) == 0
+    assert capsys.readouterr().out.count("One comes first") == 2 and Path("results/one/summary.json").exists()
+
+
+def test_worker_processes_hold_the_values_too(phases):
+    text = Path("two/study.toml").read_text().replace('method = "gauss-newton"', "population = 6\ngenerations = 3")
+    Path("two/study.toml").write_text(text)
+    assert cli.answer(["calibrate", "two", "--workers", "2"]) == 0
+    assert cli.answer(["calibrate", "two", "--workers", "2", "--results", "again"]) == 0
+    first, second = (Path(root, "two/parameters.csv").read_bytes() for root in ("results", "again"))
+    assert first == second
+
+
+def test_three_phases(phases):
+    write(Path("three"), "Three", ["c"], (("r", 3.45), ("s", 2.7)), ADOPTED.replace("one", "two"))
+    assert [f.parent.name for f in in_order(Path("three"))] == ["one", "two", "three"]
+    assert cli.answer(["compare", "three"]) == 0
+    held = Study.load(Path("three"), values_found(_two(), Path("results"))).search_space.values
+    assert held["b"] == pytest.approx(1.2, abs=1e-3)
+
+
+def _two():
+    return Study.load(Path("two"), values_found(Study.load(Path("one")), Path("results")))
+
+
+def test_an_extension_holds_the_same_values_wherever_it_is(phases):
+    for folder in ("one", "two"):
+        insert(folder, "selection", 'effects = "effects.py:library"\n')
+        Path(folder, "effects.py").write_text(EFFECTS)
+    Path("deep/er").mkdir(parents=True)
+    assert cli.answer(["extend", "two", "more", "--into", "deep/er/two_more"]) == 0
+    assert 'study = "../../../one"' in Path("deep/er/two_more/study.toml").read_text()
+    assert cli.answer(["calibrate", "deep/er/two_more"]) == 0
+
+
+EFFECTS = """
+from calib.effect import Effect
+from calib.space import Parameter
+
+def library():
+    def build(model):
+        return lambda v: model.function(v) | {"r": model.function(v)["r"] + v["more"]}
+    return (Effect("more", "More", "nothing", "nothing", Parameter("more", 0.0, 0.0, 1.0, "-", prior_sd=0.1), build),)
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("../one", "../none"), "there is no study '../none' to take values over from"),
+        (("../one", "../two"), "it takes values over from itself"),
+        (('"a", "b"', '"a", "z"'), "the value of 'z' is to come from the study '../one' and is not known"),
+        (('parameters = ["a", "b"]', "parameters = []"), "adopted.parameters"),
+        (("[measurement]", "[parameters.a]\nvalue = 2.5\n[measurement]"), "'a' is adopted and changed as well"),
+    ],
+)
+def test_what_cannot_be_adopted_is_told(phases, capsys, change, said):
+    path = Path("two/study.toml")
+    path.write_text(path.read_text().replace(*change))
+    assert cli.answer(["compare", "two"]) == 2
+    told = capsys.readouterr().err
+    assert said in told and "study.toml" in told and told.count("\n") == 1
+
+
+def test_a_held_parameter_cannot_be_selected(phases, capsys):
+    path = Path("two/study.toml")
+    path.write_text(path.read_text().replace('["c"]', '["c", "a"]'))
+    assert cli.answer(["compare", "two"]) == 2
+    assert "'a' is fixed and cannot be selected" in capsys.readouterr().err
+
+
+def test_without_values_a_study_that_needs_them_is_not_loaded(phases):
+    with pytest.raises(InputError, match="the value of 'a' is to come from"):
+        Study.load(Path("two"))
+
+
+def test_a_circle_is_told(phases, capsys):
+    insert("one", "[measurement]", '[adopted]\nstudy = "../two"\nparameters = ["c"]\n')
+    assert cli.answer(["compare", "two"]) == 2
+    assert "takes values over from itself" in capsys.readouterr().err
+
+
+def test_a_damaged_answer_is_made_anew(phases, capsys):
+    assert cli.answer(["compare", "two"]) == 0
+    Path("results/one/summary.json").write_text("{")
+    capsys.readouterr()
+    assert cli.answer(["compare", "two"]) == 0 and "One comes first" in capsys.readouterr().out
+    shutil.rmtree("results/one")
+    assert cli.answer(["compare", "two"]) == 0 and "One comes first" in capsys.readouterr().out
