@@ -19,6 +19,9 @@ IDENTIFIED = 0.025
 CONFOUNDED = 0.9
 """Size of the posterior correlation from which two parameters count as confounded."""
 
+TRADES = 0.5
+"""Size of the posterior correlation from which a parameter that is not identified is told to trade with another."""
+
 SEEN = 1.0
 """Signal of one prior standard deviation, over the scatter, below which the data do not see a direction."""
 
@@ -130,6 +133,15 @@ class Identification:
         """Posterior correlation, rows and columns parameters."""
         names = list(self.posterior.names)
         return pd.DataFrame(self.posterior.correlation, index=names, columns=names)
+
+    def trades_with(self, name: str) -> tuple[str, float] | None:
+        """The other parameter that can best make up for one, with their posterior correlation; None for none much."""
+        own = self.posterior.correlation[self.posterior.names.index(name)].copy()
+        own[self.posterior.names.index(name)] = 0.0
+        if not len(own) or not np.nanmax(np.abs(own), initial=0.0) >= TRADES:
+            return None
+        k = int(np.nanargmax(np.abs(own)))
+        return self.posterior.names[k], float(own[k])
 
     def confounded_with(self, name: str) -> list[str]:
         """The other parameters of the pairs that name one, strongest first."""

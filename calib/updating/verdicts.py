@@ -128,6 +128,7 @@ def parameter_verdicts(
         if not math.isnan(std):
             identified = std / (p.upper - p.lower) <= IDENTIFIED
         others = [] if identified else found.confounded_with(p.name)
+        trade = None if identified or others or p.name not in stds else found.trades_with(p.name)
         stable = None if width is None else bool(width <= STABLE)
         rows.append(
             {
@@ -147,7 +148,7 @@ def parameter_verdicts(
                 "confounded_with": ", ".join(others),
                 "fits_within_scatter": fits,
                 "sentence": _sentence(
-                    p.unit, p.integer, p.upper - p.lower, side, limit, width, std, identified, others
+                    p.unit, p.integer, p.upper - p.lower, side, limit, width, std, identified, others, trade
                 ),
             }
         )
@@ -176,6 +177,7 @@ def _sentence(
     std: float,
     identified: bool | None,
     others: Sequence[str],
+    trade: tuple[str, float] | None,
 ) -> str:
     scale = "" if unit == "-" else f" {unit}"
     words = []
@@ -196,6 +198,8 @@ def _sentence(
         words.append(f"Not identified: standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its range.")
     if others:
         words.append(f"It cannot be told apart from {', '.join(others)}.")
+    if trade is not None:
+        words.append(f"It trades most with {trade[0]} (correlation {trade[1]:.2f}).")
     if width is not None and width > STABLE:
         words.append(f"The cases differ by {100 * width:.0f} % of its range.")
     return " ".join(words)

@@ -81,6 +81,18 @@ def test_a_pair_that_trades_is_named_and_the_third_is_not():
     assert "1 of 3 parameters are identified; not a, b." in found.sentences()
 
 
+def test_a_parameter_that_partly_trades_is_told_with_its_partner():
+    """Sums of a and b are seen better than differences: -0.83 between them, short of confounded."""
+    space = box(("a", "b", "c"))
+    g = np.array([[1.0, 1.0, 0.0], [0.3, -0.3, 0.0], [0.0, 0.0, 1.0]])
+    found = identify(space, space.names, g, prior_sd=np.full(3, np.inf))
+    r = -(1 - 0.09) / (1 + 0.09)  # of the inverse of [[1.09, 0.91], [0.91, 1.09]]
+    assert found.trades_with("a") == ("b", pytest.approx(r)) and found.trades_with("b") == ("a", pytest.approx(r))
+    assert found.trades_with("c") is None and found.confounded.empty
+    told = parameter_verdicts(space, dict.fromkeys("abc", 5.0), found).set_index("parameter")["sentence"]
+    assert told["a"].endswith("It trades most with b (correlation -0.83).") and "trades" not in told["c"]
+
+
 def test_identified_parameters_may_correlate():
     space = box("ab", prior_sd=3.0)
     found = identify(space, space.names, 1e4 * np.array([[1.0, 0.99], [1.0, 1.01]]))
