@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -127,8 +127,7 @@ def write_measurement(
     ).to_csv(into / "sensors.csv", index=False)
 
 
-@dataclass(frozen=True)
-class Twin:
+class Twin(NamedTuple):
     """A twin drawn, before it is measured.
 
     Attributes
