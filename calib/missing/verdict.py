@@ -66,16 +66,17 @@ def _family(found: Findings) -> str:
     check = found.base_check
     local = f"{len(set(check.atoms.owners))} local changes"
     counts = f"{len(found.groups)} effect{'s' * (len(found.groups) != 1)} and {local}"
-    test = f"family-wise over {counts}" if check.p_family <= max(check.p_fit, _LEAST) else "goodness of fit"
-    p = min(check.p_family, check.p_fit)
-    return f"the chance of such a misfit with the model complete is {_chance(p)} ({test})"
+    return (
+        f"with the model complete the chance of such scores is {_chance(check.p_family)} (family-wise over {counts}) "
+        f"and of such a misfit as a whole {_chance(check.p_fit)}"
+    )
 
 
 def _nothing(found: Findings, effects: pd.DataFrame) -> list[str]:
     if not effects["visible"].astype(bool).any():
         return [
             "Nothing can be told: no effect of the library would show in these data at a plausible size. "
-            f"What they show fits; {_family(found)}."
+            f"What they show fits: {_family(found)}."
         ]
     return [f"Nothing detectable is missing: {_family(found)}."]
 
