@@ -233,8 +233,8 @@ def test_help_texts_read_well(capsys):
 def test_a_suspicious_sensor_is_named_before_comparing(here, capsys, monkeypatch):
     load = Study.load
 
-    def tampered(path, adopted):
-        study = load(path, adopted)
+    def tampered(path, *adopted):
+        study = load(path, *adopted)
         measured = study.problem.measured
         shapes = measured.shapes.copy()
         names = [s.name for s in measured.sensors]
