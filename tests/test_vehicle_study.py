@@ -244,7 +244,7 @@ def test_the_study_runs_whole_in_quick_mode_after_its_first_phase(quick):
     assert len(pd.read_csv(root / "vehicle/quick/sensitivity_samples.csv")) == 60
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_vehicle_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
     """GC1-GC4 whole on what GB1-GB4 found; about ten minutes on two cores."""
     assert cli.answer(["calibrate", str(ROOT / "studies/vehicle"), "--results", str(tmp_path)]) == 0
