@@ -232,7 +232,7 @@ def test_the_study_runs_whole_in_quick_mode_after_its_first_phase(quick):
     first = json.loads((root / "bogie/quick/summary.json").read_text("utf-8"))
     taken = pd.read_csv(root / "bogie/quick/parameters.csv")
     taken = taken[taken["case"] == first["best_case"]].set_index("parameter")["value"]
-    held = pd.read_csv(root / "vehicle/quick/parameter_space.csv").set_index("name")["value"]
+    held = pd.read_csv(root / "vehicle/quick/parameter_space.csv").set_index("parameter")["value"]
     for name in ADOPTED:
         assert held[name] == pytest.approx(taken[name], rel=1e-6)
     results = json.loads((root / "vehicle/quick/summary.json").read_text("utf-8"))
