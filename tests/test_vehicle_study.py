@@ -225,14 +225,14 @@ def quick(tmp_path_factory):
     return root, done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_study_runs_whole_in_quick_mode_after_its_first_phase(quick):
     root, said = quick
     assert "comes first" in said and "Damped frequencies of every measured mode" in said
     first = json.loads((root / "bogie/quick/summary.json").read_text("utf-8"))
     taken = pd.read_csv(root / "bogie/quick/parameters.csv")
     taken = taken[taken["case"] == first["best_case"]].set_index("parameter")["value"]
-    held = pd.read_csv(root / "vehicle/quick/parameter_space.csv").set_index("name")["value"]
+    held = pd.read_csv(root / "vehicle/quick/parameter_space.csv").set_index("parameter")["value"]
     for name in ADOPTED:
         assert held[name] == pytest.approx(taken[name], rel=1e-6)
     results = json.loads((root / "vehicle/quick/summary.json").read_text("utf-8"))
