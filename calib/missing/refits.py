@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,8 @@ _POLISHED = 3
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects; for looking where whole numbers may have been led astray."""
 
+_LEAST = 8
+"""Residuals of a fit that the verdict needs although the budget is used up."""
 _HOPELESS = 1.05
 """A rough fit that leaves so much more than another is not followed."""
 
@@ -115,6 +117,8 @@ class Refits:
     ) -> Trial:
         """The model with the named effects or local changes, fitted from a start; see `calib.missing.state.fitted`."""
         effects = tuple(self._by_name[n] for n in names)
+        room = self.settings.budget - (self.hypotheses.evaluations - self.begun)
+        settings = replace(settings, evaluations=min(settings.evaluations, max(room, _LEAST)))
         state = fitted(self.question(names), names, start, whole, settings)
         return Trial(effects, state, ln_evidence(state, effects), implausible(state, effects))
 
@@ -202,6 +206,8 @@ class Refits:
         ``found`` are the scores of the other candidates beside the best one. What was missing may have led whole
         numbers astray, where a second effect cannot be seen: their neighbours are asked too.
         """
+        if self.spent():
+            return []
         tests = [(best, found, PAIRS_OF_BEST)]
         for runner_up in [t for t in singles if t is not best][:1]:
             rest = [e for e in candidates if e.name not in runner_up.names]
@@ -210,10 +216,11 @@ class Refits:
         wanted: dict[frozenset[str], list[dict[str, float]]] = {}
         for first, beside, count in tests:
             places = [] if self.spent(LATE) else neighbours(first.state)
-            left = {n: self._left(first.state, beside, n, places) for n in dict.fromkeys(beside.owners)}
+            views = [(place, beside.at(place)) for place in (first.state, *places)]
+            left = {n: self._left(views, n) for n in dict.fromkeys(beside.owners)}
             for name in sorted(left, key=lambda n: left[n][0])[:count]:
-                place = left[name][1] or first.state
-                start = self.starts(place, beside.at(place), name)[0]
+                _, place, there = left[name]
+                start = self.starts(place, there, name)[0]
                 wanted.setdefault(frozenset((first.names[0], name)), []).append(start)
         out: list[Trial] = []
         for key, starts in wanted.items():
@@ -237,16 +244,12 @@ class Refits:
         return sorted(out, key=lambda t: -t.ln_evidence)
 
     @staticmethod
-    def _left(state: State, found: Scores, name: str, places: Sequence[State]) -> tuple[float, State | None]:
-        """Least sum of squares an effect promises to leave, and the neighbouring whole numbers it takes for that."""
-
-        def left(place: State) -> float:
-            there = found.at(place)
-            return place.misfit - max(float(there.strength[there.best(name)]), 0.0) ** 2
-
-        here = left(state)
-        best = min(places, key=left, default=None)
-        return (here, None) if best is None or left(best) > here - WORTH else (left(best), best)
+    def _left(views: Sequence[tuple[State, Scores]], name: str) -> tuple[float, State, Scores]:
+        """Least sum of squares an effect promises to leave, and where; a place but the first one must be worth it."""
+        left = [s.misfit - max(float(f.strength[f.best(name)]), 0.0) ** 2 for s, f in views]
+        best = int(np.argmin(left))
+        best = best if left[best] < left[0] - WORTH else 0
+        return (left[best], *views[best])
 
     def moved(self, trial: Trial) -> Trial | None:
         """The same effect where whole numbers are chosen with it in the model; None when that is no better.
@@ -269,6 +272,8 @@ class Refits:
         """The single effects once more where a pair in which the other one vanished has found a better fit."""
         better = {}
         for pair in pairs:
+            if self.spent():
+                break
             left = [e for e in pair.effects if not at_lower(pair.state, e)]
             if len(left) != 1 or len(pair.effects) == 1:
                 continue

@@ -77,8 +77,8 @@ class FitSettings:
         First damping over the largest curvature.
     rejections : int
         Steps in a row that may fail to lower the sum of squares.
-    evaluations : int
-        Residuals after which no further step is begun.
+    evaluations : float
+        Residuals after which no further step is tried.
     """
 
     iterations: int = 50
@@ -86,7 +86,7 @@ class FitSettings:
     relative: float = 1e-9
     damping: float = 1e-3
     rejections: int = 20
-    evaluations: int = 10_000
+    evaluations: float = math.inf
 
 
 DEFAULT = FitSettings()
@@ -194,7 +194,7 @@ def fit(
             break
         mu = mu or settings.damping * float(np.max(np.sum(matrix**2, axis=0)))
         there = None
-        while there is None and rejected < settings.rejections:
+        while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
             step = region.step(matrix, right, mu, here.x)
             trial = search.at(region.inside(here.x + step))
             if trial is not None and trial.misfit < here.misfit:
