@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -19,7 +18,7 @@ def start_vector(n: int) -> np.ndarray:
 
 
 def lowest_roots(
-    inverse: Callable[[np.ndarray], np.ndarray], size: int, count: int, shift: float, dense: bool
+    inverse: Callable[[np.ndarray], np.ndarray], size: int, count: int, shift: float, dense: bool, overdamped: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenpairs of ``(A - shift)^-1`` of largest modulus until they hold ``count`` vibrating roots.
 
@@ -38,6 +37,8 @@ def lowest_roots(
         Real, in rad/s.
     dense : bool
         Solve for all roots at once.
+    overdamped : int
+        Real roots expected among the lowest, if that is known; a wrong number costs time only.
 
     Returns
     -------
@@ -50,27 +51,25 @@ def lowest_roots(
     scipy.sparse.linalg.ArpackError
         When the iteration does not converge.
     """
-    asked = 2 * count + 2
-    for turn in itertools.count():
-        if dense or asked >= size - 2:
+    asked, again = 2 * count + 2 + overdamped, False
+    while True:
+        whole = dense or asked >= size - 2
+        if whole:
             inverses, states = la.eig(inverse(np.eye(size)), check_finite=False)
-            complete = True
         else:
             operator = spla.LinearOperator((size, size), matvec=inverse, dtype=float)
             inverses, states = spla.eigs(
                 operator, k=asked, which="LM", v0=start_vector(size), ncv=min(size, 2 * asked + 4), tol=1e-11
             )
             inverses, states = _with_missed(inverses, states, inverse, count, shift)
-            complete = False
         finite = np.abs(inverses) > 1e-14 * np.abs(inverses).max()
         inverses, states = inverses[finite], states[:, finite]
         lacking = count - int(np.count_nonzero(vibrates(shift + 1.0 / inverses, shift)))
-        if complete or lacking <= 0:
+        if whole or lacking <= 0:
             return inverses, states
         # Overdamped roots took some places. A few more cost less than twice as many, which may reach into a crowd of
         # local modes where the iteration is slow.
-        asked = min(2 * asked if turn else asked + 2 * lacking + 4, size)
-    raise AssertionError("not reached")
+        asked, again = min(2 * asked if again else asked + 2 * lacking + 4, size), True
 
 
 def _with_missed(

@@ -76,12 +76,14 @@ def _damped(
     inverse, shapes = la.eigh(mass, stiffness + shift**2 * mass, check_finite=False)
     inverse, shapes = np.maximum(inverse[::-1], 0.0), shapes[:, ::-1]
     local = shapes.T @ damping @ shapes
-    low = _low(inverse, count, shift)
-    for whole in (False, True):
-        kept = np.eye(len(inverse)) if whole else _compressed(inverse, local, low)
-        roots, motions = _roots(kept.T @ (inverse[:, None] * kept), kept.T @ local @ kept, shift, count)
-        if whole or kept.shape[1] >= len(inverse):
+    low, highest = _low(inverse, count, shift)
+    everything = np.eye(len(inverse))
+    for kept in (_compressed(inverse, local, low), everything):
+        if kept.shape[1] == len(inverse):
+            kept = everything
+            roots, motions = _roots(np.diag(inverse), local, shift, count, highest)
             break
+        roots, motions = _roots(kept.T @ (inverse[:, None] * kept), kept.T @ local @ kept, shift, count, highest)
         found = np.flatnonzero(vibrates(roots, shift))
         if len(found) >= count:
             chosen = found[np.argsort(np.abs(roots[found]))[:count]]
@@ -98,12 +100,13 @@ def _damped(
     return damped_modes(roots, displacement, damping, mass, count, shift, turning)
 
 
-def _low(inverse: np.ndarray, count: int, shift: float) -> int:
-    """Number of undamped modes kept: all up to a multiple of the highest frequency wanted."""
+def _low(inverse: np.ndarray, count: int, shift: float) -> tuple[int, float]:
+    """Number of undamped modes kept, all up to a multiple of the highest frequency wanted, and that in rad/s."""
     squares = 1.0 / np.maximum(inverse, 1e-300) - shift**2
     first = int(np.count_nonzero(is_zero(squares, shift)))
     highest = squares[min(first + count + 1, len(squares) - 1)]
-    return max(int(np.count_nonzero(squares <= _REACH**2 * highest)), min(first + count + 4, len(squares)))
+    low = max(int(np.count_nonzero(squares <= _REACH**2 * highest)), min(first + count + 4, len(squares)))
+    return low, float(np.sqrt(highest))
 
 
 def _compressed(inverse: np.ndarray, damping: np.ndarray, low: int) -> np.ndarray:
@@ -137,20 +140,43 @@ def _span(vectors: np.ndarray, size: float, beside: np.ndarray) -> np.ndarray:
     return left[:, sizes > _SAME * size]
 
 
-def _roots(mass: np.ndarray, damping: np.ndarray, shift: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Roots of ``lambda^2 M + lambda C + I - shift^2 M``, the lowest at least, and displacements of their vectors."""
+def _roots(
+    mass: np.ndarray, damping: np.ndarray, shift: float, count: int, highest: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Roots of ``lambda^2 M + lambda C + I - shift^2 M``, the lowest at least, and displacements of their vectors.
+
+    ``highest`` is about the largest modulus wanted, rad/s.
+    """
     n = len(mass)
     factor = la.cho_factor(np.eye(n) + shift * damping, check_finite=False)
     speed = 1.0 / np.sqrt(max(float(np.trace(mass)) / n, 1e-300))
-    first = -la.cho_solve(factor, np.hstack([damping + shift * mass, speed * mass]), check_finite=False)
-    second = shift * first / speed
-    second[:, :n] += np.eye(n) / speed
-    inverse = np.asfortranarray(np.vstack([first, second]))
+    momentum = np.asfortranarray(
+        -la.cho_solve(factor, np.hstack([damping + shift * mass, speed * mass]), check_finite=False)
+    )
+
+    def inverse(state: np.ndarray) -> np.ndarray:
+        """(A - shift)^-1 of states (u, v/speed), one or a block, with A: u' = v, M v' = -K u - C v."""
+        moved = momentum @ state
+        return np.concatenate([moved, (state[:n] + shift * moved) / speed])
+
+    overdamped = _overdamped(mass, damping, shift, highest)
     try:
-        inverses, states = lowest_roots(lambda s: inverse @ s, 2 * n, count, shift, dense=n <= _FEW * count)
+        inverses, states = lowest_roots(inverse, 2 * n, count, shift, n <= _FEW * count, overdamped)
     except spla.ArpackError:
-        inverses, states = lowest_roots(lambda s: inverse @ s, 2 * n, count, shift, dense=True)
+        inverses, states = lowest_roots(inverse, 2 * n, count, shift, dense=True)
     return shift + 1.0 / inverses, states[:n]
+
+
+def _overdamped(mass: np.ndarray, damping: np.ndarray, shift: float, speed: float) -> int:
+    """Real roots ``lambda > -speed``, but for pairs of them, both members of which are as low.
+
+    ``lambda^2 M + lambda C + K`` is positive definite at 0, and one of its eigenvalues changes sign at every real root.
+    Counted are the negative ones at -speed (Sylvester's law of inertia): no two-by-two pivot is definite.
+    """
+    matrix = np.eye(len(mass)) + (speed**2 - shift**2) * mass - speed * damping
+    factor, pivots, _ = la.lapack.dsytrf(matrix, lower=1)
+    single = pivots > 0
+    return int(np.count_nonzero(np.diag(factor)[single] < 0) + np.count_nonzero(~single) // 2)
 
 
 def _error(inverse: np.ndarray, damping: np.ndarray, roots: np.ndarray, motions: np.ndarray, shift: float) -> float:
