@@ -274,17 +274,19 @@ def _tell_withheld(study: Study) -> None:
 
 
 def _print_modes(modes: pd.DataFrame) -> None:
+    stages = [stage for stage in ("initial", "before", "after") if f"error_{stage}" in modes]
     rows = [
         (
             str(r["mode"]) + (" (withheld)" if r["withheld"] else ""),
-            *(_number(r[f"damped_freq_{stage}"], 3) for stage in ("measured", "before", "after")),
-            *("" if pd.isna(r[name]) else f"{100 * r[name]:+.2f} %" for name in ("error_before", "error_after")),
-            *(_number(r[name], 3) for name in ("mac_before", "mac_after")),
+            *(_number(r[f"damped_freq_{stage}"], 3) for stage in ("measured", *stages)),
+            *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in stages),
+            *(_number(r[f"mac_{stage}"], 3) for stage in stages),
         )
         for r in modes.to_dict("records")
     ]
-    say("Damped frequencies of every measured mode before and after:")
-    _table(("mode", "measured Hz", "before", "after", "error before", "after", "MAC before", "after"), rows)
+    say("Damped frequencies of every measured mode:")
+    heads = [f"{kind} {stages[0]}" if stage is stages[0] else stage for kind in ("error", "MAC") for stage in stages]
+    _table(("mode", "measured Hz", *stages, *heads), rows)
 
 
 def _print_answer(answer: Answer) -> None:

@@ -57,6 +57,8 @@ class Study:
         Every effect that the study knows, in its model or not.
     adopted : mapping from parameter name to value
         Taken over from an earlier study.
+    initial : mapping from parameter name to value
+        All values before any calibration, those taken over as the model itself has them.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Study:
     whole_targets: Targets = field(default_factory=dict)
     library: tuple[Effect, ...] = ()
     adopted: Mapping[str, float] = field(default_factory=dict)
+    initial: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def synthetic(self) -> bool:
@@ -195,6 +198,8 @@ class _Reader:
         included = sources.included(library)
         model = with_effects(base, included, self.place("with_effects"))
         space = sensitivity_space(model.space, self.settings, self.place, adopted)
+        taken = self.settings.adopted.parameters if self.settings.adopted else ()
+        initial = {**space.values, **{name: model.space[name].value for name in taken}}
         model = replace(model, space=space)
         whole, whole_targets = self._measurement(model)
         measured, targets = self._used(whole, whole_targets)
@@ -210,7 +215,7 @@ class _Reader:
             raise InputError("both weights are zero", place=self.place("calibration"), remedy="give one of them weight")
         return Study(
             self.folder.name, self.file, self.settings, model, measured, targets, problem, space, selected,
-            whole, whole_targets, library, dict(adopted),
+            whole, whole_targets, library, dict(adopted), initial,
         )  # fmt: skip
 
     # -- measurement ---------------------------------------------------------------------------------------------------

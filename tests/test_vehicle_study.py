@@ -139,6 +139,18 @@ def test_withheld_modes_are_told_before_and_after_but_enter_no_fit(study, before
     pd.testing.assert_series_equal(table.loc[list(FITTED), "damped_freq_before"], used, check_names=False)
 
 
+def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, before, at_truth):
+    table = every_mode(study, before, at_truth).set_index("mode")
+    own = vehicle().modes({}, 18)
+    pair = study.problem.compare(study.initial).pairing.model_index
+    np.testing.assert_allclose(table.loc[list(FITTED), "damped_freq_initial"], own.damped_freq[pair], rtol=1e-9)
+    # Softer primary springs lower the bogies' modes and the car's on them, as in the case study.
+    bogies = [mode for mode in table.index if mode[1] == "B"]
+    assert (table.loc[[*bogies, "1C", "2C", "3C"], "damped_freq_initial"] < table.loc[[*bogies, "1C", "2C", "3C"],
+            "damped_freq_before"]).all()  # fmt: skip
+    assert table.loc[list(FITTED), "error_initial"].abs().mean() > table.loc[list(FITTED), "error_before"].abs().mean()
+
+
 def test_the_table_of_every_mode_can_be_a_study_without_withheld_modes(study, before):
     none = replace(study, settings=study.settings.model_copy(update={"withheld": type(study.settings.withheld)()}))
     table = every_mode(none, before, before)

@@ -8,16 +8,12 @@ from dataclasses import replace
 import pandas as pd
 
 from calib.correlation.compare import Comparison
+from calib.correlation.problem import ModalProblem
 from calib.study import Study
-
-COLUMNS = (
-    "mode", "withheld", "damped_freq_measured", "damped_freq_before", "damped_freq_after", "error_before",
-    "error_after", "mac_before", "mac_after",
-)  # fmt: skip
 
 
 def every_mode(study: Study, before: Comparison, after: Comparison) -> pd.DataFrame:
-    """Damped frequencies of all measured modes, withheld ones included, before and after.
+    """Damped frequencies of all measured modes, withheld ones included, from stage to stage of the calibration.
 
     Parameters
     ----------
@@ -28,8 +24,11 @@ def every_mode(study: Study, before: Comparison, after: Comparison) -> pd.DataFr
     Returns
     -------
     DataFrame
-        Hz; errors are signed fractions of the damped frequency; NaN where a mode found no partner. Used modes keep the
-        partners that the used data gave them, withheld ones find theirs among the other model modes.
+        ``mode, withheld, damped_freq_measured`` and, for each stage, ``damped_freq_``, ``error_`` and ``mac_``. The
+        stages are ``before`` and ``after`` and, for a study that takes values over, ``initial`` ahead of them: the
+        model before the earlier study too. Hz; errors are signed fractions of the damped frequency; NaN where a mode
+        found no partner. Used modes keep the partners that the used data gave them, withheld ones find theirs among
+        the other model modes.
 
     Raises
     ------
@@ -38,15 +37,22 @@ def every_mode(study: Study, before: Comparison, after: Comparison) -> pd.DataFr
     InputError
         When a withheld mode has an impossible pair.
     """
-    stages = {"before": _whole(study, before), "after": _whole(study, after)}
-    table = pd.DataFrame(columns=list(COLUMNS))
-    for stage, found in stages.items():
-        told = found.comparison_table()
-        table["mode"], table["damped_freq_measured"] = told["mode"], told["damped_freq_measured"]
-        table["withheld"] = table["mode"].isin(study.settings.withheld.modes)
-        table[f"damped_freq_{stage}"], table[f"mac_{stage}"] = told["damped_freq_model"], told["mac"]
-        table[f"error_{stage}"] = told["damped_freq_model"] / told["damped_freq_measured"] - 1.0
-    return table
+    stages = {"before": before, "after": after}
+    if study.settings.adopted is not None:
+        assert isinstance(study.problem, ModalProblem)
+        stages = {"initial": study.problem.compare(study.initial), **stages}
+    columns: dict[str, pd.Series] = {}
+    for stage, used in stages.items():
+        told = _whole(study, used).comparison_table()
+        columns |= {
+            "mode": told["mode"],
+            "withheld": told["mode"].isin(study.settings.withheld.modes),
+            "damped_freq_measured": told["damped_freq_measured"],
+            f"damped_freq_{stage}": told["damped_freq_model"],
+            f"error_{stage}": told["damped_freq_model"] / told["damped_freq_measured"] - 1.0,
+            f"mac_{stage}": told["mac"],
+        }
+    return pd.DataFrame(columns)
 
 
 def _whole(study: Study, used: Comparison) -> Comparison:
