@@ -16,7 +16,7 @@ from calib import cli
 from calib.evaluate import Evaluator
 from calib.ledger import Ledger
 from calib.mac import mac
-from calib.questions.calibrate import objective_of
+from calib.questions.case import objective_of
 from calib.questions.every_mode import every_mode
 from calib.sensitivity.sampling import sample
 from calib.structure.training import train_basis
