@@ -24,7 +24,8 @@ from typing import Literal
 import pandas as pd
 
 from calib.errors import InputError
-from calib.evaluate import BatchEvaluator, Outcome
+from calib.evaluate import BatchEvaluator
+from calib.outcome import Outcome
 
 _VERSION = 1
 _BUSY_SECONDS = 30.0

@@ -8,8 +8,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
     {"errors", "interrupt"},
-    {"space", "mac"},
-    {"effect", "measurement"},
+    {"space", "mac", "outcome"},
+    {"effect", "measurement", "worker"},
     {"structure"},
     {"function", "correlation"},
     {"settings", "evaluate", "results"},

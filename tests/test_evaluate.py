@@ -11,7 +11,8 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from calib.errors import EvaluationError, InputError
-from calib.evaluate import OUT_OF_MEMORY, WORKER_DIED, Evaluator, attempt
+from calib.evaluate import Evaluator
+from calib.outcome import OUT_OF_MEMORY, WORKER_DIED, attempt
 
 # Workers import the factory by name, so it lives in a module of its own on the path.
 MODULE = """

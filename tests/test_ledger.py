@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InputError
-from calib.evaluate import OUT_OF_MEMORY, WORKER_DIED, Evaluator, Outcome, attempt
+from calib.evaluate import Evaluator
 from calib.ledger import Asked, Ledger, key_of
+from calib.outcome import OUT_OF_MEMORY, WORKER_DIED, Outcome, attempt
 
 FORK = multiprocessing.get_context("fork")
 

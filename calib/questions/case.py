@@ -14,8 +14,8 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
-from calib.evaluate import Outcome
 from calib.ledger import Ledger
+from calib.outcome import Outcome
 from calib.questions.compare import Answer, answer_at, responses_at
 from calib.questions.judge import FitProgress, Judgement, RecordedResidual, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator

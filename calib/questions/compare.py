@@ -11,8 +11,8 @@ import pandas as pd
 from calib.correlation.compare import Comparison
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
-from calib.evaluate import attempt
 from calib.measurement.check import SensorFinding, check_sensors
+from calib.outcome import attempt
 from calib.results import Results
 from calib.study import Problem, Study
 

@@ -14,8 +14,8 @@ import numpy as np
 from calib.correlation.problem import FunctionProblem
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
-from calib.evaluate import attempt
 from calib.function import FunctionModel, extend_function
+from calib.outcome import attempt
 from calib.questions.hypotheses import question_space
 from calib.space import Parameter, ParameterSpace
 from calib.structure.model import Assumption

@@ -11,8 +11,8 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
-from calib.evaluate import Outcome
 from calib.ledger import Ledger
+from calib.outcome import Outcome
 from calib.questions.compare import responses_at
 from calib.space import ParameterSpace
 from calib.study import Problem, Study

@@ -6,8 +6,9 @@ import os
 from pathlib import Path
 
 from calib.correlation.problem import ModalProblem
-from calib.evaluate import Evaluator, attempt
+from calib.evaluate import Evaluator
 from calib.ledger import Ledger
+from calib.outcome import attempt
 from calib.results import Results
 from calib.study import EvaluationSource, Problem, Study
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from calib.correlation.problem import ModalProblem
 from calib.errors import EvaluationError, InputError
-from calib.evaluate import Evaluator, Outcome
+from calib.evaluate import Evaluator
 from calib.ledger import Ledger
+from calib.outcome import Outcome
 from calib.results import Results
 from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel

@@ -12,8 +12,8 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.errors import InputError
-from calib.evaluate import Outcome
 from calib.ledger import Ledger
+from calib.outcome import Outcome
 from calib.questions.places import QUICK_SAMPLES, open_evaluator
 from calib.results import Results
 from calib.sensitivity.sampling import sample

@@ -13,8 +13,9 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import EvaluationError
-from calib.evaluate import BatchEvaluator, Outcome
+from calib.evaluate import BatchEvaluator
 from calib.ledger import Asked, Ledger, key_of
+from calib.outcome import Outcome
 from calib.space import ParameterSpace
 from calib.updating.genetic import GeneticSearch, GeneticSettings
 from calib.updating.objective import Objective

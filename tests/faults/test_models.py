@@ -9,8 +9,9 @@ import pytest
 
 from calib import cli
 from calib.errors import InputError
-from calib.evaluate import TOOK_TOO_LONG, WORKER_DIED, Evaluator
+from calib.evaluate import Evaluator
 from calib.ledger import Ledger
+from calib.outcome import TOOK_TOO_LONG, WORKER_DIED
 
 # One integer parameter chooses what goes wrong.
 KINDS = """

@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 
 from calib.errors import EvaluationError, InputError
-from calib.evaluate import WORKER_DIED, Evaluator, Outcome, attempt
+from calib.evaluate import Evaluator
 from calib.ledger import Ledger, key_of
+from calib.outcome import WORKER_DIED, Outcome, attempt
 from calib.sensitivity.sampling import sample
 from calib.space import LinearConstraint, Parameter, ParameterSpace
 from calib.updating.cases import (

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from calib.evaluate import Evaluator, Outcome
+from calib.evaluate import Evaluator
 from calib.ledger import Ledger
+from calib.outcome import Outcome
 from calib.sensitivity.sampling import sample
 from calib.space import Parameter, ParameterSpace
 from calib.updating.cases import Case, run_case

@@ -1,0 +1,130 @@
+"""A worker process of an evaluator: how it starts, what it does, and how its parent sees what it is working on."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from multiprocessing.context import SpawnContext
+
+from threadpoolctl import threadpool_limits
+
+from calib.errors import InputError
+from calib.outcome import Function, Outcome, attempt
+
+Source = Callable[[], Function]
+
+_THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+
+
+@contextlib.contextmanager
+def environment() -> Iterator[None]:
+    """What new processes inherit: one thread for numerical libraries, and deafness to the keyboard's interrupt."""
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    mask = None
+    if hasattr(signal, "pthread_sigmask"):
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+class Board:
+    """Shared memory in which every worker process notes what it is working on and since when."""
+
+    def __init__(self, context: SpawnContext, workers: int):
+        self._places = context.Value("i", 0)
+        self._notes = context.Array("d", 2 * workers, lock=False)  # pairs of number and start; nothing under way: 0
+
+    def take_place(self) -> int:
+        """A place of its own for a worker process."""
+        with self._places.get_lock():
+            self._places.value += 1
+            return self._places.value - 1
+
+    def note(self, place: int, number: int) -> None:
+        """Work on the point of that number begins."""
+        self._notes[2 * place] = number
+        self._notes[2 * place + 1] = time.monotonic()
+
+    def clear(self, place: int) -> None:
+        """Work has ended."""
+        self._notes[2 * place + 1] = 0.0
+
+    def late(self, limit: float) -> dict[int, float]:
+        """Points under way for longer than the limit, with how long."""
+        now = time.monotonic()
+        pairs = list(zip(self._notes[::2], self._notes[1::2], strict=True))
+        return {int(number): now - start for number, start in pairs if start and now - start > limit}
+
+
+class _Worker:
+    """What a worker process keeps between tasks."""
+
+    function: Function | None = None
+    fault: Exception | None = None
+    limits: object = None
+    board: Board
+    place: int
+
+
+def start(source: Source, board: Board) -> None:
+    """Make this process ready for tasks; a model that cannot be built is told by every task."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    try:
+        _Worker.function = source()
+    except InputError as fault:
+        _Worker.fault = fault
+    except Exception as fault:
+        # An exception of the user's own class may not survive the way back.
+        _Worker.fault = RuntimeError(f"the model cannot be built in a worker: {type(fault).__name__}: {fault}")
+        _Worker.fault.add_note(traceback.format_exc())
+    _Worker.limits = threadpool_limits(1)
+    _Worker.board, _Worker.place = board, board.take_place()
+
+
+def _leave_with_parent() -> None:
+    """End this process when its parent is gone: it would otherwise wait for tasks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def ready(number: int, values: Mapping[str, float]) -> Outcome:
+    """A task without work: it returns when this process has started."""
+    return Outcome(dict(values), "ok", {})
+
+
+def work(number: int, values: Mapping[str, float]) -> Outcome | Exception:
+    """The task of one point, noted on the board while it lasts; a wrong set-up is returned, not raised."""
+    if _Worker.fault is not None:
+        return _Worker.fault
+    assert _Worker.function is not None
+    _Worker.board.note(_Worker.place, number)
+    try:
+        return attempt(_Worker.function, values)
+    except InputError as fault:
+        return fault
+    finally:
+        _Worker.board.clear(_Worker.place)
