@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from calib import __version__, console, interrupt
+from calib import __version__, console, interrupt, progress
 from calib.errors import InputError
 from calib.example import write_example
 from calib.questions import calibrate as calibration
@@ -226,9 +226,9 @@ def _compare(study: Study, folder: Results) -> None:
 
 def _sensitivity(study: Study, folder: Results, root: Path, workers: int | None, quick: bool) -> None:
     console.head(study, "sensitivity")
-    with places.ledger_of(study, root) as ledger, console.sample_progress() as progress:
+    with places.ledger_of(study, root) as ledger, progress.samples() as step:
         console.tell_stale(ledger.other_fingerprints(*fingerprints(study, places.results_of(study, root))))
-        answer = influence.sensitivity(study, folder, ledger, workers, quick, progress)
+        answer = influence.sensitivity(study, folder, ledger, workers, quick, step)
     console.tell_sensitivity(study, answer, folder)
 
 
@@ -243,8 +243,8 @@ def _screen(
 ) -> None:
     console.head(study, f"sensitivity, {method.value.capitalize()}")
     name: Literal["morris", "sobol"] = "morris" if method is SensitivityMethod.morris else "sobol"
-    with places.ledger_of(study, root) as ledger, console.sample_progress() as progress:
-        answer = influence.screen(study, folder, ledger, name, workers, quick, ignore_constraints, progress)
+    with places.ledger_of(study, root) as ledger, progress.samples() as step:
+        answer = influence.screen(study, folder, ledger, name, workers, quick, ignore_constraints, step)
     console.tell_screening(answer, folder)
 
 
@@ -259,17 +259,17 @@ def _calibrate(
 ) -> None:
     study = influence.selected_by_measures(study, places.results_of(study, root, quick))
     console.head(study, "calibrate")
-    with places.ledger_of(study, root) as ledger, console.search_progress() as progress:
+    with places.ledger_of(study, root) as ledger, progress.search() as step:
         console.tell_stale(ledger.other_fingerprints(*fingerprints(study, places.results_of(study, root))))
         home = places.results_of(study, root)
-        answer = calibration.calibrate(study, folder, ledger, workers, case, quick, method, progress, home)
+        answer = calibration.calibrate(study, folder, ledger, workers, case, quick, method, step, home)
     console.tell_calibration(study, answer, folder)
 
 
 def _explain(study: Study, folder: Results) -> None:
     console.head(study, "explain")
-    with console.told_progress() as progress:
-        answer = explanation.explain(study, folder, progress)
+    with progress.told() as step:
+        answer = explanation.explain(study, folder, step)
     console.tell_explanation(study, answer, folder)
 
 

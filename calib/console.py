@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import pandas as pd
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from calib.missing.verdict import rounded
@@ -340,61 +338,3 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[s
     for row in rows:
         table.add_row(*row)
     _out.print(table)
-
-
-# -- progress ----------------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def sample_progress() -> Iterator[Callable[[int, int], None]]:
-    """A bar over samples; nothing when the output is no terminal."""
-    with _bar(TextColumn("{task.completed:.0f}/{task.total:.0f} samples")) as bar:
-        task: TaskID | None = None
-
-        def step(done: int, total: int) -> None:
-            nonlocal task
-            if task is None:
-                task = bar.add_task("sampling", total=total)
-            bar.update(task, completed=done)
-
-        yield step
-
-
-@contextmanager
-def search_progress() -> Iterator[Callable[[str, int, int, float], None]]:
-    """One bar a case with generation, best misfit and time left; nothing when the output is no terminal."""
-    columns = (TextColumn("generation {task.completed:.0f}/{task.total:.0f}"), TextColumn("best {task.fields[best]}"))
-    with _bar(*columns) as bar:
-        tasks: dict[str, TaskID] = {}
-
-        def step(case: str, generation: int, generations: int, best: float) -> None:
-            if case not in tasks:
-                tasks[case] = bar.add_task(case, total=generations, best="-")
-            bar.update(tasks[case], completed=generation, best=f"{best:.5g}" if math.isfinite(best) else "-")
-
-        yield step
-
-
-@contextmanager
-def told_progress() -> Iterator[Callable[[str], None]]:
-    """What is being done at the moment; nothing when the output is no terminal."""
-    with Progress(
-        TextColumn("{task.description}"),
-        TimeElapsedColumn(),
-        console=_err,
-        disable=not _err.is_terminal,
-        transient=True,
-    ) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda words: bar.update(task, description=words)
-
-
-def _bar(*columns: TextColumn) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        *columns,
-        TimeRemainingColumn(elapsed_when_finished=True),
-        console=_err,
-        disable=not _err.is_terminal,
-    )

@@ -19,7 +19,7 @@ RANKS = (
     {"missing"},
     {"questions"},
     {"report"},
-    {"console", "example"},
+    {"console", "progress", "example"},
     {"cli"},
     {"__main__"},
 )

@@ -119,7 +119,7 @@ def test_results_replaced_by_a_file_while_running(mast, capsys, monkeypatch):
 
         yield at_generation
 
-    monkeypatch.setattr("calib.console.search_progress", progress)
+    monkeypatch.setattr("calib.progress.search", progress)
     assert "cannot be written" in told(capsys, "calibrate", "mast", "--workers", "1")
     assert FOLDER.read_text() == "a file"
     FOLDER.unlink()
