@@ -10,6 +10,8 @@ import pytest
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
+from calib.missing.explain import explain
+from calib.missing.findings import Findings
 from calib.missing.state import State, fitted
 from calib.space import Parameter, ParameterSpace
 
@@ -118,6 +120,11 @@ class Toy:
         values = {p.name: p.value if p.integer else rng.normal(p.value, p.prior_width) for p in self.base.parameters}
         exact = self.answer({**values, **(truth or {})})
         return replace(self, data=exact + noise * rng.standard_normal(len(self.rows)), count=[0])
+
+    def explained(self, truth: Mapping[str, float], draws: int, seed: int = 1, noise: float = 1.0) -> list[Findings]:
+        """Findings over draws of the data, one after the other from one generator."""
+        rng = np.random.default_rng(seed)
+        return [explain(self.drawn(rng, truth, noise)) for _ in range(draws)]
 
     def alike(self, name: str, of: str, share: float, seed: int = 1) -> Toy:
         """With a column of unchanged length whose direction correlates with another's by a share."""

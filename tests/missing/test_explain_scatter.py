@@ -1,5 +1,6 @@
 """Whether the scatter is taken for understated, and the decision begun anew."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -59,3 +60,40 @@ def test_a_scatter_stated_right_is_never_begun_anew(toy):
     for truth in ({}, {"E2": 3.0}):
         found, _, anew = asked(toy(modes=10, sensors=20), 0, truth)
         assert anew == [] and found.noise_scale == 1.0
+
+
+@pytest.mark.parametrize("factor", [1.3, 2.0])
+def test_a_scatter_stated_too_small_is_told_from_an_effect(toy, factor):
+    toy = toy(modes=12, sensors=60)
+    found = toy.explained({}, 10, noise=factor)
+    assert Counter(f.verdict for f in found)["noise_underestimated"] >= 9
+    for f in found:
+        assert f.credible == () or f.verdict != "noise_underestimated"
+        assert f.noise_scale == pytest.approx(factor, rel=0.1)
+
+
+def test_an_effect_is_named_in_spite_of_a_scatter_stated_too_small(toy):
+    toy = toy(modes=12, sensors=60, size=20.0)
+    for f in toy.explained({"E2": 1.0}, 5, noise=2.0):
+        assert f.verdict == "effect" and f.credible == ("E2",)
+        assert f.noise_scale == pytest.approx(2.0, rel=0.1)
+        std = np.sqrt(f.chosen.state.covariance[-1, -1])
+        assert std == pytest.approx(2.0 / 20, rel=0.25)
+
+
+def test_a_strong_effect_is_no_reason_to_doubt_the_scatter(toy):
+    toy = toy(modes=10, sensors=30)
+    for f in toy.explained({"E2": 9.0}, 4):
+        assert f.noise_scale == 1.0 and f.credible == ("E2",)
+
+
+def test_a_scatter_from_few_repeats_makes_no_alarms(toy):
+    toy = replace(toy(atoms=4, modes=0, sensors=40), scatter_freedom={"response": 4.0})
+    rng = np.random.default_rng(3)
+    found, blind = Counter(), Counter()
+    for _ in range(60):
+        one = replace(toy.drawn(rng), sd=np.full(40, np.sqrt(rng.chisquare(4.0) / 4.0)))
+        found[explain(one).verdict] += 1
+        blind[explain(replace(one, scatter_freedom={})).verdict] += 1
+    assert found["nothing_detectable"] >= 56
+    assert blind["nothing_detectable"] < 50
