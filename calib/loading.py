@@ -143,15 +143,8 @@ class Sources:
                 return self._modules[path]
             if not path.is_file():
                 raise InputError(f"there is no {what} file {where!r}", place=place, remedy=remedy)
-            unique = f"calib_study_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
-            spec = importlib.util.spec_from_file_location(unique, path)
-            if spec is None or spec.loader is None:
-                raise InputError(f"{where!r} cannot be loaded", place=place)
-            module = importlib.util.module_from_spec(spec)
-            sys.modules[unique] = module
-            spec.loader.exec_module(module)
-            self._modules[path] = module
-            return module
+            self._modules[path] = module_of(path)
+            return self._modules[path]
         except ModuleNotFoundError as fault:
             if fault.name and where.startswith(fault.name):
                 raise InputError(f"unknown {what}: there is no module {where!r}", place=place, remedy=remedy) from None
@@ -160,6 +153,18 @@ class Sources:
             raise
         except (Exception, SystemExit) as fault:
             raise InputError(f"{where!r} failed with {type(fault).__name__}: {fault}", place=place) from fault
+
+
+def module_of(path: Path) -> ModuleType:
+    """A file of Python that belongs to no package, run as a module; raises whatever it raises."""
+    unique = f"calib_study_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(unique, path)
+    if spec is None or spec.loader is None:
+        raise InputError("it cannot be loaded", place=path, remedy="give a file that ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[unique] = module
+    spec.loader.exec_module(module)
+    return module
 
 
 def pick(library: Sequence[Effect], name: str, place: str) -> Effect:

@@ -20,12 +20,10 @@ has to be 8 to 20 for an effect of the library, with frequencies changed by more
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import scipy.linalg as la
@@ -35,6 +33,7 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
 from calib.limits import search_space, sensitivity_space
+from calib.loading import module_of
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.settings import StudySettings, read_settings
@@ -46,17 +45,8 @@ from models.railway import bogie_effects, bogie_on_rig
 
 HERE = Path(__file__).resolve().parent
 
-
-def _module(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"{path.parent.name}_{path.stem}", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-twin = _module(HERE.parent / "bogie" / "make_twin.py")
-outside = _module(HERE / "outside.py")
+twin = module_of(HERE.parent / "bogie" / "make_twin.py")
+outside = module_of(HERE / "outside.py")
 
 MODES = tuple(f"{k}BT" for k in range(1, 10))
 FIRST_SEED = {"effect": 1, "nothing": 1001, "outside": 2001}

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import importlib.util
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -25,6 +23,7 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.unused import withheld_errors
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
+from calib.loading import module_of
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 from calib.missing.explain import explain
@@ -70,15 +69,6 @@ def _plain(text: str) -> str:
         if isinstance(body, list):
             node.body = [s for s in body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]
     return ast.dump(tree)
-
-
-def module_of(path: Path) -> ModuleType:
-    """A script by its path."""
-    spec = importlib.util.spec_from_file_location(f"{path.parent.name}_{path.stem}", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,6 @@ cannot be loaded. One BLAS thread everywhere.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import tempfile
 import time
@@ -22,6 +21,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np
 
+from calib.loading import module_of
 from calib.questions.places import open_evaluator
 from calib.questions.reduction import reduction_of
 from calib.results import Results
@@ -34,14 +34,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def opensees_solver() -> Callable[[dict[str, float]], object] | None:
     """A function that builds and solves the rig in OpenSees; None where that cannot be loaded."""
-    loaded = []
-    for name in ("conftest", "oracles/test_opensees_rig"):
-        spec = importlib.util.spec_from_file_location(Path(name).stem, ROOT / "tests" / f"{name}.py")
-        assert spec is not None and spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        loaded.append(module)
-    conftest, oracle = loaded
+    conftest, oracle = (module_of(ROOT / "tests" / f"{n}.py") for n in ("conftest", "oracles/test_opensees_rig"))
     try:
         code = conftest.opensees.__wrapped__()
     except BaseException as fault:  # a skip is no Exception

@@ -1,6 +1,5 @@
 """The five-mass chain against closed forms and its twin, and what the search for a missing effect says of it."""
 
-import importlib.util
 import json
 import re
 import shutil
@@ -14,6 +13,7 @@ import pytest
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError
 from calib.function import extend_function
+from calib.loading import module_of
 from calib.missing.explain import explain
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.structure.derivatives import mode_derivatives
@@ -33,10 +33,7 @@ VISIBLE = ("ground_spring_3", "extra_mass_2", "cross_spring_2_4", "hung_mass_5")
 
 @pytest.fixture(scope="module")
 def twin():
-    spec = importlib.util.spec_from_file_location("five_mass_twin", FOLDER / "make_twin.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return module_of(FOLDER / "make_twin.py")
 
 
 def some_strength(effect):

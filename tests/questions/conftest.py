@@ -1,14 +1,13 @@
 """Small studies for questions that take well under a second, and the reduced basis that all blind studies share."""
 
-import importlib.util
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from calib.loading import module_of
 from calib.questions.explain import Explanation, explain
 from calib.questions.library import modal_hypotheses
 from calib.results import Results
@@ -19,20 +18,10 @@ CHAIN = ROOT / "studies/five_mass_chain"
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
 
 
-def script(path: Path) -> ModuleType:
-    """A file that is no module of a package."""
-    spec = importlib.util.spec_from_file_location(f"{path.parent.name}_{path.stem}", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="session")
 def mast() -> ModuleType:
     """See `tests/template/mast_effects.py`."""
-    return script(ROOT / "tests/template/mast_effects.py")
+    return module_of(ROOT / "tests/template/mast_effects.py")
 
 
 @pytest.fixture(scope="session")
@@ -85,7 +74,7 @@ def chain_folder(tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def twin_maker() -> ModuleType:
     """The generator of the blind studies."""
-    return script(ROOT / "studies/hidden_bogie/make_twin.py")
+    return module_of(ROOT / "studies/hidden_bogie/make_twin.py")
 
 
 @pytest.fixture(scope="session")
