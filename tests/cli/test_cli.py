@@ -13,7 +13,7 @@ from calib import cli
 from calib.example import write_example
 from calib.study import Study
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 COMPARISON = [
     "mode", "natural_freq_measured", "natural_freq_model", "damped_freq_measured", "damped_freq_model", "freq_error",
     "damping_ratio_measured", "damping_ratio_model", "mac", "emac", "margin",
@@ -26,12 +26,6 @@ SUMMARY = {
     "study", "synthetic", "best_case", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before",
     "mean_mac_after", "evaluations", "solved", "reused", "infeasible", "failed", "seconds", "cases",
 }  # fmt: skip
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture

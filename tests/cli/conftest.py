@@ -1,0 +1,69 @@
+"""A small study with a library of effects, in a current directory of its own, and what a command leaves there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calib import cli
+from calib.loading import module_of
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session")
+def write_study() -> Callable[..., Path]:
+    """See `tests/template/mast_effects.py`."""
+    return module_of(ROOT / "tests/template/mast_effects.py").write_study
+
+
+@pytest.fixture
+def drawn() -> None:
+    """Asked for by tests about figures."""
+
+
+@pytest.fixture
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures take longest; most tests are not about them."""
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr(cli, "draw_all", lambda *a: [])
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def guyed(here: Path, write_study: Callable[..., Path]) -> Path:
+    """A mast with a guy rope that its model lacks, as ``mast`` in the current directory."""
+    return write_study(Path("mast"), {"guy": 9000.0})
+
+
+@pytest.fixture(scope="session")
+def edit() -> Callable[[Path, str, str], None]:
+    """Replaces words in the study file of a folder, once."""
+
+    def edit(folder: Path, old: str, new: str) -> None:
+        text = (folder / "study.toml").read_text()
+        assert old in text
+        (folder / "study.toml").write_text(text.replace(old, new, 1))
+
+    return edit
+
+
+@pytest.fixture(scope="session")
+def explanation() -> Callable[..., dict[str, Any]]:
+    """What the results of a study tell of its explanation."""
+    return lambda name="mast": json.loads(Path("results", name, "explanation.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def files() -> Callable[[Path | str], dict[Path, bytes]]:
+    """Every file below a folder with its content."""
+    return lambda folder: {p.relative_to(folder): p.read_bytes() for p in Path(folder).rglob("*") if p.is_file()}

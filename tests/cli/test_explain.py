@@ -1,0 +1,237 @@
+"""``calib explain`` as a user meets it."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib import cli
+from calib.questions import library
+
+ROOT = Path(__file__).resolve().parents[2]
+CHAIN = str(ROOT / "studies/five_mass_chain")
+FIGURES = {
+    "where_it_fails_sigma", "sensor_misfit", "atom_map", "parameters_under_strain", "ranked_effects", "confounding",
+    "errors_before_after", "next_measurement",
+}  # fmt: skip
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+
+def test_explain_tells_and_writes_the_verdict(guyed, capsys, explanation):
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    told = explanation()
+    assert "A mast that may lack something: explain  [synthetic measurement]" in out
+    assert "\neffect\n" in out and told["sentence"] in out and told["verdict"] == "effect"
+    assert all(note in out for note in told["notes"]) and len(told["notes"]) == 1
+    assert f"{told['evaluations']} model evaluations" in out
+    assert "z is a score and no probability" in out
+    assert "Add it with: calib extend mast guy --into FOLDER" in out
+    table = pd.read_csv("results/mast/effects.csv")
+    line = next(line for line in out.splitlines() if line.startswith("guy "))
+    for number in (
+        f"{table['z'][0]:.1f}",
+        f"{table['ln_bayes'][0]:.1f}",
+        f"{table['gamma'][0]:.2f}",
+        f"{table['phi'][0]:.3g}",
+    ):
+        assert number in line
+    errors = pd.read_csv("results/mast/errors.csv")
+    for row in errors.to_dict("records"):
+        (line,) = [x.split() for x in out.splitlines() if x.split()[:2] == [row["group"], row["stage"]]]
+        assert line[2:5] == [str(row["rows"]), f"{row['rms']:.2f}", f"{row['expected']:.2f}"]
+
+
+def test_explain_draws_a_figure_beside_every_table(guyed, drawn, capsys):
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert {p.stem for p in Path("results/mast").glob("*.png")} == FIGURES
+    for name in FIGURES:
+        assert f"{name}.png" in out and Path(f"results/mast/{name}.png").stat().st_size > 5000
+
+
+def test_report_draws_the_explanation_from_tables_alone(guyed, drawn, monkeypatch, files):
+    assert cli.answer(["explain", "mast"]) == 0
+    before = {p: b for p, b in files("results/mast").items() if p.suffix != ".png"}
+    for figure in Path("results/mast").glob("*.png"):
+        figure.unlink()
+    monkeypatch.setattr("calib.correlation.problem.ModalProblem.compare", lambda *a: pytest.fail("it solved"))
+    assert cli.answer(["report", "mast"]) == 0
+    assert {p.stem for p in Path("results/mast").glob("*.png")} == FIGURES
+    assert before == {p: b for p, b in files("results/mast").items() if p.suffix != ".png"}
+
+
+def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(guyed, edit, explanation):
+    edit(guyed, "[calibration]", "[explain]\nfiner_options = { element_size = 0.1 }\n\n[calibration]")
+    assert cli.answer(["explain", "mast"]) == 0
+    assert set(explanation()) == {
+        "study", "synthetic", "verdict", "sentence", "notes", "p_family", "p_fit", "credible_set", "effects", "chosen",
+        "adequacy_p_family", "adequacy_p_fit",
+        "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations", "errors",
+        "basis_error", "discretisation", "seconds",
+    }  # fmt: skip
+    assert set(explanation()["effects"][0]) == {
+        "name", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "ln_bayes", "posterior", "heldout_gain",
+        "implausible", "confounded_with",
+    }  # fmt: skip
+
+
+def test_nothing_missing_is_told_without_a_name(here, write_study, capsys, explanation):
+    write_study(Path("mast"))
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "\nnothing_detectable\n" in out and "Nothing detectable is missing" in out
+    assert "calib extend" not in out and explanation()["credible_set"] == []
+
+
+def test_two_effects_are_told_without_offering_one_of_them(here, write_study, capsys):
+    write_study(Path("mast"), {"platform": 25.0, "stuck_base": 0.6})
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "\ntwo_effects\n" in out and "before and after with platform and stuck_base" in out
+    told = (
+        "Add them with: calib extend mast platform --into FOLDER, then calib extend FOLDER stuck_base --into FOLDER_2"
+    )
+    assert told in out.splitlines()
+    assert cli.answer(["extend", "mast", "platform", "--into", "FOLDER"]) == 0
+    assert cli.answer(["extend", "FOLDER", "stuck_base", "--into", "FOLDER_2"]) == 0
+
+
+def test_an_attempt_is_told_as_one(guyed, capsys, explanation):
+    """The guy rope is at work, and the library holds all others."""
+    text = (guyed / "effects.py").read_text()
+    guy = next(line for line in text.splitlines() if line.strip().startswith('_one("guy"'))
+    (guyed / "effects.py").write_text(text.replace(guy + "\n", "", 1))
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    told = explanation()
+    assert told["verdict"] in ("none_explains", "partial") and "Add it with" not in out
+    (name,) = told["chosen"]
+    assert f"Errors in units of the scatter, before and with {name}: best attempt, not believed:" in out
+    assert set(pd.read_csv("results/mast/errors.csv")["stage"]) == {"before", "attempt"}
+    assert set(pd.read_csv("results/mast/misfit_kinds.csv")["stage"]) == {"base", "attempt"}
+
+
+def test_one_effect_is_told_in_the_singular(guyed, capsys):
+    (guyed / "effects.py").write_text(
+        (guyed / "effects.py").read_text()
+        + "\n\neverything = library\n\n\ndef library():\n    return everything()[2:3]\n"
+    )
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "\n1 effect and " in out and not re.search(r"\b1 [a-z]+s (tested|fitted)", out)
+
+
+def test_what_is_not_known_is_left_empty(guyed, capsys):
+    """The second guy rope looks exactly like the first; its own numbers are not known."""
+    (guyed / "effects.py").write_text(
+        (guyed / "effects.py").read_text()
+        + "\n\nothers = library\n\n\ndef library():\n"
+        + '    twin = _one("guy_too", "Another", 4.5, (0,), "stiffness", "N/m", 5e3, 1e5)\n'
+        + "    return (*others(), twin)\n"
+    )
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    table = out[out.index("\neffect  ") : out.index("tested, ")]
+    assert "guy" in table and not re.search(r"\b(nan|inf)\b", table)
+
+
+def test_explain_twice_gives_the_same_bytes_and_trains_no_second_basis(guyed, monkeypatch, capsys, explanation, files):
+    monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
+    assert cli.answer(["explain", "mast"]) == 0
+    first = {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}
+    assert any(p.suffix == ".npz" for p in first)
+    monkeypatch.setattr(library, "train_basis", lambda *a, **k: pytest.fail("a basis is there"))
+    before = explanation()
+    assert cli.answer(["explain", "mast"]) == 0
+    assert first == {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}
+    assert explanation() | {"seconds": 0} == before | {"seconds": 0}
+
+
+def test_explain_on_a_basis_says_the_same(guyed, monkeypatch):
+    assert cli.answer(["explain", "mast", "--results", "full"]) == 0
+    monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
+    assert cli.answer(["explain", "mast", "--results", "reduced"]) == 0
+    full, reduced = (json.loads(Path(k, "mast/explanation.json").read_text()) for k in ("full", "reduced"))
+    assert 0 < reduced["basis_error"] < 0.05 and full["basis_error"] == pytest.approx(0.0, abs=1e-9)
+    assert reduced["verdict"] == full["verdict"] and reduced["credible_set"] == full["credible_set"]
+    one, other = (pd.read_csv(f"{k}/mast/effects.csv").set_index("name") for k in ("full", "reduced"))
+    assert (one["z"] - other["z"][one.index]).abs().max() < 0.1
+
+
+def test_withheld_data_are_told_and_enter_no_fit(guyed, capsys, edit, explanation):
+    edit(guyed, "modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x"]')
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "Withheld, never fitted: modes B3x; sensors 2x." in out
+    assert explanation()["errors"]["withheld_modes"]["after"] < explanation()["errors"]["withheld_modes"]["before"]
+    assert "mode B3x, withheld so far" in set(pd.read_csv("results/mast/next_measurement.csv")["option"])
+    misfit = pd.read_csv("results/mast/sensor_misfit.csv")
+    assert "B3x" not in set(misfit["mode"]) and "2x" not in set(misfit["sensor"])
+
+
+def test_without_repeats_a_note_says_which_scatter_is_assumed(here, write_study, capsys, explanation):
+    folder = write_study(Path("mast"))
+    for name, drop in (("modes.csv", "freq_std"), ("shapes.csv", "std")):
+        pd.read_csv(folder / name, comment="#").drop(columns=drop).to_csv(folder / name, index=False)
+    assert cli.answer(["explain", "mast"]) == 0
+    out = capsys.readouterr().out
+    assert "There are no repeats and no standard deviations: a scatter of 0.5 % of frequencies" in out
+    assert "Probabilities are as good as this assumption." in explanation()["notes"][0]
+
+
+def test_frequencies_alone_can_be_explained(here, write_study, capsys, edit, explanation):
+    folder = write_study(Path("mast"), {"guy": 9000.0})
+    edit(folder, 'shapes = ["shapes.csv"]\n', "")
+    edit(folder, 'sensors = "sensors.csv"\n', "")
+    assert cli.answer(["explain", "mast"]) == 0
+    assert explanation()["errors"]["withheld_sensors"] == {"before": None, "after": None}
+    assert explanation()["local_changes"] == 4  # parts; there are no sensors to change anything at
+    assert explanation()["measured_noise_scale"] is None
+
+
+def test_run_explains_where_effects_are_named(guyed, capsys, edit):
+    edit(guyed, "[calibration]", "[sensitivity]\nsamples = 20\nseed = 1\n\n[calibration]")
+    assert cli.answer(["run", "mast", "--workers", "1"]) == 0
+    out = capsys.readouterr().out
+    assert out.index(": calibrate") < out.index(": explain") and "\neffect\n" in out
+    edit(guyed, 'effects = "effects.py:library"\n', "")
+    shutil.rmtree("results")
+    assert cli.answer(["run", "mast", "--workers", "1"]) == 0
+    assert ": explain" not in capsys.readouterr().out and not Path("results/mast/explanation.json").exists()
+
+
+# -- without matrices --------------------------------------------------------------------------------------------------
+
+
+def test_the_chain_is_explained_and_extended(here, capsys, explanation):
+    truth = json.loads((ROOT / "tests/truth/five_mass_chain.json").read_text("utf-8"))
+    assert cli.answer(["explain", CHAIN]) == 0
+    out = capsys.readouterr().out
+    told = explanation("five_mass_chain")
+    assert told["verdict"] == "effect" and told["credible_set"] == [truth["effect"]] and told["sentence"] in out
+    assert set(told) >= {"failed", "verdict", "credible_set"} and told["failed"] == 0
+    row = pd.read_csv("results/five_mass_chain/effects.csv").iloc[0]
+    assert row["phi_low"] <= truth["strength"][truth["effect"]] <= row["phi_high"]
+    assert cli.answer(["extend", CHAIN, truth["effect"], "--into", "chain_2"]) == 0
+    assert cli.answer(["explain", "chain_2"]) == 0
+    assert explanation("chain_2")["verdict"] == "nothing_detectable"
+    assert truth["effect"] not in {e["name"] for e in explanation("chain_2")["effects"]}
+
+
+def test_the_chain_explained_twice_gives_the_same_bytes(here, files):
+    assert cli.answer(["explain", CHAIN]) == 0
+    first = {p: b for p, b in files("results/five_mass_chain").items() if p.suffix == ".csv"}
+    assert cli.answer(["explain", CHAIN]) == 0
+    assert first == {p: b for p, b in files("results/five_mass_chain").items() if p.suffix == ".csv"}
+
+
+def test_figures_of_the_chain_are_those_that_need_no_structure(here, drawn):
+    assert cli.answer(["explain", CHAIN]) == 0
+    assert {p.stem for p in Path("results/five_mass_chain").glob("*.png")} == {
+        "where_it_fails_sigma", "parameters_under_strain", "ranked_effects", "confounding", "errors_before_after",
+    }  # fmt: skip

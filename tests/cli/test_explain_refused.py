@@ -1,0 +1,85 @@
+"""What ``calib explain``, ``extend`` and ``report`` refuse, in one sentence and with nothing left behind."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from calib import cli
+from calib.questions import library
+
+
+def refused(arguments, capsys, *words):
+    """Exit code 2, one sentence with all words, nothing but empty folders behind."""
+    capsys.readouterr()
+    assert cli.answer(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and said.startswith("calib: ") and "Traceback" not in said
+    for word in words:
+        assert word in said, said
+    assert not Path("calib-error.log").exists()
+    assert not any(p.is_file() for p in Path("results").rglob("*"))
+    return said
+
+
+def test_a_study_without_effects(guyed, capsys, edit):
+    edit(guyed, 'effects = "effects.py:library"\n', "")
+    refused(["explain", "mast"], capsys, "names no effects", "add effects = ")
+
+
+def test_a_study_whose_model_has_all_effects_is_told_what_to_do(guyed, capsys, edit):
+    edit(guyed, "selection =", 'with_effects = ["lamp", "platform", "guy", "stuck_base"]\nselection =')
+    refused(
+        ["explain", "mast"], capsys, "every effect of the library is in the model already", "already; ", "study.toml"
+    )
+
+
+@pytest.mark.parametrize("worthwhile_dofs", [library.WORTHWHILE_DOFS, 10])
+@pytest.mark.parametrize("held", [["B2z", "B3x", "B3z"], ["B1x", "B1z", "B2x", "B2z", "B3x"]])
+def test_too_few_modes_are_told_before_a_basis_is_trained(guyed, capsys, monkeypatch, held, worthwhile_dofs, edit):
+    monkeypatch.setattr(library, "WORTHWHILE_DOFS", worthwhile_dofs)
+    monkeypatch.setattr(library, "train_basis", lambda *a, **k: pytest.fail("a basis is trained"))
+    edit(guyed, "modes = []", f"modes = {json.dumps(held)}")
+    words = f"{6 - len(held)} measured modes cannot tell a missing effect from a parameter"
+    refused(["explain", "mast"], capsys, words, "measure at least 4")
+
+
+def test_an_unknown_library(guyed, capsys, edit):
+    edit(guyed, "effects.py:library", "effects.py:nothing")
+    refused(["explain", "mast"], capsys, "nothing", "study.toml")
+
+
+def test_an_effect_that_builds_nonsense(guyed, capsys):
+    text = (guyed / "effects.py").read_text()
+    broken = text.replace("return Addition(", "return dict(")
+    assert broken != text
+    (guyed / "effects.py").write_text(broken)
+    refused(["explain", "mast"], capsys, "effect ", "return an Addition")
+
+
+def test_a_finer_mesh_that_cannot_be_built(guyed, capsys, edit):
+    edit(guyed, "[calibration]", "[explain]\nfiner_options = { elements = 3 }\n\n[calibration]")
+    refused(["explain", "mast"], capsys, "elements")
+
+
+def test_results_that_cannot_be_written(guyed, capsys):
+    Path("taken").write_text("a file, not a folder")
+    refused(["explain", "mast", "--results", "taken"], capsys, "cannot be written")
+
+
+def test_an_unknown_effect_is_no_extension(guyed, capsys, files):
+    before = files(".")
+    refused(
+        ["extend", "mast", "gui", "--into", "mast_2"], capsys, "unknown effect 'gui'", "platform, lamp, guy, stuck_base"
+    )
+    assert not Path("mast_2").exists() and files(".") == before and not list(Path().glob(".calib*"))
+
+
+def test_an_effect_in_the_model_is_no_extension(guyed, capsys):
+    assert cli.answer(["extend", "mast", "guy", "--into", "mast_2"]) == 0
+    refused(["extend", "mast_2", "guy", "--into", "mast_3"], capsys, "in the model already", "the effects it lacks are")
+    assert not Path("mast_3").exists()
+
+
+def test_no_results_are_no_report(guyed, capsys):
+    refused(["report", "mast"], capsys, "there are no results to draw", "calib run mast")

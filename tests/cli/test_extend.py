@@ -1,0 +1,53 @@
+"""``calib extend`` and ``calib report``: from one version of a model to the next."""
+
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib import cli
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+
+def test_the_extended_model_lacks_nothing_more_and_its_errors_fall(guyed, capsys, edit, explanation):
+    """Explain, extend, calibrate, explain again, report."""
+    edit(guyed, "modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
+    assert cli.answer(["explain", "mast"]) == 0
+    (name,) = explanation()["credible_set"]
+    assert cli.answer(["extend", "mast", name, "--into", "mast_2"]) == 0
+    assert cli.answer(["calibrate", "mast_2", "--workers", "1"]) == 0
+    assert cli.answer(["explain", "mast_2"]) == 0
+    again = explanation("mast_2")
+    assert again["verdict"] == "nothing_detectable" and name not in {e["name"] for e in again["effects"]}
+    capsys.readouterr()
+    assert cli.answer(["report", "mast_2"]) == 0
+    assert "Errors in units of the scatter over the versions of the model:" in capsys.readouterr().out
+    table = pd.read_csv("results/mast_2/versions.csv", keep_default_na=False)
+    assert list(table["study"].unique()) == ["mast", "mast_2"] and list(table["effects"].unique()) == ["", "guy"]
+    rms = table.set_index(["group", "study"])["rms"]
+    for group in ("fit", "left_out", "withheld_modes"):
+        assert rms[group, "mast_2"] < rms[group, "mast"]
+    # What the calibration of the extended model finds is what the explanation had found.
+    values = pd.read_csv("results/mast_2/parameters.csv").set_index("parameter")["value"]
+    first = pd.read_csv("results/mast/effects.csv").set_index("name")["phi"]
+    assert values[name] == pytest.approx(first[name], rel=0.01)
+
+
+def test_report_says_which_versions_are_left_out(guyed, capsys):
+    assert cli.answer(["extend", "mast", "guy", "--into", "mast_2"]) == 0
+    assert cli.answer(["calibrate", "mast_2", "--workers", "1"]) == 0
+    capsys.readouterr()
+    assert cli.answer(["report", "mast_2"]) == 0
+    out = capsys.readouterr().out
+    command = f"calib explain {Path('mast').resolve()} --results results"
+    assert f"Version 1 (mast) has no errors under results: run '{command}'." in out.splitlines()
+    assert cli.answer(command.split()[1:]) == 0
+    capsys.readouterr()
+    assert cli.answer(["report", "mast_2"]) == 0
+    assert "has no errors" not in capsys.readouterr().out
+    shutil.rmtree("mast")
+    assert cli.answer(["report", "mast_2"]) == 0
+    gone = f"mast_2 was extended from {Path('mast').resolve()}, which is gone: versions before mast_2 are lost."
+    assert gone in capsys.readouterr().out.splitlines()
