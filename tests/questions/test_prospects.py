@@ -159,6 +159,7 @@ def test_a_part_that_is_known_better_need_not_be_tested(world):
 def test_no_option_lowers_a_score(world):
     _, hypotheses, state = world
     prospects = prospects_of(hypotheses, state)
+    assert prospects.options
     for option in prospects.options:
         assert (sizes(prospects, option) >= sizes(prospects) * (1 - 1e-9)).all(), option.name
 
@@ -174,10 +175,11 @@ def test_further_sensors_are_where_none_is_and_can_move(world):
     _, hypotheses, state = world
     known = {s.name for s in hypotheses.problem.measured.sensors}
     heights = {s.point[1] for s in hypotheses.problem.measured.sensors}
-    for option in option_of(prospects_of(hypotheses, state), "sensor"):
-        for s in sensors_in(option):
-            assert s.point[1] not in heights and s.name not in known
-            assert np.abs(hypotheses.variants.model.sensor_rows([s])).max() > 0
+    found = [s for o in option_of(prospects_of(hypotheses, state), "sensor") for s in sensors_in(o)]
+    assert found
+    for s in found:
+        assert s.point[1] not in heights and s.name not in known
+        assert np.abs(hypotheses.variants.model.sensor_rows([s])).max() > 0
 
 
 def test_without_shapes_no_sensor_is_advised(world):

@@ -24,6 +24,7 @@ def test_bar_lengths_are_the_ratios_in_percent(parameters):
 
 def test_bars_of_a_case_stand_in_the_row_of_their_parameter(parameters):
     ax = draw_parameters(parameters)
+    assert len(ax.containers) == 2
     for bars in ax.containers:
         assert [round(bar.get_y() + bar.get_height() / 2) for bar in bars] == [0, 1]
 

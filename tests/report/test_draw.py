@@ -77,6 +77,7 @@ def test_synthetic_measurements_are_said_on_every_figure(folder, saved):
 
 def test_the_heading_covers_no_data(folder, saved):
     draw_all(folder, "A bogie with a title so long that it needs more than one line over a figure of this width", True)
+    assert list(saved) == ALL
     for figure in saved.values():
         figure.savefig(os.devnull, format="png")
         lowest = min(t.get_window_extent().y0 for t in figure.texts if t.get_position()[1] > 0.5)
