@@ -7,7 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calib.sensitivity.partial import centred_ranks, orthonormal, orthonormal_beyond, same_rows, table_arrays
+from calib.sensitivity.partial import (
+    centred_ranks,
+    degrees_of_freedom,
+    orthonormal,
+    orthonormal_beyond,
+    rank_blocks,
+    table_arrays,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +77,13 @@ def decompose(points: pd.DataFrame, responses: pd.DataFrame) -> Decomposition:
     InputError
         When the rows of the two tables do not belong together, or a parameter is unknown somewhere.
     """
-    x, y = table_arrays(points, responses)
-    shape = x.shape[1], y.shape[1]
+    shape = points.shape[1], responses.shape[1]
     own, lent, lender = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, "", dtype=object)
     names = np.array([str(c) for c in points.columns], dtype=object)
-    for rows, columns in same_rows(y):
-        if rows.sum() < shape[0] + 2:
+    for columns, of_points, of_responses in rank_blocks(points, responses):
+        if degrees_of_freedom(len(of_points), shape[0]) < 1:
             continue
-        a, b = _unit(centred_ranks(x[rows])), _unit(centred_ranks(y[np.ix_(rows, columns)]))
+        a, b = _unit(of_points), _unit(of_responses)
         paths = np.full((shape[0], len(columns)), np.nan)
         for i in range(shape[0]):
             beyond = orthonormal_beyond(orthonormal(np.delete(a, i, axis=1)), a[:, [i]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
@@ -46,10 +47,8 @@ def partial(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
     InputError
         When the rows of the two tables do not belong together, or a parameter is unknown somewhere.
     """
-    x, y = table_arrays(points, responses)
-    out = np.full((x.shape[1], y.shape[1]), np.nan)
-    for rows, columns in same_rows(y):
-        a, b = centred_ranks(x[rows]), centred_ranks(y[np.ix_(rows, columns)])
+    out = np.full((points.shape[1], responses.shape[1]), np.nan)
+    for columns, a, b in rank_blocks(points, responses):
         if degrees_of_freedom(len(a), a.shape[1]) < 1:
             continue
         for i in range(a.shape[1]):
@@ -130,6 +129,13 @@ def same_rows(y: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     for j in range(y.shape[1]):
         patterns.setdefault(known[:, j].tobytes(), []).append(j)
     return [(known[:, columns[0]], np.array(columns)) for columns in patterns.values()]
+
+
+def rank_blocks(points: pd.DataFrame, responses: pd.DataFrame) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Columns of responses known in the same rows, and there the centred ranks of all parameters and of these."""
+    x, y = table_arrays(points, responses)
+    for rows, columns in same_rows(y):
+        yield columns, centred_ranks(x[rows]), centred_ranks(y[np.ix_(rows, columns)])
 
 
 def centred_ranks(a: np.ndarray) -> np.ndarray:

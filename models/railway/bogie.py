@@ -38,32 +38,33 @@ K_GUIDANCE = 20e6
 SIDES = (("left", 1.0), ("right", -1.0))
 ENDS = (("front", 1.0), ("rear", -1.0))
 
-_REASON = "lost in the case study; one coherent plausible set whose modes fall near the surviving figures"
+LOST = "lost in the case study; one coherent plausible set whose modes fall near the surviving figures"
+"""Why a number that no surviving figure tells is what it is."""
 
 _TABLE_2 = "Table 2 is lost; one coherent plausible set whose modes fall near the surviving figures"
 
 ASSUMPTIONS: tuple[Assumption, ...] = (
-    Assumption("wheelbase", "2.90", "m", _REASON),
-    Assumption("girder axis: height, transverse place", "0.62, +-1.05", "m", _REASON),
+    Assumption("wheelbase", "2.90", "m", LOST),
+    Assumption("girder axis: height, transverse place", "0.62, +-1.05", "m", LOST),
     Assumption("crossbars: longitudinal place", "+-1.115", "m", "follows from the printed total lengths by symmetry"),
-    Assumption("axle axis height, axle ends, wheel contacts", "0.43, +-1.05, +-0.87", "m", _REASON),
-    Assumption("axle-box arms: spring seats, upper rod, lower rod", "+-0.28, 0.20, 0.17", "m", _REASON),
-    Assumption("rod brackets on the girder: upper (x, y), lower (x, y)", "2.005, 0.70; 0.75, 0.36", "m", _REASON),
+    Assumption("axle axis height, axle ends, wheel contacts", "0.43, +-1.05, +-0.87", "m", LOST),
+    Assumption("axle-box arms: spring seats, upper rod, lower rod", "+-0.28, 0.20, 0.17", "m", LOST),
+    Assumption("rod brackets on the girder: upper (x, y), lower (x, y)", "2.005, 0.70; 0.75, 0.36", "m", LOST),
     Assumption("girder centre: A, Iv, Il, J", "2.0e-2, 1.1e-4, 1.0e-4, 4.0e-5", "m2, m4", _TABLE_2),
     Assumption("girder ends: A, Iv, Il, J", "1.0e-2, 6.0e-5, 6.0e-5, 3.0e-5", "m2, m4", _TABLE_2),
     Assumption("crossbar: A, Iv, Il, J", "1.05e-2, 9.0e-5, 9.0e-5, 3.0e-5", "m2, m4", _TABLE_2),
     Assumption("axle: A, I, J (diameter 0.16 m)", "2.01e-2, 3.22e-5, 6.43e-5", "m2, m4", _TABLE_2),
-    Assumption("axle-box arm: A, I, J; massless", "6.0e-3, 6.0e-5, 8.0e-5", "m2, m4", _REASON),
+    Assumption("axle-box arm: A, I, J; massless", "6.0e-3, 6.0e-5, 8.0e-5", "m2, m4", LOST),
     Assumption("steel: E, nu, density", "210 GPa, 0.3, 7850 kg/m3", "-", "usual values"),
     Assumption("shear coefficients: frame, axle and arms", "0.5, 0.9, 5/6", "-", "thin-walled box, round, solid"),
-    Assumption("wheel: mass, Jx = Jy, Jz", "330, 24, 48", "kg, kgm2", _REASON),
-    Assumption("axle box: mass, J", "80, 1.5", "kg, kgm2", _REASON),
+    Assumption("wheel: mass, Jx = Jy, Jz", "330, 24, 48", "kg, kgm2", LOST),
+    Assumption("axle box: mass, J", "80, 1.5", "kg, kgm2", LOST),
     Assumption("gear case on the front axle: mass, Jx, Jy, Jz", "300, 15, 120, 30", "kg, kgm2", "one driven axle"),
-    Assumption("crossbar tips (4)", "40", "kg", _REASON),
-    Assumption("girder middle (2), 0.25 m outwards", "220", "kg", _REASON),
-    Assumption("secondary spring seats (4), x +-0.30, 0.25 m outwards", "150", "kg", _REASON),
-    Assumption("primary spring, lateral part in x and z", "300", "kN/m", _REASON),
-    Assumption("axle-box guidance in z", "20", "MN/m", _REASON),
+    Assumption("crossbar tips (4)", "40", "kg", LOST),
+    Assumption("girder middle (2), 0.25 m outwards", "220", "kg", LOST),
+    Assumption("secondary spring seats (4), x +-0.30, 0.25 m outwards", "150", "kg", LOST),
+    Assumption("primary spring, lateral part in x and z", "300", "kN/m", LOST),
+    Assumption("axle-box guidance in z", "20", "MN/m", LOST),
     Assumption("mid-axle: transverse motion and spin held", "-", "-", "rail contact; spin would be a zero mode"),
 )  # fmt: skip
 """Every number of the bogie that is an engineering assumption."""

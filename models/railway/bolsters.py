@@ -14,7 +14,7 @@ from models.fem.discrete import PointMass, Spring
 from models.fem.frame import Member, Point, Suppression
 from models.fem.section import Section
 from models.fem.spider import Spider
-from models.railway.bogie import GIRDER_Y, GIRDER_Z, RY, SEAT_X, SIDES, UX, UZ
+from models.railway.bogie import GIRDER_Y, GIRDER_Z, LOST, RY, SEAT_X, SIDES, UX, UZ
 
 FLOOR_Y = 1.15
 FLOOR_X, FLOOR_Z = (-0.50, 0.0, 0.50), (0.70, 1.10)
@@ -31,23 +31,21 @@ BRACKET = Section(6.0e-3, 6.0e-6, 6.0e-6, 1.0e-5, shear_coefficient=0.5)
 
 K_PAD, K_TRACTION, K_LATERAL = 2.0e6, 100e6, 40e6
 
-_REASON = "lost in the case study; one coherent plausible set whose modes fall near the surviving figures"
-
 ASSUMPTIONS: tuple[Assumption, ...] = (
-    Assumption("secondary springs and dampers (4 a bogie): x, z", "+-0.30, +-1.17", "m", _REASON),
-    Assumption("load bolster: height, half length", "0.86, 1.17", "m", _REASON),
-    Assumption("tilting bolster: height, half length", "1.04, 0.90", "m", _REASON),
-    Assumption("bolsters: A, Iv, Il, J", "1.2e-2, 6.0e-5, 1.5e-4, 1.5e-4", "m2, m4", _REASON),
-    Assumption("load bolster at z +-1.17, tilting bolster at z +-0.35: mass each", "60", "kg", _REASON),
-    Assumption("tilting rods: z", "+-0.35", "m", _REASON),
-    Assumption("floor pads (4 a bogie): x, z, stiffness", "+-0.35, +-0.90, 2.0", "m, MN/m", _REASON),
+    Assumption("secondary springs and dampers (4 a bogie): x, z", "+-0.30, +-1.17", "m", LOST),
+    Assumption("load bolster: height, half length", "0.86, 1.17", "m", LOST),
+    Assumption("tilting bolster: height, half length", "1.04, 0.90", "m", LOST),
+    Assumption("bolsters: A, Iv, Il, J", "1.2e-2, 6.0e-5, 1.5e-4, 1.5e-4", "m2, m4", LOST),
+    Assumption("load bolster at z +-1.17, tilting bolster at z +-0.35: mass each", "60", "kg", LOST),
+    Assumption("tilting rods: z", "+-0.35", "m", LOST),
+    Assumption("floor pads (4 a bogie): x, z, stiffness", "+-0.35, +-0.90, 2.0", "m, MN/m", LOST),
     Assumption("traction and lateral links (2 a bogie): z, stiffness", "+-0.90, 100, 40", "m, MN/m",
                "stiff, so that sway and lengthwise motion stay out of the band of the measured modes"),
     Assumption("yaw dampers: height, z, x of bracket and floor end", "1.02, +-1.05, 0.75, -0.10", "m",
-               _REASON),
+               LOST),
     Assumption("yaw-damper bracket: height, A, I, J", "0.40, 6.0e-3, 6.0e-6, 1.0e-5", "m, m2, m4",
                "its bending is what lets the frame pitch behind the locked damper"),
-    Assumption("feet on the floor, from the bogie's centre: x, z", "0, +-0.50; +-0.70, +-1.10", "m", _REASON),
+    Assumption("feet on the floor, from the bogie's centre: x, z", "0, +-0.50; +-0.70, +-1.10", "m", LOST),
 )  # fmt: skip
 """Every number of the bolsters that is an engineering assumption."""
 

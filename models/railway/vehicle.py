@@ -46,12 +46,10 @@ ASSUMPTIONS: tuple[Assumption, ...] = (
 """What the assembly itself assumes."""
 
 _RULES = {
-    "base": ("t_base", "RMI_base"),
-    "walls": ("t_walls", "RMI_walls"),
-    "cover": ("t_cover", "RMI_cover"),
-    "ends": ("t_walls", "RMI_walls"),
+    group: {"modulus": "E_aluminium", "thickness": f"t_{kind}", "rmi": f"RMI_{kind}", "density": "rho_aluminium"}
+    for group, kind in (("base", "base"), ("walls", "walls"), ("cover", "cover"), ("ends", "walls"))
 }
-"""Parameters for thickness and ratio of moments of inertia of every group of panels."""
+"""Parameters that take the place of values of every group of panels, as `shell_coefficients` names them."""
 
 _SHARES = {"m_base": "base", "m_walls": "walls", "m_cover": "cover"}
 
@@ -186,10 +184,7 @@ def vehicle(refine: int = 1, distributed: bool = False) -> StructuralModel:
 def _body(structure: Structure, reduced: Reduced) -> tuple[list[Term], list[Term], list[Part]]:
     """Stiffness, mass and parts of all walls and beams."""
     young, density = parameter("E_aluminium", 1 / E_ALUMINIUM), parameter("rho_aluminium", 1 / RHO_ALUMINIUM)
-    rules = {
-        group: shell_coefficients(SHEETS[group], "E_aluminium", thickness, rmi, density="rho_aluminium")
-        for group, (thickness, rmi) in _RULES.items()
-    }
+    rules = {group: shell_coefficients(SHEETS[group], **rule) for group, rule in _RULES.items()}
     strips = rules["walls"].bending
     frames, frames_mass = structure.beams(SECTIONS)
     steel, steel_mass = structure.beams(_of_both(_STEEL))
@@ -199,10 +194,8 @@ def _body(structure: Structure, reduced: Reduced) -> tuple[list[Term], list[Term
         Term("steel", reduced(steel)),
     ]
     mass = [Term("frames", reduced(frames_mass), density), Term("steel", reduced(steel_mass))]
-    for group, (thickness, rmi) in _RULES.items():
-        stiff, heavy = shell_terms(
-            structure, reduced, group, "E_aluminium", thickness, rmi, density="rho_aluminium"
-        )  # fmt: skip
+    for group, rule in _RULES.items():
+        stiff, heavy = shell_terms(structure, reduced, group, **rule)
         stiffness += stiff
         mass += heavy
     pieces = beam_parts(structure, reduced, dict.fromkeys(SECTIONS, young) | {"pillar_wall": strips})

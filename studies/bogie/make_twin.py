@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -191,17 +192,32 @@ def write_truth(path: Path, names: tuple[str, ...], twin: Twin) -> None:
     print(f"seed {twin.seed}: the initial model's mean frequency error is {100 * twin.error:.1f} %")
 
 
-def main() -> None:
-    """Draw a truth, measure the twin five times, write truth and repeats."""
-    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def write_twin(
+    what: str, home: Path, names: tuple[str, ...], draw_from: Callable[[int], Twin], title: str = "bogie test"
+) -> None:
+    """Draw a truth, measure the twin five times, write truth and repeats, all as the command line says.
+
+    Parameters
+    ----------
+    what : str
+        What the command does, one sentence.
+    home : Path
+        Folder of the study.
+    names : tuple of str
+        Of the modes.
+    draw_from : callable
+        The twin of the first seed, from a given one on, that makes a study.
+    title : str
+    """
+    arguments = argparse.ArgumentParser(description=what)
     arguments.add_argument("truth", type=Path, help="where the hidden values are written")
     arguments.add_argument("--seed", type=int, default=1, help="first seed tried (default 1)")
-    arguments.add_argument("--into", type=Path, default=HERE / "measured", help="folder for the repeats")
+    arguments.add_argument("--into", type=Path, default=home / "measured", help="folder for the repeats")
     given = arguments.parse_args()
-    twin = drawn(given.seed)
-    write_measurement(given.into, MODES, twin.modes, twin.shapes, twin.layout, twin.rng)
-    write_truth(given.truth, MODES, twin)
+    twin = draw_from(given.seed)
+    write_measurement(given.into, names, twin.modes, twin.shapes, twin.layout, twin.rng, title)
+    write_truth(given.truth, names, twin)
 
 
 if __name__ == "__main__":
-    main()
+    write_twin((__doc__ or "").splitlines()[0], HERE, MODES, drawn)

@@ -31,6 +31,14 @@ def answers(root: Path, name: str, size: float, table="data_errors"):
     Results.at(root, name).write_table(table, frame)
 
 
+@pytest.fixture
+def answered(chain, tmp_path):
+    """A folder with results of all three."""
+    for study in chain:
+        answers(tmp_path / "results", study.name, 5.0)
+    return tmp_path / "results"
+
+
 def test_versions_come_oldest_first_with_their_effects(chain, tmp_path):
     root = tmp_path / "results"
     for k, study in enumerate(chain):
@@ -83,36 +91,27 @@ def test_a_study_that_comes_from_no_other_has_no_versions(chain, tmp_path):
     assert found.table.empty and found.notes == () and not list(tmp_path.rglob("versions.csv"))
 
 
-def test_an_ancestor_that_is_gone_ends_the_line(chain, tmp_path):
-    root = tmp_path / "results"
-    for study in chain:
-        answers(root, study.name, 5.0)
+def test_an_ancestor_that_is_gone_ends_the_line(chain, answered, tmp_path):
     (tmp_path / "mast_2/study.toml").unlink()
-    found = write_versions(chain[-1], root)
+    found = write_versions(chain[-1], answered)
     gone = tmp_path / "mast_2"
     assert found.table.empty
     assert found.notes == (f"mast_3 was extended from {gone}, which is gone: versions before mast_3 are lost.",)
 
 
-def test_what_follows_an_ancestor_that_is_gone_is_still_told(chain, tmp_path):
-    root = tmp_path / "results"
-    for study in chain:
-        answers(root, study.name, 5.0)
+def test_what_follows_an_ancestor_that_is_gone_is_still_told(chain, answered, tmp_path):
     (tmp_path / "mast/study.toml").unlink()
-    found = write_versions(chain[-1], root)
+    found = write_versions(chain[-1], answered)
     assert list(found.table["study"].unique()) == ["mast_2", "mast_3"]
     assert found.notes == (
         f"mast_2 was extended from {tmp_path / 'mast'}, which is gone: versions before mast_2 are lost.",
     )
 
 
-def test_a_circle_ends(chain, tmp_path):
-    root = tmp_path / "results"
-    for study in chain:
-        answers(root, study.name, 5.0)
+def test_a_circle_ends(chain, answered, tmp_path):
     file = tmp_path / "mast/study.toml"
     file.write_text(f'extended_from = "../mast_3"\n{file.read_text()}')
-    table = write_versions(chain[-1], root).table
+    table = write_versions(chain[-1], answered).table
     assert table["version"].max() <= MOST
 
 

@@ -1,4 +1,4 @@
-"""The vehicle, built once, and which of its modes is which."""
+"""The vehicle, built once, which of its modes is which, and what a printed parameter is."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from calib.measurement.modal import DIRECTIONS, Sensor
+from calib.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.solve import solve_modes
 from models.railway import vehicle
@@ -81,6 +82,21 @@ def name_modes() -> Callable[[StructuralModel, np.ndarray], Named]:
 @pytest.fixture(scope="session")
 def vehicle_sensors() -> list[Sensor]:
     return places()
+
+
+@pytest.fixture(scope="session")
+def assert_published() -> Callable[[Parameter, tuple, bool], None]:
+    """Fails when a parameter is not as printed: name, adopted value, limits, unit; None for what is lost."""
+
+    def check(p: Parameter, printed: tuple, deterministic: bool) -> None:
+        name, adopted, lower, upper, unit = printed
+        assert (p.name, p.unit) == (name, unit)
+        for own, other in ((p.value, adopted), (p.lower, lower), (p.upper, upper)):
+            assert other is None or own == other
+        assert p.lower <= p.value <= p.upper
+        assert (p.distribution == "fixed") == deterministic
+
+    return check
 
 
 @pytest.fixture(scope="session")

@@ -41,14 +41,9 @@ def test_table_is_complete_and_names_are_unique(car):
 
 
 @pytest.mark.parametrize("symbol", PUBLISHED)
-def test_published_numbers_are_kept(symbol):
-    name, adopted, lower, upper, unit = PUBLISHED[symbol]
-    p = BY_SYMBOL[symbol]
-    assert (p.name, p.unit) == (name, unit)
-    for own, printed in ((p.value, adopted), (p.lower, lower), (p.upper, upper)):
-        assert printed is None or own == printed
-    assert p.lower <= p.value <= p.upper
-    assert (p.distribution == "fixed") == (symbol in DETERMINISTIC)
+def test_published_numbers_are_kept(symbol, assert_published):
+    p, (_, adopted, lower, _, _) = BY_SYMBOL[symbol], PUBLISHED[symbol]
+    assert_published(p, PUBLISHED[symbol], symbol in DETERMINISTIC)
     assert ("adopted value" in p.assumed) == (adopted is None)
     assert ("limits" in p.assumed) == (lower is None)
 

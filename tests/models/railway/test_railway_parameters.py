@@ -45,15 +45,9 @@ def test_tables_are_complete():
 
 
 @pytest.mark.parametrize("symbol", PUBLISHED)
-def test_published_numbers_are_kept(symbol):
-    name, adopted, lower, upper, unit = PUBLISHED[symbol]
-    p = BY_SYMBOL[symbol]
-    assert (p.name, p.unit) == (name, unit)
-    for own, printed in ((p.value, adopted), (p.lower, lower), (p.upper, upper)):
-        assert printed is None or own == printed
-    assert p.lower <= p.value <= p.upper
-    assert (p.distribution == "fixed") == (symbol in DETERMINISTIC)
-    assert p.integer == symbol.startswith("Pos")
+def test_published_numbers_are_kept(symbol, assert_published):
+    assert_published(BY_SYMBOL[symbol], PUBLISHED[symbol], symbol in DETERMINISTIC)
+    assert BY_SYMBOL[symbol].integer == symbol.startswith("Pos")
 
 
 @pytest.mark.parametrize("symbol", UNIFORM)
