@@ -9,7 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors import InputError
-from models.fem.frame import Frame, Point
+from models.fem.frame import Frame
+from models.fem.member import Point
 
 End = tuple[str, Point]
 """A body or group and a place; a rigid arm ties the place to the nearest point of that part."""

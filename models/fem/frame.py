@@ -13,10 +13,8 @@ import scipy.sparse as sp
 from calib.errors import InputError
 from calib.structure.model import DofMap, Mesh
 from models.fem import beam
-from models.fem.member import Member, Particle, Point, Suppression, Tie
+from models.fem.member import Member, Particle, Suppression, Tie
 from models.fem.nodes import MERGE, NodeTable, assemble
-
-__all__ = ["Carrier", "Frame", "Member", "Particle", "Point", "Suppression", "Tie", "known_groups"]
 
 
 class Carrier(NamedTuple):

@@ -12,7 +12,8 @@ Local motions are ``(ux, uy, uz, rx, ry, rz)`` at the four corners in turn, z al
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +68,12 @@ class Quads:
         """Areas, shape (n,), m2."""
         a, b = self.corners[:, 2] - self.corners[:, 0], self.corners[:, 3] - self.corners[:, 1]
         return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+
+    @staticmethod
+    def joined(parts: Sequence[Quads]) -> Quads:
+        """All of them, one after the other."""
+        none = Quads(np.zeros((0, 4, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 4, 3)))
+        return Quads(*(np.concatenate([getattr(q, f.name) for q in (none, *parts)]) for f in fields(Quads)))
 
     def some(self, which: np.ndarray) -> Quads:
         """Only those at ``which``."""

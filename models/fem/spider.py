@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.errors import InputError
 from models.fem.beam import arm_matrix
-from models.fem.frame import Frame, Point
+from models.fem.frame import Frame
+from models.fem.member import Point
 
 FEWEST_FEET = 4
 

@@ -71,10 +71,8 @@ class Structure(Frame):
                 raise InputError("another part has its name", place=f"spider {spider.name!r}", remedy="rename it")
         nodes = self.points[self.corners]
         flat = [shell.quads(nodes[self.panel_of == k], _along(p), p.place) for k, p in enumerate(self.panels)]
-        names = ("corners", "centre", "axes", "arms")
+        object.__setattr__(self, "_quads", shell.Quads.joined(flat))
         if flat:
-            joined = shell.Quads(*(np.concatenate([getattr(q, name) for q in flat]) for name in names))
-            object.__setattr__(self, "_quads", joined)
             self._refuse_gaps()
 
     def _fill(self, table: NodeTable) -> None:
@@ -89,7 +87,7 @@ class Structure(Frame):
         object.__setattr__(self, "panel_of", np.concatenate(owner))
 
     def _refuse_gaps(self) -> None:
-        edges = np.unique(np.sort(_edges(self.corners), axis=1), axis=0)
+        edges = np.unique(surface.edges(self.corners), axis=0)
         start, end = self.points[edges[:, 0]], self.points[edges[:, 1]]
         length = np.linalg.norm(end - start, axis=1)
         near = KDTree(self.points).query_ball_point((start + end) / 2, length / 2 - MERGE)
@@ -162,7 +160,7 @@ class Structure(Frame):
     def mesh(self) -> Mesh:
         """Nodes and lines for pictures: the members, and the edges of shell elements that no member covers."""
         frame = super().mesh()
-        edges = np.sort(_edges(self.corners), axis=1)
+        edges = surface.edges(self.corners)
         owner = np.repeat(self.panel_of, 4)
         both = np.concatenate([np.sort(self.ends, axis=1), edges])
         _, first = np.unique(both, axis=0, return_index=True)
@@ -221,8 +219,3 @@ class Structure(Frame):
 
 def _along(panel: Panel) -> np.ndarray | None:
     return None if panel.along is None else np.array(panel.along, dtype=float)
-
-
-def _edges(corners: np.ndarray) -> np.ndarray:
-    """Both ends of every edge of elements (n, 4), shape (4 n, 2)."""
-    return np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)

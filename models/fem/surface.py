@@ -85,8 +85,12 @@ def motion(elements: shell.Quads, place: Foot, point: np.ndarray) -> np.ndarray:
     return out
 
 
+def edges(nodes: np.ndarray) -> np.ndarray:
+    """Both ends of each edge (from corner k to the next), lower number first, shape (4 n, 2), from nodes (n, 4)."""
+    return np.sort(np.stack([nodes, np.roll(nodes, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+
+
 def free_edges(nodes: np.ndarray) -> np.ndarray:
     """Whether each edge (from corner k to the next) belongs to one element only, shape (n, 4), from nodes (n, 4)."""
-    edges = np.sort(np.stack([nodes, np.roll(nodes, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    _, which, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    _, which, count = np.unique(edges(nodes), axis=0, return_inverse=True, return_counts=True)
     return (count[which.ravel()] == 1).reshape(-1, 4)

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.structure.model import Assumption
 from models.fem.discrete import PointMass, Spring, rod
-from models.fem.frame import Member, Point, Suppression, Tie
+from models.fem.member import Member, Point, Suppression, Tie
 from models.fem.section import Section
 
 UX, UY, UZ, RX, RY, RZ = range(6)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from calib.structure.model import Assumption
 from models.fem.discrete import PointMass, Spring
-from models.fem.frame import Member, Point, Suppression
+from models.fem.member import Member, Point, Suppression
 from models.fem.section import Section
 from models.fem.spider import Spider
 from models.railway.bogie import GIRDER_Y, GIRDER_Z, LOST, RY, SEAT_X, SIDES, UX, UZ

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from calib.structure.model import Assumption
-from models.fem.frame import Member, Point
+from models.fem.member import Member, Point
 from models.fem.panel import Panel, sheet_panel
 from models.fem.section import Section
 from models.fem.sheet import Sheet

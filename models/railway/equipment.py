@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from calib.structure.model import Assumption
 from models.fem.discrete import PointMass, Spring
-from models.fem.frame import Particle, Point, Suppression
+from models.fem.member import Particle, Point, Suppression
 from models.fem.spider import Spider
 from models.railway.bogie import RX, RY, RZ, UX, UZ
 from models.railway.bolsters import FLOOR_Y

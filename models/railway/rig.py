@@ -13,7 +13,8 @@ from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, Term, parameter
 from calib.structure.model import Assumption, DofMap, StructuralModel
 from models.fem.discrete import FrameLocator, Spring, mass_matrix, spring_matrix
-from models.fem.frame import Frame, Member
+from models.fem.frame import Frame
+from models.fem.member import Member
 from models.fem.parts import beam_parts, mass_parts, spring_parts
 from models.fem.section import Section
 from models.railway.bogie import ASSUMPTIONS as BOGIE_ASSUMPTIONS

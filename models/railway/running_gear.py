@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from models.fem.discrete import End, PointMass, Spring
-from models.fem.frame import Member, Point, Suppression, Tie
+from models.fem.member import Member, Point, Suppression, Tie
 from models.fem.spider import Spider
 from models.railway.bogie import bogie
 from models.railway.bolsters import bolsters

@@ -12,7 +12,7 @@ import pytest
 import scipy.sparse as sp
 
 from calib.structure.solve import solve_modes
-from models.fem.frame import Suppression
+from models.fem.member import Suppression
 from models.fem.panel import Panel, sheet_panel
 from models.fem.section import Section
 from models.fem.sheet import Sheet

@@ -8,7 +8,8 @@ import scipy.linalg as la
 import scipy.sparse as sp
 from scipy.optimize import brentq
 
-from models.fem.frame import Frame, Member, Point, Suppression
+from models.fem.frame import Frame
+from models.fem.member import Member, Point, Suppression
 from models.fem.section import Section
 
 STATE = 12

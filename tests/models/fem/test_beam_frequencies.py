@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from models.fem.frame import Frame, Member, Suppression
+from models.fem.frame import Frame
+from models.fem.member import Member, Suppression
 from models.fem.section import Section
 
 FIXED = tuple(range(6))

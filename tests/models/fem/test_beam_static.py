@@ -5,7 +5,8 @@ import pytest
 
 from calib.errors import InputError
 from models.fem import beam
-from models.fem.frame import Frame, Member, Suppression
+from models.fem.frame import Frame
+from models.fem.member import Member, Suppression
 from models.fem.section import Section
 
 CORNERS = ((0.0, 0.0, 0.0), (0.9, 0.2, -0.3), (1.1, 0.8, 0.4), (0.6, 1.5, 0.9))

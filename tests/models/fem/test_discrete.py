@@ -13,7 +13,8 @@ from calib.structure.affine import AffineMatrix, Term
 from calib.structure.model import StructuralModel
 from calib.structure.solve import solve_modes
 from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, rod, spring_matrix
-from models.fem.frame import Frame, Member, Suppression
+from models.fem.frame import Frame
+from models.fem.member import Member, Suppression
 from models.fem.section import Section
 
 FIXED = tuple(range(6))

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InputError
-from models.fem.frame import Frame, Member, Suppression, Tie
+from models.fem.frame import Frame
+from models.fem.member import Member, Suppression, Tie
 from models.fem.section import Section
 
 FIXED = tuple(range(6))

@@ -7,7 +7,8 @@ import scipy.sparse as sp
 from calib.errors import InputError
 from calib.structure.solve import solve_modes
 from models.fem.discrete import PointMass, Spring, mass_matrix, spring_matrix
-from models.fem.frame import Frame, Member, Particle, Suppression
+from models.fem.frame import Frame
+from models.fem.member import Member, Particle, Suppression
 from models.fem.panel import sheet_panel
 from models.fem.section import Section
 from models.fem.sheet import Sheet

@@ -5,7 +5,8 @@ import pytest
 import scipy.linalg as la
 
 from models.fem import beam
-from models.fem.frame import Frame, Member
+from models.fem.frame import Frame
+from models.fem.member import Member
 
 
 def random_member(seed, section, arm=(0.0, 0.0, 0.0), size=0.4, shift=(0.0, 0.0, 0.0)):

@@ -1,6 +1,6 @@
 """Panels and beams on one table of nodes: meshing, motions of points, spiders, affine terms."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term
 from calib.structure.model import StructuralModel
 from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, spring_matrix
-from models.fem.frame import Member, Suppression
+from models.fem.member import Member, Suppression
 from models.fem.panel import Panel, sheet_panel
 from models.fem.parts import shell_coefficients, shell_parts, shell_terms
 from models.fem.section import Section
@@ -69,6 +69,12 @@ def test_nodes_without_an_element_are_left_out():
     s = Structure((), panels=(side(1, openings=(((1, 3), (0, 3)),)),))
     assert set(s.corners.ravel()) == set(range(len(s.points)))
     assert not np.any(np.abs(s.points[:, 0] - 1.1) < 0.4)
+
+
+def test_without_panels_a_structure_is_whole_and_has_no_shells():
+    s = Structure((Member("car", "post", BAR, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.5, up=(1, 0, 0)),))
+    assert all(hasattr(s, f.name) for f in fields(s))
+    assert s.area(()) == 0.0 and s.shells().stiffness.nnz == 0 and len(s.mesh().lines) == 2
 
 
 @pytest.mark.parametrize("refinement", [0, 1, 2])
