@@ -47,25 +47,23 @@ def goodness(
             "freedom": 1.0 - pulled,
         }
     )
-    modes = frame.groupby(["mode", "kind"], sort=False, as_index=False)[["chi2", "freedom"]].sum()
-    single = frame.groupby(["mode", "kind"], sort=False).size().to_numpy() == 1
+    blocks = frame.groupby(["mode", "kind"], sort=False)
+    modes, single = blocks[["chi2", "freedom"]].sum().reset_index(), blocks.size().to_numpy() == 1
     modes["freedom"] -= [fitted_factors.get((m, k), 0) for m, k in zip(modes["mode"], modes["kind"], strict=True)]
     kinds = modes.groupby("kind", sort=False, as_index=False)[["chi2", "freedom"]].sum()
     studied = single & (modes["freedom"] > _FOLLOWED)
     modes.loc[studied, "chi2"] /= modes.loc[studied, "freedom"]
     modes.loc[studied, "freedom"] = 1.0
     for table in (kinds, modes):
-        table["p"] = [
-            _p(chi2, freedom, scatter_freedom.get(kind, np.inf))
-            for chi2, freedom, kind in zip(table["chi2"], table["freedom"], table["kind"], strict=True)
-        ]
+        scatter = np.array([min(scatter_freedom.get(kind, np.inf), 1e9) for kind in table["kind"]])
+        table["p"] = _p(table["chi2"].to_numpy(), table["freedom"].to_numpy(), scatter)
     return kinds, modes
 
 
-def _p(chi2: float, freedom: float, scatter: float) -> float:
-    if freedom < _LEAST:
-        return 1.0
-    return float(stats.f.sf(chi2 / freedom, freedom, min(scatter, 1e9)))
+def _p(chi2: np.ndarray, freedom: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    """Chance of sums of squares as large, all of shape (n,); 1 where too few degrees of freedom say nothing."""
+    said = np.maximum(freedom, _LEAST)
+    return np.where(freedom < _LEAST, 1.0, stats.f.sf(chi2 / said, said, scatter))
 
 
 def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:

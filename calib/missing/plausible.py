@@ -30,6 +30,12 @@ def strain(state: State, added: Sequence[Effect] = ()) -> pd.DataFrame:
     DataFrame
         ``parameter, unit, adopted, value, prior_sd, standardised, limit, strained``.
     """
+    columns = ["parameter", "unit", "adopted", "value", "prior_sd", "standardised", "limit", "strained"]
+    return pd.DataFrame(_strains(state, added), columns=columns)
+
+
+def _strains(state: State, added: Sequence[Effect]) -> list[tuple[str, str, float, float, float, float, float, bool]]:
+    """Rows of `strain`; a decision asks for hundreds of them."""
     own = {name for effect in added for name in effect.names}
     index = [k for k, name in enumerate(state.names) if name not in own]
     limit = float(stats.norm.isf(STRAIN / (2 * max(len(index), 1))))
@@ -40,16 +46,15 @@ def strain(state: State, added: Sequence[Effect] = ()) -> pd.DataFrame:
         told = max(s**2 - float(state.covariance[k, k]), 1e-6 * s**2)
         score = float(state.shift[k]) * s / np.sqrt(told)
         rows.append((name, p.unit, p.value, state.values[name], s, score, limit, bool(abs(score) > limit)))
-    columns = ["parameter", "unit", "adopted", "value", "prior_sd", "standardised", "limit", "strained"]
-    return pd.DataFrame(rows, columns=columns)
+    return rows
 
 
 def implausible(state: State, added: Sequence[Effect]) -> str:
     """Why a fitted model is not believable, in words; empty when it is."""
     reasons = []
-    table = strain(state, added)
-    for row in table[table["strained"]].itertuples():
-        reasons.append(f"{row.parameter} had to move {row.standardised:+.1f} prior standard deviations")
+    for name, *_, score, _, strained in _strains(state, added):
+        if strained:
+            reasons.append(f"{name} had to move {score:+.1f} prior standard deviations")
     for effect in added:
         p, value = effect.strength, state.values[effect.name]
         span = p.upper - p.lower
