@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,8 @@ from scipy import stats
 
 from calib.missing.hypotheses import Label
 from calib.missing.state import State
+
+_Name = TypeVar("_Name", bound=Hashable)
 
 _LEAST = 1.0
 """Fewer degrees of freedom say nothing."""
@@ -38,19 +41,15 @@ def goodness(
     modes : DataFrame
         ``mode, kind, chi2, freedom, p``.
     """
-    pulled = np.einsum("ij,jk,ik->i", state.slope, state.covariance, state.slope)
-    frame = pd.DataFrame(
-        {
-            "mode": [row.mode for row in rows],
-            "kind": [row.kind for row in rows],
-            "chi2": state.residual**2,
-            "freedom": 1.0 - pulled,
-        }
-    )
-    blocks = frame.groupby(["mode", "kind"], sort=False)
-    modes, single = blocks[["chi2", "freedom"]].sum().reset_index(), blocks.size().to_numpy() == 1
-    modes["freedom"] -= [fitted_factors.get((m, k), 0) for m, k in zip(modes["mode"], modes["kind"], strict=True)]
-    kinds = modes.groupby("kind", sort=False, as_index=False)[["chi2", "freedom"]].sum()
+    freedom = 1.0 - np.einsum("ij,jk,ik->i", state.slope, state.covariance, state.slope)
+    blocks, which = _numbered([(row.mode, row.kind) for row in rows])
+    modes = pd.DataFrame(blocks, columns=["mode", "kind"])
+    modes["chi2"], modes["freedom"] = np.bincount(which, state.residual**2), np.bincount(which, freedom)
+    modes["freedom"] -= [fitted_factors.get(block, 0) for block in blocks]
+    names, of = _numbered(modes["kind"].tolist())
+    sums = {column: np.bincount(of, modes[column]) for column in ("chi2", "freedom")}
+    kinds = pd.DataFrame({"kind": names, **sums})
+    single = np.bincount(which) == 1
     studied = single & (modes["freedom"] > _FOLLOWED)
     modes.loc[studied, "chi2"] /= modes.loc[studied, "freedom"]
     modes.loc[studied, "freedom"] = 1.0
@@ -58,6 +57,12 @@ def goodness(
         scatter = np.array([min(scatter_freedom.get(kind, np.inf), 1e9) for kind in table["kind"]])
         table["p"] = _p(table["chi2"].to_numpy(), table["freedom"].to_numpy(), scatter)
     return kinds, modes
+
+
+def _numbered(names: Sequence[_Name]) -> tuple[list[_Name], np.ndarray]:
+    """Different names in the order of their first appearance, and the number of each name among them, (n,)."""
+    numbers = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    return list(numbers), np.array([numbers[name] for name in names], dtype=int)
 
 
 def _p(chi2: np.ndarray, freedom: np.ndarray, scatter: np.ndarray) -> np.ndarray:
