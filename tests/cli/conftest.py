@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -21,14 +23,26 @@ def write_study() -> Callable[..., Path]:
     return module_of(ROOT / "tests/template/mast_effects.py").write_study
 
 
+@pytest.fixture(scope="session")
+def asked() -> Callable[..., str]:
+    """Asks a question in a folder and returns what was said."""
+
+    def ask(folder: Path, *arguments: str) -> str:
+        with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()) as said:
+            assert cli.answer(list(arguments)) == 0
+        return said.getvalue()
+
+    return ask
+
+
 @pytest.fixture
 def drawn() -> None:
     """Asked for by tests about figures."""
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures take longest; most tests are not about them."""
+    """Figures take longest; most tests are not about them, and what is shared by some has them already."""
     if "drawn" not in request.fixturenames:
         monkeypatch.setattr(cli, "draw_all", lambda *a: [])
 

@@ -28,12 +28,32 @@ SUMMARY = {
 }  # fmt: skip
 
 
+def small_mast(folder: Path) -> Path:
+    """The example study, small."""
+    file = folder / "mast/study.toml"
+    assert cli.answer(["new", str(file.parent)]) == 0
+    text = file.read_text()
+    file.write_text(text.replace("generations = 60", "generations = 20").replace("samples = 200", "samples = 40"))
+    return file.parent
+
+
 @pytest.fixture
 def mast(here):
-    assert cli.answer(["new", "mast"]) == 0
-    text = Path("mast/study.toml").read_text()
-    small = text.replace("generations = 60", "generations = 20").replace("samples = 200", "samples = 40")
-    Path("mast/study.toml").write_text(small)
+    return small_mast(Path())
+
+
+@pytest.fixture(scope="module")
+def whole(asked, tmp_path_factory):
+    """A folder in which everything was asked of the example, and what was said."""
+    folder = tmp_path_factory.mktemp("whole")
+    small_mast(folder)
+    return folder, asked(folder, "run", "mast", "--workers", "1")
+
+
+@pytest.fixture
+def answered(whole, here):
+    """The same in the current directory, which may be changed."""
+    shutil.copytree(whole[0], here, dirs_exist_ok=True)
     return Path("mast")
 
 
@@ -41,10 +61,8 @@ def read(folder: str, name: str) -> pd.DataFrame:
     return pd.read_csv(Path(folder) / name)
 
 
-def test_run_answers_everything_with_the_documented_files(mast, capsys):
-    assert cli.answer(["run", "mast", "--workers", "1"]) == 0
-    out = capsys.readouterr().out
-    folder = Path("results/mast")
+def test_run_answers_everything_with_the_documented_files(whole):
+    folder, out = whole[0] / "results/mast", whole[1]
     for stage in ("before", "after"):
         assert list(read(folder, f"comparison_{stage}.csv")) == COMPARISON
     assert list(read(folder, "parameters.csv")) == PARAMETERS
@@ -95,8 +113,7 @@ def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
     assert Path("results/mast/quick/summary.json").exists()
 
 
-def test_asked_again_nothing_is_solved_twice_and_the_answer_is_the_same(mast):
-    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+def test_asked_again_nothing_is_solved_twice_and_the_answer_is_the_same(answered):
     first = {
         n: Path("results/mast", n).read_bytes() for n in ("parameters.csv", "comparison_after.csv", "convergence.csv")
     }
@@ -106,11 +123,9 @@ def test_asked_again_nothing_is_solved_twice_and_the_answer_is_the_same(mast):
     assert rows == sqlite3.connect("results/mast/ledger.sqlite").execute("select count(*) from evaluation").fetchone()
 
 
-def test_a_changed_measurement_makes_old_rows_stale_and_says_so(mast, capsys):
-    assert cli.answer(["sensitivity", "mast", "--workers", "1"]) == 0
+def test_a_changed_measurement_makes_old_rows_stale_and_says_so(answered, capsys):
     modes = Path("mast/modes.csv").read_text().replace("1.7117", "1.7217")
     Path("mast/modes.csv").write_text(modes)
-    capsys.readouterr()
     assert cli.answer(["sensitivity", "mast", "--workers", "1"]) == 0
     assert "another state of model or measurement" in capsys.readouterr().out
 
@@ -147,8 +162,7 @@ def test_rows_of_the_reduced_problem_are_not_called_stale(here, capsys):
     assert "another state" not in first + again
 
 
-def test_report_draws_from_tables_alone(mast, monkeypatch):
-    assert cli.answer(["run", "mast", "--workers", "1"]) == 0
+def test_report_draws_from_tables_alone(answered, drawn, monkeypatch):
     for figure in Path("results/mast").glob("*.png"):
         figure.unlink()
     monkeypatch.setattr("calib.correlation.problem.ModalProblem.evaluate", lambda *a: pytest.fail("it solved"))
@@ -161,10 +175,10 @@ def test_results_go_where_they_are_told(mast):
     assert Path("out/here/mast/comparison_before.csv").exists() and not Path("results").exists()
 
 
-def test_the_measured_rig_without_shapes(here, capsys):
+def test_the_measured_rig_without_shapes(here, drawn, capsys):
     shutil.copytree(ROOT / "studies/four_storey_rig", "rig")
     text = (
-        Path("rig/study.toml").read_text().replace("[calibration]", "[calibration]\ngenerations = 60\npopulation = 20")
+        Path("rig/study.toml").read_text().replace("[calibration]", "[calibration]\ngenerations = 20\npopulation = 20")
     )
     Path("rig/study.toml").write_text(text)
     assert cli.answer(["run", "rig", "--workers", "1"]) == 0

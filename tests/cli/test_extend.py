@@ -8,8 +8,6 @@ import pytest
 
 from calib import cli
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 def test_the_extended_model_lacks_nothing_more_and_its_errors_fall(guyed, capsys, edit, explanation):
     """Explain, extend, calibrate, explain again, report."""
