@@ -22,13 +22,18 @@ def summary(folder: Path) -> dict:
     return json.loads((folder / "summary.json").read_text("utf-8"))
 
 
-def test_four_frequencies_of_the_measured_rig_are_met_within_their_scatter(tmp_path):
-    assert cli.answer(["calibrate", str(ROOT / "studies/four_storey_rig"), "--results", str(tmp_path)]) == 0
-    table = pd.read_csv(tmp_path / "four_storey_rig/comparison_after.csv")
+@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_four_frequencies_of_the_measured_rig_are_met_within_their_scatter(tmp_path, quick):
+    question = ["calibrate", str(ROOT / "studies/four_storey_rig"), "--results", str(tmp_path), "--workers", "1"]
+    assert cli.answer([*question, *(["--quick"] if quick else [])]) == 0
+    folder = tmp_path / "four_storey_rig" / ("quick" if quick else "")
+    table = pd.read_csv(folder / "comparison_after.csv")
     scatter_of_the_mean = np.array([0.032, 0.115, 0.169, 0.228]) / 10
     assert np.all(np.abs(table["natural_freq_model"] - table["natural_freq_measured"]) < scatter_of_the_mean)
-    parameters = pd.read_csv(tmp_path / "four_storey_rig/parameters.csv")
-    assert parameters["stable"].all() and not parameters["on_bound"].any()
+    parameters = pd.read_csv(folder / "parameters.csv")
+    assert parameters["identified"].all() and not parameters["on_bound"].any()
+    assert parameters.groupby("parameter")["value"].agg(np.ptp).max() < 1e-4  # four cases, one solution
+    assert quick or parameters["stable"].all()
 
 
 @pytest.mark.slow

@@ -78,14 +78,20 @@ def twin_maker() -> ModuleType:
 
 
 @pytest.fixture(scope="session")
-def with_basis(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Results], Results]:
-    """Puts the effect basis of the blind studies into a folder: they have one model, and it takes longest of all."""
+def blind_basis(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The effect basis of the blind studies: they have one model, and it takes longest of all."""
     kept = Results.at(tmp_path_factory.mktemp("basis"), "hidden_bogie")
     modal_hypotheses(Study.load(ROOT / "studies/hidden_bogie"), kept)
     (path,) = kept.path.glob("basis_effects_*.npz")
+    return path
+
+
+@pytest.fixture(scope="session")
+def with_basis(blind_basis: Path) -> Callable[[Results], Results]:
+    """Puts that basis into a folder."""
 
     def put(results: Results) -> Results:
-        shutil.copy(path, results.path)
+        shutil.copy(blind_basis, results.path)
         return results
 
     return put

@@ -16,6 +16,8 @@ from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 HIDDEN, NONE, OUTSIDE = "hidden_bogie", "hidden_bogie_none", "hidden_bogie_outside"
+# The blind test bench has quicker runs with nothing hidden and with what is in no library.
+EACH = [HIDDEN, *(pytest.param(name, marks=pytest.mark.slow) for name in (NONE, OUTSIDE))]
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +102,7 @@ def test_withheld_data_are_predicted_to_the_noise(explained):
     assert p["fit", "before"] < 1e-6 < 0.01 < p["fit", "after"]
 
 
-@pytest.mark.parametrize("name", [HIDDEN, NONE, OUTSIDE])
+@pytest.mark.parametrize("name", EACH)
 def test_the_cost_the_basis_and_the_mesh_are_within_bounds(explained, name):
     summary, *_ = written(explained(name))
     assert 0 < summary["evaluations"] <= 150
@@ -109,7 +111,7 @@ def test_the_cost_the_basis_and_the_mesh_are_within_bounds(explained, name):
     assert any("the discretisation hides and fakes nothing" in note for note in summary["notes"])
 
 
-@pytest.mark.parametrize("name", [HIDDEN, NONE, OUTSIDE])
+@pytest.mark.parametrize("name", EACH)
 def test_the_sentence_tells_what_the_tables_tell(explained, name):
     folder = explained(name)
     summary, effects, errors = written(folder)
@@ -133,6 +135,7 @@ def test_the_sentence_tells_what_the_tables_tell(explained, name):
 # -- nothing -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_missing(explained):
     summary, effects, errors = written(explained(NONE))
     assert summary["verdict"] == "nothing_detectable"
@@ -143,6 +146,7 @@ def test_nothing_is_named_where_nothing_is_missing(explained):
     assert errors["p"]["withheld_modes", "before"] > 0.01 and errors["p"]["withheld_sensors", "before"] > 0.01
 
 
+@pytest.mark.slow
 def test_what_could_have_been_seen_is_told_for_every_effect(explained):
     _, effects, _ = written(explained(NONE))
     assert len(effects) == 16 and effects["phi_min"].notna().all() and (effects["phi_min"] > 0).all()
@@ -153,6 +157,7 @@ def test_what_could_have_been_seen_is_told_for_every_effect(explained):
 # -- something that is in no library -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_in_no_library_is_named_after_nothing(explained):
     summary, effects, _ = written(explained(OUTSIDE))
     assert summary["verdict"] in ("none_explains", "partial")
@@ -163,6 +168,7 @@ def test_what_is_in_no_library_is_named_after_nothing(explained):
     assert "a place to look at, not a cause" in summary["sentence"]
 
 
+@pytest.mark.slow
 def test_the_place_that_is_pointed_at_is_near_what_was_changed(explained):
     """Rods that are stiffer on the rear axle move the rear axle and its boxes."""
     folder = explained(OUTSIDE)

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from calib.structure.basis import Basis
+
 BENCH = Path(__file__).resolve().parents[1] / "benchmarks"
 NAMING = ("effect", "indistinguishable", "two_effects")
 
@@ -25,12 +27,12 @@ def bench():
 
 
 @pytest.fixture(scope="module")
-def world(bench, tmp_path_factory):
-    """The bogie with its own library; nothing is run with the one of fifty effects."""
+def world(bench, blind_basis, tmp_path_factory):
+    """The bogie with its own library and the blind studies' basis; nothing is run with the one of fifty effects."""
 
     class Own(bench["rates_world"].World):
         def _basis(self, name, effects, local):
-            return None if name == bench["rates_scenarios"].FIFTY else super()._basis(name, effects, local)
+            return None if name == bench["rates_scenarios"].FIFTY else Basis.load(blind_basis)
 
     return Own(tmp_path_factory.mktemp("rates"), "test")
 
