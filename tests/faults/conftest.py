@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -252,8 +253,8 @@ def ledger_rows(path: Path) -> tuple[tuple, tuple]:
 
 
 @pytest.fixture(scope="session")
-def whole(tmp_path_factory) -> tuple[Left, float]:
-    """What ``calib calibrate mast --workers 1`` leaves when nothing goes wrong (without figures), and its seconds."""
+def calibrated(tmp_path_factory) -> tuple[Path, float]:
+    """Where ``calib calibrate mast --workers 1`` was asked and nothing went wrong, without figures; its seconds."""
     folder = tmp_path_factory.mktemp("whole")
     with contextlib.chdir(folder):
         write_example(Path("mast"))
@@ -261,9 +262,23 @@ def whole(tmp_path_factory) -> tuple[Left, float]:
         began = time.monotonic()
         run = Runner(folder / "said").fork("calibrate", "mast", "--workers", "1")
         assert run.wait() == 0, run.err
-        found = Left.by(Path("results/mast"))
+    return folder, time.monotonic() - began
+
+
+@pytest.fixture(scope="session")
+def whole(calibrated) -> tuple[Left, float]:
+    """What that leaves, and its seconds."""
+    folder, seconds = calibrated
+    found = Left.by(folder / "results/mast")
     assert {row[5] for row in found.history} == {"solved", "reused"}
-    return found, time.monotonic() - began
+    return found, seconds
+
+
+@pytest.fixture
+def answered(calibrated, mast) -> Path:
+    """The example study with the same results, all of which may be changed."""
+    shutil.copytree(calibrated[0] / "results", "results")
+    return mast
 
 
 def unfinished(folder: Path) -> list[str]:

@@ -221,12 +221,12 @@ def test_a_full_disk_leaves_earlier_results_whole(mast, small_disk, runner, rows
         (lambda data: data[:8192] + os.urandom(len(data) - 8192), ""),
     ],
 )
-def test_a_damaged_ledger(mast, capsys, damage, words):
-    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+def test_a_damaged_ledger(answered, capsys, damage, words):
     before = files(FOLDER)
     damaged = damage(LEDGER.read_bytes())
     LEDGER.write_bytes(damaged)
-    (mast / "study.toml").write_text((mast / "study.toml").read_text().replace("seed = 2", "seed = 3"))
+    file = answered / "study.toml"
+    file.write_text(file.read_text().replace("seed = 2", "seed = 3"))
     assert words in told(capsys, "calibrate", "mast", "--workers", "1")
     tables = {n: b for n, b in files(FOLDER).items() if n.endswith((".csv", ".json"))}
     assert tables == {n: before[n] for n in tables}
@@ -234,8 +234,7 @@ def test_a_damaged_ledger(mast, capsys, damage, words):
     assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
 
 
-def test_damaged_rows(mast, capsys):
-    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+def test_damaged_rows(answered, capsys):
     for rubbish in ('{"natural_freq_B1x": ', "[1.0]", '{"natural_freq_B1x": "much"}'):
         with contextlib.closing(sqlite3.connect(LEDGER, isolation_level=None)) as database:
             database.execute("DROP TRIGGER IF EXISTS evaluation_stays")

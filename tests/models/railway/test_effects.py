@@ -171,6 +171,7 @@ def jacobian():
     return names, residual(base()).jacobian({}, names) * widths
 
 
+@cache
 def fingerprints(name):
     asked = residual(with_effect(name))
     if not EFFECTS[name].grid:

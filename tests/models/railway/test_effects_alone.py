@@ -29,12 +29,12 @@ def with_effect(name):
 
 def change(name, values, twin=False):
     """What an effect alone does to K, C and M, over all degrees of freedom of the extended model."""
-    model, n = extend(base(twin), [EFFECTS[name]]), base(twin).n_dof
+    model = extend(base(twin), [EFFECTS[name]])
     out = []
     for own, bare in zip(model.matrices(values), base(twin).matrices({}), strict=True):
-        wide = sp.lil_array(own.shape)
-        wide[:n, :n] = bare
-        out.append(sp.csr_array(own - wide.tocsr()))
+        wide = sp.csr_array(bare, copy=True)
+        wide.resize(own.shape)
+        out.append(sp.csr_array(own - wide))
     return out
 
 
