@@ -57,7 +57,7 @@ def body_effects() -> tuple[Effect, ...]:
             lacks="The windows are open holes.",
             look_for="Panes bonded all round with stiff adhesive instead of sitting in a soft rubber profile.",
             strength=Parameter(
-                "window_glass", 0.0, 0.0, 200.0, "MN/m", prior_sd=8.0,
+                "window_glass", 0.0, 0.0, 200.0, "MN/m", prior_sd=3.0,
                 description="shear modulus times thickness of a pane with its bond",
             ),
             build=_window_glass,

@@ -47,7 +47,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
             lacks="All tilting rods are alike, bushes included.",
             look_for="Wear or clearance in the joints of the front left tilting rod.",
             strength=Parameter(
-                "tilting_rod_bush", 0.0, 0.0, 2000.0, "mm/MN", prior_sd=60.0,
+                "tilting_rod_bush", 0.0, 0.0, 1000.0, "mm/MN", prior_sd=20.0,
                 description="flexibility in series with the front bogie's left tilting rod",
             ),
             build=_tilting_rod_bush,
