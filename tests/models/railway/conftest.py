@@ -93,6 +93,11 @@ def car() -> StructuralModel:
 
 
 @pytest.fixture(scope="session")
+def rigid_car() -> StructuralModel:
+    return vehicle(seats="rigid")
+
+
+@pytest.fixture(scope="session")
 def undamped(car):
     k, _, m = car.matrices({})
     return solve_modes(k, None, m, 15, car.dofs.direction >= 3)

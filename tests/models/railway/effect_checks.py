@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,7 +16,8 @@ from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.structure.extend import extend
+from calib.space import ParameterSpace
+from calib.structure.extend import Addition, extend
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
@@ -62,6 +64,56 @@ def outside(vector: np.ndarray, columns: np.ndarray, prior: bool) -> float:
     q = np.linalg.qr(g)[0]
     wide = np.pad(vector, (0, len(g) - len(vector)))
     return float(np.linalg.norm(wide - q @ (q.T @ wide)) / np.linalg.norm(vector))
+
+
+@dataclass(frozen=True, eq=False)
+class Alone:
+    """What each effect by itself does to a base model."""
+
+    base: StructuralModel
+    effects: Mapping[str, Effect]
+    _built: dict[str, Addition] = field(init=False, default_factory=dict)
+
+    def addition(self, name: str) -> Addition:
+        """What the effect adds."""
+        if name not in self._built:
+            self._built[name] = self.effects[name].build(self.base)
+        return self._built[name]
+
+    def change(self, name: str, values: Mapping[str, float]) -> list[sp.csr_array]:
+        """Its K, C and M over the base model's degrees of freedom and its own; selected terms are left out."""
+        space = ParameterSpace(self.base.space.parameters + self.effects[name].parameters)
+        si, added = space.si(space.complete(values)), self.addition(name)
+        zero = sp.csr_array((self.base.n_dof + added.n_added,) * 2)
+        return [
+            sp.csr_array(sum((t.matrix * t.coefficient(si) for t in terms), zero))
+            for terms in (added.stiffness, added.damping, added.mass)
+        ]
+
+    def field(self, motion: Callable[..., Sequence[Any]], bodies: Collection[str] | None = None) -> np.ndarray:
+        """Motion of bodies (all by default) by a function of x, y and z that gives three shifts and three turns."""
+        frame, d, node = self.base.locator.frame, self.base.dofs.direction, self.base.dofs.node
+        full = np.stack(np.broadcast_arrays(*motion(*frame.points.T)), axis=1)
+        own = np.array([bodies is None or frame.bodies[k] in bodies for k in node])
+        return np.where(own, full[node, d], 0.0)
+
+    def rigid(
+        self, direction: int, bodies: Collection[str] | None = None, centre: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> np.ndarray:
+        """Motion of bodies (all by default) as one rigid piece, over the degrees of freedom there are."""
+        unit = np.eye(6)[direction]
+
+        def motion(*places: np.ndarray) -> list[Any]:
+            arms = np.stack(places, axis=1) - np.asarray(centre)
+            return [*(unit[:3] + np.cross(unit[3:], arms)).T, *unit[3:]]
+
+        return self.field(motion, bodies)
+
+
+def energy(matrix: sp.csr_array, motion: np.ndarray) -> float:
+    """Product of a matrix with a motion of the base model on either side; what was added stands still."""
+    wide = np.pad(motion, (0, matrix.shape[0] - len(motion)))
+    return float(wide @ matrix @ wide)
 
 
 @dataclass(frozen=True, eq=False)
