@@ -1,6 +1,7 @@
-"""What effects are made of: springs between places, hung masses, dampers on soft mounts.
+"""What effects are made of: springs between places, parts that are off, hung masses, dampers on soft mounts.
 
-All act at points of the geometry through a model's locator, so that an effect is the same on every mesh.
+All act at points of the geometry through a model's locator, or on named parts, so that an effect is the same on every
+mesh.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors import InputError
-from calib.structure.affine import Coefficient, Monomial, Term
+from calib.structure.affine import Coefficient, Monomial, SeriesLoss, Term, parameter
 from calib.structure.extend import Addition
-from calib.structure.model import StructuralModel
+from calib.structure.model import Part, PartKind, StructuralModel
+
+GRAVITY = 9.81
 
 Place = tuple[str | None, tuple[float, float, float]]
 """Part that carries a point (None for the nearest), and the point in m."""
@@ -48,6 +51,56 @@ def outer_term(name: str, rows: Sequence[np.ndarray], coefficient: Coefficient, 
     return Term(name, sp.csr_array(stacked.T @ stacked), coefficient)
 
 
+def part_of(model: StructuralModel, kind: PartKind, name: str) -> Part:
+    """The part of that kind and name; InputError when there is not exactly one."""
+    found = [p for p in model.parts if p.kind == kind and p.name == name]
+    if len(found) != 1:
+        raise InputError(f"the model {model.name} has {len(found)} parts {name!r} of {kind}", place="effect")
+    return found[0]
+
+
+def scaled_part(model: StructuralModel, kind: PartKind, name: str, strength: str, factor: float = 1.0) -> Term:
+    """What a part gains when it is ``1 + factor * strength`` times itself."""
+    part = part_of(model, kind, name)
+    powers = (*part.coefficient.powers, (strength, 1.0))
+    return Term(f"{strength}: {name}", part.matrix, Monomial(factor * part.coefficient.factor, powers))
+
+
+def softened_part(model: StructuralModel, name: str, flexibility: str) -> Term:
+    """What the springs of a part lose by a flexibility in series with each.
+
+    The part's coefficient is the stiffness of each of them, and no two of them share an end.
+    """
+    part = part_of(model, "stiffness", name)
+    return Term(f"{flexibility}: {name}", part.matrix, SeriesLoss(part.coefficient, parameter(flexibility)))
+
+
+def shifted_masses(
+    model: StructuralModel, masses: Sequence[tuple[Place, float]], direction: int, shift: str
+) -> tuple[Term, Term]:
+    """What point masses of a model (place, kg) add to its mass when they sit off their places, all by one shift.
+
+    On an arm e along a unit vector n, a mass moves by ``u + e theta x n``.
+
+    Parameters
+    ----------
+    direction : int
+        Of the shift, 0..2 for x, y, z.
+    shift : str
+        Name of the parameter.
+    """
+    moved, turned = [], []
+    for place, mass in masses:
+        moves = math.sqrt(mass) * np.array([motion(model, place, d) for d in range(6)])
+        moved += list(moves[:3])
+        turned += list(np.cross(moves[3:].T, np.eye(3)[direction]).T)
+    a, b = sp.csr_array(np.array(moved)), sp.csr_array(np.array(turned))
+    return (
+        Term(f"{shift}: moment", sp.csr_array(a.T @ b + b.T @ a), Monomial(1.0, ((shift, 1.0),))),
+        Term(f"{shift}: inertia", sp.csr_array(b.T @ b), Monomial(1.0, ((shift, 2.0),))),
+    )
+
+
 def hung_masses(rows: Sequence[np.ndarray], mass: str, freq: str, damping_ratio: float, share: float = 1.0) -> Addition:
     """Masses hung elastically at motions of a model, one degree of freedom each.
 
@@ -76,6 +129,59 @@ def hung_masses(rows: Sequence[np.ndarray], mass: str, freq: str, damping_ratio:
             Term(f"{mass}: coupling", cross, Monomial(math.sqrt(part), ((mass, 0.5),))),
             Term(f"{mass}: own", own),
         ),
+        n_added=count,
+    )
+
+
+def loosened_masses(rows: Sequence[np.ndarray], sag: str, damping_ratio: float) -> Addition:
+    """Masses that a model carries rigidly, let go on springs, one degree of freedom for each row.
+
+    With b a row (motion times root of the mass), ``s = sag/gravity = 1/omega^2`` and ``g sqrt(s)`` the motion relative
+    to it, the kinetic energy is ``(b' + sqrt(s) g')^2/2``, whose first part the model has, and the strain energy
+    ``g^2/2``: regular at sag 0, where g is 0.
+
+    Parameters
+    ----------
+    rows : sequence of ndarray (n_dof,)
+    sag : str
+        Name of the parameter: by how much a mass presses its springs down.
+    damping_ratio : float
+        Of the masses on a fixed base.
+    """
+    own, cross = _beside(rows)
+    return Addition(
+        stiffness=(Term(f"{sag}: springs", own),),
+        damping=(Term(f"{sag}: dampers", own, Monomial(2 * damping_ratio / math.sqrt(GRAVITY), ((sag, 0.5),))),),
+        mass=(
+            Term(f"{sag}: coupling", cross, Monomial(1 / math.sqrt(GRAVITY), ((sag, 0.5),))),
+            Term(f"{sag}: own", own, Monomial(1 / GRAVITY, ((sag, 1.0),))),
+        ),
+        n_added=len(rows),
+    )
+
+
+def maxwell_branches(rows: Sequence[np.ndarray], stiffness: str, corner_freq: str) -> Addition:
+    """Springs with a damper in series (Maxwell elements) beside what a model has, one degree of freedom each.
+
+    With b the elongation of the branch, k its spring and ``g/sqrt(k)`` the stroke of its damper, the strain energy is
+    ``(sqrt(k) b - g)^2/2`` and the dissipation ``g'^2/(2 pi f)``: regular at stiffness 0, where g stands by itself.
+
+    Parameters
+    ----------
+    rows : sequence of ndarray (n_dof,)
+        Elongation of each branch.
+    stiffness, corner_freq : str
+        Names of the parameters: stiffness of each spring, and the frequency f at which its damper is as stiff.
+    """
+    count = len(rows)
+    own, cross = _beside(rows)
+    return Addition(
+        stiffness=(
+            outer_term(f"{stiffness}: springs", rows, parameter(stiffness), count),
+            Term(f"{stiffness}: coupling", cross, Monomial(-1.0, ((stiffness, 0.5),))),
+            Term(f"{stiffness}: own", own),
+        ),
+        damping=(Term(f"{stiffness}: dampers", own, Monomial(1 / (2 * math.pi), ((corner_freq, -1.0),))),),
         n_added=count,
     )
 

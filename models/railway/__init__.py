@@ -3,5 +3,6 @@
 from models.railway.effects import bogie_effects
 from models.railway.rig import bogie_on_rig
 from models.railway.vehicle import vehicle
+from models.railway.vehicle_effects import vehicle_effects
 
-__all__ = ["bogie_effects", "bogie_on_rig", "vehicle"]
+__all__ = ["bogie_effects", "bogie_on_rig", "vehicle", "vehicle_effects"]

@@ -69,6 +69,13 @@ SECTIONS = {
 }
 """Section of every group of frames: bending upright (or lengthwise for upright members), then the other plane."""
 
+CROSS_BEAMS = {
+    "rear": (("bolster_beam", -BOGIE_X), ("floor_beam", -BOGIE_X + FLOOR_X[0])),
+    "windows": tuple(("floor_beam", x) for x in PILLARS),
+    "front": (("bolster_beam", BOGIE_X), ("floor_beam", BOGIE_X + FLOOR_X[-1])),
+}
+"""Beams across the floor by zone: group of frames and place along the car, m."""
+
 PILLAR_WIDTH = 0.07
 PILLAR_WALL = Section(
     1e-6, SHEETS["walls"].rmi * PILLAR_WIDTH * SHEETS["walls"].thickness ** 3 / 12, 1e-9, 1e-9, E_ALUMINIUM,
@@ -162,12 +169,7 @@ def _far(zone: str, xs: tuple[float, ...]) -> int:
 
 
 def _floor_frames(base: Panel, zone: str, xs: tuple[float, ...]) -> list[Member]:
-    if zone == "windows":
-        places = [("floor_beam", x) for x in PILLARS]
-    else:
-        s = 1.0 if zone == "front" else -1.0
-        places = [("bolster_beam", s * BOGIE_X), ("floor_beam", s * (BOGIE_X + FLOOR_X[-1]))]
-    return [member for group, x in places for member in _frame(base, group, u=line(xs, x))]
+    return [member for group, x in CROSS_BEAMS[zone] for member in _frame(base, group, u=line(xs, x))]
 
 
 def _wall_frames(wall: Panel, zone: str, xs: tuple[float, ...]) -> list[Member]:

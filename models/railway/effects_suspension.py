@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.space import Parameter
-from calib.structure.affine import Monomial, Term, parameter
-from calib.structure.attach import Place, between, elongation, motion, outer_term, soft_mounts
+from calib.structure.affine import Monomial, parameter
+from calib.structure.attach import (
+    Place,
+    between,
+    elongation,
+    motion,
+    outer_term,
+    scaled_part,
+    shifted_masses,
+    soft_mounts,
+)
 from calib.structure.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from models.fem.discrete import PointMass
-from models.railway.bogie import AXLE_Y, CROSSBAR_X, GIRDER_Y, RX, RY, RZ, UX, UY, bogie
+from models.railway.bogie import AXLE_Y, CROSSBAR_X, GIRDER_Y, RZ, SIDES, UX, UY, UZ, bogie
 
 GEAR_CASE = "gear case"
 
@@ -123,23 +131,20 @@ def suspension_effects() -> tuple[Effect, ...]:
 
 
 def _primary_uneven(model: StructuralModel) -> Addition:
-    return Addition(stiffness=(_scaled(model, "primary springs front left", "primary_uneven"),))
+    return Addition(stiffness=(scaled_part(model, "stiffness", "primary springs front left", "primary_uneven"),))
 
 
 def _weak_damper(model: StructuralModel) -> Addition:
-    return Addition(damping=(_scaled(model, "primary damper front left", "weak_damper", -1.0),))
+    return Addition(damping=(scaled_part(model, "damping", "primary damper front left", "weak_damper", -1.0),))
 
 
 def _wheel_contact(model: StructuralModel) -> Addition:
-    left = _scaled(model, "wheel-rail contact front left", "wheel_contact")
-    return Addition(stiffness=(left, _scaled(model, "wheel-rail contact front right", "wheel_contact", -1.0)))
-
-
-def _scaled(model: StructuralModel, name: str, strength: str, sign: float = 1.0) -> Term:
-    """A named part times a strength."""
-    (part,) = (p for p in model.parts if p.name == name)
-    powers = (*part.coefficient.powers, (strength, 1.0))
-    return Term(f"{strength}: {name}", part.matrix, Monomial(sign * part.coefficient.factor, powers))
+    return Addition(
+        stiffness=tuple(
+            scaled_part(model, "stiffness", f"wheel-rail contact front {side}", "wheel_contact", sign)
+            for side, sign in SIDES
+        )
+    )
 
 
 def _damper_mount(model: StructuralModel) -> Addition:
@@ -155,21 +160,11 @@ def _rolling_wheels(model: StructuralModel) -> Addition:
 
 
 def _gear_case_offset(model: StructuralModel) -> Addition:
-    """A mass that moves by e along z turns with the axle on an arm: ``ux + e ry``, ``uy - e rx``."""
-    name, case = "gear_case_offset", _gear_case(model)
+    case = _gear_case(model)
     share = case.mass / len(case.spread)
-    moved, turned = [], []
-    for x, y, z in (np.array(case.at[1]) + case.spread).tolist():
-        moves = [motion(model, (case.at[0], (x, y, z)), direction) for direction in range(6)]
-        moved += [moves[UX], moves[UY]]
-        turned += [moves[RY], -moves[RX]]
-    a, b = sp.csr_array(np.array(moved)), sp.csr_array(np.array(turned))
-    return Addition(
-        mass=(
-            Term(f"{name}: moment", sp.csr_array(a.T @ b + b.T @ a), Monomial(share, ((name, 1.0),))),
-            Term(f"{name}: inertia", sp.csr_array(b.T @ b), Monomial(share, ((name, 2.0),))),
-        )
-    )
+    places = (np.array(case.at[1]) + case.spread).tolist()
+    masses = [((case.at[0], (x, y, z)), share) for x, y, z in places]
+    return Addition(mass=shifted_masses(model, masses, UZ, "gear_case_offset"))
 
 
 def _gear_case(model: StructuralModel) -> PointMass:

@@ -1,7 +1,7 @@
 """What hangs under the floor, stands on the roof and fills the car: equipment and passenger seats.
 
 The case study has equipment as point masses and every seat as an oscillator of one degree of freedom; items, masses and
-places are lost there and assumed (see `ASSUMPTIONS`).
+places are lost there and assumed (see `ASSUMPTIONS`). The coupler carries nothing: it is where a neighbour may pull.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from calib.structure.model import Assumption
 from models.fem.discrete import PointMass, Spring
 from models.fem.member import Particle, Point, Suppression
 from models.fem.spider import Spider
-from models.railway.bogie import RX, RY, RZ, UX, UZ
+from models.railway.bogie import ENDS, RX, RY, RZ, UX, UZ
 from models.railway.bolsters import FLOOR_Y
-from models.railway.car_lines import COVER
+from models.railway.car_lines import COVER, DOOR, HALF_LENGTH
 
 UNDER_Y, UNDER_Z = 0.75, 0.70
 ROOF_Y, _ROOF_LINE = 3.60, 2
@@ -45,6 +45,9 @@ SEAT_Z = (1.12, 0.62, -0.62, -1.12)
 SEAT_Y, SEAT_FOOT = 1.60, (0.20, 0.15)
 SEAT_MASS, SEAT_STIFFNESS, SEAT_DAMPING = 35.0, 670e3, 0.70e3
 
+COUPLER_Y, COUPLER_Z = 1.00, 0.70
+_BEHIND_DOOR = (DOOR[1] + HALF_LENGTH) / 2
+
 _REASON = "lost in the case study; plausible for a motor car of 50 t"
 
 ASSUMPTIONS: tuple[Assumption, ...] = (
@@ -52,6 +55,7 @@ ASSUMPTIONS: tuple[Assumption, ...] = (
                  _REASON) for i in UNDER_FLOOR),
     *(Assumption(f"{i.name}: mass, x, y, z of its feet", f"{i.mass:g}, {i.x:g}, {ROOF_Y:g}, +-{COVER[_ROOF_LINE][1]:g}",
                  "kg, m", _REASON) for i in ON_ROOF),
+    Assumption("couplers: y, z of their feet on the car's frame", f"{COUPLER_Y:g}, +-{COUPLER_Z:g}", "m", _REASON),
     Assumption("seats: 15 rows of 4, x from -7 to 7, z", "+-0.62, +-1.12", "m", _REASON),
     Assumption("seat: mass, stiffness, damping", "35, 670, 0.70", "kg, kN/m, kNs/m",
                "empty: 22 Hz and 7 %; with passengers 60 modes would lie among those of the bogies"),
@@ -80,7 +84,7 @@ def equipment() -> Equipment:
 
 
 class Seats(NamedTuple):
-    """Seats as particles that move upright only, on springs and dampers."""
+    """Seats as particles that move upright only, on springs and dampers, or as masses on the floor."""
 
     particles: tuple[Particle, ...]
     suppressions: tuple[Suppression, ...]
@@ -89,19 +93,29 @@ class Seats(NamedTuple):
     springs: tuple[Spring, ...]
 
 
-def seats() -> Seats:
-    """All seats; ``springs`` serve stiffness and damping alike."""
+def passenger_seats(sprung: bool = True) -> Seats:
+    """All seats; ``springs`` serve stiffness and damping alike. Those that are not sprung move with the floor."""
     particles, masses, spiders, springs = [], [], [], []
     for k, x in enumerate(SEAT_X):
         third = ("rear", "middle", "front")[k * 3 // len(SEAT_X)]
         for j, z in enumerate(SEAT_Z):
             name, seat, floor = f"seat_{k + 1}{'abcd'[j]}", (x, SEAT_Y, z), (x, FLOOR_Y, z)
-            particles.append(Particle(name, "seat", seat))
-            masses.append(PointMass((name, seat), SEAT_MASS, name=f"seats {third}"))
-            spiders.append(Spider(f"floor_{name}", "base", _feet(floor, *SEAT_FOOT)))
-            springs.append(Spring((name, seat), (f"floor_{name}", floor), (0, 1, 0), name=f"seats {third}"))
-    held = Suppression((UX, UZ, RX, RY, RZ), groups=("seat",))
-    return Seats(tuple(particles), (held,), tuple(masses), tuple(spiders), tuple(springs))
+            foot = (f"floor_{name}", floor)
+            spiders.append(Spider(foot[0], "base", _feet(floor, *SEAT_FOOT)))
+            masses.append(PointMass((name, seat) if sprung else foot, SEAT_MASS, name=f"seats {third}"))
+            if sprung:
+                particles.append(Particle(name, "seat", seat))
+                springs.append(Spring((name, seat), foot, (0, 1, 0), name=f"seats {third}"))
+    held = (Suppression((UX, UZ, RX, RY, RZ), groups=("seat",)),) if sprung else ()
+    return Seats(tuple(particles), held, tuple(masses), tuple(spiders), tuple(springs))
+
+
+def couplers() -> tuple[Spider, ...]:
+    """Where the couplers of both ends sit on the car's frame; each moves as its feet do on average."""
+    middle, half = (HALF_LENGTH + _BEHIND_DOOR) / 2, (HALF_LENGTH - _BEHIND_DOOR) / 2
+    return tuple(
+        Spider(f"coupler_{end}", "base", _feet((s * middle, FLOOR_Y, 0.0), half, COUPLER_Z)) for end, s in ENDS
+    )
 
 
 def _feet(centre: Point, half_x: float, half_z: float) -> tuple[Point, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,7 +30,7 @@ from models.railway.car_body import BODY, E_ALUMINIUM, RHO_ALUMINIUM, SECTIONS, 
 from models.railway.car_lines import ASSUMPTIONS as LINE_ASSUMPTIONS
 from models.railway.car_lines import BOGIE_X
 from models.railway.equipment import ASSUMPTIONS as EQUIPMENT_ASSUMPTIONS
-from models.railway.equipment import SEAT_DAMPING, SEAT_STIFFNESS, equipment, seats
+from models.railway.equipment import SEAT_DAMPING, SEAT_STIFFNESS, couplers, equipment, passenger_seats
 from models.railway.parameters import BOGIE, CAR, OTHERS
 from models.railway.running_gear import running_gear
 
@@ -74,7 +75,8 @@ class Assembly:
     structure : Structure
     masses : tuple of PointMass
     springs, dampers : mapping from str to tuple of Spring
-        By the parameter that drives them; ``suspension_fixed``, ``floor_fixed`` and ``seats`` have none.
+        By the parameter that drives them; ``suspension_fixed``, ``floor_fixed`` and ``seats`` have none. Only seats
+        that are sprung have an entry.
     """
 
     structure: Structure
@@ -83,11 +85,17 @@ class Assembly:
     dampers: dict[str, tuple[Spring, ...]]
 
 
-def assembly(refine: int = 1, distributed: bool = False) -> Assembly:
+SeatMounting = Literal["sprung", "rigid"]
+"""How the seats stand on the floor."""
+
+
+def assembly(refine: int = 1, distributed: bool = False, seats: SeatMounting = "sprung") -> Assembly:
     """Geometry, springs and masses; for the arguments see `vehicle`."""
     if refine < 1 or refine & (refine - 1):
         raise InputError(f"refine is {refine}", place="vehicle", remedy="give 1, 2, 4, ...: edges are halved")
-    body, fitted, seated = car_body(refine.bit_length() - 1), equipment(), seats()
+    if seats not in get_args(SeatMounting):
+        raise InputError(f"seats are {seats!r}", place="vehicle", remedy='give "sprung" or "rigid"')
+    body, fitted, seated = car_body(refine.bit_length() - 1), equipment(), passenger_seats(seats == "sprung")
     front, rear = gears = tuple(running_gear(name, x, _SIZE / refine, distributed) for name, x in BOGIES)
 
     def both(key: str) -> tuple[Spring, ...]:
@@ -99,7 +107,7 @@ def assembly(refine: int = 1, distributed: bool = False) -> Assembly:
         suppressions=(*(s for g in gears for s in g.suppressions), *seated.suppressions),
         particles=seated.particles,
         panels=body.panels,
-        spiders=(*fitted.spiders, *seated.spiders, *(s for g in gears for s in g.spiders)),
+        spiders=(*fitted.spiders, *seated.spiders, *couplers(), *(s for g in gears for s in g.spiders)),
     )
     springs = {
         "K_primary": both("primary"),
@@ -111,19 +119,19 @@ def assembly(refine: int = 1, distributed: bool = False) -> Assembly:
         "K_rod_tilting": both("rod_tilting"),
         "suspension_fixed": both("suspension_fixed"),
         "floor_fixed": both("floor_fixed"),
-        "seats": seated.springs,
     }
     dampers = {
         "c_primary": front.dampers["primary"] + rear.dampers["primary"],
         "c_secondary": front.dampers["secondary"] + rear.dampers["secondary"],
         "c_yaw": front.dampers["yaw"] + rear.dampers["yaw"],
-        "seats": seated.springs,
     }
+    if seated.springs:
+        springs["seats"] = dampers["seats"] = seated.springs
     masses = (*fitted.masses, *seated.masses, *(m for g in gears for m in g.masses))
     return Assembly(structure, masses, springs, dampers)
 
 
-def vehicle(refine: int = 1, distributed: bool = False) -> StructuralModel:
+def vehicle(refine: int = 1, distributed: bool = False, seats: SeatMounting = "sprung") -> StructuralModel:
     """The vehicle as a structural model of about 1800 nodes.
 
     Parameters
@@ -134,14 +142,18 @@ def vehicle(refine: int = 1, distributed: bool = False) -> StructuralModel:
     distributed : bool
         Consistent instead of lumped added masses of the bogies, and their point masses shared out over what they stand
         for.
+    seats : {"sprung", "rigid"}
+        Each seat an oscillator of one degree of freedom, or its mass on the floor without a spring. Equipment always
+        stands rigidly on its feet.
 
     Returns
     -------
     StructuralModel
         Parameters of `models.railway.parameters` (Tables 1 and 3); clusters ``<substructure>.<x|y|z|r>`` with the
-        substructures car, front_frame, front_bolsters, front_wheelsets, the same of the rear bogie, and seats.
+        substructures car, front_frame, front_bolsters, front_wheelsets, the same of the rear bogie, and seats
+        where they are sprung.
     """
-    whole = assembly(refine, distributed)
+    whole = assembly(refine, distributed, seats)
     structure = whole.structure
     dofs = structure.dof_map()
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -105,6 +109,11 @@ def car() -> StructuralModel:
 
 
 @pytest.fixture(scope="session")
+def rigid_car() -> StructuralModel:
+    return vehicle(seats="rigid")
+
+
+@pytest.fixture(scope="session")
 def undamped(car):
     k, _, m = car.matrices({})
     return solve_modes(k, None, m, 15, car.dofs.direction >= 3)
@@ -113,3 +122,14 @@ def undamped(car):
 @pytest.fixture(scope="session")
 def damped(car):
     return car.modes({}, 15)
+
+
+@pytest.fixture(scope="session")
+def effect_checks() -> ModuleType:
+    """See `effect_checks.py` beside this file."""
+    spec = importlib.util.spec_from_file_location("effect_checks", Path(__file__).with_name("effect_checks.py"))
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module

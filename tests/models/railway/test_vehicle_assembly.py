@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from calib.errors import InputError
 from calib.structure.solve import solve_modes
 from models.fem.discrete import mass_matrix, spring_matrix
 from models.fem.structure import Structure
@@ -214,3 +215,31 @@ def test_terms_make_the_matrices_of_any_values(car, whole):
 def test_floor_links_are_the_stiff_ones(whole):
     weights = sorted({s.weight for s in whole.springs["floor_fixed"]})
     assert weights == [K_PAD, K_LATERAL, K_TRACTION]
+
+
+def test_rigid_seats_weigh_the_same_and_ride_on_the_floor(whole):
+    rigid = assembly(seats="rigid")
+    sprung, fixed = ([m for m in a.masses if m.name.startswith("seats")] for a in (whole, rigid))
+    assert sum(m.mass for m in fixed) == sum(m.mass for m in sprung) == 60 * 35.0
+    assert "seats" not in rigid.springs and "seats" not in rigid.dampers and not rigid.structure.particles
+    rise = rigid_motions(rigid.structure.points)
+    matrix = mass_matrix(rigid.structure, fixed)
+    assert [d @ matrix @ d for d in rise.T[:3]] == pytest.approx(3 * [60 * 35.0])
+    # Every seat is lifted by its own patch of floor alone.
+    one = mass_matrix(rigid.structure, fixed[:1])
+    touched = rigid.structure.points[np.unique(one.nonzero()[0] // 6)]
+    assert np.abs(touched - fixed[0].at[1]).max() < 0.6
+
+
+def test_couplers_sit_at_the_ends_of_the_car(whole):
+    structure = whole.structure
+    for name, end in (("coupler_front", 12.95), ("coupler_rear", -12.95)):
+        rows, _ = structure.motion((end, 1.0, 0.0), name)
+        moved = rows @ rigid_motions(structure.points)
+        np.testing.assert_allclose(moved[:3, :3], np.eye(3), atol=1e-9)
+        assert moved[1, 5] == pytest.approx(end)
+
+
+def test_unknown_mounting_of_seats_is_refused():
+    with pytest.raises(InputError, match="sprung"):
+        assembly(seats="soft")

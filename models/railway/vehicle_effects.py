@@ -1,0 +1,19 @@
+"""What the whole vehicle may lack: physical effects that leave its parameters' meaning as it is."""
+
+from __future__ import annotations
+
+from calib.effect import Effect
+from models.railway.vehicle_effects_body import body_effects
+from models.railway.vehicle_effects_bogies import bogie_and_track_effects
+from models.railway.vehicle_effects_equipment import equipment_effects
+from models.railway.vehicle_effects_secondary import secondary_effects
+
+
+def vehicle_effects() -> tuple[Effect, ...]:
+    """Effects that may be missing in `models.railway.vehicle` with rigid seats, on any of its meshes.
+
+    Plausible sizes (``prior_sd``) and limits are engineering estimates for a car of this size; with strength 0 each
+    leaves the model as it is. Their base is ``vehicle(seats="rigid")``: seats that are sprung already refuse the effect
+    that would spring them.
+    """
+    return (*body_effects(), *equipment_effects(), *secondary_effects(), *bogie_and_track_effects())

@@ -1,0 +1,102 @@
+"""What equipment and seats of the vehicle may lack: soft mounts, and places off the middle of the car."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from calib.effect import Effect
+from calib.errors import InputError
+from calib.space import Parameter
+from calib.structure.attach import loosened_masses, motion, shifted_masses
+from calib.structure.extend import Addition
+from calib.structure.model import Assumption, StructuralModel
+from models.railway.bogie import UX, UY, UZ
+from models.railway.equipment import SEAT_X, SEAT_Z, UNDER_FLOOR, equipment, passenger_seats
+
+UNIT_RATIO, SEAT_RATIO = 0.03, 0.07
+SEAT_WAVES = 4
+"""Along the car seats move in polynomials of up to this degree, across it alike or against each other."""
+
+_SAG = "by how much it presses its mounts down by its own weight; 1 mm is 15.8 Hz, 4 mm 7.9 Hz"
+
+
+def equipment_effects() -> tuple[Effect, ...]:
+    """Effects of what the car carries."""
+    return (
+        Effect(
+            name="hung_converter",
+            title="Traction converter hung elastically",
+            lacks="The traction converter under the floor moves rigidly with its feet.",
+            look_for="Rubber mounts between the traction converter and the floor; a gap that closes when it is lifted.",
+            strength=Parameter("hung_converter", 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
+            build=partial(_unit, name="hung_converter", item="traction converter"),
+            grid=tuple({"hung_converter": sag} for sag in (0.1, 0.3, 0.8, 1.7, 3.9, 7.9)),
+        ),
+        Effect(
+            name="hung_roof_unit",
+            title="Front roof unit on soft mounts",
+            lacks="The roof units move rigidly with their feet.",
+            look_for="Rubber mounts under the front roof unit, usually an air conditioner with its compressor.",
+            strength=Parameter("hung_roof_unit", 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
+            build=partial(_unit, name="hung_roof_unit", item="front roof unit"),
+            grid=tuple({"hung_roof_unit": sag} for sag in (0.1, 0.3, 0.8, 1.7, 3.9, 7.9)),
+        ),
+        Effect(
+            name="soft_seats",
+            title="Passenger seats bounce on the floor",
+            lacks="The seats move rigidly with the floor.",
+            look_for="Light seat frames on few fixings: push a seat down, let go and watch it.",
+            strength=Parameter(
+                "soft_seats", 0.005, 0.005, 8.0, "mm", prior_sd=0.8,
+                description="by how much a seat presses its frame down by its own weight; 0.5 mm is 22 Hz, 4 mm 7.9 Hz",
+            ),
+            build=_soft_seats,
+            grid=tuple({"soft_seats": sag} for sag in (0.1, 0.3, 0.5, 1.0, 1.7, 3.1, 5.9)),
+        ),
+        Effect(
+            name="equipment_offset",
+            title="Under-floor equipment off the middle",
+            lacks="Everything under the floor sits in the middle of the car.",
+            look_for="Where the heavy units really hang, to the left positive; unequal wheel loads left and right.",
+            strength=Parameter(
+                "equipment_offset", 0.0, -400.0, 400.0, "mm", prior_sd=100.0,
+                description="place across the car of everything that hangs under its floor",
+            ),
+            build=_equipment_offset,
+        ),
+    )  # fmt: skip
+
+
+def _unit(model: StructuralModel, name: str, item: str) -> Addition:
+    """Its mounts are as stiff sideways as upright."""
+    (unit,) = (m for m in equipment().masses if m.name == item)
+    rows = [np.sqrt(unit.mass) * motion(model, unit.at, direction) for direction in (UX, UY, UZ)]
+    loose = loosened_masses(rows, name, UNIT_RATIO)
+    assumed = (
+        Assumption(f"{item}: damping ratio on its mounts", f"{UNIT_RATIO}", "-", "rubber"),
+        Assumption(f"{item}: mounts", "as stiff sideways as upright", "-", "usual for such mounts"),
+    )
+    return Addition(loose.stiffness, loose.damping, loose.mass, loose.selected, loose.n_added, assumed)
+
+
+def _soft_seats(model: StructuralModel) -> Addition:
+    """All seats together in a few smooth patterns: by themselves they would be 60 modes at one frequency."""
+    if "seats.y" in model.clusters:
+        raise InputError(
+            "the model's seats are sprung already", place="seats", remedy='set seats = "rigid" in model_options'
+        )
+    along, across = (np.array(c) / max(c) for c in (SEAT_X, SEAT_Z))
+    patterns = np.kron(np.polynomial.legendre.legvander(along, SEAT_WAVES), np.vander(across, 2))
+    masses = passenger_seats(sprung=False).masses
+    seats = np.array([np.sqrt(m.mass) * motion(model, m.at, UY) for m in masses])
+    loose = loosened_masses(list(np.linalg.qr(patterns)[0].T @ seats), "soft_seats", SEAT_RATIO)
+    assumed = (Assumption("seats: damping ratio on the floor", f"{SEAT_RATIO}", "-", "as seats that are sprung"),)
+    return Addition(loose.stiffness, loose.damping, loose.mass, loose.selected, loose.n_added, assumed)
+
+
+def _equipment_offset(model: StructuralModel) -> Addition:
+    under = {item.name for item in UNDER_FLOOR}
+    masses = [(m.at, m.mass) for m in equipment().masses if m.name in under]
+    return Addition(mass=shifted_masses(model, masses, UZ, "equipment_offset"))
