@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -55,6 +56,14 @@ class Modes:
     def n_modes(self) -> int:
         """Number of vibration modes."""
         return len(self.natural_freq)
+
+    def subset(self, index: Sequence[int] | np.ndarray) -> Modes:
+        """Some of the modes, in the order of their indices; roots that are none stay."""
+        index = np.asarray(index, dtype=int)
+        return Modes(
+            self.natural_freq[index], self.damped_freq[index], self.damping_ratio[index], self.shapes[:, index],
+            self.excluded,
+        )  # fmt: skip
 
     @property
     def is_complex(self) -> bool:

@@ -34,9 +34,7 @@ from calib.space import ParameterSpace
 from calib.structure.atoms import atoms
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
-from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
-from calib.structure.modes import Modes
 from calib.structure.training import train_basis
 from calib.structure.variants import Variants
 from calib.study import Study
@@ -91,49 +89,35 @@ class World:
         return module_of(ROOT / "studies/hidden_bogie/make_twin.py")
 
     @cached_property
-    def study(self) -> Study:
-        """One of them, for its priors, limits and settings; its measurement is not used."""
-        return Study.load(ROOT / "studies/hidden_bogie_none")
+    def specimen(self) -> Any:
+        """What is measured."""
+        return self.maker.specimen()
 
     @cached_property
+    def study(self) -> Study:
+        """One of them, for its settings; its measurement is not used."""
+        return Study.load(ROOT / "studies/hidden_bogie_none")
+
+    @property
     def model(self) -> StructuralModel:
         """The base model within the search limits."""
-        model = self.study.model
+        model = self.specimen.model
         assert isinstance(model, StructuralModel)
-        return replace(model, space=self.space)
+        return model
 
     @property
     def space(self) -> ParameterSpace:
         """Free are the parameters of the search."""
-        return self.study.search_space
+        return self.model.space
 
     @cached_property
     def effects(self) -> dict[str, Effect]:
         """Every effect by name, those outside the library too."""
-        known = (*self.study.candidates, *self.maker.outside.outside_effects())
-        return {e.name: e for e in known}
-
-    @cached_property
-    def fine(self) -> StructuralModel:
-        """The twin without effects."""
-        model = self.maker.twin_model()
-        assert isinstance(model, StructuralModel)
-        return model
-
-    @cached_property
-    def layout(self) -> tuple[Any, ...]:
-        """All sensors at their nominal places."""
-        return tuple(self.maker.twin.sensors())
-
-    @cached_property
-    def nominal(self) -> np.ndarray:
-        """Shapes of the nine modes at the sensors and the adopted values, by which modes are named."""
-        count = len(self.maker.MODES)
-        return (self.model.sensor_rows(self.layout) @ self.model.modes(self.space.values, count).shapes)[:, :count]
+        return {e.name: e for e in (*self.study.candidates, *self.specimen.outside)}
 
     def settle(self) -> None:
         """Everything that takes long."""
-        self.variants(OWN), self.variants(FIFTY), self.fine, self.nominal
+        self.variants(OWN), self.variants(FIFTY)
 
     # -- libraries -----------------------------------------------------------------------------------------------------
 
@@ -147,7 +131,7 @@ class World:
     @cached_property
     def _libraries(self) -> dict[str, Variants]:
         held = self.study.settings.withheld.sensors
-        used = [s for s in self.layout if s.name not in held]
+        used = [s for s in self.specimen.layout if s.name not in held]
         local = tuple(a.effect for a in atoms(self.model, used, self.space.values, 10.0))
         own = self.study.candidates
         many = (*own, *fifty_effects(self.model, 50 - len(own)))
@@ -172,35 +156,20 @@ class World:
     def measure(self, scenario: Scenario, number: int) -> Measured:
         """Draw a truth and measure it five times; the seed is the scenario's name and the number alone."""
         rng = np.random.default_rng([*scenario.name.encode(), number])
-        values = self.maker.draw(self.space, rng)
+        values = self.specimen.draw(rng)
         hidden = tuple(self.effects[name] for name in scenario.hidden(rng, self.study.candidates))
         for effect in hidden:
-            values |= self.maker.draw_effect(effect, scenario.strength, rng)
-        model = extend(self.fine, hidden) if hidden else self.fine
-        rows = model.sensor_rows(self.maker.twin.moved(self.layout, rng))
-        solved = model.modes(values, len(self.maker.MODES) + 4 + model.n_dof - self.fine.n_dof)
-        names, modes, shapes = self.maker.identified(solved, self.nominal, rows @ solved.shapes)
-        clean = self.maker.noiseless(names, modes, shapes, self.layout)
-        if scenario.noise > 1:
-            modes, shapes = self._set_up_errors(modes, shapes, np.sqrt(scenario.noise**2 - 1), rng)
-        repeats = [self._repeat(names, self.maker.twin.scattered(modes, shapes, rng)) for _ in range(5)]
+            values |= self.maker.blind.draw_effect(effect, scenario.strength, rng)
+        names, modes, shapes = self.specimen.solved(hidden, values, rng)
+        clean = self.specimen.noiseless(names, modes, shapes)
+        modes, shapes = self.maker.blind.set_up_errors(modes, shapes, scenario.noise, rng)
+        repeats = [self._repeat(names, self.maker.blind.twin.scattered(modes, shapes, rng)) for _ in range(5)]
         return Measured(values, {e.name: e.names for e in hidden}, clean, self._combined(repeats))
-
-    def _set_up_errors(
-        self, modes: Modes, shapes: np.ndarray, size: float, rng: np.random.Generator
-    ) -> tuple[Modes, np.ndarray]:
-        """Errors that all repeats share, as multiples of the scatter of their mean: no repeat shows them."""
-        twin = self.maker.twin
-        natural = modes.natural_freq * np.exp(size * twin.STD_FREQ * rng.standard_normal(modes.n_modes))
-        damping = modes.damping_ratio * np.exp(size * twin.STD_DAMPING * rng.standard_normal(modes.n_modes))
-        off = rng.standard_normal(shapes.shape) + 1j * rng.standard_normal(shapes.shape)
-        scale = np.abs(shapes).max(axis=0)
-        return replace(modes, natural_freq=natural, damping_ratio=damping), shapes + size * twin.STD_SHAPE * scale * off
 
     def _repeat(self, names: tuple[str, ...], test: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Repeat:
         freq, damping, shapes = test
         unknown = np.full(len(names), np.nan)
-        where = tuple((s.node, s.direction) for s in self.layout)
+        where = tuple((s.node, s.direction) for s in self.specimen.layout)
         own = ShapeSet("", where, shapes, np.full(shapes.shape, np.nan))
         return Repeat("", names, True, freq, unknown, damping, unknown, own)
 
@@ -208,7 +177,7 @@ class World:
         c = combine_repeats(repeats)
         return MeasuredModes(
             c.names, c.natural_freq, c.natural_freq * np.sqrt(1 - np.minimum(c.damping_ratio, 0.99) ** 2), c.freq_std,
-            c.damping_ratio, c.damping_std, self.layout, c.shapes, c.shape_std, len(repeats), True,
+            c.damping_ratio, c.damping_std, self.specimen.layout, c.shapes, c.shape_std, len(repeats), True,
         )  # fmt: skip
 
     # -- one run -------------------------------------------------------------------------------------------------------
@@ -221,7 +190,7 @@ class World:
             measured = self.measure(scenario, number)
             row |= self._truth(scenario, measured)
             removed = measured.hidden if scenario.removed else ()
-            problem = self.maker.problem_of(self.model, self.study.settings, measured.whole)
+            problem = self.specimen.problem(measured.whole)
             hypotheses = ModalHypotheses(problem, self.variants(scenario.library, removed), self.space)
             found = explain(hypotheses)
             row |= outcome(found, measured)
@@ -233,8 +202,8 @@ class World:
 
     def _truth(self, scenario: Scenario, measured: Measured) -> dict[str, Any]:
         hidden = [self.effects[name] for name in measured.hidden]
-        problem = self.maker.problem_of(self.model, self.study.settings, measured.clean)
-        size = [self.maker.visible(problem, self.space, [e], measured.only(e)) / scenario.noise for e in hidden]
+        problem = self.specimen.problem(measured.clean)
+        size = [self.maker.blind.visible(problem, self.space, [e], measured.only(e)) / scenario.noise for e in hidden]
         values = {n: round(v, 5) for n, v in measured.values.items() if n in self.space.free_names}
         strengths = {n: measured.values[n] for e in hidden for n in e.names}
         return {

@@ -143,7 +143,7 @@ def test_the_twin_without_noise_shows_nothing(twin_maker, with_basis, tmp_path):
     truth = json.loads((ROOT / "tests/truth/hidden_bogie_none.json").read_text("utf-8"))["parameters"]
     study = Study.load(ROOT / "studies/hidden_bogie_none")
     hypotheses, _ = modal_hypotheses(study, with_basis(Results.at(tmp_path, study.name)))
-    twin, layout = twin_maker.twin_model(), study.measured.sensors
+    twin, layout = twin_maker.specimen().fine, study.measured.sensors
     modes = twin.modes(truth, study.problem.mode_count)
     question = hypotheses.question(())
     names = tuple(p.name for p in question.space.free if not p.integer)
@@ -158,8 +158,8 @@ def test_the_twin_without_noise_shows_nothing(twin_maker, with_basis, tmp_path):
         assert [s.name for s in used] == [s.name for s in layout]
         return budget_of(hypotheses, state, modes, twin.sensor_rows(used) @ modes.shapes)
 
-    nominal = twin_maker.twin.sensors()
-    for places in (nominal, twin_maker.twin.moved(nominal, np.random.default_rng(1))):
+    nominal = twin_maker.blind.twin.sensors()
+    for places in (nominal, twin_maker.blind.twin.moved(nominal, np.random.default_rng(1))):
         found = budget(places)
         assert found.largest <= ALLOWED, found.sentence
         assert len(found.table) == 16 + len(hypotheses.atoms) and len(hypotheses.atoms) > 100

@@ -1,0 +1,293 @@
+"""Makes the synthetic measurements of blind studies: what is drawn, how it is measured, and what makes a study.
+
+A specimen says what is measured: its fitted model, a finer mesh of the same structure, the library of effects and
+designs outside of it. Parameters are drawn about their adopted values with half their prior standard deviations; a seed
+draws which effects are hidden and how strong: 0.5 to 1.5 times their plausible size, either sign where both are
+possible. Noise and displaced sensors are those of ``studies/bogie``.
+
+Seeds are tried in turn; the first is taken that lets all modes be told apart and whose effects are visible. Visible is
+what the parameters cannot absorb of an effect: the length of the change that it makes to the used data, in units of
+their scatter and projected off all parameters (the root of the decrease of the sum of squares to be expected, Rao
+1948). It has to be 8 to 20 for an effect of the library, with frequencies changed by more than 1 % and shapes by a MAC
+below 0.98, and 8 at least for one that is not. No seed is chosen by what any search makes of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import scipy.linalg as la
+from scipy.optimize import linear_sum_assignment
+
+from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import ModalResidual
+from calib.effect import Effect
+from calib.limits import search_space, sensitivity_space
+from calib.loading import module_of
+from calib.mac import mac
+from calib.measurement.modal import MeasuredModes, Sensor
+from calib.settings import StudySettings, read_settings
+from calib.space import Parameter, ParameterSpace
+from calib.structure.extend import extend
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+
+twin = module_of(Path(__file__).resolve().parent / "bogie" / "make_twin.py")
+
+SPREAD = 0.5
+STRENGTHS = (0.5, 1.5)
+INSIDE = 0.9
+LEAST_MAC = 0.6
+VISIBLE = (8.0, 20.0)
+LEAST_FREQ_CHANGE, LARGEST_MAC = 0.01, 0.98
+MORE = 4
+"""Modes of a twin solved beyond those that are named: others may come between."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One sort of blind study.
+
+    Attributes
+    ----------
+    first_seed : int
+    count : int
+        Effects hidden.
+    inside : bool
+        From the library, else from the designs outside of it.
+    noise : float
+        True scatter over that which the repeats show.
+    """
+
+    first_seed: int
+    count: int = 0
+    inside: bool = True
+    noise: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Specimen:
+    """What a family of blind studies measures.
+
+    Attributes
+    ----------
+    file : Path
+        A ``study.toml`` with the priors, the limits and what is withheld.
+    base, fine : StructuralModel
+        The fitted mesh and the twin's.
+    library, outside : tuple of Effect
+    modes : tuple of str
+    layout : tuple of Sensor
+        Nominal places.
+    nominal : ndarray (n_sensors, n_modes)
+        Shapes of the modes at the adopted values, by which modes are named.
+    positions : tuple of int
+        Whole-number parameters are drawn anywhere within these.
+    """
+
+    file: Path
+    base: StructuralModel
+    fine: StructuralModel
+    library: tuple[Effect, ...]
+    outside: tuple[Effect, ...]
+    modes: tuple[str, ...]
+    layout: tuple[Sensor, ...]
+    nominal: np.ndarray
+    positions: tuple[int, int] = (0, 0)
+
+    @cached_property
+    def settings(self) -> StudySettings:
+        """Of its studies."""
+        return read_settings(self.file)
+
+    @cached_property
+    def model(self) -> StructuralModel:
+        """The fitted mesh within the limits of the search."""
+        space = sensitivity_space(self.base.space, self.settings, lambda *keys: str(self.file), {})
+        return replace(self.base, space=search_space(space, self.settings, lambda *keys: str(self.file)))
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Free are the parameters of the search."""
+        return self.model.space
+
+    def draw(self, rng: np.random.Generator) -> dict[str, float]:
+        """Free parameters about their adopted values, whole numbers anywhere within `positions`."""
+        truth = self.space.values
+        for p in self.space.free:
+            truth[p.name] = (
+                float(rng.integers(self.positions[0], self.positions[1] + 1)) if p.integer else _about(p, rng)
+            )
+        return truth
+
+    def identified(
+        self, modes: Modes, shapes: np.ndarray, least: float = LEAST_MAC
+    ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
+        """The modes that can be told apart by the nominal shapes: names, modes in that order, shapes at sensors."""
+        similar = mac(self.nominal, shapes)
+        row, column = linear_sum_assignment(-similar)
+        found = [
+            (self.modes[i], j) for i, j in zip(row.tolist(), column.tolist(), strict=True) if similar[i, j] >= least
+        ]
+        index = [j for _, j in found]
+        return tuple(name for name, _ in found), modes.subset(index), shapes[:, index]
+
+    def solved(
+        self, effects: Sequence[Effect], values: Mapping[str, float], rng: np.random.Generator | None = None
+    ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
+        """The twin's modes with some effects, as `identified`; sensors sit off their places where ``rng`` is given."""
+        model = extend(self.fine, effects) if effects else self.fine
+        layout = self.layout if rng is None else twin.moved(self.layout, rng)
+        rows = model.sensor_rows(layout)
+        modes = model.modes(values, len(self.modes) + MORE + model.n_dof - self.fine.n_dof)
+        return self.identified(modes, rows @ modes.shapes)
+
+    def problem(self, whole: MeasuredModes, withheld: bool = True) -> ModalProblem:
+        """The question of a blind study asked of what was measured, without what it withholds."""
+        held, pairing = self.settings.withheld, self.settings.pairing
+        known = [mode for mode in held.modes if mode in whole.names]
+        used = whole.without(known, held.sensors) if withheld else whole
+        clusters = {mode: names for mode, names in pairing.clusters.items() if mode in used.names}
+        assert pairing.mode_count is not None
+        return ModalProblem(self.model, used, clusters, pairing.mode_count, freq_window=pairing.freq_window)
+
+    def noiseless(self, names: tuple[str, ...], modes: Modes, shapes: np.ndarray) -> MeasuredModes:
+        """Modes as they are, with the scatter that a test will show."""
+        return MeasuredModes(
+            names, modes.natural_freq, modes.damped_freq, twin.STD_FREQ * modes.natural_freq, modes.damping_ratio,
+            twin.STD_DAMPING * modes.damping_ratio, self.layout, shapes / np.abs(shapes).max(axis=0),
+            np.full(shapes.shape, twin.STD_SHAPE), twin.REPEATS, True,
+        )  # fmt: skip
+
+
+def draw_effect(effect: Effect, factor: float, rng: np.random.Generator) -> dict[str, float]:
+    """Strength of an effect at a multiple of its plausible size, and its nuisance parameters.
+
+    It stays off its limits, where every fit of it would be called implausible.
+    """
+    p = effect.strength
+    sign = (1.0 if rng.random() < 0.5 else -1.0) if effect.signed and p.upper > 0 else 1.0 if p.upper > 0 else -1.0
+    strength = min(max(sign * factor * effect.plausible, INSIDE * p.lower), INSIDE * p.upper)
+    return {p.name: strength} | {q.name: _about(q, rng) for q in effect.nuisance}
+
+
+def _about(p: Parameter, rng: np.random.Generator) -> float:
+    return float(np.clip(p.value + SPREAD * p.prior_width * rng.standard_normal(), p.lower, p.upper))
+
+
+def set_up_errors(modes: Modes, shapes: np.ndarray, noise: float, rng: np.random.Generator) -> tuple[Modes, np.ndarray]:
+    """Errors that all repeats share, so that the true scatter of the mean is ``noise`` times what repeats show."""
+    if noise <= 1:
+        return modes, shapes
+    size = np.sqrt(noise**2 - 1)
+    natural = modes.natural_freq * np.exp(size * twin.STD_FREQ * rng.standard_normal(modes.n_modes))
+    damping = modes.damping_ratio * np.exp(size * twin.STD_DAMPING * rng.standard_normal(modes.n_modes))
+    off = rng.standard_normal(shapes.shape) + 1j * rng.standard_normal(shapes.shape)
+    scale = np.abs(shapes).max(axis=0)
+    return replace(modes, natural_freq=natural, damping_ratio=damping), shapes + size * twin.STD_SHAPE * scale * off
+
+
+def visible(
+    problem: ModalProblem, space: ParameterSpace, effects: Sequence[Effect], values: Mapping[str, float]
+) -> float:
+    """Length of the change of the data by some effects together, projected off what the free parameters absorb.
+
+    Parameters
+    ----------
+    problem : ModalProblem
+        Of the base model.
+    space : ParameterSpace
+    effects : sequence of Effect
+    values : mapping
+        True parameters, strengths and nuisance parameters.
+    """
+    base = problem.model
+    assert isinstance(base, StructuralModel)
+    model = extend(base, effects)
+    own = {name: value for name, value in values.items() if name in base.space}
+    names = [p.name for p in space.free if not p.integer]
+    without = ModalResidual(problem)
+    more = replace(problem, model=model, mode_count=problem.mode_count + model.n_dof - base.n_dof)
+    change = without.residual(own) - ModalResidual(more).residual(values)
+    wide = np.vstack(
+        [without.jacobian(own, names) * [space[n].prior_width for n in names], np.eye(len(names))]
+    )  # prior knowledge is data too
+    direction = np.concatenate([change, np.zeros(len(names))])
+    basis = la.qr(wide, mode="economic")[0]
+    return float(np.linalg.norm(direction - basis @ (basis.T @ direction)))
+
+
+def make(specimen: Specimen, kinds: Mapping[str, Kind], title: str, what: str) -> None:
+    """Draw a truth, measure the twin five times, write truth and repeats, all as the command line says."""
+    arguments = argparse.ArgumentParser(description=what)
+    arguments.add_argument("kind", choices=tuple(kinds))
+    arguments.add_argument("truth", type=Path, help="where the hidden values are written")
+    arguments.add_argument("--into", type=Path, required=True, help="folder for the repeats")
+    given = arguments.parse_args()
+    kind = kinds[given.kind]
+    for seed in range(kind.first_seed, kind.first_seed + 1000):
+        rng = np.random.default_rng(seed)
+        found = _tried(specimen, kind, rng)
+        if found is not None:
+            break
+    else:
+        raise SystemExit("no seed gave a visible effect")
+    chosen, values, size, modes, shapes = found
+    twin.write_measurement(
+        given.into, specimen.modes, *set_up_errors(modes, shapes, kind.noise, rng), specimen.layout, rng, title
+    )
+    content = {
+        "seed": seed,
+        "kind": given.kind,
+        "effects": [effect.name for effect in chosen],
+        "strengths": {name: values[name] for effect in chosen for name in effect.names},
+        "visible": size,
+        "noise": kind.noise,
+        "parameters": {name: values[name] for name in specimen.space.names},
+        "natural_freq": dict(zip(specimen.modes, modes.natural_freq.tolist(), strict=True)),
+        "damping_ratio": dict(zip(specimen.modes, modes.damping_ratio.tolist(), strict=True)),
+    }
+    given.truth.parent.mkdir(parents=True, exist_ok=True)
+    given.truth.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    print(f"seed {seed}")
+
+
+Drawn = tuple[tuple[Effect, ...], dict[str, float], list[float], Modes, np.ndarray]
+
+
+def _tried(specimen: Specimen, kind: Kind, rng: np.random.Generator) -> Drawn | None:
+    """One draw: effects, all values, how visible each effect is, modes, shapes; None where it makes no study."""
+    designs = specimen.library if kind.inside else specimen.outside
+    values = specimen.draw(rng)
+    chosen: tuple[Effect, ...] = ()
+    while len(chosen) < kind.count:
+        one = designs[int(rng.integers(len(designs)))]
+        chosen += (one,) if one not in chosen else ()
+    for effect in chosen:
+        values |= draw_effect(effect, float(rng.uniform(*STRENGTHS)), rng)
+    names, modes, shapes = specimen.solved(chosen, values, rng)
+    if names != specimen.modes:
+        return None
+    size: list[float] = []
+    if chosen:
+        known, without, bare = specimen.solved((), {n: values[n] for n in specimen.space.names})
+        if known != specimen.modes:
+            return None
+        problem = specimen.problem(specimen.noiseless(names, modes, shapes))
+        for effect in chosen:
+            others = {name for other in chosen if other is not effect for name in other.names}
+            alone = {name: value for name, value in values.items() if name not in others}
+            size.append(visible(problem, specimen.space, [effect], alone))
+        moved = np.abs(modes.natural_freq / without.natural_freq - 1).max()
+        similar = np.diag(mac(bare, shapes)).min()
+        if min(size) < VISIBLE[0]:
+            return None
+        if kind.inside and not (max(size) <= VISIBLE[1] and moved > LEAST_FREQ_CHANGE and similar < LARGEST_MAC):
+            return None
+    return chosen, values, size, modes, shapes
