@@ -199,9 +199,9 @@ def _main(
 def _load(path: Path, root: Path, workers: int | None = None, quick: bool = False) -> Study:
     """The study; one whose values it takes over comes first, unless its answer is there."""
     *earlier, asked = phases.in_order(path)
-    adopted: dict[str, float] = {}
+    taken = phases.Found({}, {})
     for file in earlier:
-        study = Study.load(file, adopted)
+        study = Study.load(file, *taken)
         found = phases.values_found(study, root, quick)
         if found is None:
             console.say(f"{study.settings.title} comes first: {path} takes over what it finds.")
@@ -211,8 +211,8 @@ def _load(path: Path, root: Path, workers: int | None = None, quick: bool = Fals
             _calibrate(study, folder, root, workers, None, quick, None)
             _draw(study, folder)
             found = phases.values_found(study, root, quick)
-        adopted = found or {}
-    return Study.load(asked, adopted)
+        taken = found or phases.Found({}, {})
+    return Study.load(asked, *taken)
 
 
 # -- verbs, once the study is read -------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from calib.structure.model import StructuralModel
 
 Problem = ModalProblem | FunctionProblem
 Targets = Mapping[str, tuple[float, float | None]]
+_NONE: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ class Study:
         Likewise for plain responses.
     library : tuple of Effect
         Every effect that the study knows, in its model or not.
-    adopted : mapping from parameter name to value
-        Taken over from an earlier study.
+    adopted, adopted_sd : mapping from parameter name to value
+        Taken over from an earlier study, and the standard deviations of those that this one holds.
     initial : mapping from parameter name to value
         All values before any calibration, those taken over as the model itself has them.
     """
@@ -74,6 +75,7 @@ class Study:
     whole_targets: Targets = field(default_factory=dict)
     library: tuple[Effect, ...] = ()
     adopted: Mapping[str, float] = field(default_factory=dict)
+    adopted_sd: Mapping[str, float] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -129,14 +131,14 @@ class Study:
         return replace(self, search_space=search_space(self.sensitivity_space, self.settings, reader.place, names))
 
     @staticmethod
-    def load(path: Path, adopted: Mapping[str, float] = MappingProxyType({})) -> Study:
+    def load(path: Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE) -> Study:
         """Read a study folder (or its TOML file) with everything it names; InputError for anything wrong in it.
 
-        ``adopted`` are values that an earlier study has found, where this one takes some over; see
-        `calib.questions.phases`.
+        ``adopted`` are values that an earlier study has found, where this one takes some over, and ``adopted_sd`` their
+        standard deviations as far as they are known; see `calib.questions.phases`.
         """
         file = study_file(path)
-        return _Reader(file, read_settings(file)).study(adopted)
+        return _Reader(file, read_settings(file)).study(adopted, adopted_sd)
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,7 @@ class _Reader:
         line = line_of(self.file.read_text("utf-8"), keys)
         return f"{self.file}, line {line}" if line else str(self.file)
 
-    def study(self, adopted: Mapping[str, float]) -> Study:
+    def study(self, adopted: Mapping[str, float], adopted_sd: Mapping[str, float]) -> Study:
         sources = Sources(self.settings, self.folder, self.place)
         base = sources.model()
         library = sources.library(base)
@@ -215,7 +217,7 @@ class _Reader:
             raise InputError("both weights are zero", place=self.place("calibration"), remedy="give one of them weight")
         return Study(
             self.folder.name, self.file, self.settings, model, measured, targets, problem, space, selected,
-            whole, whole_targets, library, dict(adopted), initial,
+            whole, whole_targets, library, dict(adopted), {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial,
         )  # fmt: skip
 
     # -- measurement ---------------------------------------------------------------------------------------------------

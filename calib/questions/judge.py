@@ -181,7 +181,9 @@ def _judged(
         vector, slope = fit.residual, fit.jacobian
     else:
         vector, slope = residual.residual(values), residual.jacobian(values, names)
-    identification = identify(space, names, slope, values=values)
+    taken = {name: sd for name, sd in study.adopted_sd.items() if sd > 0}
+    held = residual.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
+    identification = identify(space, names, slope, values=values, held=held)
     predictions = residual.predictions(values, names, identification.posterior.covariance)
     freedom = residual.degrees_of_freedom(len(space.free))
     return Judgement(

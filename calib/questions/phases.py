@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from calib.errors import InputError
@@ -42,8 +44,15 @@ def _earlier(file: Path) -> Path | None:
     return earlier
 
 
-def values_found(study: Study, root: Path, quick: bool = False) -> dict[str, float] | None:
-    """All values of the best case of a calibration; None when there is none of the study as it is now.
+class Found(NamedTuple):
+    """What a calibration has found: all values, and the standard deviations of those that it fitted."""
+
+    values: dict[str, float]
+    std: dict[str, float]
+
+
+def values_found(study: Study, root: Path, quick: bool = False) -> Found | None:
+    """The best case of a calibration; None when there is none of the study as it is now.
 
     ``root`` is where the folders with results are; a quick look is content with a quick answer.
     """
@@ -52,13 +61,14 @@ def values_found(study: Study, root: Path, quick: bool = False) -> dict[str, flo
     return _values(study, Results(home.path / QUICK), home) if found is None and quick else found
 
 
-def _values(study: Study, folder: Results, home: Results) -> dict[str, float] | None:
+def _values(study: Study, folder: Results, home: Results) -> Found | None:
     try:
         summary = json.loads((folder.path / "summary.json").read_text("utf-8"))
         table = pd.read_csv(folder.path / "parameters.csv")
         if summary["fingerprint"] != fingerprint(selected_by_measures(study, home)):
             return None
-        best = table[table["case"] == summary["best_case"]]
-        return study.search_space.complete(dict(zip(best["parameter"], best["value"].astype(float), strict=True)))
+        best = table[table["case"] == summary["best_case"]].set_index("parameter")[["value", "std"]].astype(float)
+        known = best["std"][np.isfinite(best["std"])]
+        return Found(study.search_space.complete(best["value"].to_dict()), known.to_dict())
     except (InputError, OSError, ValueError, KeyError):
         return None

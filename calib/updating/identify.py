@@ -44,7 +44,8 @@ class Posterior:
     correlation : ndarray (n_params, n_params)
         Rows and columns of unlimited parameters hold their correlation within what is not seen.
     data_share : ndarray (n_params,)
-        ``1 - V_kk/s_k^2``: 1 when the data decide, 0 when the prior does; 1 for a finite std without a prior.
+        ``1 - V_kk/s_k^2``: 1 when the data decide, 0 when the prior does; 1 for a finite std without a prior. What
+        held parameters add to the variance does not count here.
     """
 
     names: tuple[str, ...]
@@ -54,8 +55,13 @@ class Posterior:
     data_share: np.ndarray
 
 
-def posterior(names: Sequence[str], jacobian: np.ndarray, prior_sd: np.ndarray) -> Posterior:
+def posterior(
+    names: Sequence[str], jacobian: np.ndarray, prior_sd: np.ndarray, held: np.ndarray | None = None
+) -> Posterior:
     """``V = (G^T G + diag(1/s^2))^-1`` (Laplace approximation about the optimum).
+
+    Parameters that are held, but known with a scatter only, shift the estimates by ``B = -V G^T H`` for one of their
+    standard deviations each; that adds ``B B^T`` (consider parameters, Bierman 1977, section 8.2).
 
     Parameters
     ----------
@@ -64,6 +70,8 @@ def posterior(names: Sequence[str], jacobian: np.ndarray, prior_sd: np.ndarray) 
         Of the whitened residual, per one of each parameter's own unit.
     prior_sd : ndarray (n_params,)
         In the same units; infinite without a prior.
+    held : ndarray (n_rows, n_held), optional
+        H: change of the whitened residual by one standard deviation of each held parameter.
 
     Raises
     ------
@@ -85,6 +93,10 @@ def posterior(names: Sequence[str], jacobian: np.ndarray, prior_sd: np.ndarray) 
     # An unlimited direction is given a very large variance, so that correlations keep their meaning.
     weight = 1.0 / np.where(lost, _ZERO * singular.max(initial=1.0), singular)
     scaled = (vt.T * weight**2) @ vt
+    own = np.sqrt(np.diag(scaled)) / size
+    if held is not None and held.shape[1]:
+        shift = scaled @ ((g / size).T @ held)
+        scaled = scaled + shift @ shift.T
     spread = np.sqrt(np.diag(scaled))
     correlation = np.clip(scaled / np.outer(spread, spread), -1.0, 1.0)
     endless = np.sum(vt[lost] ** 2, axis=0) > 1e-16
@@ -92,7 +104,8 @@ def posterior(names: Sequence[str], jacobian: np.ndarray, prior_sd: np.ndarray) 
     std = np.where(endless, np.inf, spread / size)
     covariance[np.diag_indices(n)] = std**2
     with np.errstate(invalid="ignore"):
-        share = np.where(np.isfinite(s), 1.0 - (std / s) ** 2, np.where(endless, 0.0, 1.0))
+        share = np.where(np.isfinite(s), 1.0 - (own / s) ** 2, 1.0)
+    share = np.where(endless, 0.0, share)
     return Posterior(tuple(names), covariance, std, correlation, np.clip(share, 0.0, 1.0))
 
 
@@ -171,6 +184,7 @@ def identify(
     prior_sd: np.ndarray | None = None,
     values: Mapping[str, float] | None = None,
     threshold: float = CONFOUNDED,
+    held: np.ndarray | None = None,
 ) -> Identification:
     """Tell which parameters the data determine, and which they cannot tell apart.
 
@@ -188,10 +202,12 @@ def identify(
         Values at the optimum; with them the common scale of all parameters is looked at.
     threshold : float
         Size of the correlation of a confounded pair.
+    held : ndarray (n_rows, n_held), optional
+        What one standard deviation of each held parameter does to the residual; see `posterior`.
     """
     chosen = tuple(names)
     s = np.array([space[n].prior_width for n in chosen]) if prior_sd is None else np.asarray(prior_sd, dtype=float)
-    found = posterior(chosen, jacobian, s)
+    found = posterior(chosen, jacobian, s, held)
     span = np.array([space[n].upper - space[n].lower for n in chosen])
     relative = found.std / span
     identified = relative <= IDENTIFIED

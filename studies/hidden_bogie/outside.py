@@ -22,31 +22,34 @@ Build = Callable[[StructuralModel], Addition]
 def outside_effects() -> tuple[Effect, ...]:
     """Four designs; the plausible size of each is a change that an inspection would call clear."""
     return (
-        _design(
+        design(
             "heavy_rear", "Heavier rear half of the frame", 0.0, 3.0, 0.4, "share added to its steel",
-            _scaled("heavy_rear", "mass", ("girder end rear left", "girder end rear right", "crossbar rear")),
+            scaled("heavy_rear", "mass", ("girder end rear left", "girder end rear right", "crossbar rear")),
         ),
-        _design(
+        design(
             "stiff_rear_rods", "Stiffer lower connecting rods of the rear axle", -0.8, 3.0, 0.3, "relative change",
-            _scaled("stiff_rear_rods", "stiffness", ("lower rod rear left", "lower rod rear right")),
+            scaled("stiff_rear_rods", "stiffness", ("lower rod rear left", "lower rod rear right")),
         ),
-        _design(
+        design(
             "soft_girder", "One girder softer", -0.8, 0.0, 0.3, "relative change of its stiffness",
-            _scaled("soft_girder", "stiffness", ("girder left", "girder end front left", "girder end rear left")),
+            scaled("soft_girder", "stiffness", ("girder left", "girder end front left", "girder end rear left")),
         ),
-        _design(
+        design(
             "skew_block", "Left elastic block couples vertical and lateral motion", -0.4, 0.4, 0.1,
             "coupling stiffness over the mean of both stiffnesses", _skew_block,
         ),
     )  # fmt: skip
 
 
-def _design(name: str, title: str, lower: float, upper: float, plausible: float, words: str, build: Build) -> Effect:
+def design(name: str, title: str, lower: float, upper: float, plausible: float, words: str, build: Build) -> Effect:
+    """A change by its name, limits and plausible size."""
     strength = Parameter(name, 0.0, lower, upper, "-", prior_sd=plausible, description=words)
     return Effect(name, title, "It has no such difference.", "It is no candidate.", strength, build)
 
 
-def _scaled(name: str, kind: PartKind, parts: Sequence[str]) -> Build:
+def scaled(name: str, kind: PartKind, parts: Sequence[str]) -> Build:
+    """Stiffness or mass of some parts, changed in proportion."""
+
     def build(model: StructuralModel) -> Addition:
         terms = []
         for wanted in parts:

@@ -67,7 +67,7 @@ def test_the_earlier_study_runs_first_and_its_values_are_held(phases, capsys):
     assert "One comes first: two takes over what it finds." in capsys.readouterr().out
     found = pd.read_csv("results/two/parameters.csv")
     assert found["parameter"].tolist() == ["c"] and found["value"].item() == pytest.approx(1.5, abs=1e-3)
-    study = Study.load(Path("two"), values_found(Study.load(Path("one")), Path("results")))
+    study = Study.load(Path("two"), *values_found(Study.load(Path("one")), Path("results")))
     assert study.search_space.values["a"] == pytest.approx(2.3, abs=1e-3)
     assert study.search_space.free_names == ("c",) and study.sensitivity_space.free_names == ("c",)
 
@@ -122,12 +122,12 @@ def test_three_phases(phases):
     write(Path("three"), "Three", ["c"], (("r", 3.45), ("s", 2.7)), ADOPTED.replace("one", "two"))
     assert [f.parent.name for f in in_order(Path("three"))] == ["one", "two", "three"]
     assert cli.answer(["compare", "three"]) == 0
-    held = Study.load(Path("three"), values_found(_two(), Path("results"))).search_space.values
+    held = Study.load(Path("three"), *values_found(_two(), Path("results"))).search_space.values
     assert held["b"] == pytest.approx(1.2, abs=1e-3)
 
 
 def _two():
-    return Study.load(Path("two"), values_found(Study.load(Path("one")), Path("results")))
+    return Study.load(Path("two"), *values_found(Study.load(Path("one")), Path("results")))
 
 
 def test_an_extension_holds_the_same_values_wherever_it_is(phases):
