@@ -1,0 +1,25 @@
+import numpy as np
+
+from calib.report.frequencies import draw_frequencies
+
+
+def test_dots_are_the_errors_in_percent(modes):
+    ax = draw_frequencies(modes)
+    for stage in ("before", "after"):
+        (line,) = [line for line in ax.lines if line.get_gid() == stage]
+        np.testing.assert_allclose(line.get_xdata(), 100 * modes[f"error_{stage}"])
+        np.testing.assert_array_equal(line.get_ydata(), [0, 1, 2])
+
+
+def test_frequencies_and_mac_are_written_in_their_rows(modes):
+    ax = draw_frequencies(modes)
+    for column in ("damped_freq_measured", "damped_freq_before", "damped_freq_after", "mac_before", "mac_after"):
+        found = {t.xy[1]: t.get_text() for t in ax.texts if t.get_gid() == column}
+        assert found == {k: "–" if np.isnan(v) else f"{v:.3f}" for k, v in enumerate(modes[column])}
+
+
+def test_withheld_modes_are_told_apart_and_means_are_over_the_paired(modes):
+    ax = draw_frequencies(modes)
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["1BT", "2BT (withheld)", "3BT"]
+    words = [t.get_text() for t in ax.get_legend().get_texts()]
+    assert words == ["before: mean |error| 10.0 %", "after: mean |error| 1.0 %"]
