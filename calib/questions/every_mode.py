@@ -24,9 +24,9 @@ def all_stages(study: Study, before: Comparison, after: Comparison) -> dict[str,
     Returns
     -------
     dict from str to Comparison
-        ``before`` and ``after`` and, for a study that takes values over, ``initial`` ahead of them: the model before the
-        earlier study too. Used modes keep the partners that the used data gave them, withheld ones find theirs among
-        the other model modes.
+        ``before`` and ``after`` and, for a study that takes values over, ``initial`` ahead of them: the model before
+        the earlier study too. Used modes keep the partners that the used data gave them, withheld ones find theirs
+        among the other model modes.
 
     Raises
     ------

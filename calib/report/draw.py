@@ -28,6 +28,8 @@ from calib.report.verification import draw_error_versions, draw_errors, next_mea
 from calib.report.where import atom_map_figure, sensor_misfit_figure
 
 _STAGES = ("before", "after")
+_OF_MODEL = {"initial": "before any calibration", "before": "before calibration", "after": "after calibration"}
+"""Stages of a model, and how captions call them; the first is before an earlier study too."""
 _Add = Callable[[str, str, Callable[[], Figure]], None]
 
 
@@ -85,6 +87,8 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
     if any(table is not None for table in sensors.values()):
         add("comac", "CoMAC of the sensors", lambda: _owner(draw_comac(sensors["before"], sensors["after"])))
     _plan_modes(folder, compared, add)
+    if (every := _every_mode(folder / "modes.csv")) is not None:
+        add("modes", "damped frequencies of all measured modes", lambda: _owner(draw_frequencies(every)))
     path = folder / "sensitivity.csv"
     if path.exists():
         rank = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
@@ -137,47 +141,50 @@ def _plan_modes(folder: Path, compared: dict[str, pd.DataFrame | None], add: _Ad
     if not points.exists() or not elements.exists():
         return
     number, place = ["point"], ["x", "y", "z"]
-    corners = ["a", "b", "c", "d"]
     mesh = Mesh(
         read_table(points, [], [*number, *place], complete=[*number, *place], unique="point"),
-        read_table(elements, ["group"], corners, complete=["a", "b"], may_be_empty=True),
+        read_table(elements, ["group"], ["a", "b", "c", "d"], complete=["a", "b"], may_be_empty=True),
     )
     check_mesh(mesh, elements)
     shapes = {stage: _shapes(folder / f"shapes_{stage}.csv") for stage in _STAGES}
     told = next((table for table in shapes.values() if table is not None), None)
     sensors = None if told is None else told[told["mode"] == told["mode"].iloc[0]]
     add("model", "the model", lambda: model_figure(mesh, sensors))
-    for stage in _STAGES:
+    for stage, words in _OF_MODEL.items():
         moved, listed = folder / f"deflection_{stage}.csv", folder / f"model_modes_{stage}.csv"
-        if not moved.exists():
+        if not moved.exists() or not listed.exists():
             continue
-        columns = ["point", "u", "v", "w"]
+        columns, found = ["point", "u", "v", "w"], ["damped_freq", "damping_ratio"]
         motion = read_table(moved, ["mode"], columns, complete=columns, may_be_empty=True)
-        if listed.exists():
-            found = ["damped_freq", "damping_ratio"]
-            modes = read_table(listed, ["mode"], found, complete=["damped_freq"], unique="mode", may_be_empty=True)
-            for page, some in pages(modes).items():
-                add(
-                    f"model_modes_{stage}{page}",
-                    f"modes of the model {stage} calibration, damped frequency",
-                    lambda some=some, motion=motion: model_modes_figure(some, motion, mesh),  # type: ignore[misc]
-                )
-        measured = shapes[stage]
+        modes = read_table(listed, ["mode"], found, complete=["damped_freq"], unique="mode", may_be_empty=True)
+        for page, some in pages(modes).items():
+            add(
+                f"model_modes_{stage}{page}",
+                f"modes of the model {words}, damped frequency",
+                lambda some=some, motion=motion: model_modes_figure(some, motion, mesh),  # type: ignore[misc]
+            )
+        measured = shapes.get(stage)
         if measured is not None:
             add(
                 f"mode_shapes_{stage}",
-                f"mode shapes {stage} calibration, measured/model",
+                f"mode shapes {words}, measured/model",
                 lambda measured=measured, motion=motion, facts=compared[stage]: mode_shapes_figure(  # type: ignore[misc]
                     measured, motion, mesh, facts
                 ),
             )
-    if (path := folder / "modes.csv").exists():
-        stages = [f"{name}_{stage}" for name in ("damped_freq", "error", "mac") for stage in _STAGES]
-        every = read_table(
-            path, ["mode"], ["damped_freq_measured", *stages], flags=["withheld"], unique="mode", may_be_empty=True
-        )  # fmt: skip
-        if len(every):
-            add("modes", "damped frequencies of all measured modes", lambda: _owner(draw_frequencies(every)))
+
+
+def _every_mode(path: Path) -> pd.DataFrame | None:
+    """Table of all measured modes; None where there is none, or nothing in it."""
+    if not path.exists():
+        return None
+    kinds = ("damped_freq", "error", "mac")
+    wanted = [f"{kind}_{stage}" for kind in kinds for stage in _STAGES]
+    table = read_table(
+        path, ["mode"], ["damped_freq_measured", *wanted], flags=["withheld"], unique="mode", may_be_empty=True,
+        if_there=[f"{kind}_initial" for kind in kinds],
+    )  # fmt: skip
+    return table if len(table) else None
 
 
 def _shapes(path: Path) -> pd.DataFrame | None:

@@ -34,11 +34,11 @@ from calib.report.style import REST
 PANELS = 8
 """Most modes in one figure."""
 
-AMPLITUDE = ListedColormap(colormaps["viridis_r"](np.linspace(0.08, 0.93, 256)))
+AMPLITUDE = ListedColormap(colormaps["viridis_r"](np.linspace(0.14, 0.8, 256)))
 """Colours from no motion to the largest; without the ends, which white paper and dark borders would swallow."""
 _NEAR = 0.2
 """By how much of its diagonal the box of a body is widened to find its neighbours."""
-_BORDER = "#404040"
+_BORDER = "#101010"
 _WIDTHS = np.array([0.3, 0.5, 1.8])
 """Of the edges of faces, borders and lines, points."""
 

@@ -123,6 +123,16 @@ def test_missing_tables_leave_their_figures_out(folder):
     assert [p.stem for p in draw_all(folder, "Bogie", False) if p.stem != "modes"] == [p for p in left if p != "modes"]
 
 
+def test_modes_of_every_stage_are_drawn_and_only_those_that_are_measured_over_the_measurement(folder, saved):
+    for name in ("deflection", "model_modes"):
+        (folder / f"{name}_initial.csv").write_bytes((folder / f"{name}_after.csv").read_bytes())
+    draw_all(folder, "Bogie", False)
+    assert [name for name in saved if "mode_shapes" in name or "model_modes" in name] == [
+        "model_modes_initial", "model_modes_after", "mode_shapes_after",
+    ]  # fmt: skip
+    assert "before any calibration" in " ".join(all_words(saved["model_modes_initial"]))
+
+
 def test_an_empty_folder_has_no_figures(tmp_path):
     assert draw_all(tmp_path, "Bogie", False) == []
 

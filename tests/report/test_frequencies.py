@@ -1,11 +1,16 @@
 import numpy as np
+import pytest
 
 from calib.report.frequencies import draw_frequencies
 
 
-def test_dots_are_the_errors_in_percent(modes):
+@pytest.mark.parametrize("stages", [("before", "after"), ("initial", "before", "after")])
+def test_marks_are_the_errors_in_percent(modes, stages):
+    if "initial" in stages:
+        modes = modes.assign(error_initial=[-0.3, 0.2, 0.1], damped_freq_initial=[5.0, 13.0, 14.5], mac_initial=0.8)
     ax = draw_frequencies(modes)
-    for stage in ("before", "after"):
+    assert [line.get_gid() for line in ax.lines if line.get_gid() in ("initial", "before", "after")] == [*stages]
+    for stage in stages:
         (line,) = [line for line in ax.lines if line.get_gid() == stage]
         np.testing.assert_allclose(line.get_xdata(), 100 * modes[f"error_{stage}"])
         np.testing.assert_array_equal(line.get_ydata(), [0, 1, 2])
