@@ -18,7 +18,7 @@ from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frequencies import draw_frequencies
 from calib.report.mesh import Mesh, check_mesh
 from calib.report.misfit import draw_strain, where_it_fails_figure
-from calib.report.model import model_figure
+from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
@@ -149,7 +149,8 @@ def _plan_modes(folder: Path, compared: dict[str, pd.DataFrame | None], add: _Ad
     shapes = {stage: _shapes(folder / f"shapes_{stage}.csv") for stage in _STAGES}
     told = next((table for table in shapes.values() if table is not None), None)
     sensors = None if told is None else told[told["mode"] == told["mode"].iloc[0]]
-    add("model", "the model", lambda: model_figure(mesh, sensors))
+    if sensors is not None or face_groups(mesh):  # lines alone are seen in the modes
+        add("model", "the model", lambda: model_figure(mesh, sensors))
     for stage, words in _OF_MODEL.items():
         moved, listed = folder / f"deflection_{stage}.csv", folder / f"model_modes_{stage}.csv"
         if not moved.exists() or not listed.exists():

@@ -55,7 +55,8 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     for label, held in zip(ax.get_yticklabels(), withheld, strict=True):
         label.set_color(GREY if held else BLACK)
     edge = _columns(ax, table, "damped_freq", ["measured", *stages], "damped frequency (Hz)", _GAP, _WIDE)
-    _columns(ax, table, "mac", stages, "MAC (–)", edge + _GAP, _NARROW)
+    if table[[f"mac_{stage}" for stage in stages]].notna().to_numpy().any():
+        _columns(ax, table, "mac", stages, "MAC (–)", edge + _GAP, _NARROW)
     for line in range(1, count):
         ax.axhline(line - 0.5, color="#E3E3E3", linewidth=0.6)
     ax.set_ylim(count - 0.5, -0.5)

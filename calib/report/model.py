@@ -98,7 +98,7 @@ def model_figure(mesh: Mesh, sensors: pd.DataFrame | None = None) -> Figure:
         Patch(facecolor=COLOURS[k % len(COLOURS)], edgecolor=_BORDER, linewidth=0.5, label=name)
         for k, name in enumerate(names)
     ]
-    handles.append(Line2D([], [], color=BLACK, linewidth=1.3, label="beams"))
+    handles.append(Line2D([], [], color=BLACK, linewidth=1.3, label="beams and other lines"))
     if sensors is not None:
         words = f"sensors ({len(sensors)}) and their directions"
         handles.append(Line2D([], [], color=MEASURED, marker="o", markersize=4.5, linewidth=1.2, label=words))

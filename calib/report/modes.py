@@ -188,7 +188,7 @@ def _write_title(figure: Figure, cell: SubplotSpec, row: dict[Hashable, Any]) ->
     ax = figure.add_subplot(cell, label="title")
     ax.set_axis_off()
     words = f"{row['mode']}   {row['damped_freq']:.2f} Hz"
-    words += "" if math.isnan(row["damping_ratio"]) else f"   damping {100.0 * row['damping_ratio']:.1f} %"
+    words += "" if not row["damping_ratio"] > 0.0 else f"   damping {100.0 * row['damping_ratio']:.1f} %"
     _write_over(ax, words)
 
 

@@ -123,6 +123,12 @@ def test_missing_tables_leave_their_figures_out(folder):
     assert [p.stem for p in draw_all(folder, "Bogie", False) if p.stem != "modes"] == [p for p in left if p != "modes"]
 
 
+def test_lines_without_sensors_are_no_picture_of_a_model(folder, saved):
+    (folder / "shapes_after.csv").unlink()
+    draw_all(folder, "Bogie", False)
+    assert "model_modes_after" in saved and not {"model", "mode_shapes_after"} & set(saved)
+
+
 def test_modes_of_every_stage_are_drawn_and_only_those_that_are_measured_over_the_measurement(folder, saved):
     for name in ("deflection", "model_modes"):
         (folder / f"{name}_initial.csv").write_bytes((folder / f"{name}_after.csv").read_bytes())

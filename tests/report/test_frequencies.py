@@ -23,6 +23,11 @@ def test_frequencies_and_mac_are_written_in_their_rows(modes):
         assert found == {k: "–" if np.isnan(v) else f"{v:.3f}" for k, v in enumerate(modes[column])}
 
 
+def test_without_shapes_there_are_no_columns_of_mac(modes):
+    ax = draw_frequencies(modes.assign(mac_before=np.nan, mac_after=np.nan))
+    assert not [t for t in ax.texts if "MAC" in t.get_text()]
+
+
 def test_withheld_modes_are_told_apart_and_means_are_over_the_paired(modes):
     ax = draw_frequencies(modes)
     assert [t.get_text() for t in ax.get_yticklabels()] == ["1BT", "2BT (withheld)", "3BT"]

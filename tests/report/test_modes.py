@@ -52,7 +52,7 @@ def test_a_structure_of_like_bodies_is_looked_at_whole(deflection, mesh):
 
 
 def test_panels_name_mode_damped_frequency_and_damping(hull, model_modes):
-    rows = pd.concat([model_modes, model_modes.assign(mode="2BT", damped_freq=9.876, damping_ratio=np.nan)])
+    rows = pd.concat([model_modes, model_modes.assign(mode="2BT", damped_freq=9.876, damping_ratio=0.0)])
     tables = [motion(hull, 1.0, [0.0, 0.0])[0].assign(mode="1BT"), motion(hull, 0.1, [1.0, -1.0])[0].assign(mode="2BT")]
     figure = model_modes_figure(rows, pd.concat(tables), hull)
     figure.savefig(os.devnull, format="png")
