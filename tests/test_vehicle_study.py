@@ -17,7 +17,7 @@ from calib.evaluate import Evaluator
 from calib.ledger import Ledger
 from calib.mac import mac
 from calib.questions.case import objective_of
-from calib.questions.every_mode import every_mode
+from calib.questions.every_mode import all_stages, every_mode
 from calib.sensitivity.sampling import sample
 from calib.structure.training import train_basis
 from calib.study import Study
@@ -129,7 +129,7 @@ def test_seats_within_reach_change_no_pair(study):
 
 
 def test_withheld_modes_are_told_before_and_after_but_enter_no_fit(study, before, at_truth):
-    table = every_mode(study, before, at_truth).set_index("mode")
+    table = every_mode(study, all_stages(study, before, at_truth)).set_index("mode")
     assert table.index.tolist() == list(TRUTH["natural_freq"])
     assert table["withheld"].to_dict() == {mode: mode not in FITTED for mode in table.index}
     assert study.problem.measured.names == FITTED
@@ -140,7 +140,7 @@ def test_withheld_modes_are_told_before_and_after_but_enter_no_fit(study, before
 
 
 def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, before, at_truth):
-    table = every_mode(study, before, at_truth).set_index("mode")
+    table = every_mode(study, all_stages(study, before, at_truth)).set_index("mode")
     own = vehicle().modes({}, 18)
     pair = study.problem.compare(study.initial).pairing.model_index
     np.testing.assert_allclose(table.loc[list(FITTED), "damped_freq_initial"], own.damped_freq[pair], rtol=1e-9)
@@ -153,7 +153,9 @@ def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, b
 
 def test_the_table_of_every_mode_can_be_a_study_without_withheld_modes(study, before):
     none = replace(study, settings=study.settings.model_copy(update={"withheld": type(study.settings.withheld)()}))
-    table = every_mode(none, before, before)
+    stages = all_stages(none, before, before)
+    assert stages["before"] is before
+    table = every_mode(none, stages)
     assert table["mode"].tolist() == list(FITTED) and not table["withheld"].any()
     np.testing.assert_array_equal(table["damped_freq_before"], table["damped_freq_after"])
 

@@ -19,7 +19,7 @@ from calib.structure.modes import Modes
 LEVEL = 0.95
 """A single comparison with a perfect model stays within its scatter with this probability."""
 
-_ENDS = ["x1", "y1", "z1", "x2", "y2", "z2", "u1", "v1", "w1", "u2", "v2", "w2"]
+_MOTION = ["u", "v", "w"]
 
 _Row = tuple[str, str, float, float, str]
 
@@ -147,25 +147,19 @@ class Comparison:
         return pd.concat(parts, ignore_index=True)
 
     def deflection_table(self) -> pd.DataFrame:
-        """One row a paired mode and mesh line: ends in metres and their motion, to be drawn over the measured shape.
+        """One row a paired mode and point of the mesh: its motion, to be drawn over the measured shape.
 
-        ``u, v, w`` are the real part of the paired model shape in the scale and phase of `shapes_table`; ``line`` is
-        the index of the line in the model's mesh.
+        ``u, v, w`` are the real part of the paired model shape in the scale and phase of `shapes_table`; ``point`` is
+        its number in the mesh, from 0.
         """
-        mesh, factors, parts = self.model.mesh, self.factors, []
+        factors, parts = self.factors, [pd.DataFrame(columns=["mode", "point", *_MOTION])]
         for i in self.pairing.paired:
             shape = self.modes.shapes[:, [self.pairing.model_index[i]]]
             motion = np.real(self.model.displacement(shape)[:, :, 0] * factors[i])
-            first, last = mesh.lines[:, 0], mesh.lines[:, 1]
-            table = pd.DataFrame(
-                np.hstack([mesh.points[first], mesh.points[last], motion[first], motion[last]]),
-                columns=_ENDS,
-            )
-            table.insert(0, "group", list(mesh.groups))
-            table.insert(0, "line", np.arange(len(mesh.lines)))
-            table.insert(0, "mode", self.measured.names[i])
-            parts.append(table)
-        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["mode", "line", "group", *_ENDS])
+            part = pd.DataFrame(motion, columns=_MOTION).rename_axis("point").reset_index()
+            part.insert(0, "mode", self.measured.names[i])
+            parts.append(part)
+        return pd.concat(parts[1:] or parts, ignore_index=True)
 
     def _sensor_columns(self) -> pd.DataFrame:
         sensors = self.measured.sensors

@@ -16,8 +16,8 @@ from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
 from calib.ledger import Ledger
 from calib.questions.case import CaseFinder, CaseFound, SearchProgress
-from calib.questions.compare import Answer, compare, write_answer
-from calib.questions.every_mode import every_mode
+from calib.questions.compare import Answer, compare, write_answer, write_model_modes
+from calib.questions.every_mode import all_stages, every_mode
 from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.space import ParameterSpace
@@ -124,8 +124,11 @@ def calibrate(
     modes = None
     if before.comparison is not None and best.answer.comparison is not None:
         with suppress(EvaluationError):
-            modes = every_mode(study, before.comparison, best.answer.comparison)
+            stages = all_stages(study, before.comparison, best.answer.comparison)
+            modes = every_mode(study, stages)
             results.write_table("modes", modes)
+            for stage, comparison in stages.items():
+                write_model_modes(results, comparison, stage)
     results.remove("data_errors.csv")
     with suppress(EvaluationError):  # a model that fails beside the optimum has no errors to tell
         results.write_table("data_errors", errors_at(study, best.judgement.values))

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.compare import Comparison
+from calib.correlation.mesh import elements_table, points_table
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
 from calib.measurement.check import SensorFinding, check_sensors
@@ -123,11 +124,21 @@ def write_answer(results: Results, answer: Answer, stage: str) -> None:
     if answer.comparison is None:
         return
     results.write_table(f"where_it_fails_{stage}", answer.comparison.where_it_fails())
-    results.write_table(f"deflection_{stage}", answer.comparison.deflection_table())
+    write_model_modes(results, answer.comparison, stage)
     if answer.comparison.measured.has_shapes:
         results.write_table(f"mac_{stage}", answer.comparison.mac_table())
         results.write_table(f"comac_{stage}", answer.comparison.comac_table())
         results.write_table(f"shapes_{stage}", answer.comparison.shapes_table())
+
+
+def write_model_modes(results: Results, comparison: Comparison, stage: str) -> None:
+    """Write what pictures of the model's paired modes need: its mesh, their frequencies and damping, their motion."""
+    results.write_table("mesh_points", points_table(comparison.model.mesh))
+    results.write_table("mesh_elements", elements_table(comparison.model.mesh))
+    names = {f"{name}_model": name for name in ("natural_freq", "damped_freq", "damping_ratio")}
+    modes = comparison.comparison_table().iloc[comparison.pairing.paired][["mode", *names]]
+    results.write_table(f"model_modes_{stage}", modes.rename(columns=names))
+    results.write_table(f"deflection_{stage}", comparison.deflection_table())
 
 
 def _mean(values: pd.Series) -> float:

@@ -12,8 +12,8 @@ from calib.correlation.problem import ModalProblem
 from calib.study import Study
 
 
-def every_mode(study: Study, before: Comparison, after: Comparison) -> pd.DataFrame:
-    """Damped frequencies of all measured modes, withheld ones included, from stage to stage of the calibration.
+def all_stages(study: Study, before: Comparison, after: Comparison) -> dict[str, Comparison]:
+    """Compare all measured modes, withheld ones included, at every stage of the calibration.
 
     Parameters
     ----------
@@ -23,12 +23,10 @@ def every_mode(study: Study, before: Comparison, after: Comparison) -> pd.DataFr
 
     Returns
     -------
-    DataFrame
-        ``mode, withheld, damped_freq_measured`` and, for each stage, ``damped_freq_``, ``error_`` and ``mac_``. The
-        stages are ``before`` and ``after`` and, for a study that takes values over, ``initial`` ahead of them: the
-        model before the earlier study too. Hz; errors are signed fractions of the damped frequency; NaN where a mode
-        found no partner. Used modes keep the partners that the used data gave them, withheld ones find theirs among
-        the other model modes.
+    dict from str to Comparison
+        ``before`` and ``after`` and, for a study that takes values over, ``initial`` ahead of them: the model before
+        the earlier study too. Used modes keep the partners that the used data gave them, withheld ones find theirs
+        among the other model modes.
 
     Raises
     ------
@@ -41,9 +39,27 @@ def every_mode(study: Study, before: Comparison, after: Comparison) -> pd.DataFr
     if study.settings.adopted is not None:
         assert isinstance(study.problem, ModalProblem)
         stages = {"initial": study.problem.compare(study.initial), **stages}
+    return {stage: _whole(study, used) for stage, used in stages.items()}
+
+
+def every_mode(study: Study, stages: Mapping[str, Comparison]) -> pd.DataFrame:
+    """Damped frequencies of all measured modes from stage to stage.
+
+    Parameters
+    ----------
+    study : Study
+    stages : mapping from str to Comparison
+        As from `all_stages`.
+
+    Returns
+    -------
+    DataFrame
+        ``mode, withheld, damped_freq_measured`` and, for each stage, ``damped_freq_``, ``error_`` and ``mac_``. Hz;
+        errors are signed fractions of the damped frequency; NaN where a mode found no partner.
+    """
     columns: dict[str, pd.Series] = {}
-    for stage, used in stages.items():
-        told = _whole(study, used).comparison_table()
+    for stage, found in stages.items():
+        told = found.comparison_table()
         columns |= {
             "mode": told["mode"],
             "withheld": told["mode"].isin(study.settings.withheld.modes),

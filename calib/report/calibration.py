@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,8 @@ from matplotlib.patches import Patch
 
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
 
+_FINAL = 38.0
+"""How far from the Axes, in points, the best case's value stands where every bar's value stands beside it."""
 _LINE_STYLES = ("-", "-.", ":")
 
 
@@ -26,12 +29,13 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
         ``on_bound`` (bool), ``spread`` (of the ratio over the cases, NaN if unknown) and ``stable`` (bool, or None).
     ax : Axes, optional
     best_case : str, optional
-        The case whose values are written beside the bars; without it, the only case there is.
+        The case whose final values are written at the right; without it, the only case there is.
 
     Returns
     -------
     Axes
-        One group of horizontal bars a parameter, lengths in percent of the range between the limits. A value on a bound
+        One group of horizontal bars a parameter, lengths in percent of the range between the limits, and beside each
+        bar its value; a dark line parts neighbours of different units. A value on a bound
         has a triangle; a parameter on which the cases do not agree is hatched and says so. Where the table tells what
         the searches found before least squares (``search_value``), the bars show that, as they show how far the cases
         spread; a diamond with whiskers shows the best case's final value with two standard deviations (``std``).
@@ -40,12 +44,13 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
     names = list(dict.fromkeys(table["parameter"]))
     if best_case is None and len(cases) == 1:
         best_case = cases[0]
-    step = 0.095 * len(cases) + 0.1
+    step = 0.125 * len(cases) + 0.1
     ax = own_axes(ax, 1.0 + max(step, 0.34) * len(names))
     height = 0.8 / len(cases)
     unstable = {
         name: any(flag is False for flag in _flags(table[table["parameter"] == name], "stable")) for name in names
     }
+    told = len(cases) > 1 or ("search_value" in table and bool(table["search_value"].notna().any()))
     for k, case in enumerate(cases):
         rows = table[table["case"] == case].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(cases) - 1) / 2) * height
@@ -55,6 +60,8 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
             if unstable[name]:
                 bar.set_hatch("/////")
                 bar.set_edgecolor("white")
+        if told:
+            _write_bar_values(ax, rows, y)
         bound = np.array([flag is True for flag in _flags(rows, "on_bound")])
         ax.plot(
             np.clip(lengths[bound], 0.0, 100.0) + 1.6,
@@ -71,14 +78,26 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
     ax.set_xticks(range(0, 101, 20))
     ax.axvline(100.0, color=GREY, linewidth=0.8)
     ax.grid(axis="x")
+    units = table.groupby("parameter")["unit"].first().reindex(names).tolist()
     for i in range(1, len(names)):
-        ax.axhline(i - 0.5, color="#E3E3E3", linewidth=0.6)
+        other = units[i] != units[i - 1]
+        ax.axhline(i - 0.5, color=GREY if other else "#E3E3E3", linewidth=1.0 if other else 0.6)
     ax.set_xlabel("place between the lower (0) and the upper limit (100) (%)")
-    _write_values(ax, table, names, unstable, best_case)
+    _write_values(ax, table, names, unstable, best_case, _FINAL if told else 0.0)
     final = _mark_final(ax, table, names, best_case)
     bound_anywhere = any(flag is True for flag in _flags(table, "on_bound"))
     _legend(ax, cases, best_case, any(unstable.values()), bound_anywhere, final)
     return ax
+
+
+def _write_bar_values(ax: Axes, rows: pd.DataFrame, y: np.ndarray) -> None:
+    """Values that the bars of a case show, each beside its bar."""
+    values = rows["value"].astype(float)
+    if "search_value" in rows:
+        values = rows["search_value"].astype(float).fillna(values)
+    for value, at in zip(values, y, strict=True):
+        if not math.isnan(value):
+            _beside(ax, at, plain(value).replace("-", "−"), 0, "black", fontsize=6.5, gid="bar value")
 
 
 def _searched(table: pd.DataFrame) -> pd.Series[float]:
@@ -120,7 +139,7 @@ def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:
 
 
 def _write_values(
-    ax: Axes, table: pd.DataFrame, names: list[str], unstable: dict[str, bool], best_case: str | None
+    ax: Axes, table: pd.DataFrame, names: list[str], unstable: dict[str, bool], best_case: str | None, far: float
 ) -> None:
     """Values of the best case at the right, and under them which parameters the cases disagree on."""
     best = table[table["case"] == best_case]
@@ -131,24 +150,25 @@ def _write_values(
         if known:
             unit = "" if units[name] == "-" else units[name]
             text = plain(values[name]).replace("-", "−") + f" {unit}"
-            _beside(ax, i, text.rstrip(), 6 if unstable[name] else 0, "black")
+            _beside(ax, i, text.rstrip(), 6 if unstable[name] else 0, "black", far)
         if unstable[name]:
             spread = table.loc[table["parameter"] == name, "spread"].max()
             text = "not stable" if math.isnan(spread) else f"not stable, spread {100.0 * spread:.0f} %"
-            _beside(ax, i, text, -6 if known else 0, VERMILLION)
+            _beside(ax, i, text, -6 if known else 0, VERMILLION, far)
 
 
-def _beside(ax: Axes, row: int, text: str, shift: float, colour: str) -> None:
+def _beside(ax: Axes, row: float, text: str, shift: float, colour: str, far: float = 0.0, **looks: Any) -> None:
+    """Write at the right of a row, shifted upwards and to the right by some points."""
     ax.annotate(
         text,
         (1.01, row),
         xycoords=("axes fraction", "data"),
-        xytext=(0, shift),
+        xytext=(far, shift),
         textcoords="offset points",
         va="center",
-        fontsize=8,
         color=colour,
         annotation_clip=False,
+        **{"fontsize": 8.0, **looks},
     )
 
 

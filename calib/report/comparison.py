@@ -195,9 +195,7 @@ def _bars(ax: Axes, values: dict[str, pd.Series], labels: dict[str, str], number
         missing = np.isnan(heights)
         bars = ax.bar(x, heights, width * 0.94, label=labels[name], **_LOOKS[name])  # type: ignore[arg-type]
         if len(series) * len(values) <= 20:
-            texts = [
-                "" if gone else number.format(h).replace("-", "−") for h, gone in zip(heights, missing, strict=True)
-            ]
+            texts = ["" if gone else _signed(h, number) for h, gone in zip(heights, missing, strict=True)]
             ax.bar_label(bars, texts, fontsize=7, padding=2)
         for position in x[missing]:
             ax.annotate(
@@ -214,6 +212,12 @@ def _bars(ax: Axes, values: dict[str, pd.Series], labels: dict[str, str], number
     ax.set_xlim(-0.6, len(next(iter(values.values()))) - 0.4)
     ax.grid(axis="y")
     legend_above(ax)
+
+
+def _signed(value: float, number: str) -> str:
+    """A number as it is written, zero without the sign of what was rounded away."""
+    text = number.format(value)
+    return (text if float(text) else number.format(0.0).lstrip("+")).replace("-", "−")
 
 
 def _crowded(ax: Axes, labels: list[str]) -> None:

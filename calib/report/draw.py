@@ -15,7 +15,11 @@ from calib.errors import InputError
 from calib.report.calibration import draw_convergence, draw_parameters
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.explanation import draw_confounding, ranked_effects_figure
+from calib.report.frequencies import draw_frequencies
+from calib.report.mesh import Mesh, check_mesh
 from calib.report.misfit import draw_strain, where_it_fails_figure
+from calib.report.model import face_groups, model_figure
+from calib.report.modes import model_modes_figure, pages
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.style import add_heading, save, style
@@ -23,8 +27,9 @@ from calib.report.tables import read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import atom_map_figure, sensor_misfit_figure
 
-_ENDS = ("x1", "y1", "z1", "x2", "y2", "z2", "u1", "v1", "w1", "u2", "v2", "w2")
 _STAGES = ("before", "after")
+_OF_MODEL = {"initial": "before any calibration", "before": "before calibration", "after": "after calibration"}
+"""Stages of a model, and how captions call them; the first is before an earlier study too."""
 _Add = Callable[[str, str, Callable[[], Figure]], None]
 
 
@@ -81,17 +86,9 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
     sensors = {stage: _comac(folder / f"comac_{stage}.csv") for stage in _STAGES}
     if any(table is not None for table in sensors.values()):
         add("comac", "CoMAC of the sensors", lambda: _owner(draw_comac(sensors["before"], sensors["after"])))
-    for stage in _STAGES:
-        shapes, deflection = folder / f"shapes_{stage}.csv", folder / f"deflection_{stage}.csv"
-        if shapes.exists() and deflection.exists():
-            points = read_table(shapes, ["mode", "direction"], ["x", "y", "z", "measured_re"])
-            lines = read_table(deflection, ["mode"], _ENDS, complete=_ENDS)
-            facts = compared[stage]
-            add(
-                f"mode_shapes_{stage}",
-                f"mode shapes {stage} calibration, measured/model",
-                lambda points=points, lines=lines, facts=facts: mode_shapes_figure(points, lines, facts),  # type: ignore[misc]
-            )
+    _plan_modes(folder, compared, add)
+    if (every := _every_mode(folder / "modes.csv")) is not None:
+        add("modes", "damped frequencies of all measured modes", lambda: _owner(draw_frequencies(every)))
     path = folder / "sensitivity.csv"
     if path.exists():
         rank = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
@@ -136,6 +133,63 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
         add("convergence", "convergence of the search", lambda: _owner(draw_convergence(runs)))
     _plan_explanation(folder, add)
     return plan
+
+
+def _plan_modes(folder: Path, compared: dict[str, pd.DataFrame | None], add: _Add) -> None:
+    """Figures of the mesh: the model, its modes, and measured shapes over them."""
+    points, elements = folder / "mesh_points.csv", folder / "mesh_elements.csv"
+    if not points.exists() or not elements.exists():
+        return
+    number, place = ["point"], ["x", "y", "z"]
+    mesh = Mesh(
+        read_table(points, [], [*number, *place], complete=[*number, *place], unique="point"),
+        read_table(elements, ["group"], ["a", "b", "c", "d"], complete=["a", "b"], may_be_empty=True),
+    )
+    check_mesh(mesh, elements)
+    shapes = {stage: _shapes(folder / f"shapes_{stage}.csv") for stage in _STAGES}
+    told = next((table for table in shapes.values() if table is not None), None)
+    sensors = None if told is None else told[told["mode"] == told["mode"].iloc[0]]
+    if sensors is not None or face_groups(mesh):  # lines alone are seen in the modes
+        add("model", "the model", lambda: model_figure(mesh, sensors))
+    for stage, words in _OF_MODEL.items():
+        moved, listed = folder / f"deflection_{stage}.csv", folder / f"model_modes_{stage}.csv"
+        if not moved.exists() or not listed.exists():
+            continue
+        columns, found = ["point", "u", "v", "w"], ["damped_freq", "damping_ratio"]
+        motion = read_table(moved, ["mode"], columns, complete=columns, may_be_empty=True)
+        modes = read_table(listed, ["mode"], found, complete=["damped_freq"], unique="mode", may_be_empty=True)
+        for page, some in pages(modes).items():
+            add(
+                f"model_modes_{stage}{page}",
+                f"modes of the model {words}, damped frequency",
+                lambda some=some, motion=motion: model_modes_figure(some, motion, mesh),  # type: ignore[misc]
+            )
+        measured = shapes.get(stage)
+        if measured is not None:
+            add(
+                f"mode_shapes_{stage}",
+                f"mode shapes {words}, measured/model",
+                lambda measured=measured, motion=motion, facts=compared[stage]: mode_shapes_figure(  # type: ignore[misc]
+                    measured, motion, mesh, facts
+                ),
+            )
+
+
+def _every_mode(path: Path) -> pd.DataFrame | None:
+    """Table of all measured modes; None where there is none, or nothing in it."""
+    if not path.exists():
+        return None
+    kinds = ("damped_freq", "error", "mac")
+    wanted = [f"{kind}_{stage}" for kind in kinds for stage in _STAGES]
+    table = read_table(
+        path, ["mode"], ["damped_freq_measured", *wanted], flags=["withheld"], unique="mode", may_be_empty=True,
+        if_there=[f"{kind}_initial" for kind in kinds],
+    )  # fmt: skip
+    return table if len(table) else None
+
+
+def _shapes(path: Path) -> pd.DataFrame | None:
+    return read_table(path, ["mode", "direction"], ["x", "y", "z", "measured_re"]) if path.exists() else None
 
 
 def _plan_explanation(folder: Path, add: _Add) -> None:

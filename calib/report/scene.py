@@ -10,10 +10,10 @@ import pandas as pd
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from calib.report.shapes import frame_scene, plot_coordinates, plot_lines, view_directions
 from calib.report.style import BLACK, DPI, WIDTH
 
 PLACE = ["x", "y", "z"]
@@ -21,8 +21,80 @@ FOOT = 0.8
 """Height in inches of the strip that explains the panels."""
 HEADING = 0.2
 """Height in inches of the title over a panel."""
+_ELEVATION, _AZIMUTH = 24.0, -58.0
+_FILLED = 0.94
+_LOW = 0.45
+"""Height over width of what is seen, below which a structure is long and low."""
 _LEADER = 16.0
 """Length in points of the line to a number."""
+
+
+def plot_coordinates(points: np.ndarray) -> np.ndarray:
+    """Turn (x longitudinal, y up, z transverse) into the plot's (x, -z, y), which keeps right-handed axes right-handed.
+
+    Parameters
+    ----------
+    points : ndarray (..., 3)
+    """
+    return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
+
+
+def view_directions() -> np.ndarray:
+    """Return the plot directions that the view shows to the right and upwards, (2, 3)."""
+    azimuth, elevation = math.radians(_AZIMUTH), math.radians(_ELEVATION)
+    return np.array(
+        [
+            [-math.sin(azimuth), math.cos(azimuth), 0.0],
+            [-math.sin(elevation) * math.cos(azimuth), -math.sin(elevation) * math.sin(azimuth), math.cos(elevation)],
+        ]
+    )
+
+
+def plot_lines(ax: Axes3D, segments: np.ndarray, **looks: object) -> None:
+    """Segments (n, 2, 3) as one line with gaps, which draws quickly and whose data can be read back."""
+    gap = np.full((len(segments), 1, 3), np.nan)
+    path = plot_coordinates(np.concatenate([segments, gap], axis=1).reshape(-1, 3))
+    ax.plot(*path.T, **looks)
+
+
+def largest_drawn(points: np.ndarray, thickness: float = math.inf) -> float:
+    """Return how far, in metres, the largest motion is drawn: a tenth of the diagonal of the points' box (n, 3).
+
+    A hollow body of some thickness, in metres, moves by at most 40 % of it, or it would be seen to leave what it stands
+    on.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+    return min(0.1 * (diagonal or 1.0), 0.4 * thickness)
+
+
+def motion_scale(points: np.ndarray, motions: np.ndarray, thickness: float = math.inf) -> float:
+    """Return the factor that draws the largest of motions (n, 3) as long as `largest_drawn` says."""
+    largest = float(np.linalg.norm(motions, axis=1).max(initial=0.0))
+    return largest_drawn(points, thickness) / largest if largest > 0.0 else 0.0
+
+
+def frame_scene(ax: Axes3D, points: np.ndarray, heading: float = 0.0) -> None:
+    """Parallel view with equal scale on all axes that fills the panel below a heading of that height in inches."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, 0.02 * float((high - low).max() or 1.0))
+    seen = view_directions()
+    off_centre = (seen @ points.T).max(axis=1) / 2 + (seen @ points.T).min(axis=1) / 2 - seen @ (low + high) / 2
+    middle = (low + high) / 2 + off_centre @ seen
+    for set_limits, m, s in zip((ax.set_xlim, ax.set_ylim, ax.set_zlim), middle, size, strict=True):
+        set_limits(m - s / 2, m + s / 2)
+    ax.set_proj_type("ortho")
+    ax.view_init(elev=_ELEVATION, azim=_AZIMUTH)
+    ax.set_axis_off()
+    ax.set_box_aspect(size)
+    # Measure the view at this zoom in the square that a 3-D panel draws in, then fill the panel itself.
+    x, y, _ = proj_transform(*points.T, ax.get_proj())
+    filled = np.ptp(ax.transAxes.inverted().transform(ax.transData.transform(np.column_stack([x, y]))), axis=0)
+    panel = ax.get_position(original=True)
+    width, height = np.array([panel.width, panel.height]) * ax.figure.get_size_inches()
+    room = np.array([width, height - 2 * heading]) / min(width, height)
+    ax.set_box_aspect(size, zoom=_FILLED * float((room / np.maximum(filled, 1e-9)).min()))
+    for artist in (*ax.lines, *ax.collections):
+        artist.set_clip_on(False)
 
 
 def segments(structure: pd.DataFrame) -> np.ndarray:
@@ -116,14 +188,29 @@ def number_points(ax: Axes3D, points: np.ndarray, numbers: dict[int, int]) -> No
         )
 
 
-def seen_size(structure: pd.DataFrame, placed: pd.DataFrame, margin: float) -> tuple[float, float]:
-    """Return width and height of what the view shows, in metres, with a margin as a fraction of the diagonal."""
-    points = np.concatenate([segments(structure).reshape(-1, 3), placed[PLACE].dropna().to_numpy(dtype=float)])
+def seen_size(points: np.ndarray, room: float) -> tuple[float, float]:
+    """Return width and height of what the view shows of points (n, 3), with some room in all, everything in metres."""
     if not len(points):
         return 1.0, 0.5
     wide, high = np.ptp(plot_coordinates(points) @ view_directions().T, axis=0)
-    room = margin * float(np.linalg.norm(np.ptp(points, axis=0)))
     return float(wide + room) or 1.0, float(high + room)
+
+
+def panel_grid(count: int, points: np.ndarray, thickness: float = math.inf) -> tuple[Figure, list[SubplotSpec]]:
+    """Return a figure with cells for panels that all show the same points (n, 3), in motion, above a foot.
+
+    Long low structures take two columns, others three, so that what is seen stays large; for the thickness see
+    `largest_drawn`.
+    """
+    wide, high = seen_size(points, 2 * largest_drawn(points, thickness))
+    columns = 1 if count == 1 else 2 if count in (2, 4) or high < _LOW * wide else 3
+    rows = math.ceil(count / columns)
+    panel = WIDTH / columns
+    # A 3-D panel draws in a square from its top edge only as long as it is not taller than wide.
+    height = rows * min(panel * max(high / wide, 0.3) + 2 * HEADING, panel) + FOOT
+    figure = new_figure(height)
+    grid = figure.add_gridspec(rows, columns)
+    return figure, [grid[k // columns, k % columns] for k in range(count)]
 
 
 def show_axes(figure: Figure) -> None:
@@ -142,3 +229,10 @@ def colour_bar(figure: Figure, colours: ScalarMappable, label: str) -> None:
     height = float(figure.get_size_inches()[1])
     ax = figure.add_axes((4.9 / WIDTH, 0.5 / height, 2.9 / WIDTH, 0.12 / height), label="colours")
     figure.colorbar(colours, cax=ax, orientation="horizontal", label=label)
+
+
+def tell_size(figure: Figure, points: np.ndarray) -> None:
+    """Write the size of the box round points (n, 3), in metres, beside the directions of the axes."""
+    size = " × ".join(f"{s:.3g}" for s in np.ptp(points, axis=0))
+    height = float(figure.get_size_inches()[1])
+    figure.text(1.05 / WIDTH, 0.09 / height, f"model {size} m (x × y × z)", fontsize=8.5, va="bottom")

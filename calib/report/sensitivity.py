@@ -47,7 +47,7 @@ def draw_sensitivity(
         -1 to 1, or NaN for a response that never changed.
     ax : Axes, optional
     threshold : float
-        Cells whose modulus is below it stay blank.
+        Cells whose modulus does not exceed it stay blank.
     label : str
         What the cells are, for the colour bar.
     """
@@ -57,7 +57,7 @@ def draw_sensitivity(
     values = table[responses].to_numpy(dtype=float)
     rows, columns = values.shape
     ax = own_axes(ax, matrix_height(rows, columns) + 0.3)
-    shown = np.where(np.abs(values) >= threshold, values, np.nan)
+    shown = np.where(np.abs(values) > threshold, values, np.nan)
     image = ax.imshow(np.isnan(values), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
     image = ax.imshow(shown, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
     size = 8.0 if columns <= 12 else max(4.5, 8.0 * 13.5 / columns)
@@ -71,7 +71,7 @@ def draw_sensitivity(
     separate_cells(ax, rows, columns)
     ax.grid(which="minor", color="#D0D0D0", linewidth=0.6)
     _name_groups(ax, [_kind(r)[0] for r in responses])
-    blank = f"blank: |value| < {threshold:g}" + ("; grey: no value" if np.isnan(values).any() else "")
+    blank = f"blank: |value| ≤ {threshold:g}" + ("; grey: no value" if np.isnan(values).any() else "")
     ax.set_xlabel(f"response of mode ({blank})")
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
     return ax
@@ -134,7 +134,7 @@ def draw_input_correlation(table: pd.DataFrame, ax: Axes | None = None, threshol
         Column ``parameter`` and one column of every parameter, in the same order; NaN where unknown.
     ax : Axes, optional
     threshold : float
-        Cells whose modulus is below it stay blank.
+        Cells whose modulus does not exceed it stay blank.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def draw_input_correlation(table: pd.DataFrame, ax: Axes | None = None, threshol
     values = table[names].to_numpy(dtype=float)[1:, :-1]
     if ax is None:
         ax = new_figure(float(np.clip(0.36 * count, 1.2, 9.0)) + 1.4).add_subplot()
-    shown = np.where(below & (np.abs(values) >= threshold), values, np.nan)
+    shown = np.where(below & (np.abs(values) > threshold), values, np.nan)
     ax.imshow(np.where(below & np.isnan(values), 1.0, 0.0), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
     image = ax.imshow(shown, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
     for i, j in np.argwhere(np.isfinite(shown)):
@@ -163,7 +163,7 @@ def draw_input_correlation(table: pd.DataFrame, ax: Axes | None = None, threshol
     ax.set_yticks(range(count - 1), names[1:])
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    ax.set_xlabel(f"parameter (blank: |value| < {threshold:g}; 0 is expected without constraints)")
+    ax.set_xlabel(f"parameter (blank: |value| ≤ {threshold:g}; 0 is expected without constraints)")
     ax.figure.colorbar(image, ax=ax, label="rank correlation of inputs (–)", fraction=0.04, pad=0.02, aspect=40)
     return ax
 

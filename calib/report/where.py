@@ -23,15 +23,18 @@ from calib.report.scene import (
     colour_bar,
     draw_dots,
     frame_panel,
+    largest_drawn,
+    motion_scale,
     new_axes,
     new_figure,
     number_points,
+    plot_coordinates,
     plot_lines,
     seen_size,
     segments,
     show_axes,
 )
-from calib.report.shapes import measured_motions, motion_scale, plot_coordinates
+from calib.report.shapes import measured_motions
 from calib.report.style import BLUE, GREY, REST, VERMILLION, WIDTH
 
 ATOM_KINDS = ("stiffness", "damping", "mass")
@@ -157,7 +160,8 @@ def sensor_misfit_figure(table: pd.DataFrame, structure: pd.DataFrame, *, stage:
     rows = table[(table["stage"] == stage) & table[PLACE].notna().all(axis=1)]
     by_mode = {str(mode): part for mode, part in rows.groupby("mode", sort=False)}
     worst = sorted(by_mode, key=lambda mode: -np.nan_to_num(_rms(by_mode[mode])))[:3]
-    wide, high = seen_size(structure, rows, 0.1)
+    points = _everything(structure, rows)
+    wide, high = seen_size(points, largest_drawn(points))
     upper = min(WIDTH * high / wide + 2 * HEADING, 4.4)
     lower = min(WIDTH / 3 * high / wide + 2 * HEADING, WIDTH / 3) if worst else 0.0
     figure = new_figure(upper + lower + FOOT)
@@ -165,7 +169,6 @@ def sensor_misfit_figure(table: pd.DataFrame, structure: pd.DataFrame, *, stage:
     main = draw_sensor_misfit(table, structure, figure.add_subplot(grid[0, :], projection="3d"), stage=stage)
     shown = [by_mode[mode] for mode in worst]
     motions = [measured_motions(t.assign(measured_re=t[part]))[1] for t in shown for part in ("re", "im")]
-    points = np.concatenate([segments(structure).reshape(-1, 3), rows[PLACE].to_numpy(dtype=float)])
     scale = motion_scale(points, np.concatenate(motions)) if motions else None
     for k, part in enumerate(shown):
         draw_mode_misfit(part, structure, figure.add_subplot(grid[1, k], projection="3d"), scale=scale)
@@ -257,7 +260,8 @@ def atom_map_figure(table: pd.DataFrame, structure: pd.DataFrame) -> Figure:
     """
     kinds = [k for k in (*ATOM_KINDS, *sorted(set(table["kind"]) - {*ATOM_KINDS})) if (table["kind"] == k).any()]
     kinds = kinds or [ATOM_KINDS[0]]
-    wide, high = seen_size(structure, table, 0.03)
+    shown = _everything(structure, table)
+    wide, high = seen_size(shown, 0.3 * largest_drawn(shown))
     # A long low structure is seen best with the panels over one another.
     columns = 1 if high < 0.28 * wide or len(kinds) == 1 else min(len(kinds), 2)
     count = math.ceil(len(kinds) / columns)
@@ -280,6 +284,11 @@ def atom_map_figure(table: pd.DataFrame, structure: pd.DataFrame) -> Figure:
     colours = ScalarMappable(Normalize(-limit, limit), "RdBu_r")
     colour_bar(figure, colours, "score z (–)")
     return figure
+
+
+def _everything(structure: pd.DataFrame, placed: pd.DataFrame) -> np.ndarray:
+    """Ends of the mesh's lines and the places of a table."""
+    return np.concatenate([segments(structure).reshape(-1, 3), placed[PLACE].dropna().to_numpy(dtype=float)])
 
 
 def _in_words(number: int, row: dict[Hashable, Any]) -> str:

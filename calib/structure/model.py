@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
@@ -21,21 +21,27 @@ from calib.structure.solve import solve_modes
 
 @dataclass(frozen=True)
 class Mesh:
-    """Nodes and lines of a model, for pictures and for finding places.
+    """Nodes, lines and faces of a model, for pictures and for finding places.
 
     Attributes
     ----------
     points : ndarray (n_nodes, 3)
         Coordinates in metres.
     lines : ndarray (n_lines, 2), int
-        Node indices of each line element.
+        Node indices of each line element and of each edge of a face.
     groups : tuple of str
-        Group name of each line.
+        Group name of each line; an edge has that of a face.
+    faces : ndarray (n_faces, 4), int
+        Node indices of each shell element, in turn.
+    face_groups : tuple of str
+        Group name of each face.
     """
 
     points: np.ndarray
     lines: np.ndarray
     groups: tuple[str, ...]
+    faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), dtype=int))
+    face_groups: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -154,7 +160,7 @@ class ModalModel(Protocol):
 
     @property
     def mesh(self) -> Mesh:
-        """Nodes and lines, for pictures."""
+        """Nodes, lines and faces, for pictures."""
         ...
 
     @property

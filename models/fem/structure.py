@@ -158,7 +158,7 @@ class Structure(Frame):
     # -- degrees of freedom and matrices -------------------------------------------------------------------------------
 
     def mesh(self) -> Mesh:
-        """Nodes and lines for pictures: the members, and the edges of shell elements that no member covers."""
+        """Nodes, lines and faces for pictures; lines are the members, and the edges of shells that no member covers."""
         frame = super().mesh()
         edges = surface.edges(self.corners)
         owner = np.repeat(self.panel_of, 4)
@@ -166,7 +166,13 @@ class Structure(Frame):
         _, first = np.unique(both, axis=0, return_index=True)
         kept = np.sort(first[first >= len(self.ends)]) - len(self.ends)
         groups = tuple(self.panels[owner[k]].group for k in kept)
-        return Mesh(self.points, np.concatenate([frame.lines, edges[kept]]), frame.groups + groups)
+        return Mesh(
+            self.points,
+            np.concatenate([frame.lines, edges[kept]]),
+            frame.groups + groups,
+            self.corners,
+            tuple(self.panels[k].group for k in self.panel_of),
+        )
 
     def area(self, groups: Iterable[str]) -> float:
         """Area of the panels of the named groups without their openings, m2."""

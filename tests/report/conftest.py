@@ -1,6 +1,14 @@
+import os
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+from calib.report.mesh import Mesh
+from calib.report.scene import plot_coordinates
 
 MODES = ["1BT", "2BT", "3BT"]
 
@@ -100,11 +108,80 @@ def shapes() -> pd.DataFrame:
 
 
 @pytest.fixture
+def mesh() -> Mesh:
+    """Two bars along x."""
+    places = [(0.0, 0.5, 1.0), (2.0, 0.5, 1.0), (0.0, 0.0, -1.0), (2.0, 0.0, -1.0)]
+    points = pd.DataFrame(places, columns=["x", "y", "z"])
+    points.insert(0, "point", range(4))
+    elements = pd.DataFrame({"group": ["bar"] * 2, "a": [0, 2], "b": [1, 3], "c": [np.nan] * 2, "d": [np.nan] * 2})
+    return Mesh(points, elements)
+
+
+@pytest.fixture
 def deflection() -> pd.DataFrame:
-    """Two bars along x, of which only mode 1 has a model mode."""
-    rows = [
-        ("1BT", 0, "bar", 0.0, 0.5, 1.0, 2.0, 0.5, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0),
-        ("1BT", 1, "bar", 0.0, 0.0, -1.0, 2.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.1, 0.5, 0.2),
-    ]
-    names = "mode line group x1 y1 z1 x2 y2 z2 u1 v1 w1 u2 v2 w2".split()
-    return pd.DataFrame(rows, columns=names)
+    """Motion of the bars, of which only mode 1 has a model mode."""
+    rows = [("1BT", 0, 0.0, 1.0, 0.0), ("1BT", 1, 0.0, 1.0, 0.0), ("1BT", 2, 0.0, 1.0, 0.0), ("1BT", 3, 0.1, 0.5, 0.2)]
+    return pd.DataFrame(rows, columns=["mode", "point", "u", "v", "w"])
+
+
+@pytest.fixture
+def model_modes() -> pd.DataFrame:
+    return pd.DataFrame({"mode": ["1BT"], "natural_freq": [6.2], "damped_freq": [6.12], "damping_ratio": [0.15]})
+
+
+@pytest.fixture
+def modes() -> pd.DataFrame:
+    """The second mode is withheld, the third has found no partner before."""
+    measured = np.array([6.95, 10.83, 13.2])
+    errors = {"before": np.array([-0.12, 0.08, np.nan]), "after": np.array([-0.004, 0.006, 0.02])}
+    table = pd.DataFrame({"mode": MODES, "withheld": [False, True, False], "damped_freq_measured": measured})
+    for stage, error in errors.items():
+        table[f"damped_freq_{stage}"] = measured * (1.0 + error)
+        table[f"error_{stage}"] = error
+        table[f"mac_{stage}"] = np.where(np.isnan(error), np.nan, 0.9)
+    return table
+
+
+@pytest.fixture
+def hull() -> Mesh:
+    """A box 20 m long, 2 m high and 2 m wide without ends, its top a group of its own, with an opening in one side.
+
+    Under either end hangs a bar of 1 m across, at x = 2 and x = 18 m; a beam runs along the edge of the box.
+    """
+    x = np.linspace(0.0, 20.0, 11)
+    ring = np.array([[2.0, -1.0], [4.0, -1.0], [4.0, 1.0], [2.0, 1.0]])
+    places = [(a, y, z) for a in x for y, z in ring]
+    rows = []
+    for k in range(10):
+        for side in range(4):
+            if (k, side) == (4, 0):
+                continue
+            a, b = 4 * k + side, 4 * k + (side + 1) % 4
+            rows.append(("top" if side == 1 else "hull", a, b, b + 4, a + 4))
+    rows.append(("sill", 0, 4, np.nan, np.nan))
+    for at in (2.0, 18.0):
+        rows.append(("bar", len(places), len(places) + 1, np.nan, np.nan))
+        places += [(at, 0.5, -0.5), (at, 0.5, 0.5)]
+    points = pd.DataFrame(places, columns=["x", "y", "z"])
+    points.insert(0, "point", range(len(places)))
+    return Mesh(points, pd.DataFrame(rows, columns=["group", "a", "b", "c", "d"]))
+
+
+def seen(ax: Axes3D, gid: str) -> np.ndarray:
+    """Corners (n, 4, 2) in pixels of drawn pieces, as the picture shows them, from back to front."""
+    (collection,) = [c for c in ax.collections if c.get_gid() == gid]
+    ax.get_figure(root=True).savefig(os.devnull, format="png")
+    return np.array([collection.get_transform().transform(path.vertices[:4]) for path in collection.get_paths()])
+
+
+def expected(ax: Axes3D, points: np.ndarray) -> np.ndarray:
+    """Pixels (..., 2) at which points (..., 3), metres, must be seen."""
+    ax.get_figure(root=True).savefig(os.devnull, format="png")  # the view is fixed when it is drawn
+    x, y, _ = proj_transform(*plot_coordinates(points).reshape(-1, 3).T, ax.get_proj())
+    return ax.transData.transform(np.column_stack([x, y])).reshape(*points.shape[:-1], 2)
+
+
+@pytest.fixture
+def pixels() -> SimpleNamespace:
+    """How drawn pieces are read back and what they are compared with."""
+    return SimpleNamespace(seen=seen, expected=expected)

@@ -6,7 +6,11 @@ from calib.report.calibration import draw_convergence, draw_parameters
 
 
 def words(ax):
-    return [t.get_text() for t in ax.texts]
+    return [t.get_text() for t in ax.texts if t.get_gid() != "bar value"]
+
+
+def bar_values(ax):
+    return {round(float(t.xy[1]), 6): t.get_text() for t in ax.texts if t.get_gid() == "bar value"}
 
 
 def legend(ax):
@@ -20,6 +24,25 @@ def test_bar_lengths_are_the_ratios_in_percent(parameters):
         np.testing.assert_allclose([bar.get_width() for bar in bars], 100 * rows["ratio"])
         assert bars.get_label() == case
     assert [t.get_text() for t in ax.get_yticklabels()] == ["K_primary", "position"]
+
+
+def test_every_bar_has_its_value_beside_it(parameters):
+    ax = draw_parameters(parameters)
+    middle = [round(bar.get_y() + bar.get_height() / 2, 6) for bars in ax.containers for bar in bars]
+    assert bar_values(ax) == dict(zip(middle, ["1.5", "−0.25", "1.6", "1"], strict=True))
+    searched = draw_parameters(parameters.assign(search_value=[1.25, np.nan, 1.75, 0.5]))
+    assert list(bar_values(searched).values()) == ["1.25", "−0.25", "1.75", "0.5"]
+
+
+def test_one_case_without_a_search_needs_no_values_of_bars(parameters):
+    assert not bar_values(draw_parameters(parameters[parameters["case"] == "GB1"]))
+
+
+@pytest.mark.parametrize(("units", "dark"), [(["MN/m", "-"], 1), (["-", "-"], 0)])
+def test_a_dark_line_parts_neighbours_of_different_units(parameters, units, dark):
+    ax = draw_parameters(parameters.assign(unit=units * 2))
+    between = [line for line in ax.lines if list(line.get_ydata()) == [0.5, 0.5]]
+    assert len(between) == 1 and sum(line.get_linewidth() > 0.8 for line in between) == dark
 
 
 def test_bars_of_a_case_stand_in_the_row_of_their_parameter(parameters):

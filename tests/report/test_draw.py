@@ -15,7 +15,10 @@ ALL = [
     "mac_before",
     "mac_after",
     "comac",
+    "model",
+    "model_modes_after",
     "mode_shapes_after",
+    "modes",
     "sensitivity",
     "parameters",
     "convergence",
@@ -23,7 +26,10 @@ ALL = [
 
 
 @pytest.fixture
-def folder(tmp_path, before, after, mac, comac, shapes, deflection, sensitivity, parameters, convergence):
+def folder(
+    tmp_path, before, after, mac, comac, shapes, mesh, deflection, model_modes, modes, sensitivity, parameters,
+    convergence,
+):  # fmt: skip
     tables = {
         "comparison_before": before,
         "comparison_after": after,
@@ -32,7 +38,11 @@ def folder(tmp_path, before, after, mac, comac, shapes, deflection, sensitivity,
         "comac_before": comac,
         "comac_after": comac,
         "shapes_after": shapes,
+        "mesh_points": mesh.points,
+        "mesh_elements": mesh.elements,
         "deflection_after": deflection,
+        "model_modes_after": model_modes,
+        "modes": modes,
         "sensitivity": sensitivity,
         "parameters": parameters,
         "convergence": convergence,
@@ -107,7 +117,27 @@ def test_figures_show_the_tables(folder, saved, before, convergence):
 def test_missing_tables_leave_their_figures_out(folder):
     for name in ("comparison_after", "mac_before", "deflection_after", "sensitivity", "parameters"):
         (folder / f"{name}.csv").unlink()
-    assert [p.stem for p in draw_all(folder, "Bogie", False)] == ["comparison", "mac_after", "comac", "convergence"]
+    left = ["comparison", "mac_after", "comac", "model", "modes", "convergence"]
+    assert [p.stem for p in draw_all(folder, "Bogie", False)] == left
+    (folder / "mesh_points.csv").unlink()
+    left.remove("model")
+    assert [p.stem for p in draw_all(folder, "Bogie", False) if p.stem != "modes"] == [p for p in left if p != "modes"]
+
+
+def test_lines_without_sensors_are_no_picture_of_a_model(folder, saved):
+    (folder / "shapes_after.csv").unlink()
+    draw_all(folder, "Bogie", False)
+    assert "model_modes_after" in saved and not {"model", "mode_shapes_after"} & set(saved)
+
+
+def test_modes_of_every_stage_are_drawn_and_only_those_that_are_measured_over_the_measurement(folder, saved):
+    for name in ("deflection", "model_modes"):
+        (folder / f"{name}_initial.csv").write_bytes((folder / f"{name}_after.csv").read_bytes())
+    draw_all(folder, "Bogie", False)
+    assert [name for name in saved if "mode_shapes" in name or "model_modes" in name] == [
+        "model_modes_initial", "model_modes_after", "mode_shapes_after",
+    ]  # fmt: skip
+    assert "before any calibration" in " ".join(all_words(saved["model_modes_initial"]))
 
 
 def test_an_empty_folder_has_no_figures(tmp_path):
@@ -134,7 +164,8 @@ def damage(folder, name, old, new):
         ("comparison_after", "2BT", "1BT", "mode", "line 3"),
         ("mac_after", "0.11", "a lot", "1 (6.12 Hz)", "line 3"),
         ("comac_before", "0.4", "inf", "comac", "line 3"),
-        ("deflection_after", "-1.0", "", "z1", "line 3"),
+        ("deflection_after", "1,0.0,", "1,,", "u", "line 3"),
+        ("mesh_points", "1,2.0", "0,2.0", "point", "line 3"),
         ("sensitivity", "c_primary", "", "parameter", "line 3"),
         ("parameters", "0.375", "nan", "ratio", "line 3"),
         ("parameters", "True\n", "maybe\n", "stable", "line 2"),

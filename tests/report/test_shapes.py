@@ -1,19 +1,14 @@
 import os
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from calib.report.shapes import (
-    draw_mode_shape,
-    measured_motions,
-    mode_shapes_figure,
-    motion_scale,
-    plot_coordinates,
-    view_directions,
-)
+from calib.report.scene import motion_scale, plot_coordinates, view_directions
+from calib.report.shapes import draw_mode_shape, measured_motions, mode_shapes_figure
 
 
 def drawn(ax, gid):
@@ -36,26 +31,40 @@ def test_plot_coordinates_keep_right_handedness_and_show_y_upwards(a, b):
     np.testing.assert_array_equal(plot_coordinates(np.array([0.0, 1.0, 0.0])), [0.0, 0.0, 1.0])
 
 
-def test_mesh_and_sensors_are_drawn_where_the_tables_say(shapes, deflection):
-    ax = draw_mode_shape(shapes[shapes["mode"] == "1BT"], deflection)
-    rest = np.array([[0, 0.5, 1], [2, 0.5, 1], [0, 0, -1], [2, 0, -1]], dtype=float)
+REST = np.array([[0, 0.5, 1], [2, 0.5, 1], [0, 0, -1], [2, 0, -1]], dtype=float)
+
+
+def test_mesh_and_sensors_are_drawn_where_the_tables_say(shapes, deflection, mesh, pixels):
+    ax = draw_mode_shape(shapes[shapes["mode"] == "1BT"], deflection, mesh)
     motion = np.array([[0, 1, 0], [0, 1, 0], [0, 1, 0], [0.1, 0.5, 0.2]])
     scale = 0.1 * np.sqrt(2.0**2 + 0.5**2 + 2.0**2)
-    np.testing.assert_allclose(drawn(ax, "undeformed"), rest, atol=1e-12)
-    np.testing.assert_allclose(drawn(ax, "deformed"), rest + scale * motion, atol=1e-12)
+    np.testing.assert_allclose(drawn(ax, "undeformed"), REST, atol=1e-12)
+    moved = (REST + scale * motion)[[[2, 3, 3, 2], [0, 1, 1, 0]]]  # the farther bar is drawn first
+    np.testing.assert_allclose(pixels.seen(ax, "deformed"), pixels.expected(ax, moved), atol=1e-6)
     np.testing.assert_allclose(drawn(ax, "measured"), [[0, 0.5 + scale, 1], [2, 0.5 + scale, 1]], atol=1e-12)
     np.testing.assert_allclose(
         drawn(ax, "motion"), [[0, 0.5, 1], [0, 0.5 + scale, 1], [2, 0.5, 1], [2, 0.5 + scale, 1]], atol=1e-12
     )
 
 
-def test_a_measurement_equal_to_the_model_lies_on_the_deformed_mesh(shapes, deflection):
+def test_a_measurement_equal_to_the_model_lies_on_the_deformed_mesh(shapes, deflection, mesh, pixels):
     one = shapes[shapes["mode"] == "1BT"].copy()
     one.loc[one["sensor"] == "2z", "measured_re"] = -0.4
     tilted = deflection.copy()
-    tilted.loc[0, "w2"] = -0.4
-    ax = draw_mode_shape(one, tilted)
-    np.testing.assert_allclose(drawn(ax, "measured"), drawn(ax, "deformed")[:2], atol=1e-12)
+    tilted.loc[1, "w"] = -0.4
+    ax = draw_mode_shape(one, tilted, mesh)
+    near = pixels.seen(ax, "deformed")[-1, :2]
+    np.testing.assert_allclose(pixels.expected(ax, drawn(ax, "measured")), near, atol=1e-6)
+
+
+def test_shells_are_drawn_with_their_borders_and_openings(shapes, hull, pixels):
+    rows = [("1BT", p, 0.0, 1.0, 0.0) for p in hull.points["point"]]
+    still = pd.DataFrame(rows, columns=["mode", "point", "u", "v", "w"])
+    ax = draw_mode_shape(shapes[shapes["mode"] == "1BT"], still, hull)
+    assert len(pixels.seen(ax, "deformed")) == 39 + (20 + 8) + 3 + 2
+    assert len(drawn(ax, "undeformed")) == 2 * ((20 + 8) + 3 + 2)
+    # Bodies move within 40 % of their own height, not a tenth of the length of the car.
+    assert drawn(ax, "motion")[1, 1] - drawn(ax, "motion")[0, 1] == pytest.approx(0.4 * 2.0)
 
 
 def test_sensors_at_one_place_make_one_vector_and_rotations_none(shapes):
@@ -73,38 +82,40 @@ def test_the_largest_motion_is_a_tenth_of_the_model_whatever_the_units(size, amp
     assert scale * amplitude == pytest.approx(1.3 * size)
 
 
-def test_no_motion_at_all_is_drawn_at_rest(shapes, deflection):
-    still = deflection.assign(**dict.fromkeys(["u1", "v1", "w1", "u2", "v2", "w2"], 0.0))
-    ax = draw_mode_shape(shapes.assign(measured_re=0.0), still)
-    np.testing.assert_allclose(drawn(ax, "deformed"), drawn(ax, "undeformed"))
+def test_no_motion_at_all_is_drawn_at_rest(shapes, deflection, mesh, pixels):
+    still = deflection.assign(u=0.0, v=0.0, w=0.0)
+    ax = draw_mode_shape(shapes.assign(measured_re=0.0), still, mesh)
+    at_rest = pixels.expected(ax, REST[[[2, 3, 3, 2], [0, 1, 1, 0]]])
+    np.testing.assert_allclose(pixels.seen(ax, "deformed"), at_rest, atol=1e-6)
 
 
 def texts(ax):
     return [t.get_text() for t in ax.texts]
 
 
-def test_grid_has_one_titled_panel_a_mode(shapes, deflection, before):
+def test_grid_has_one_titled_panel_a_mode(shapes, deflection, mesh, before):
     facts = before.assign(natural_freq_model=[6.12, np.nan, 1.0], mac=[0.93, np.nan, 0.5])
-    figure = mode_shapes_figure(shapes, deflection, facts)
+    figure = mode_shapes_figure(shapes, deflection, mesh, facts)
     first, second, _ = figure.axes  # the last one shows the directions of the axes
     assert texts(first) == ["1BT   6.95/6.12 Hz   MAC 0.93"]
     assert texts(second) == ["2BT   10.83 Hz   not paired"]
 
 
-def test_an_unpaired_mode_shows_the_mesh_at_rest_and_the_measurement(shapes, deflection):
-    figure = mode_shapes_figure(shapes, deflection)
+def test_an_unpaired_mode_shows_the_mesh_at_rest_and_the_measurement(shapes, deflection, mesh):
+    figure = mode_shapes_figure(shapes, deflection, mesh)
     second = figure.axes[1]
     assert texts(second) == ["2BT"]
     assert {line.get_gid() for line in second.lines} == {"undeformed", "motion", "measured"}
+    assert not second.collections
     np.testing.assert_allclose(drawn(second, "undeformed"), drawn(figure.axes[0], "undeformed"))
     assert not np.isclose(drawn(second, "measured")[1, 2], 1.0)
 
 
 @pytest.mark.parametrize("tallness", [1.0, 30.0])
-def test_everything_lies_inside_its_panel_below_the_title(shapes, deflection, tallness):
+def test_everything_lies_inside_its_panel_below_the_title(shapes, deflection, mesh, tallness):
     shapes["y"] *= tallness
-    deflection[["y1", "y2"]] *= tallness
-    figure = mode_shapes_figure(shapes, deflection)
+    mesh.points["y"] *= tallness
+    figure = mode_shapes_figure(shapes, deflection, mesh)
     figure.savefig(os.devnull, format="png")
     for ax in figure.axes[:2]:
         panel = ax.get_position(original=True).transformed(figure.transFigure)
@@ -117,8 +128,8 @@ def test_everything_lies_inside_its_panel_below_the_title(shapes, deflection, ta
             assert seen[:, 1].min() > panel.y0 and seen[:, 1].max() < title.y0
 
 
-def test_a_metre_is_equally_long_in_every_direction_of_the_picture(shapes, deflection):
-    figure = mode_shapes_figure(shapes, deflection)
+def test_a_metre_is_equally_long_in_every_direction_of_the_picture(shapes, deflection, mesh):
+    figure = mode_shapes_figure(shapes, deflection, mesh)
     figure.savefig(os.devnull, format="png")
     for ax in figure.axes:
         points = np.vstack([np.zeros(3), np.eye(3)])

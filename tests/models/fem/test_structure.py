@@ -101,6 +101,8 @@ def test_lines_of_the_picture_cover_every_edge_once():
     lines = np.sort(mesh.lines, axis=1)
     assert len(np.unique(lines, axis=0)) == len(lines) == len(mesh.groups)
     assert set(mesh.groups) == {"floor", "side", "sill", "ring"}
+    edges = {tuple(sorted(edge)) for face in mesh.faces for edge in zip(face, np.roll(face, -1), strict=True)}
+    assert edges <= set(map(tuple, lines)) and set(mesh.face_groups) == {"floor", "side"}
 
 
 def test_a_gap_between_meshes_is_refused():

@@ -1,0 +1,27 @@
+"""Tables of a model's mesh, for pictures of its modes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from calib.structure.model import Mesh
+
+
+def points_table(mesh: Mesh) -> pd.DataFrame:
+    """Return the points of a mesh, numbered from 0: columns ``point, x, y, z`` (m)."""
+    return pd.DataFrame(mesh.points, columns=["x", "y", "z"]).rename_axis("point").reset_index()
+
+
+def elements_table(mesh: Mesh) -> pd.DataFrame:
+    """Return lines and faces between the points: columns ``group, a, b, c, d``; a line has no ``c`` and ``d``.
+
+    Lines whose group has faces are left out: they are edges that the faces tell already.
+    """
+    shells = set(mesh.face_groups)
+    alone = np.array([group not in shells for group in mesh.groups], dtype=bool)
+    lines = pd.DataFrame(mesh.lines[alone], columns=["a", "b"]).astype("Int64")
+    lines.insert(0, "group", [group for group in mesh.groups if group not in shells])
+    faces = pd.DataFrame(mesh.faces, columns=["a", "b", "c", "d"]).astype("Int64")
+    faces.insert(0, "group", list(mesh.face_groups))
+    return pd.concat([lines, faces], ignore_index=True).reindex(columns=["group", "a", "b", "c", "d"])

@@ -1,0 +1,91 @@
+"""Damped frequencies of every measured mode from stage to stage of a calibration."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from calib.report.style import AFTER, BEFORE, BLACK, GREY, PURPLE, own_axes
+
+STAGES = {"initial": ("D", PURPLE), "before": ("s", BEFORE), "after": ("o", AFTER)}
+"""Stages that a table may have, and the mark and colour of each."""
+
+_WIDE, _NARROW, _GAP = 42.0, 36.0, 12.0
+"""Widths of a column of frequencies and of MAC, and what parts the two, in points."""
+
+
+def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """Draw the error of every damped frequency at every stage, and write frequencies and MAC beside it.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``mode``, ``withheld`` (bool), ``damped_freq_measured`` (Hz) and, for ``before``, ``after`` and perhaps
+        ``initial``, ``damped_freq_`` (Hz), ``error_`` (signed fraction) and ``mac_``; NaN where a mode is not paired.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        A mark a mode and stage, in percent, with the stage as gid; the names of withheld modes are grey.
+    """
+    count = len(table)
+    ax = own_axes(ax, 0.27 * count + 1.3)
+    stages = [stage for stage in STAGES if f"error_{stage}" in table]
+    errors = 100.0 * table[[f"error_{stage}" for stage in stages]].to_numpy(dtype=float)
+    ax.axvline(0.0, color=BLACK, linewidth=0.8, zorder=1)
+    for row, of_mode in enumerate(errors):
+        ax.plot(of_mode, np.full(len(stages), row), color=GREY, linewidth=1.0, zorder=2)
+    handles = []
+    for stage, of_stage in zip(stages, errors.T, strict=True):
+        marker, colour = STAGES[stage]
+        looks: dict[str, Any] = {"linestyle": "none", "marker": marker, "color": colour, "markersize": 6}
+        ax.plot(of_stage, np.arange(count), gid=stage, zorder=3, **looks)
+        known = np.abs(of_stage[np.isfinite(of_stage)])
+        words = f"{known.mean():.1f} %" if len(known) else "unknown"
+        handles.append(Line2D([], [], label=f"{stage}: mean |error| {words}", **looks))
+    withheld = table["withheld"].astype(bool).to_numpy()
+    names = [f"{mode} (withheld)" if held else str(mode) for mode, held in zip(table["mode"], withheld, strict=True)]
+    ax.set_yticks(range(count), names)
+    for label, held in zip(ax.get_yticklabels(), withheld, strict=True):
+        label.set_color(GREY if held else BLACK)
+    edge = _columns(ax, table, "damped_freq", ["measured", *stages], "damped frequency (Hz)", _GAP, _WIDE)
+    if table[[f"mac_{stage}" for stage in stages]].notna().to_numpy().any():
+        _columns(ax, table, "mac", stages, "MAC (–)", edge + _GAP, _NARROW)
+    for line in range(1, count):
+        ax.axhline(line - 0.5, color="#E3E3E3", linewidth=0.6)
+    ax.set_ylim(count - 0.5, -0.5)
+    ax.margins(x=0.08)
+    ax.grid(axis="x")
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel("error, model − measured (%)")
+    # In one column, so that it stays clear of the headings at the right.
+    ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
+    return ax
+
+
+def _columns(
+    ax: Axes, table: pd.DataFrame, kind: str, headings: list[str], title: str, start: float, width: float
+) -> float:  # fmt: skip
+    """Write columns of numbers under a title from some points beside the Axes on; return where they end."""
+    for k, heading in enumerate(headings):
+        end = start + (k + 1) * width
+        _beside(ax, -0.5, heading, (end, 3.0), color=GREY, va="bottom")
+        for row, value in enumerate(table[f"{kind}_{heading}"].astype(float)):
+            _beside(ax, row, "–" if math.isnan(value) else f"{value:.3f}", (end, 0.0), gid=f"{kind}_{heading}")
+    end = start + len(headings) * width
+    _beside(ax, -0.5, title, (end, 15.0), va="bottom")
+    return end
+
+
+def _beside(ax: Axes, row: float, words: str, shift: tuple[float, float], va: str = "center", **looks: Any) -> None:
+    """Write at the right of a row, ending at a shift in points from the corner of the Axes."""
+    ax.annotate(
+        words, (1.0, row), xycoords=("axes fraction", "data"), xytext=shift, textcoords="offset points", ha="right",
+        va=va, fontsize=8, annotation_clip=False, **looks,
+    )  # fmt: skip

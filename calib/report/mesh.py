@@ -1,0 +1,181 @@
+"""The mesh of a model as shells and beams: what of it is seen, which parts hang together, and how it is drawn."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from calib.errors import InputError
+from calib.report.scene import PLACE, plot_coordinates, view_directions
+
+FACE, BORDER, LINE = 0, 1, 2
+
+
+class Mesh(NamedTuple):
+    """Tables of a mesh.
+
+    Attributes
+    ----------
+    points : DataFrame
+        Columns ``point`` (its number) and ``x, y, z`` (m).
+    elements : DataFrame
+        Columns ``group`` and ``a, b, c, d`` (numbers of points); a line has no ``c`` and ``d``.
+    """
+
+    points: pd.DataFrame
+    elements: pd.DataFrame
+
+
+class Pieces(NamedTuple):
+    """What is drawn of a mesh.
+
+    Attributes
+    ----------
+    corners : ndarray (n, 4), int
+        Rows of the table of points; a line goes there and back.
+    kind : ndarray (n,), int
+        `FACE`, `BORDER` (edge of a shell, of an opening or of a group of faces) or `LINE`.
+    group : ndarray (n,) of str
+    """
+
+    corners: np.ndarray
+    kind: np.ndarray
+    group: np.ndarray
+
+    def some(self, which: np.ndarray) -> Pieces:
+        """Only those at ``which``."""
+        return Pieces(self.corners[which], self.kind[which], self.group[which])
+
+
+def check_mesh(mesh: Mesh, path: Path) -> None:
+    """Raise InputError, naming the file of the elements, where one joins points that are not in the table of points."""
+    numbers = mesh.elements[["a", "b", "c", "d"]].to_numpy(dtype=float)
+    unknown = ~np.isin(numbers, mesh.points["point"].to_numpy(dtype=float)) & ~np.isnan(numbers)
+    if unknown.any():
+        row, column = np.argwhere(unknown)[0]
+        raise InputError(
+            f"there is no point {numbers[row, column]:g} in mesh_points.csv",
+            place=f"{path}, line {row + 2}",
+            remedy="run the study again to write it anew",
+        )
+
+
+def places(mesh: Mesh) -> np.ndarray:
+    """Return the points, (n_points, 3) in metres."""
+    return mesh.points[PLACE].to_numpy(dtype=float)
+
+
+def motions(mesh: Mesh, deflection: pd.DataFrame) -> np.ndarray:
+    """Return the motion of every point, (n_points, 3), from columns ``point, u, v, w``; 0 where the table has none."""
+    moved = deflection.set_index("point")[["u", "v", "w"]].reindex(mesh.points["point"])
+    return moved.fillna(0.0).to_numpy(dtype=float)
+
+
+def pieces(mesh: Mesh) -> Pieces:
+    """Return faces, their borders, and lines; a line along the edge of faces, such as a stiffener, is not drawn."""
+    corners, group = _corners(mesh), mesh.elements["group"].to_numpy(dtype=str)
+    of_face = mesh.elements["c"].notna().to_numpy()
+    faces = corners[of_face]
+    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    owner = np.repeat(group[of_face], 4)
+    border, its_group = _borders(edges, owner)
+    known = {*map(tuple, edges.tolist())}
+    ends = np.sort(corners[~of_face, :2], axis=1)
+    free = np.array([tuple(pair) not in known for pair in ends.tolist()], dtype=bool)
+    lines, line_group = corners[~of_face][free], group[~of_face][free]
+    counts = [len(faces), len(border), len(lines)]
+    return Pieces(
+        np.concatenate([faces, border[:, [0, 1, 1, 0]], lines]),
+        np.repeat([FACE, BORDER, LINE], counts),
+        np.concatenate([group[of_face], its_group, line_group]),
+    )
+
+
+def thickness(mesh: Mesh) -> float:
+    """Return the middle one of the three extents of all faces, in metres; infinite where there are none."""
+    faces = _corners(mesh)[mesh.elements["c"].notna().to_numpy()]
+    return float(np.sort(np.ptp(places(mesh)[faces.ravel()], axis=0))[1]) if len(faces) else math.inf
+
+
+def _corners(mesh: Mesh) -> np.ndarray:
+    """Rows of the table of points at the corners of every element, (n_elements, 4)."""
+    row = pd.Series(np.arange(len(mesh.points)), index=mesh.points["point"].to_numpy(dtype=int))
+    a, b, c, d = (mesh.elements[name].to_numpy(dtype=float) for name in "abcd")
+    numbers = np.column_stack([a, b, np.where(np.isnan(c), b, c), np.where(np.isnan(d), a, d)]).astype(int)
+    return row.loc[numbers.ravel()].to_numpy(dtype=int).reshape(-1, 4)
+
+
+def _borders(edges: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (n, 2) that one face has alone or that part two groups, once each, and the group of one side."""
+    unique, first, inverse = np.unique(edges, axis=0, return_index=True, return_inverse=True)
+    inverse = inverse.ravel()
+    count = np.bincount(inverse, minlength=len(unique))
+    parted = np.zeros(len(unique), dtype=bool)
+    parted[inverse[owner != owner[first[inverse]]]] = True
+    kept = (count == 1) | parted
+    return unique[kept], owner[first[kept]]
+
+
+def bodies(parts: Pieces, count: int) -> np.ndarray:
+    """Number the bodies of pieces that hang together by common points, (n,) int.
+
+    Parameters
+    ----------
+    parts : Pieces
+    count : int
+        Number of points of the mesh.
+    """
+    start, end = np.repeat(parts.corners[:, 0], 3), parts.corners[:, 1:].ravel()
+    graph = coo_array((np.ones(len(start)), (start, end)), shape=(count, count))
+    return connected_components(graph, directed=False)[1][parts.corners[:, 0]]
+
+
+def draw_pieces(
+    ax: Axes3D,
+    vertices: np.ndarray,
+    kinds: np.ndarray,
+    faces: np.ndarray,
+    edges: np.ndarray,
+    widths: np.ndarray,
+    gid: str,
+) -> None:
+    """Draw flat pieces so that near ones hide far ones.
+
+    Parameters
+    ----------
+    ax : Axes3D
+    vertices : ndarray (n, 4, 3)
+        Corners in metres; a line goes there and back.
+    kinds : ndarray (n,), int
+        `FACE`, `BORDER` or `LINE`.
+    faces, edges : ndarray (n, 4)
+        Colours as red, green, blue and opacity.
+    widths : ndarray (n,)
+        Of the edges, points.
+    gid : str
+        By which the pieces are found again.
+    """
+    if not len(vertices):
+        return
+    towards = np.cross(*view_directions())
+    shown = plot_coordinates(vertices)
+    # Borders are drawn over their faces: nothing is seen of a shift towards the viewer but the order.
+    sizes = np.linalg.norm(shown[:, 2] - shown[:, 0], axis=1)[kinds == FACE]
+    shown = (
+        shown + np.where(kinds == BORDER, 0.4 * np.median(sizes) if len(sizes) else 0.0, 0.0)[:, None, None] * towards
+    )
+    # The Axes sort pieces and colours by depth but not widths, so everything comes sorted.
+    order = np.argsort((shown @ towards).mean(axis=1), kind="stable")
+    collection = Poly3DCollection(
+        shown[order], facecolors=faces[order], edgecolors=edges[order], linewidths=widths[order],
+        zorder=2, gid=gid, joinstyle="round", capstyle="round",
+    )  # fmt: skip
+    ax.add_collection3d(collection)

@@ -1,0 +1,123 @@
+"""The model itself: its shells and beams by group, and where it is measured."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from calib.report.mesh import FACE, LINE, Mesh, draw_pieces, pieces, places
+from calib.report.scene import (
+    FOOT,
+    PLACE,
+    frame_panel,
+    new_axes,
+    new_figure,
+    plot_coordinates,
+    plot_lines,
+    seen_size,
+    show_axes,
+    tell_size,
+)
+from calib.report.style import BLACK, GREEN, GREY, MEASURED, ORANGE, PURPLE, SKY, WIDTH, YELLOW
+
+COLOURS = (SKY, ORANGE, GREEN, PURPLE, YELLOW, GREY)
+_ABREAST = 4
+"""Entries of the legend in a line."""
+_BORDER = "#303030"
+_SHADE = 0.35
+"""Share of a face's light that hangs on how it is turned."""
+_STICK = 0.02
+"""Length of a sensor's stick, as a fraction of the diagonal of the model's box."""
+_WIDTHS = np.array([0.25, 0.9, 1.3])
+"""Of the edges of faces, borders and lines, points."""
+
+
+def draw_model(mesh: Mesh, sensors: pd.DataFrame | None = None, ax: Axes3D | None = None) -> Axes3D:
+    """Draw the mesh, faces coloured by group, and the sensors on it.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    sensors : DataFrame, optional
+        Columns ``direction, x, y, z`` (m); a sensor of a translation gets a stick along its direction, one without a
+        place is not drawn.
+    ax : Axes3D, optional
+
+    Returns
+    -------
+    Axes3D
+        Pieces with the gid ``model``, lines with the gids ``sensors`` (one dot a place) and ``directions``.
+    """
+    ax = new_axes(ax)
+    parts, rest = pieces(mesh), places(mesh)
+    names = face_groups(mesh)
+    vertices = rest[parts.corners]
+    own = np.array([to_rgba(COLOURS[names.index(g) % len(COLOURS)]) if g in names else (0.0,) * 4 for g in parts.group])
+    own = own.reshape(-1, 4) * np.column_stack(
+        [np.repeat(_light(vertices)[:, None], 3, axis=1), np.ones(len(vertices))]
+    )
+    kind = parts.kind[:, None]
+    faces = np.where(kind == FACE, own, 0.0)
+    edges = np.where(kind == FACE, 0.85 * own + 0.15 * np.array([0.0, 0.0, 0.0, 1.0]), to_rgba(_BORDER))
+    edges = np.where(kind == LINE, to_rgba(BLACK), edges)
+    draw_pieces(ax, vertices, parts.kind, faces, edges, _WIDTHS[parts.kind], "model")
+    seen = rest[np.unique(parts.corners)]
+    if sensors is not None:
+        placed = sensors[sensors[PLACE].notna().all(axis=1)]
+        place = placed[PLACE].to_numpy(dtype=float)
+        along = np.array([[float(d == axis) for axis in PLACE] for d in placed["direction"]]).reshape(-1, 3)
+        tips = place + _STICK * float(np.linalg.norm(np.ptp(np.concatenate([seen, place]), axis=0))) * along
+        plot_lines(ax, np.stack([place, tips], axis=1), color=MEASURED, linewidth=1.2, gid="directions", zorder=3)
+        dots = plot_coordinates(np.unique(place, axis=0)).T
+        ax.plot(*dots, "o", color=MEASURED, markeredgecolor="white", markeredgewidth=0.5, markersize=4.5,
+                gid="sensors", zorder=4)  # fmt: skip
+        seen = np.concatenate([seen, place, tips])
+    frame_panel(ax, seen, "")
+    return ax
+
+
+def face_groups(mesh: Mesh) -> list[str]:
+    """Groups that have faces, in the order of the table."""
+    elements = mesh.elements
+    return list(dict.fromkeys(elements.loc[elements["c"].notna(), "group"].astype(str)))
+
+
+def model_figure(mesh: Mesh, sensors: pd.DataFrame | None = None) -> Figure:
+    """Draw the model with what explains its colours; for the arguments see `draw_model`."""
+    rest = places(mesh)[np.unique(pieces(mesh).corners)]
+    names = face_groups(mesh)
+    handles: list[Artist] = [
+        Patch(facecolor=COLOURS[k % len(COLOURS)], edgecolor=_BORDER, linewidth=0.5, label=name)
+        for k, name in enumerate(names)
+    ]
+    handles.append(Line2D([], [], color=BLACK, linewidth=1.3, label="beams and other lines"))
+    if sensors is not None:
+        words = f"sensors ({len(sensors)}) and their directions"
+        handles.append(Line2D([], [], color=MEASURED, marker="o", markersize=4.5, linewidth=1.2, label=words))
+    wide, high = seen_size(rest, 0.06 * float(np.linalg.norm(np.ptp(rest, axis=0))))
+    foot = max(FOOT, 0.4 + 0.2 * math.ceil(len(handles) / _ABREAST))
+    figure = new_figure(min(WIDTH * high / wide, 6.0) + foot, foot)
+    draw_model(mesh, sensors, figure.add_subplot(projection="3d"))
+    low = 0.34 / float(figure.get_size_inches()[1])
+    figure.legend(
+        handles=handles, loc="lower right", bbox_to_anchor=(0.99, low), ncols=_ABREAST, borderaxespad=0.0
+    )  # fmt: skip
+    show_axes(figure)
+    tell_size(figure, rest)
+    return figure
+
+
+def _light(vertices: np.ndarray) -> np.ndarray:
+    """How light each face (n, 4, 3) is, (n,): most from above, whichever side is seen."""
+    normal = np.cross(vertices[:, 2] - vertices[:, 0], vertices[:, 3] - vertices[:, 1])
+    length = np.linalg.norm(normal, axis=1)
+    upward = np.divide(np.abs(normal @ np.array([0.1, 0.8, 0.59])), length, out=np.ones(len(length)), where=length > 0)
+    return 1.0 - _SHADE * (1.0 - upward)

@@ -1,0 +1,25 @@
+import numpy as np
+
+from calib.correlation.mesh import elements_table, points_table
+from calib.structure.model import Mesh
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 2, 0]], dtype=float)
+LINES = np.array([[3, 4], [0, 1], [1, 2], [2, 3], [3, 0]])
+MESH = Mesh(POINTS, LINES, ("mast", "wall", "wall", "sill", "wall"), np.array([[0, 1, 2, 3]]), ("wall",))
+
+
+def test_points_are_numbered_as_the_elements_name_them():
+    table = points_table(MESH)
+    np.testing.assert_array_equal(table[["x", "y", "z"]], POINTS)
+    assert table["point"].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_edges_of_faces_are_told_by_their_faces_and_members_by_themselves():
+    text = elements_table(MESH).to_csv(index=False)
+    assert text.splitlines() == ["group,a,b,c,d", "mast,3,4,,", "sill,2,3,,", "wall,0,1,2,3"]
+
+
+def test_a_model_of_lines_has_no_faces():
+    table = elements_table(Mesh(POINTS, LINES, ("bar",) * 5))
+    np.testing.assert_array_equal(table[["a", "b"]].to_numpy(dtype=int), LINES)
+    assert table[["c", "d"]].isna().all(axis=None)
