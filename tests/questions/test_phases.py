@@ -4,6 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -70,6 +71,17 @@ def test_the_earlier_study_runs_first_and_its_values_are_held(phases, capsys):
     study = Study.load(Path("two"), *values_found(Study.load(Path("one")), Path("results")))
     assert study.search_space.values["a"] == pytest.approx(2.3, abs=1e-3)
     assert study.search_space.free_names == ("c",) and study.sensitivity_space.free_names == ("c",)
+
+
+def test_what_the_first_phase_does_not_know_exactly_widens_the_second(phases):
+    """r = a c and s = b + c, a and b to 0.01 / sqrt(2) each from their sum and difference."""
+    assert cli.answer(["calibrate", "two"]) == 0
+    a, c, scatter = 2.3, 1.5, 0.01
+    known = 1 / (a**2 + 1)
+    drift = known * np.array([a * c, 1.0]) / np.sqrt(2)  # of c by one standard deviation of a and of b
+    expected = scatter * np.sqrt(known + drift @ drift)
+    found = pd.read_csv("results/two/parameters.csv")["std"].item()
+    assert found == pytest.approx(expected, rel=0.02) and found > 1.2 * scatter * np.sqrt(known)
 
 
 def test_an_answer_that_is_there_is_taken_without_a_word(phases, capsys):

@@ -46,6 +46,21 @@ def test_posterior_is_the_inverse(seed, n, rows):
     assert np.all(found.std <= s * (1 + 1e-9))  # data never make it worse
 
 
+def test_held_parameters_that_are_not_known_exactly_widen_the_estimates():
+    """Drawn anew each time, but held at their expectation: least squares then scatter by the covariance told."""
+    rng = np.random.default_rng(11)
+    g, h = rng.standard_normal((12, 3)) * [1.0, 50.0, 0.02], rng.standard_normal((12, 2))
+    found = posterior("abc", g, np.full(3, np.inf), h)
+    noise, off = rng.standard_normal((200_000, 12)), rng.standard_normal((200_000, 2))
+    estimates = (noise + off @ h.T) @ np.linalg.pinv(g).T
+    np.testing.assert_allclose(np.cov(estimates.T) / np.outer(found.std, found.std), found.correlation, atol=0.02)
+    alone = posterior("abc", g, np.full(3, np.inf))
+    assert np.all(found.std > alone.std) and np.all(found.data_share == 1.0)
+    # With priors: by hand for one parameter, two rows.
+    one = posterior("a", np.array([[1.0], [1.0]]), np.array([1.0]), np.array([[3.0], [0.0]]))
+    assert one.std**2 == pytest.approx(1 / 3 + (3 / 3) ** 2) and one.data_share == pytest.approx(2 / 3)
+
+
 def test_what_nothing_is_known_of_is_infinite():
     found = posterior(["a", "b", "c"], np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 2.0]]), np.full(3, np.inf))
     assert np.isinf(found.std[:2]).all() and found.std[2] == pytest.approx(0.5)
