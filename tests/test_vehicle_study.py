@@ -24,6 +24,7 @@ from calib.study import Study
 from calib.updating.cases import Case, run_case
 from calib.updating.genetic import GeneticSettings
 from models.railway import vehicle
+from models.railway.parameters import BOGIE, CAR
 
 ROOT = Path(__file__).resolve().parent.parent
 TRUTH = json.loads((ROOT / "tests/truth/vehicle.json").read_text("utf-8"))
@@ -50,6 +51,12 @@ def before(study):
 def at_truth(study):
     """The fitted mesh at the twin's values."""
     return study.problem.compare(TRUTH["parameters"])
+
+
+@pytest.fixture(scope="module")
+def stages(study, before, at_truth):
+    """Every measured mode, from stage to stage."""
+    return every_mode(study, all_stages(study, before, at_truth)).set_index("mode")
 
 
 def shares(found, clusters, of):
@@ -128,20 +135,18 @@ def test_seats_within_reach_change_no_pair(study):
         np.testing.assert_array_equal(found.pairing.model_index, usual.pairing.model_index)
 
 
-def test_withheld_modes_are_told_before_and_after_but_enter_no_fit(study, before, at_truth):
-    table = every_mode(study, all_stages(study, before, at_truth)).set_index("mode")
-    assert table.index.tolist() == list(TRUTH["natural_freq"])
-    assert table["withheld"].to_dict() == {mode: mode not in FITTED for mode in table.index}
+def test_withheld_modes_are_told_before_and_after_but_enter_no_fit(study, before, stages):
+    assert stages.index.tolist() == list(TRUTH["natural_freq"])
+    assert stages["withheld"].to_dict() == {mode: mode not in FITTED for mode in stages.index}
     assert study.problem.measured.names == FITTED
     # A scatter of 7 % in a damping ratio of 0.5 is one of 2 % in the damped frequency.
-    assert table["error_after"].abs().max() < 0.06 and table["mac_after"].min() > 0.95
+    assert stages["error_after"].abs().max() < 0.06 and stages["mac_after"].min() > 0.95
     used = before.comparison_table().set_index("mode")["damped_freq_model"]
-    pd.testing.assert_series_equal(table.loc[list(FITTED), "damped_freq_before"], used, check_names=False)
+    pd.testing.assert_series_equal(stages.loc[list(FITTED), "damped_freq_before"], used, check_names=False)
 
 
-def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, before, at_truth):
-    table = every_mode(study, all_stages(study, before, at_truth)).set_index("mode")
-    own = vehicle().modes({}, 18)
+def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, stages):
+    table, own = stages, study.model.modes({p.name: p.value for p in CAR + BOGIE}, 18)
     pair = study.problem.compare(study.initial).pairing.model_index
     np.testing.assert_allclose(table.loc[list(FITTED), "damped_freq_initial"], own.damped_freq[pair], rtol=1e-9)
     # Softer primary springs lower the bogies' modes and the car's on them, as in the case study.
