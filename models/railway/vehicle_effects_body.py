@@ -20,7 +20,6 @@ from models.railway.car_lines import BASE_Z, BOGIE_X, HALF_LENGTH, HEADER, PILLA
 from models.railway.equipment import COUPLER_Y
 
 JOINT_WIDTH = BASE_Z[-1] - BASE_Z[-2]
-CORNER_LENGTH = 0.15
 DAMPING_FREQ = 10.0
 
 _FULL = (("E_aluminium", 1.0),)
@@ -44,10 +43,10 @@ def body_effects() -> tuple[Effect, ...]:
             name="window_corners",
             title="Window corners soft in shear",
             lacks="The window pillars keep their full section up to the rails over and under the windows.",
-            look_for="Cut-outs, thin radii, cracks or missing gussets at the corners of the windows.",
+            look_for="Cut-outs, tapered pillars, cracks or missing gussets at the corners of the windows.",
             strength=Parameter(
                 "window_corners", 0.0, 0.0, 0.95, "-", prior_sd=0.4,
-                description="share of the pillars' bending stiffness in the wall lost over 0.15 m at both ends",
+                description="share of the pillars' bending stiffness in the wall lost from their middle to both ends",
             ),
             build=_window_corners,
         ),
@@ -132,18 +131,18 @@ def _across(model: StructuralModel, part: str, x: float, side: float) -> np.ndar
 
 
 def _window_corners(model: StructuralModel) -> Addition:
-    rows = []
+    """Half a pillar keeps at most ``E I/L`` of its energy in its mean curvature; no load acts between its ends."""
+    rows, middle = [], (SILL + HEADER) // 2
     for x in PILLARS:
         group = "post" if x in (PILLARS[0], PILLARS[-1]) else "pillar"
         for _, s in SIDES:
-            for line, towards in ((SILL, 1), (HEADER, -1)):
-                end, along = np.array([x, *_wall(line, s)]), _upwards(s, line, line + towards)
-                corner: Place = (group, (float(end[0]), float(end[1]), float(end[2])))
-                px, py, pz = (end + towards * CORNER_LENGTH * along).tolist()
-                turned = [between(model, corner, (group, (px, py, pz)), d) for d in (RY, RZ)]
+            for corner in (SILL, HEADER):
+                end, half = ((group, (x, *_wall(line, s))) for line in (corner, middle))
+                ry, rz = (between(model, end, half, d) for d in (RY, RZ))
                 # About the normal of the wall, which leans a little.
-                in_wall = along[1] * turned[1] - along[2] * turned[0]
-                rows.append(np.sqrt(SECTIONS[group].i_z / CORNER_LENGTH) * in_wall)
+                up = _upwards(s, corner, middle)
+                length = float(np.linalg.norm(np.subtract(end[1], half[1])))
+                rows.append(np.sqrt(SECTIONS[group].i_z / length) * (up[1] * rz - up[2] * ry))
     coefficient = Monomial(-1.0, (*_FULL, ("window_corners", 1.0)))
     return Addition(stiffness=(outer_term("window_corners", rows, coefficient),))
 

@@ -13,7 +13,7 @@ SELECTED = (
     "K_secondary_front", "K_secondary_rear", "K_rod_tilting", "RMI_base", "RMI_walls", "m_base", "m_walls", "m_cover",
 )  # fmt: skip
 SOLVED = 15
-MEASURED = (0, 1, 5, 9, 10, 13)
+MEASURED = (0, 1, 8, 9, 10, 13)
 """Rolling, bouncing, bending, torsion and distortion of the car, and the bogies' pitching."""
 
 
@@ -130,4 +130,4 @@ def test_fine_mesh_feels_an_effect_as_the_fitted_one(
         for model, own in zip((rigid_car, fine), adopted, strict=True)
     )
     assert np.abs(coarse - finer).max() < max(0.1 * np.abs(coarse).max(), 1e-6)
-    assert np.abs(coarse - finer).max() < 5e-4
+    assert np.abs(coarse - finer).max() < max(0.05 * np.abs(coarse).max(), 5e-4)
