@@ -66,7 +66,7 @@ class Deck:
         self.lines += [", ".join([number(high), number(wide)]), ", ".join(map(number, up))]
 
     def spring(self, stiffness: float, one: int, other: int | None, direction: int | None) -> None:
-        """Along a global direction 0..2, or without one along the line between its nodes; no ``other`` is the ground."""
+        """Along a global direction 0..2 (None: the line between its nodes), to another node (None: the ground)."""
         kind = "SPRINGA" if direction is None else "SPRING1" if other is None else "SPRING2"
         along = "" if direction is None else str(direction + 1)
         name = self._elements(kind, [(one,) if other is None else (one, other)])
@@ -96,10 +96,10 @@ class Deck:
         self.beams([(node, tip)], _ARM, up / np.linalg.norm(up))
         return tip
 
-    def text(self, count: int | None) -> str:
-        """The deck: it asks for the lowest modes, or with None only for a check of what it says."""
-        step = ["*NO ANALYSIS"] if count is None else ["*FREQUENCY", str(count)]
-        return "\n".join([*self.lines, *self.constraints, "*STEP", *step, "*END STEP", ""])
+    def text(self, count: int) -> str:
+        """The deck, asking for the lowest modes."""
+        step = ["*STEP", "*FREQUENCY", str(count), "*END STEP", ""]
+        return "\n".join([*self.lines, *self.constraints, *step])
 
     def _elements(self, kind: str, nodes: Iterable[Sequence[int]]) -> str:
         name = f"E{self.elements + 1}"

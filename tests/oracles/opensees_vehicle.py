@@ -31,11 +31,15 @@ class Twin:
         for node, mass in self.mass.items():
             self.ops.mass(node, *(float(v) for v in mass))
 
-    def solve(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """The lowest undamped modes: natural frequencies in Hz, translations (3 n_nodes, count)."""
+    def solve(self, count: int, system: str | None = "UmfPack") -> tuple[np.ndarray, np.ndarray]:
+        """The lowest undamped modes: natural frequencies in Hz, translations (3 n_nodes, count).
+
+        ``system`` is the linear solver, None what OpenSees takes unasked.
+        """
         self.ops.constraints("Transformation")
         self.ops.numberer("RCM")
-        self.ops.system("UmfPack")
+        if system is not None:
+            self.ops.system(system)
         squares = np.array(self.ops.eigen("-genBandArpack", count))
         nodes = range(1, len(self.structure.points) + 1)
         shapes = [[self.ops.nodeEigenvector(n, k + 1)[:3] for n in nodes] for k in range(count)]
