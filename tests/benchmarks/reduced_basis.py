@@ -1,69 +1,102 @@
-"""How good and how fast the reduced basis of the bogie is on fresh points of both of its spaces.
+"""How good and how fast the reduced basis of a study is on fresh points of the spaces it was trained for.
 
-Run ``python tests/benchmarks/reduced_basis.py [points] [tolerance]`` from the project's folder; default are 200 points
-of each space and the tolerance that training has by default.
+    python tests/benchmarks/reduced_basis.py [--study vehicle] [--spaces search] [--points 200] [--tolerance 1e-4]
+
+Points are drawn with another seed than training uses, every one solved at full order as well. Judged are modes below
+the frequency and damping ratio that training heeds; those nearer to critical damping are counted apart.
 """
 
-import sys
-import time
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import argparse
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from page import Page
+from stopwatch import HEADER, Point, compared, in_turn, short, spent
+from subject import STUDIES, study_of
 
 from calib.structure.certificate import certificate
 from calib.structure.cover import covering_points
 from calib.structure.reduced import ReducedModel
 from calib.structure.training import train_basis
-from calib.study import Study
 
-ROOT = Path(__file__).resolve().parents[2]
-COUNT, FREQ_MAX, SEED, FRESH_SEED = 10, 50.0, 1, 20260101
-
-
-def milliseconds(model, points, count):
-    """Median time of one evaluation."""
-    spent = []
-    for point in points:
-        start = time.perf_counter()
-        model.modes(point, count)
-        spent.append(1e3 * (time.perf_counter() - start))
-    return float(np.median(spent))
+FRESH_SEED = 20260101
+TIMED = 10
 
 
 def main() -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    study = Study.load(ROOT / "studies" / "bogie")
-    spaces = {"search": study.search_space, "sensitivity": study.sensitivity_space}
-    options = {"tolerance": float(sys.argv[2])} if len(sys.argv) > 2 else {}
-    start = time.perf_counter()
-    basis = train_basis(study.model, list(spaces.values()), COUNT, seed=SEED, freq_max=FREQ_MAX, **options)
-    seconds = time.perf_counter() - start
+    """Train, compare and print."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("--study", choices=STUDIES, default="vehicle")
+    arguments.add_argument("--spaces", choices=("search", "sensitivity"), nargs="+", default=["search"])
+    arguments.add_argument("--points", type=int, default=200, help="fresh points of each space (default 200)")
+    arguments.add_argument("--tolerance", type=float, help="of training (default: the study's)")
+    arguments.add_argument("--write", type=Path, help="append the tables to this file")
+    given = arguments.parse_args()
+    page, study = Page(given.write), study_of(given.study)
+    page.begin(f"Reduced basis of the {given.study} on fresh points")
+    settings, count = study.settings.reduction, study.problem.mode_count
+    spaces = {name: getattr(study, f"{name}_space") for name in given.spaces}
+    window = study.problem.freq_window
+    trained = []
+    took = spent(
+        lambda: trained.append(
+            train_basis(
+                study.model, list(spaces.values()), count, seed=settings.seed,
+                freq_max=window[1] if window else np.inf, tolerance=given.tolerance or settings.tolerance,
+            )
+        )
+    )  # fmt: skip
+    (basis,) = trained
     reduced = ReducedModel(study.model, basis)
-    print(f"{study.model.n_dof} degrees of freedom, basis of {basis.size} vectors, trained in {seconds:.1f} s")
-    print(f"tolerance {basis.tolerance:.0e} of eigenvalues; 1 - MAC also depends on the distance to the next mode")
-    print(f"{len(basis.samples)} full-order samples; modes below {FREQ_MAX:g} Hz with damping ratio < 0.95 are judged")
+    page.say(
+        f"{study.model.n_dof} degrees of freedom, basis of {basis.size} vectors from {len(basis.samples)} points for "
+        f"{', '.join(spaces)}, trained in {short(took.wall)} s ({short(took.cpu)} s of processor time), tolerance "
+        f"{basis.tolerance:.0e} of eigenvalues; {count} modes, judged below {basis.freq_max:g} Hz and a damping ratio "
+        f"of {basis.damping_max:g}."
+    )
     rng = np.random.default_rng(FRESH_SEED)
     for name, space in spaces.items():
-        points = covering_points(space, count, rng)
-        table, errors = certificate(reduced, points, COUNT)
-        true = np.concatenate([e.eigenvalue for e in errors])
-        ratio = np.concatenate([e.indicator for e in errors])[true > 1e-6] / true[true > 1e-6]
-        full, small = (milliseconds(model, points[:60], COUNT) for model in (study.model, reduced))
-        print(f"\n{name} space, {count} fresh points, {len(true)} modes")
-        print(table.to_string(index=False, float_format=lambda x: f"{x:.1e}"))
-        if len(ratio):
-            low, middle, high = np.quantile(ratio, [0.0, 0.5, 1.0])
-            print(f"indicator over true error, modes above 1e-6: {low:.2f} .. {middle:.2f} .. {high:.2f}")
-        print(f"full {full:.2f} ms, reduced {small:.2f} ms: {full / small:.1f} times faster")
-    modes = reduced.modes({}, COUNT)
-    reduced.indicator({}, modes)
-    start = time.perf_counter()
-    for _ in range(50):
-        reduced.indicator({}, modes)
-    print(f"\nindicator {20 * (time.perf_counter() - start):.2f} ms a point")
+        on_fresh_points(page, reduced, name, covering_points(space, given.points, rng), count)
+
+
+def on_fresh_points(page: Page, reduced: ReducedModel, name: str, points: list[Point], count: int) -> None:
+    """Errors, near-critical modes, the indicator against the truth, and times."""
+    table, errors = certificate(reduced, points, count)
+    page.say(f"{name} space, {len(points)} fresh points, {sum(len(e.mode) for e in errors)} modes judged:")
+    page.table(table.columns, [[f"{v:.1e}" if isinstance(v, float) else v for v in row] for row in table.to_numpy()])
+    found = [reduced.modes(point, count) for point in points]
+    critical = [
+        np.count_nonzero((m.natural_freq <= reduced.basis.freq_max) & (m.damping_ratio >= reduced.basis.damping_max))
+        for m in found
+    ]
+    overdamped = [sum(root.kind == "overdamped" for root in m.excluded) for m in found]
+    page.say(
+        f"Near critical damping and so not judged: {sum(critical)} modes at {np.count_nonzero(critical)} points; the "
+        f"highest damping ratio of the {count} modes is {max(m.damping_ratio.max() for m in found):.3f}; "
+        f"{min(overdamped)} to {max(overdamped)} overdamped roots lie among them."
+    )
+    true = np.concatenate([e.eigenvalue for e in errors])
+    above = true > 1e-6
+    if above.any():
+        ratio = np.concatenate([e.indicator for e in errors])[above] / true[above]
+        page.say(
+            f"Indicator over true error, {np.count_nonzero(above)} modes above 1e-6: minimum {ratio.min():.2f}, "
+            f"median {np.median(ratio):.2f}, maximum {ratio.max():.2f}."
+        )
+    tasks = {
+        "reduced": lambda v: reduced.modes(v, count),
+        "full order": lambda v: reduced.model.modes(v, count),
+        "indicator": lambda v: reduced.indicator(v, found[0]),
+    }
+    page.table(HEADER, compared(in_turn(tasks, points[:TIMED])))
 
 
 if __name__ == "__main__":
-    with threadpool_limits(1):
-        main()
+    main()

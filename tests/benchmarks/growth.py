@@ -1,0 +1,111 @@
+"""How cost grows with the mesh of the vehicle: assembly, one solution, training off-line, one answer on-line.
+
+    python tests/benchmarks/growth.py [--sizes 1 2 4] [--samples 22] [--write FILE]
+
+A size is ``refine`` of the vehicle: into how many every edge is cut. Each is a process of its own, and prints its row
+when it is done. Training starts from the same points at every size (22 are what it takes by itself) and adds those
+where it still errs, as in a search; how many were solved at full order in all is told.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from child import in_child, report
+from page import Page
+from stopwatch import Spent, short, spent
+from subject import study_of
+
+from calib.sensitivity.sampling import sample
+from calib.structure.reduced import ReducedModel
+from calib.structure.training import train_basis
+from models.railway import vehicle
+
+REPEATS, SEED = 20, 7
+COLUMNS = ("assembly", "solve", "training", "projection", "answer")
+HEADER = (
+    "degrees of freedom", "assembly s", "one damped solution s", "off-line training s", "projection s", "on-line ms",
+    "vectors", "training points", "solved in training", "peak MB",
+)  # fmt: skip
+
+
+def main() -> None:
+    """One child a size."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("--sizes", type=int, nargs="+", default=[1, 2, 4])
+    arguments.add_argument("--samples", type=int, default=22, help="points that training starts from (default 22)")
+    arguments.add_argument("--write", type=Path, help="append the table to this file")
+    arguments.add_argument("--size", type=int, help=argparse.SUPPRESS)
+    given = arguments.parse_args()
+    if given.size:
+        measure(given.size, given.samples)
+        return
+    page, rows, first = Page(given.write), [], None
+    page.begin("Growth with the mesh of the vehicle")
+    for size in given.sizes:
+        found = in_child(__file__, "--size", size, "--samples", given.samples)
+        first = first or found
+        rows.append(
+            (
+                found["n_dof"], *(pair(found[name], 1e3 if name == "answer" else 1.0) for name in COLUMNS),
+                found["vectors"], found["points"], found["solved"], f"{found['own_mb']:.0f}",
+            )
+        )  # fmt: skip
+        ratios = ", ".join(f"{name} {short(found[name][1] / first[name][1])}" for name in COLUMNS)
+        page.say(
+            f"refine {size}: {found['n_dof'] / first['n_dof']:.2f} times the degrees of freedom of the first, time "
+            f"of the processor over its: {ratios}."
+        )
+    page.say("Wall clock (processor time):")
+    page.table(HEADER, rows)
+
+
+def measure(size: int, samples: int) -> None:
+    """Everything at one size."""
+    study = study_of("vehicle")
+    space, count, settings = study.search_space, study.problem.mode_count, study.settings.reduction
+    window = study.problem.freq_window
+    made: list = []
+    assembly = spent(lambda: made.append(vehicle(refine=size)))
+    model = made[0]
+    solve = median([spent(lambda: model.modes(space.values, count)) for _ in range(1 if size > 2 else 3)])
+    training = spent(
+        lambda: made.append(
+            train_basis(
+                model, space, count, seed=settings.seed, freq_max=window[1] if window else np.inf,
+                tolerance=settings.tolerance, samples=samples,
+            )
+        )
+    )  # fmt: skip
+    basis = made[1]
+    projection = spent(lambda: made.append(ReducedModel(model, basis)))
+    reduced = made[2]
+    points = [space.complete(x) for x in sample(space, REPEATS, SEED).points]
+    answer = median([spent(lambda p=p: reduced.modes(p, count)) for p in points])
+    report(
+        n_dof=model.n_dof, assembly=assembly, solve=solve, training=training, projection=projection, answer=answer,
+        vectors=basis.size, points=len(basis.samples),
+        solved=len(basis.samples) + int(np.isfinite(basis.checks[:, 3]).sum()),
+    )  # fmt: skip
+
+
+def median(some: list[Spent]) -> Spent:
+    """Of wall and processor time apart."""
+    wall, cpu = np.median(np.array(some), axis=0)
+    return Spent(float(wall), float(cpu))
+
+
+def pair(found: list[float], factor: float) -> str:
+    """Wall clock and processor time."""
+    return f"{short(factor * found[0])} ({short(factor * found[1])})"
+
+
+if __name__ == "__main__":
+    main()
