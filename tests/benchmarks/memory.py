@@ -23,7 +23,7 @@ from stopwatch import short, spent
 from subject import STUDIES, study_of
 
 from calib.ledger import Ledger
-from calib.questions.calibrate import objective_of
+from calib.questions.case import objective_of
 from calib.questions.places import open_evaluator
 from calib.questions.reduction import reduction_of
 from calib.results import Results

@@ -11,7 +11,7 @@ from calculix import COMMAND, MISSING, Deck, number, run
 
 from calib.structure.solve import solve_modes
 from models.fem.discrete import PointMass, Spring, mass_matrix, spring_matrix
-from models.fem.frame import Member
+from models.fem.member import Member
 from models.fem.panel import sheet_panel
 from models.fem.section import Section
 from models.fem.sheet import Sheet

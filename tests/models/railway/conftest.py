@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
+from calib.loading import module_of
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter
 from calib.structure.model import StructuralModel
@@ -127,9 +126,4 @@ def damped(car):
 @pytest.fixture(scope="session")
 def effect_checks() -> ModuleType:
     """See `effect_checks.py` beside this file."""
-    spec = importlib.util.spec_from_file_location("effect_checks", Path(__file__).with_name("effect_checks.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return module_of(Path(__file__).with_name("effect_checks.py"))
