@@ -30,7 +30,7 @@ _FRESH = 24
 """Fresh points of each space in a round of checks."""
 _VERIFIED = 6
 """Points of a passed round, worst indicators first, solved at full order as well: only that tells missed modes."""
-_ROUNDS = 8
+_ROUNDS = 16
 
 
 @dataclass(frozen=True)
