@@ -246,6 +246,11 @@ def tell_figures(paths: Sequence[Path]) -> None:
             say(f"  {path}")
 
 
+def tell_report(path: Path) -> None:
+    """Where the report is."""
+    say(f"\nThe whole story, in one file that opens offline: {path}")
+
+
 def _tell_withheld(study: Study) -> None:
     held = study.settings.withheld
     if held.modes or held.sensors:

@@ -157,9 +157,8 @@ def explain(study: Study, results: Results, progress: Progress = lambda words: N
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
         results.write_table(name, table)
-    write_record(
-        study, results, "explain", {"scatter and chance": given.seed, "reduction": study.settings.reduction.seed}
-    )
+    seeds = {"probabilities": given.seed, "reduction": study.settings.reduction.seed}
+    write_record(study, results, "explain", seeds)
     results.write_json("explanation", summary(study, answer))
     return answer
 
