@@ -98,7 +98,7 @@ function drawShapes(figure, content) {
     const camera = place.layout ? place.layout.scene.camera : stage.view.camera;
     const data = [
       trace(along(stage.points, stage.lines), { mode: "lines", line: { color: colours.rest, width: 2 }, name: "model at rest" }),
-      trace(parts[0], { mode: "lines", line: { color: colours.model, width: 5 }, name: "model" }),
+      trace(parts[0], { mode: "lines", line: { color: colours.model, width: stage.lines.length > 1000 ? 2 : 5 }, name: "model" }),
       trace(parts[1], { mode: "lines", line: { color: colours.measured, width: 3 }, showlegend: false }),
       trace(parts[2], { mode: "markers", marker: { color: colours.measured, size: 4 }, name: "measured" }),
     ];
