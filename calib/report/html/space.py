@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import plotly.graph_objects as go
 
-from calib.report.html.answers import Answers
+from calib.report.html.answers import STAGES, Answers
 from calib.report.html.look import FONT, new, shown
 from calib.report.html.numbers import fixed
-from calib.report.shapes import ends, measured_motions, motion_scale, plot_coordinates, view_directions
-from calib.report.style import BLUE, GREY, MEASURED, REST
+from calib.report.mesh import FACE, Mesh, Pieces, motions, pieces, places, read_mesh, thickness
+from calib.report.scene import motion_scale, plot_coordinates, segments, view_directions
+from calib.report.shapes import measured_motions
+from calib.report.style import BLUE, MEASURED, REST
 
-ENDS = ("x1", "y1", "z1", "x2", "y2", "z2", "u1", "v1", "w1", "u2", "v2", "w2")
 AXES_TOLD = "x runs along, y up, z across."
 _HEIGHT = 460
 _ROOM = (3.3, 1.5)
@@ -24,16 +24,18 @@ _DIGITS = 5
 
 
 def rest_lines(answers: Answers) -> np.ndarray | None:
-    """Return the lines of the model at rest, (n, 2, 3) in metres; None where no table holds them."""
-    names = ["x0", "y0", "z0", "x1", "y1", "z1"]
-    mesh = answers.table("structure", [], names, complete=names)
+    """Return lines of the model at rest, borders of shells included, (n, 2, 3) in metres; None without a table."""
+    mesh = read_mesh(answers.folder)
     if mesh is not None:
-        return mesh[names].to_numpy(dtype=float).reshape(-1, 2, 3)
-    for stage in ("before", "after"):
-        lines = answers.table(f"deflection_{stage}", ["mode"], ENDS, complete=ENDS)
-        if lines is not None:
-            return ends(lines[lines["mode"] == lines["mode"].iloc[0]]).reshape(-1, 2, 3)
-    return None
+        return places(mesh)[strokes(pieces(mesh))]
+    ends = [f"{axis}{end}" for end in (0, 1) for axis in "xyz"]
+    table = answers.table("structure", [], ends, complete=ends)
+    return None if table is None else segments(table)
+
+
+def strokes(parts: Pieces) -> np.ndarray:
+    """Return lines and borders as pairs of points, (n, 2) rows of the table of points."""
+    return parts.corners[parts.kind != FACE, :2]
 
 
 def new_space(lines: np.ndarray | None, points: np.ndarray) -> go.Figure:
@@ -109,69 +111,66 @@ def scene(answers: Answers) -> dict[str, Any] | None:
     -------
     dict
         ``stages``: of each its ``name``, the ``view`` that holds all that moves, ``points`` of the mesh at rest
-        (n, 3), its ``lines`` (pairs of them), and ``modes``: ``name, words, paired, scale``, ``motion`` of the points,
-        ``places`` of the sensors and their ``measured`` motion. Coordinates are those of the plot, in metres;
-        ``scale`` turns motions into metres that can be seen.
+        (n, 3), its ``lines`` (pairs of them), ``triangles`` of its shells (three rows of them), and ``modes``:
+        ``name, words, paired, scale``, ``motion`` of the points, ``places`` of the sensors and their ``measured``
+        motion. Coordinates are those of the plot, in metres; ``scale`` turns motions into metres that can be seen.
     """
-    stages = [found for stage in ("before", "after") if (found := _stage(answers, stage)) is not None]
+    mesh = read_mesh(answers.folder)
+    if mesh is None:
+        return None
+    stages = [found for stage in STAGES if (found := _stage(answers, mesh, stage)) is not None]
     if not stages:
         return None
-    look = {"model": BLUE, "measured": MEASURED, "rest": REST, "grey": GREY}
+    look = {"model": BLUE, "measured": MEASURED, "rest": REST}
     return {"stages": stages, "colours": look, "height": _HEIGHT, "font": {"family": FONT, "size": 13}}
 
 
-def _stage(answers: Answers, stage: str) -> dict[str, Any] | None:
-    columns = ["x", "y", "z", "measured_re"]
-    shapes = answers.table(f"shapes_{stage}", ["mode", "direction"], columns)
-    lines = answers.table(f"deflection_{stage}", ["mode"], ENDS, complete=ENDS)
-    if shapes is None or lines is None:
+def _stage(answers: Answers, mesh: Mesh, stage: str) -> dict[str, Any] | None:
+    shapes = answers.table(f"shapes_{stage}", ["mode", "direction"], ["x", "y", "z", "measured_re"])
+    columns = ["point", "u", "v", "w"]
+    moves = answers.table(f"deflection_{stage}", ["mode"], columns, complete=columns)
+    if shapes is None or moves is None:
         return None
     known = answers.compared(stage)
     facts = {} if known is None else {str(r["mode"]): r for r in known.to_dict("records")}
-    modes = list(dict.fromkeys(shapes["mode"]))
-    points, pairs, motions = _mesh(lines)
-    rest = plot_coordinates(points)
-    out, reached = [], [rest]
-    for mode in modes:
-        places, measured = measured_motions(shapes[shapes["mode"] == mode])
-        motion = motions.get(mode, np.zeros_like(points))
-        scale = motion_scale(np.concatenate([points, places]), np.concatenate([motion, measured]))
+    parts = pieces(mesh)
+    seen = np.unique(parts.corners)
+    row = np.zeros(len(mesh.points), dtype=int)
+    row[seen] = np.arange(len(seen))
+    faces = row[parts.corners[parts.kind == FACE]]
+    points = places(mesh)[seen]
+    out, reached = [], [plot_coordinates(points)]
+    for mode in dict.fromkeys(shapes["mode"]):
+        own = moves[moves["mode"] == mode]
+        motion = motions(mesh, own)[seen]
+        at, measured = measured_motions(shapes[shapes["mode"] == mode])
+        scale = motion_scale(np.concatenate([points, at]), np.concatenate([motion, measured]), thickness(mesh))
         reached += [
-            plot_coordinates(p + k * scale * m) for p, m in ((points, motion), (places, measured)) for k in (-1, 1)
+            plot_coordinates(p + side * scale * m) for p, m in ((points, motion), (at, measured)) for side in (-1, 1)
         ]
         out.append(
             {
                 "name": mode,
                 "words": _words(mode, facts),
-                "paired": mode in motions,
+                "paired": len(own) > 0,
                 "scale": round(scale, 9),
-                "motion": _numbers(plot_coordinates(motion)),
-                "places": _numbers(plot_coordinates(places)),
-                "measured": _numbers(plot_coordinates(measured)),
+                "motion": _numbers(motion),
+                "places": _numbers(at),
+                "measured": _numbers(measured),
             }
         )
-    view = scene_layout(np.concatenate(reached))
-    points_of = {"points": _numbers(rest), "lines": pairs.tolist()}
-    return {"name": f"{stage} calibration", "modes": out, "view": view, **points_of}
-
-
-def _mesh(lines: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Points (n, 3) of the mesh, its lines as pairs of them (m, 2), and the points' motion in every mode.
-
-    Lines that meet in a point move together there, and share it; what only touches at rest keeps points of its own.
-    """
-    modes = list(dict.fromkeys(lines["mode"]))
-    by_mode = [lines[lines["mode"] == mode] for mode in modes]
-    rest = ends(by_mode[0])
-    moves = [m[["u1", "v1", "w1", "u2", "v2", "w2"]].to_numpy(dtype=float).reshape(-1, 3) for m in by_mode]
-    everything = np.round(np.hstack([rest, *moves]), 9)
-    unique, index = np.unique(everything, axis=0, return_inverse=True)
-    motions = {mode: unique[:, 3 + 3 * k : 6 + 3 * k] for k, mode in enumerate(modes)}
-    return unique[:, :3], np.reshape(index, (-1, 2)), motions
+    return {
+        "name": f"{stage} calibration",
+        "modes": out,
+        "view": scene_layout(np.concatenate(reached)),
+        "points": _numbers(points),
+        "lines": row[strokes(parts)].tolist(),
+        "triangles": np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]]).T.tolist(),
+    }
 
 
 def _numbers(values: np.ndarray) -> list[list[float]]:
-    rounded: list[list[float]] = np.round(values, _DIGITS).tolist()
+    rounded: list[list[float]] = np.round(plot_coordinates(values), _DIGITS).tolist()
     return rounded
 
 

@@ -105,32 +105,31 @@ def _calibrated(answers: Answers) -> list[Block]:
 
 
 def _modes(answers: Answers) -> list[Block]:
-    numbers = [f"{what}_{stage}" for what in ("damped_freq", "error", "mac") for stage in ("before", "after")]
-    table = answers.table("modes", ["mode"], ["damped_freq_measured", *numbers], flags=["withheld"], unique="mode")
+    kinds = ("damped_freq", "error", "mac")
+    numbers = [f"{kind}_{stage}" for kind in kinds for stage in ("before", "after")]
+    table = answers.table(
+        "modes", ["mode"], ["damped_freq_measured", *numbers], flags=["withheld"], unique="mode",
+        if_there=[f"{kind}_initial" for kind in kinds],
+    )  # fmt: skip
     if table is None:
         return []
+    stages = [stage for stage in ("initial", "before", "after") if f"error_{stage}" in table]
     rows = tuple(
         (
             str(r["mode"]),
             "withheld" if flag(r["withheld"]) else "fitted",
-            *(fixed(r[f"damped_freq_{stage}"], 3) for stage in ("measured", "before", "after")),
-            *(percent(r[f"error_{stage}"], 2, sign=True) for stage in ("before", "after")),
-            *(fixed(r[f"mac_{stage}"], 3) for stage in ("before", "after")),
+            *(fixed(r[f"damped_freq_{stage}"], 3) for stage in ("measured", *stages)),
+            *(percent(r[f"error_{stage}"], 2, sign=True) for stage in stages),
+            *(fixed(r[f"mac_{stage}"], 3) for stage in stages),
         )
         for r in table.to_dict("records")
     )
-    heads = (
-        "mode",
-        "",
-        "measured, Hz",
-        "before, Hz",
-        "after, Hz",
-        "error before, %",
-        "after, %",
-        "MAC before",
-        "after",
-    )
-    return [Table("Damped frequencies and MAC of every measured mode, before and after calibration", heads, rows, (1,))]
+    heads = ["mode", "", "measured, Hz", *(f"{stage}, Hz" for stage in stages)]
+    heads += [*(f"error {stage}, %" for stage in stages), *(f"MAC {stage}" for stage in stages)]
+    caption = "Damped frequencies and MAC of every measured mode, before and after calibration"
+    told = "Initial is the model whose earlier study was not calibrated either."
+    notes = [Words(told)] if "initial" in stages else []
+    return [*notes, Table(caption, tuple(heads), rows, (1,))]
 
 
 def _versions(answers: Answers) -> list[Block]:

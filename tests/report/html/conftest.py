@@ -1,15 +1,14 @@
 """A small study of which everything was asked, and the page that tells it."""
 
 import contextlib
-import importlib.util
 import io
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
 
 from calib import cli
+from calib.loading import module_of
 from calib.report.html.answers import Answers
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -30,11 +29,9 @@ def ask(folder, *questions):
 @pytest.fixture(scope="session")
 def everything(tmp_path_factory):
     """Results of a mast with a guy rope that its model lacks; one mode and two sensors are withheld."""
-    spec = importlib.util.spec_from_file_location("mast_effects_told", ROOT / "tests/template/mast_effects.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["mast_effects_told"] = module
-    spec.loader.exec_module(module)
-    folder = module.write_study(tmp_path_factory.mktemp("told") / "mast", {"guy": 9000.0})
+    folder = module_of(ROOT / "tests/template/mast_effects.py").write_study(
+        tmp_path_factory.mktemp("told") / "mast", {"guy": 9000.0}
+    )
     file = folder / "study.toml"
     file.write_text(file.read_text().replace(*HELD))
     return ask(folder, ["sensitivity"], ["calibrate"], ["explain"])

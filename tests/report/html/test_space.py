@@ -6,25 +6,29 @@ import pytest
 
 from calib.report.html.answers import Answers
 from calib.report.html.space import directions, new_space, rest_lines, scene, scene_layout
-from calib.report.shapes import plot_coordinates, view_directions
+from calib.report.scene import plot_coordinates, view_directions
 
-ENDS = [f"{axis}{end}" for end in (1, 2) for axis in "xyz"]
-MOTIONS = [f"{axis}{end}" for end in (1, 2) for axis in "uvw"]
+PLACE, MOTION = ["x", "y", "z"], ["u", "v", "w"]
 
 
 def test_points_and_lines_give_back_every_deflected_line(everything, answers):
     stages = scene(answers)["stages"]
     assert [s["name"] for s in stages] == ["before calibration", "after calibration"]
+    points = pd.read_csv(everything / "mesh_points.csv").set_index("point")
+    elements = pd.read_csv(everything / "mesh_elements.csv")
+    assert elements["c"].isna().all()  # a mast has no shells
+    ends = elements[["a", "b"]].to_numpy(dtype=int)
     for stage, name in zip(stages, ("before", "after"), strict=True):
         table = pd.read_csv(everything / f"deflection_{name}.csv")
-        points, lines = np.array(stage["points"]), np.array(stage["lines"])
-        assert {m["name"] for m in stage["modes"]} == set(table["mode"])
+        lines = np.array(stage["lines"])
+        rest = plot_coordinates(points[PLACE].to_numpy()[ends])
+        np.testing.assert_allclose(np.array(stage["points"])[lines], rest, atol=6e-6)
+        assert stage["modes"]
         for mode in stage["modes"]:
-            own = table[table["mode"] == mode["name"]]
-            rest = plot_coordinates(own[ENDS].to_numpy().reshape(-1, 2, 3))
-            motion = plot_coordinates(own[MOTIONS].to_numpy().reshape(-1, 2, 3))
-            np.testing.assert_allclose(points[lines], rest, atol=6e-6)
-            np.testing.assert_allclose(np.array(mode["motion"])[lines], motion, atol=6e-6)
+            own = table[table["mode"] == mode["name"]].set_index("point")[MOTION].reindex(points.index)
+            np.testing.assert_allclose(
+                np.array(mode["motion"])[lines], plot_coordinates(own.to_numpy()[ends]), atol=6e-6
+            )
 
 
 def test_measured_motions_are_those_at_the_sensors(everything, answers):
@@ -38,18 +42,22 @@ def test_measured_motions_are_those_at_the_sensors(everything, answers):
             assert axis[1] * found[place][axis[0]] == pytest.approx(row["measured_re"], abs=1e-5)
 
 
-def test_what_only_touches_at_rest_moves_apart(folder):
-    """Two lines that end in one place and move differently are not tied by being drawn."""
-    rows = [("B1x", 0, "a", 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1, 0), ("B1x", 1, "b", 1, 0, 0, 2, 0, 0, 0, -1, 0, 0, 0, 0)]
-    columns = ["mode", "line", "group", *ENDS, *MOTIONS]
+def test_shells_are_two_triangles_each_and_an_unpaired_mode_is_at_rest(folder):
+    pd.DataFrame(
+        [(0, 0, 0, 0), (1, 1, 0, 0), (2, 1, 1, 0), (3, 0, 1, 0), (4, 5, 5, 5)], columns=["point", *PLACE]
+    ).to_csv(folder / "mesh_points.csv", index=False)
+    pd.DataFrame([("wall", 0, 1, 2, 3)], columns=["group", *"abcd"]).to_csv(folder / "mesh_elements.csv", index=False)
+    moves = pd.DataFrame([("B1x", k, 0.1 * k, 0, 0) for k in range(5)], columns=["mode", "point", *MOTION])
     for stage in ("before", "after"):
-        pd.DataFrame(rows, columns=columns).to_csv(folder / f"deflection_{stage}.csv", index=False)
+        moves.to_csv(folder / f"deflection_{stage}.csv", index=False)
     stage = scene(Answers(folder, "", False))["stages"][0]
-    assert len(stage["points"]) == 4
-    mode = stage["modes"][0]
-    up = np.array(mode["motion"])[np.array(stage["lines"]), 2]
-    np.testing.assert_allclose(up, [[0, 1], [-1, 0]])
-    others = [m for m in stage["modes"] if m["name"] != "B1x"]
+    assert len(stage["points"]) == 4  # the last one belongs to nothing
+    triangles = np.array(stage["triangles"]).T
+    assert sorted(map(sorted, triangles.tolist())) == [[0, 1, 2], [0, 2, 3]]
+    assert len(stage["lines"]) == 4  # the borders
+    first, *others = stage["modes"]
+    assert first["name"] == "B1x" and first["paired"]
+    np.testing.assert_allclose(np.array(first["motion"])[:, 0], [0.0, 0.1, 0.2, 0.3])
     assert others and not any(m["paired"] for m in others) and not np.any(others[0]["motion"])
 
 
@@ -73,12 +81,14 @@ def test_the_view_keeps_equal_scales_and_holds_all_points(size):
     assert eye[2] > 0  # from above
 
 
-def test_lines_at_rest_come_from_the_explanation_or_from_the_deflections(everything, folder):
+def test_lines_at_rest_come_from_the_mesh_or_from_the_explanation(everything, folder):
     table = pd.read_csv(everything / "structure.csv")
     ends = table[["x0", "y0", "z0", "x1", "y1", "z1"]].to_numpy().reshape(-1, 2, 3)
-    np.testing.assert_allclose(rest_lines(Answers(everything, "", True)), ends)
+    np.testing.assert_allclose(rest_lines(Answers(everything, "", True)), ends, atol=1e-9)
+    (folder / "mesh_points.csv").unlink()
+    np.testing.assert_allclose(rest_lines(Answers(folder, "", True)), ends)
     (folder / "structure.csv").unlink()
-    np.testing.assert_allclose(rest_lines(Answers(folder, "", True)), ends, atol=1e-9)
+    assert rest_lines(Answers(folder, "", True)) is None
 
 
 def test_directions_stand_along_the_axes():

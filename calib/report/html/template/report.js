@@ -39,6 +39,10 @@ function along(points, pairs) {
   return axes;
 }
 
+function split(points) {
+  return [0, 1, 2].map((k) => points.map((p) => p[k]));
+}
+
 function moved(points, motion, factor) {
   return points.map((p, i) => p.map((x, k) => x + factor * motion[i][k]));
 }
@@ -46,10 +50,10 @@ function moved(points, motion, factor) {
 function frameOf(stage, mode, phase) {
   const factor = mode.scale * phase;
   const tips = moved(mode.places, mode.measured, factor);
-  const model = mode.paired ? along(moved(stage.points, mode.motion, factor), stage.lines) : [[], [], []];
+  const shell = moved(stage.points, mode.motion, factor);
+  const model = mode.paired ? along(shell, stage.lines) : [[], [], []];
   const threads = along(mode.places.concat(tips), mode.places.map((_, i) => [i, i + tips.length]));
-  const dots = [0, 1, 2].map((k) => tips.map((p) => p[k]));
-  return [model, threads, dots];
+  return [model, threads, split(tips), split(mode.paired ? shell : [])];
 }
 
 function trace(axes, more) {
@@ -74,7 +78,7 @@ function drawShapes(figure, content) {
   const show = (phase) => {
     const parts = frameOf(...chosen(), phase);
     const axis = (k) => parts.map((part) => part[k]);
-    return Plotly.restyle(place, { x: axis(0), y: axis(1), z: axis(2) }, [1, 2, 3]);
+    return Plotly.restyle(place, { x: axis(0), y: axis(1), z: axis(2) }, [1, 2, 3, 4]);
   };
   const step = (now) => {
     started = started ?? now;
@@ -98,9 +102,13 @@ function drawShapes(figure, content) {
     const camera = place.layout ? place.layout.scene.camera : stage.view.camera;
     const data = [
       trace(along(stage.points, stage.lines), { mode: "lines", line: { color: colours.rest, width: 2 }, name: "model at rest" }),
-      trace(parts[0], { mode: "lines", line: { color: colours.model, width: stage.lines.length > 1000 ? 2 : 5 }, name: "model" }),
+      trace(parts[0], { mode: "lines", line: { color: colours.model, width: 4 }, name: "model" }),
       trace(parts[1], { mode: "lines", line: { color: colours.measured, width: 3 }, showlegend: false }),
       trace(parts[2], { mode: "markers", marker: { color: colours.measured, size: 4 }, name: "measured" }),
+      {
+        ...trace(parts[3], { color: colours.model, opacity: 0.25, flatshading: true }), type: "mesh3d",
+        i: stage.triangles[0], j: stage.triangles[1], k: stage.triangles[2],
+      },
     ];
     const layout = {
       height: content.height, margin: { l: 0, r: 0, t: 30, b: 0 }, scene: { ...stage.view, camera }, font: content.font,
