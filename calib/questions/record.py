@@ -67,6 +67,8 @@ def write_record(
         "title": given.title,
         "synthetic": study.synthetic,
         "model": given.model,
+        "adopted": {} if given.adopted is None else {n: study.adopted.get(n) for n in given.adopted.parameters},
+        "adopted_from": None if given.adopted is None else given.adopted.study,
         "effects_known": len(study.library),
         "effects_in_model": list(given.with_effects),
         "files": [*given.measurement.files, *given.measurement.shapes, *filter(None, [given.measurement.responses])],

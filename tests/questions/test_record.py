@@ -11,6 +11,7 @@ from calib import __version__
 from calib.questions.compare import compare
 from calib.questions.record import measured_table, sensors_table, write_record
 from calib.results import Results
+from calib.settings import AdoptedSettings
 from calib.study import Study
 
 
@@ -61,6 +62,15 @@ def test_the_record_names_versions_and_seeds_and_keeps_earlier_questions(guyed, 
     assert first["sentences"] == list(answer.sentences) and first["seeds"] == {} and not first["quick"]
     assert second["seeds"] == {"samples": 7} and second["quick"] and second["sentences"] == ["Two matter."]
     assert first["versions"]["calib"] == __version__ and first["versions"]["numpy"] == np.__version__
+
+
+def test_values_taken_over_are_told_with_where_they_come_from(guyed, tmp_path):
+    study, results = guyed[0], Results.at(tmp_path, "mast")
+    write_record(study, results, "compare", {})
+    assert record(results)["adopted"] == {} and record(results)["adopted_from"] is None
+    given = study.settings.model_copy(update={"adopted": AdoptedSettings(study="../older", parameters=("E",))})
+    write_record(replace(study, settings=given, adopted={"E": 205.0, "K_base": 1.0}), results, "compare", {})
+    assert record(results)["adopted"] == {"E": 205.0} and record(results)["adopted_from"] == "../older"
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '{"questions": 3}'])

@@ -76,7 +76,16 @@ def versions(answers: Answers) -> Section | None:
     heads = ("question", "how", "when", "seeds of random numbers", *([] if same else ["versions"]))
     told = [Words(f"Versions: {next(iter(used.values()))}.")] if same else []
     table = Table("Questions asked", heads, rows, (1, 2, 3, 4))
-    return Section("versions", "Versions and seeds", (Words(model), Words(files), *told, table))
+    return Section("versions", "Versions and seeds", (Words(model), Words(files), *_adopted(answers), *told, table))
+
+
+def _adopted(answers: Answers) -> list[Block]:
+    """Values that an earlier study has found."""
+    values = answers.record.get("adopted", {})
+    if not values:
+        return []
+    told = ", ".join(f"{name} {significant(value, 5)}" for name, value in values.items())
+    return [Words(f"Taken over from the study {answers.record.get('adopted_from')} and held: {told}.")]
 
 
 def _listed(named: Mapping[str, object]) -> str:

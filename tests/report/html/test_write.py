@@ -166,6 +166,13 @@ def test_versions_seeds_and_times_of_every_question_are_told(everything, read):
     assert any("A1 1" in r[3] for r in rows)
 
 
+def test_values_taken_over_are_told(folder):
+    record = json.loads((folder / "record.json").read_text())
+    (folder / "record.json").write_text(json.dumps({**record, "adopted": {"E": 205.25}, "adopted_from": "../older"}))
+    told = next(s for s in sections(Answers(folder, TITLE, True)) if s.name == "versions").blocks
+    assert any("Taken over from the study ../older and held: E 205.25." == getattr(b, "text", "") for b in told)
+
+
 # -- one file, nothing beside it ---------------------------------------------------------------------------------------
 
 
