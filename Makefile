@@ -37,7 +37,7 @@ venv-dev: $(VENV)/.installed-dev
 run: $(VENV)/.installed
 	@touch $(VENV)/.run-begun
 	@set -e; for study in $(STUDIES); do echo "calib run $$study"; $(BIN)/calib run "$$study"; done
-	@echo; echo 'Figures drawn:'; find results -name '*.png' -newer $(VENV)/.run-begun | sort
+	@echo; echo 'Figures and reports:'; find results \( -name '*.png' -o -name report.html \) -newer $(VENV)/.run-begun | sort
 
 test: $(VENV)/.installed-dev
 	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest $(PYTEST_ARGS)

@@ -23,6 +23,8 @@ from calib.questions import sensitivity as influence
 from calib.questions.reduction import fingerprints
 from calib.questions.versions import write_versions
 from calib.report.draw import draw_all
+from calib.report.html.write import NAME as REPORT
+from calib.report.html.write import write_report
 from calib.results import Results
 from calib.study import Study
 
@@ -154,7 +156,7 @@ def extend(
 
 @app.command()
 def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
-    """Draw every figure anew from the tables of earlier answers, and the errors over the versions of the model."""
+    """Tell all earlier answers in report.html, one file that opens anywhere, and draw every figure anew."""
     loaded = _load(study, results)
     home = results / loaded.name
     folders = [home, *sorted(p for p in home.glob("*") if p.is_dir() and any(p.glob("*.csv")))]
@@ -162,14 +164,14 @@ def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
         raise InputError("there are no results to draw", place=home, remedy=f"ask first, such as 'calib run {study}'")
     console.tell_versions(write_versions(loaded, results))
     for folder in folders:
-        _draw(loaded, Results(folder))
+        _draw(loaded, Results(folder), whole_report=True)
 
 
 @app.command()
 def run(
     study: StudyPath, results: ResultsPath = DEFAULT_RESULTS, workers: Workers = None, quick: Quick = False
 ) -> None:
-    """Ask everything: compare, sensitivity, calibrate, explain where effects are named, and draw."""
+    """Ask everything: compare, sensitivity, calibrate, explain where effects are named; draw, and write report.html."""
     loaded = _load(study, results, workers, quick)
     folder = places.results_of(loaded, results, quick)
     _compare(loaded, folder)
@@ -177,7 +179,7 @@ def run(
     _calibrate(loaded, folder, results, workers, None, quick, None)
     if loaded.candidates:
         _explain(loaded, folder)
-    _draw(loaded, folder)
+    _draw(loaded, folder, whole_report=True)
 
 
 def _version(asked: bool) -> None:
@@ -272,16 +274,22 @@ def _explain(study: Study, folder: Results) -> None:
     console.tell_explanation(study, answer, folder)
 
 
-def _draw(study: Study, folder: Results) -> None:
+def _draw(study: Study, folder: Results, whole_report: bool = False) -> None:
+    """Draw what the tables hold; the report is written when asked for, and where there is one, which is older now."""
+    title, synthetic = study.settings.title, study.synthetic
+    told = whole_report or folder.has(REPORT)
     try:
-        figures = draw_all(folder.path, study.settings.title, study.synthetic)
+        figures = draw_all(folder.path, title, synthetic)
+        written = write_report(folder.path, title, synthetic) if told else None
     except OSError as fault:
         raise InputError(
-            f"a figure cannot be written ({fault.strerror})",
+            f"a figure or the report cannot be written ({fault.strerror})",
             place=folder.path,
             remedy="free some space and draw again with 'calib report', or choose another --results",
         ) from None
     console.tell_figures(figures)
+    if written is not None:
+        console.tell_report(written)
 
 
 # -- leaving -----------------------------------------------------------------------------------------------------------

@@ -69,15 +69,11 @@ def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
         _out.print(f"Check this sensor: {finding.sentence}", style="yellow")
     _print_answer(answer)
     if answer.comparison is not None:
-        excluded = answer.comparison.modes.excluded
-        if excluded:
-            kinds = [root.kind for root in excluded]
-            parts = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds))
-            say(f"Roots of the model that are no vibration and are never paired: {parts}.")
-        if not answer.comparison.measured.has_shapes:
-            say("No mode shapes were measured: modes are paired by the order of their frequencies.")
+        *first, last = answer.sentences
+        for sentence in first:
+            say(sentence)
         say()
-        say("Where it fails: " + answer.comparison.sentence())
+        say(last)
         worst = answer.comparison.where_it_fails().head(WORST_SHOWN)
         rows = [
             (r["kind"], r["what"], _number(r["value"], 3), _number(r["in_scatter"], 1), r["verdict"])
@@ -95,11 +91,8 @@ def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
 
 def tell_sensitivity(study: Study, answer: Sensitivity, folder: Results) -> None:
     """Which parameters matter."""
-    say(
-        f"{_count(answer.samples, 'sample')} kept the constraints (acceptance {100 * answer.acceptance:.0f} %), "
-        f"{answer.failed} failed, {answer.unpaired} left a mode unpaired. "
-        f"Chance alone gives rank correlations up to {answer.noise_floor:.2f}."
-    )
+    behind, selected = answer.sentences
+    say(behind)
     rows = [
         (
             r["parameter"],
@@ -110,7 +103,7 @@ def tell_sensitivity(study: Study, answer: Sensitivity, folder: Results) -> None
         for r in answer.assessment.selection.to_dict("records")
     ]
     _table(("parameter", "Spearman", "partial", "influence", "selected", "why"), rows, left=("why",))
-    say(answer.assessment.sentence)
+    say(selected)
     if study.model.space.constraints:
         say("Constraints correlate the sampled parameters with each other; Spearman's values alone may mislead.")
 
@@ -151,19 +144,8 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
         )
     heads = ("parameter", f"value in {best.name}", "std", "of range", "spread", "verdict")
     _table(heads, rows, left=("verdict",))
-    whole = list(best.judgement.whole)
-    for sentence in best.judgement.identification.sentences():
+    for sentence in answer.sentences:
         say(sentence)
-    if whole:
-        say(f"Whole numbers, judged by how much worse their neighbours fit: {', '.join(whole)}.")
-    say(best.judgement.sentence)
-    if answer.search_agreement is None:
-        say(answer.agreement.sentence)
-    else:
-        say(f"The searches alone: {answer.search_agreement.sentence}")
-        say(f"After least squares, which also weighs the priors: {answer.agreement.sentence}")
-    if answer.agreement.verdict == "several solutions":
-        say("Identified therefore means: around the reported solution; the others are just as good.")
     say(f"\nAfter calibration (case {best.name}):")
     _print_answer(best.answer)
     before, after = answer.before, best.answer
@@ -262,6 +244,11 @@ def tell_figures(paths: Sequence[Path]) -> None:
         say("\nFigures, each beside its table:")
         for path in paths:
             say(f"  {path}")
+
+
+def tell_report(path: Path) -> None:
+    """Where the report is."""
+    say(f"\nThe whole story, in one file that opens offline: {path}")
 
 
 def _tell_withheld(study: Study) -> None:

@@ -83,7 +83,7 @@ def test_the_method_knows_no_structure_and_models_no_study():
                 assert head[1] in ("structure", "space", "errors", "function", "effect"), f"{file} imports {name}"
 
 
-def test_only_pictures_import_matplotlib():
+def test_only_pictures_and_pages_import_what_draws_them():
     for part, file in parts():
         if part != "report":
-            assert not any(name.split(".")[0] == "matplotlib" for name in imports(file)), file
+            assert not {name.split(".")[0] for name in imports(file)} & {"matplotlib", "plotly", "jinja2"}, file

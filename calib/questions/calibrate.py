@@ -18,6 +18,7 @@ from calib.ledger import Ledger
 from calib.questions.case import CaseFinder, CaseFound, SearchProgress
 from calib.questions.compare import Answer, compare, write_answer, write_model_modes
 from calib.questions.every_mode import all_stages, every_mode
+from calib.questions.record import write_record
 from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.space import ParameterSpace
@@ -58,6 +59,24 @@ class Calibration:
     search_agreement: Agreement | None
     method: Method
     modes: pd.DataFrame | None = None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is identified, whether the model fits, and whether the cases agree."""
+        judgement = self.best.judgement
+        whole = ", ".join(judgement.whole)
+        out = [*judgement.identification.sentences()]
+        if whole:
+            out.append(f"Whole numbers, judged by how much worse their neighbours fit: {whole}.")
+        out.append(judgement.sentence)
+        if self.search_agreement is None:
+            out.append(self.agreement.sentence)
+        else:
+            out.append(f"The searches alone: {self.search_agreement.sentence}")
+            out.append(f"After least squares, which also weighs the priors: {self.agreement.sentence}")
+        if self.agreement.verdict == "several solutions":
+            out.append("Identified therefore means: around the reported solution; the others are just as good.")
+        return tuple(out)
 
 
 def fingerprint(study: Study) -> str:
@@ -133,8 +152,11 @@ def calibrate(
     with suppress(EvaluationError):  # a model that fails beside the optimum has no errors to tell
         results.write_table("data_errors", errors_at(study, best.judgement.values))
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
+    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen, modes)
+    seeds = {**{case.name: case.seed for case in cases}, "reduction": study.settings.reduction.seed}
+    write_record(study, results, "calibrate", seeds, answer.sentences, quick)
     results.write_json("summary", summary)
-    return Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen, modes)
+    return answer
 
 
 def _parameters(study: Study, found: Sequence[CaseFound], searched: Sequence[CaseResult]) -> pd.DataFrame:

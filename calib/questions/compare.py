@@ -14,6 +14,7 @@ from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
 from calib.measurement.check import SensorFinding, check_sensors
 from calib.outcome import attempt
+from calib.questions.record import write_record
 from calib.results import Results
 from calib.study import Problem, Study
 
@@ -44,6 +45,21 @@ class Answer:
     noise_mac: float
     comparison: Comparison | None
     findings: tuple[SensorFinding, ...] = ()
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What a reader of the comparison must know, and where it fails; nothing for plain responses."""
+        found = self.comparison
+        if found is None:
+            return ()
+        kinds = [root.kind for root in found.modes.excluded]
+        out = []
+        if kinds:
+            parts = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds))
+            out.append(f"Roots of the model that are no vibration and are never paired: {parts}.")
+        if not found.measured.has_shapes:
+            out.append("No mode shapes were measured: modes are paired by the order of their frequencies.")
+        return (*out, "Where it fails: " + found.sentence())
 
 
 def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
@@ -105,16 +121,10 @@ def compare(study: Study, results: Results) -> Answer:
             remedy="check parameter values, supports and mode_count",
         ) from None
     write_answer(results, answer, "before")
-    assumptions = pd.DataFrame(
-        [(a.item, a.value, a.unit, a.reason) for a in study.model.assumptions]
-        + [(p.name, f"{p.value:g}", p.unit, p.assumed) for p in study.model.space.parameters if p.assumed],
-        columns=["item", "value", "unit", "reason"],
-    )
-    results.write_table("assumptions", assumptions)
-    results.write_table("parameter_space", study.model.space.frame())
     findings = [(f.kind, " ".join(f.sensors), f.mac_before, f.mac_after, f.sentence) for f in answer.findings]
     columns = ["kind", "sensors", "mac_before", "mac_after", "sentence"]
     results.write_table("sensor_check", pd.DataFrame(findings, columns=columns))
+    write_record(study, results, "compare", {}, answer.sentences)
     return answer
 
 

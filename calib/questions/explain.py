@@ -34,6 +34,7 @@ from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
 from calib.questions.modal_side import ModalSide
 from calib.questions.plain_side import PlainSide
+from calib.questions.record import write_record
 from calib.results import Results
 from calib.study import Study
 
@@ -156,6 +157,8 @@ def explain(study: Study, results: Results, progress: Progress = lambda words: N
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
         results.write_table(name, table)
+    seeds = {"probabilities": given.seed, "reduction": study.settings.reduction.seed}
+    write_record(study, results, "explain", seeds)
     results.write_json("explanation", summary(study, answer))
     return answer
 

@@ -15,6 +15,7 @@ from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.places import QUICK_SAMPLES, open_evaluator
+from calib.questions.record import write_record
 from calib.results import Results
 from calib.sensitivity.sampling import sample
 from calib.sensitivity.selection import Assessment, assess
@@ -55,6 +56,17 @@ class Sensitivity:
     acceptance: float
     noise_floor: float
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """How many samples stand behind the measures, and what these select."""
+        samples = f"{self.samples} sample{'s' * (self.samples != 1)}"
+        return (
+            f"{samples} kept the constraints (acceptance {100 * self.acceptance:.0f} %), {self.failed} failed, "
+            f"{self.unpaired} left a mode unpaired. "
+            f"Chance alone gives rank correlations up to {self.noise_floor:.2f}.",
+            self.assessment.sentence,
+        )
+
 
 def sensitivity(
     study: Study,
@@ -85,7 +97,9 @@ def sensitivity(
     complete = int((~y.isna().any(axis=1)).sum())
     floor = noise_floor(max(complete, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
     unpaired = int(y.isna().any(axis=1).sum()) - failed
-    return Sensitivity(assessment, count, failed, unpaired, drawn.acceptance, floor)
+    answer = Sensitivity(assessment, count, failed, unpaired, drawn.acceptance, floor)
+    write_record(study, results, "sensitivity", {"samples": settings.seed}, answer.sentences, quick)
+    return answer
 
 
 def selected_by_measures(study: Study, home: Results) -> Study:
@@ -153,6 +167,8 @@ def screen(
     responses = _table_of(study, outcomes)
     table = morris_effects(design, responses) if method == "morris" else sobol_shares(design, responses)
     results.write_table(method, table)
+    said = f"{len(design.points)} points. {design.note}".rstrip()
+    write_record(study, results, f"sensitivity --method {method}", {"points": seed}, [said], quick)
     return Screening(method, table, len(design.points), design.note)
 
 

@@ -16,7 +16,7 @@ from calib.report.calibration import draw_convergence, draw_parameters
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frequencies import draw_frequencies
-from calib.report.mesh import Mesh, check_mesh
+from calib.report.mesh import read_mesh
 from calib.report.misfit import draw_strain, where_it_fails_figure
 from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
@@ -137,15 +137,9 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
 
 def _plan_modes(folder: Path, compared: dict[str, pd.DataFrame | None], add: _Add) -> None:
     """Figures of the mesh: the model, its modes, and measured shapes over them."""
-    points, elements = folder / "mesh_points.csv", folder / "mesh_elements.csv"
-    if not points.exists() or not elements.exists():
+    mesh = read_mesh(folder)
+    if mesh is None:
         return
-    number, place = ["point"], ["x", "y", "z"]
-    mesh = Mesh(
-        read_table(points, [], [*number, *place], complete=[*number, *place], unique="point"),
-        read_table(elements, ["group"], ["a", "b", "c", "d"], complete=["a", "b"], may_be_empty=True),
-    )
-    check_mesh(mesh, elements)
     shapes = {stage: _shapes(folder / f"shapes_{stage}.csv") for stage in _STAGES}
     told = next((table for table in shapes.values() if table is not None), None)
     sensors = None if told is None else told[told["mode"] == told["mode"].iloc[0]]

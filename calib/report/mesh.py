@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.errors import InputError
 from calib.report.scene import PLACE, plot_coordinates, view_directions
+from calib.report.tables import read_table
 
 FACE, BORDER, LINE = 0, 1, 2
 
@@ -53,6 +54,20 @@ class Pieces(NamedTuple):
     def some(self, which: np.ndarray) -> Pieces:
         """Only those at ``which``."""
         return Pieces(self.corners[which], self.kind[which], self.group[which])
+
+
+def read_mesh(folder: Path) -> Mesh | None:
+    """Read ``mesh_points.csv`` and ``mesh_elements.csv`` of a folder; None where one of them is missing."""
+    points, elements = folder / "mesh_points.csv", folder / "mesh_elements.csv"
+    if not points.exists() or not elements.exists():
+        return None
+    numbers = ["point", *PLACE]
+    mesh = Mesh(
+        read_table(points, [], numbers, complete=numbers, unique="point"),
+        read_table(elements, ["group"], ["a", "b", "c", "d"], complete=["a", "b"], may_be_empty=True),
+    )
+    check_mesh(mesh, elements)
+    return mesh
 
 
 def check_mesh(mesh: Mesh, path: Path) -> None:

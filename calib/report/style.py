@@ -141,11 +141,18 @@ def add_heading(figure: Figure, title: str, synthetic: bool) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Save as PNG under a temporary name first, so that a stop in between leaves the old picture or none."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part")
-    try:
-        figure.savefig(temporary, format="png", dpi=DPI, facecolor="white")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    """Save as PNG; a stop in between leaves the old picture or none."""
+    with replacing(path) as draft:
+        figure.savefig(draft, format="png", dpi=DPI, facecolor="white")
     return path
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary name to write to, which takes the place of `path` when all is written."""
+    draft = path.with_name(f".{path.stem}.{os.getpid()}.part")
+    try:
+        yield draft
+        os.replace(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)

@@ -45,6 +45,7 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     """Figures take longest; most tests are not about them, and what is shared by some has them already."""
     if "drawn" not in request.fixturenames:
         monkeypatch.setattr(cli, "draw_all", lambda *a: [])
+        monkeypatch.setattr(cli, "write_report", lambda folder, *a: folder / "report.html")
 
 
 @pytest.fixture

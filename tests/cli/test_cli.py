@@ -166,12 +166,24 @@ def test_rows_of_the_reduced_problem_are_not_called_stale(here, capsys):
     assert "another state" not in first + again
 
 
-def test_report_draws_from_tables_alone(answered, drawn, monkeypatch):
-    for figure in Path("results/mast").glob("*.png"):
+def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, monkeypatch, capsys):
+    told = Path("results/mast/report.html")
+    assert f"one file that opens offline: {told}" in whole[1]
+    first = told.read_bytes()
+    for figure in (told, *Path("results/mast").glob("*.png")):
         figure.unlink()
     monkeypatch.setattr("calib.correlation.problem.ModalProblem.evaluate", lambda *a: pytest.fail("it solved"))
     assert cli.answer(["report", "mast"]) == 0
     assert len(list(Path("results/mast").glob("*.png"))) >= 8
+    assert told.read_bytes() == first and str(told) in capsys.readouterr().out
+
+
+def test_a_single_question_writes_no_report_but_leaves_none_that_is_older(mast, drawn, monkeypatch):
+    monkeypatch.setattr(cli, "draw_all", lambda *a: [])
+    told = Path("results/mast/report.html")
+    assert cli.answer(["compare", "mast"]) == 0 and not told.exists()
+    told.write_text("an older one")
+    assert cli.answer(["compare", "mast"]) == 0 and "Mode by mode before calibration" in told.read_text("utf-8")
 
 
 def test_results_go_where_they_are_told(mast):

@@ -189,7 +189,11 @@ def test_a_disk_too_full_for_a_figure(mast, small_disk, runner):
     before = files(FOLDER)
     fill(small_disk, 100_000)
     run = runner.fork("report", "mast", draw=True)
-    assert run.wait() == 2 and one_sentence(run.err) and "a figure cannot be written (No space left" in run.err
+    assert (
+        run.wait() == 2
+        and one_sentence(run.err)
+        and "a figure or the report cannot be written (No space left" in run.err
+    )
     after = files(FOLDER)
     assert {n: b for n, b in after.items() if not n.endswith(".png")} == before
     assert all(b.endswith(b"IEND\xaeB`\x82") for n, b in after.items() if n.endswith(".png"))

@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired"]
 COMMON = {"effects", "errors", "atoms", "confounding", "strain", "misfit_kinds", "tried", "next_measurement"}
 MODAL = COMMON | {"sensor_misfit", "structure"}
+GROUND = {"measured", "assumptions", "parameter_space"}
+"""What every answer stands on."""
 
 
 def saved(results, name):
@@ -25,13 +27,13 @@ def saved(results, name):
 
 
 def test_every_table_is_written_as_it_was_answered(guyed, bare, chain):
-    for results, answer, names in (
-        (guyed[1], guyed[2], MODAL),
-        (bare[1], bare[2], MODAL),
-        (chain[1], chain[2], COMMON | {"response_misfit"}),
+    for results, answer, names, ground in (
+        (guyed[1], guyed[2], MODAL, GROUND | {"sensors"}),
+        (bare[1], bare[2], MODAL, GROUND | {"sensors"}),
+        (chain[1], chain[2], COMMON | {"response_misfit"}, GROUND),
     ):
-        assert {p.stem for p in results.path.glob("*.csv")} == names
-        assert {p.name for p in results.path.iterdir() if p.suffix != ".csv"} == {"explanation.json"}
+        assert {p.stem for p in results.path.glob("*.csv")} == names | ground
+        assert {p.name for p in results.path.iterdir() if p.suffix != ".csv"} == {"explanation.json", "record.json"}
         for name in names:
             table = {"effects": answer.effects, "errors": answer.errors, **answer.tables}[name]
             assert list(saved(results, name).columns) == list(table.columns) and len(saved(results, name)) == len(table)

@@ -1,0 +1,140 @@
+"""What an answer stands on, kept beside it: the measurement, what is assumed, versions, seeds, and what was said."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+
+import numpy as np
+import pandas as pd
+
+from calib import __version__
+from calib.measurement.modal import MeasuredModes
+from calib.results import Results
+from calib.study import Study
+
+PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib", "plotly")
+"""Whose versions may change a digit or a picture."""
+
+MODE_COLUMNS = ("mode", "withheld", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std")
+SENSOR_COLUMNS = ("sensor", "node", "direction", "x", "y", "z", "part", "withheld", "shape_std")
+
+
+def write_record(
+    study: Study,
+    results: Results,
+    question: str,
+    seeds: Mapping[str, int],
+    sentences: Sequence[str] = (),
+    quick: bool = False,
+) -> None:
+    """Write what every answer of a study stands on, and add one question to ``record.json``.
+
+    Writes ``measured.csv``, ``sensors.csv`` (of a modal measurement), ``assumptions.csv``, ``parameter_space.csv`` and
+    ``record.json``, which keeps the earlier questions of the same folder.
+
+    Parameters
+    ----------
+    study : Study
+    results : Results
+    question : str
+        The verb that was asked.
+    seeds : mapping from str to int
+        Of the random numbers behind the answer.
+    sentences : sequence of str
+        What was said about it.
+    quick : bool
+        Whether it was a small search for a first look.
+    """
+    results.write_table("measured", measured_table(study))
+    if study.whole is not None and study.whole.has_shapes:
+        results.write_table("sensors", sensors_table(study.whole, study.settings.withheld.sensors))
+    results.write_table("assumptions", assumptions_table(study))
+    results.write_table("parameter_space", study.model.space.frame())
+    given, whole = study.settings, study.whole
+    asked = {
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "quick": quick,
+        "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
+        "seeds": dict(seeds),
+        "sentences": list(sentences),
+    }
+    record = {
+        "study": study.name,
+        "title": given.title,
+        "synthetic": study.synthetic,
+        "model": given.model,
+        "adopted": {} if given.adopted is None else {n: study.adopted.get(n) for n in given.adopted.parameters},
+        "adopted_from": None if given.adopted is None else given.adopted.study,
+        "effects_known": len(study.library),
+        "effects_in_model": list(given.with_effects),
+        "files": [*given.measurement.files, *given.measurement.shapes, *filter(None, [given.measurement.responses])],
+        "repeats": given.measurement.repeats if whole is None else whole.n_repeats,
+        "notes": [] if whole is None else list(whole.notes),
+        "questions": {**_earlier(results), question: asked},
+    }
+    results.write_json("record", record)
+
+
+def measured_table(study: Study) -> pd.DataFrame:
+    """Everything that was measured and how far it scatters, withheld data included and marked.
+
+    Of modes `MODE_COLUMNS`: frequencies and their standard deviations in Hz, damping as a ratio; of plain responses
+    ``response, withheld, value, std``. Standard deviations are those of the mean over the repeats.
+    """
+    held, whole = study.settings.withheld, study.whole
+    if whole is None:
+        unused = {*held.modes, *held.sensors}
+        rows = [(n, n in unused, v, np.nan if s is None else s) for n, (v, s) in study.whole_targets.items()]
+        return pd.DataFrame(rows, columns=["response", "withheld", "value", "std"])
+    columns = {
+        "mode": list(whole.names),
+        "withheld": [name in held.modes for name in whole.names],
+        **{name: getattr(whole, name) for name in MODE_COLUMNS[2:]},
+    }
+    return pd.DataFrame(columns, columns=list(MODE_COLUMNS))
+
+
+def sensors_table(measured: MeasuredModes, withheld: Sequence[str]) -> pd.DataFrame:
+    """Every sensor with its place in metres; columns `SENSOR_COLUMNS`.
+
+    ``shape_std`` is the root mean square over the modes of the standard deviation of its shape, whose largest entry
+    in each mode is 1; NaN where unknown.
+    """
+    rows = []
+    for sensor, std in zip(measured.sensors, measured.shape_std, strict=True):
+        known = std[np.isfinite(std)]
+        scatter = float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+        place = sensor.point or (np.nan, np.nan, np.nan)
+        part = sensor.on or ""
+        rows.append((sensor.name, sensor.node, sensor.direction, *place, part, sensor.name in withheld, scatter))
+    return pd.DataFrame(rows, columns=list(SENSOR_COLUMNS))
+
+
+def assumptions_table(study: Study) -> pd.DataFrame:
+    """What the model assumes, adopted values and limits of parameters included: ``item, value, unit, reason``."""
+    rows = [(a.item, a.value, a.unit, a.reason) for a in study.model.assumptions]
+    rows += [(p.name, f"{p.value:g}", p.unit, p.assumed) for p in study.model.space.parameters if p.assumed]
+    return pd.DataFrame(rows, columns=["item", "value", "unit", "reason"])
+
+
+def _earlier(results: Results) -> dict[str, object]:
+    """Questions of the folder's record; none when there is no readable one."""
+    try:
+        questions = json.loads((results.path / "record.json").read_text("utf-8"))["questions"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+    return questions if isinstance(questions, dict) else {}
+
+
+def _installed() -> dict[str, str]:
+    out = {}
+    for name in PACKAGES:
+        try:
+            out[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return out

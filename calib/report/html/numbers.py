@@ -1,0 +1,68 @@
+"""Numbers as a reader wants them: rounded, with a real minus sign, and a dash where nothing is known."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+UNKNOWN = "–"
+
+
+def fixed(value: float, digits: int, sign: bool = False) -> str:
+    """So many digits after the point."""
+    if value is None or math.isnan(value):
+        return UNKNOWN
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    value = round(value, digits) + 0.0  # no negative zero
+    words = f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
+    return words.replace("-", "−")
+
+
+def percent(share: float, digits: int = 2, sign: bool = False) -> str:
+    """A share in per cent, without the unit when it stands in the head of a column."""
+    return fixed(100.0 * share, digits, sign)
+
+
+def significant(value: float, digits: int = 4) -> str:
+    """So many digits that count; an exponent only where zeros would have to be counted."""
+    if value is None or math.isnan(value):
+        return UNKNOWN
+    if math.isinf(value) or value == 0:
+        return fixed(value, 0)
+    if float(value).is_integer() and abs(value) < 1e7:
+        return fixed(value, 0)
+    size = math.floor(math.log10(abs(value)))
+    if -4 <= size < 7:
+        return fixed(round(value, digits - 1 - size), max(0, digits - 1 - size))
+    return f"{value:.{digits - 1}e}".replace("-", "−")
+
+
+def with_unit(value: float, unit: str, digits: int = 3) -> str:
+    """A number and its unit, if it has one."""
+    words = significant(value, digits)
+    return words if unit in ("", "-", UNKNOWN) or words == UNKNOWN else f"{words} {unit}"
+
+
+def chance(p: float) -> str:
+    """A probability."""
+    if p is None or math.isnan(p):
+        return UNKNOWN
+    return "< 0.001" if p < 1e-3 else f"{p:.2g}"
+
+
+def counted(number: int, thing: str) -> str:
+    """Something in its number."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def flag(value: Any) -> bool:
+    """A flag that may be unknown, which is no."""
+    return bool(value) if value is not None and value == value else False
+
+
+def yes(value: Any, words: tuple[str, str] = ("yes", "no")) -> str:
+    """A flag in words; a dash where it is unknown."""
+    if value is None or value != value:
+        return UNKNOWN
+    return words[0] if value else words[1]

@@ -1,0 +1,235 @@
+"""Errors on data that were used, left out and withheld, and what to measure next."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from calib.report.html.answers import Answers
+from calib.report.html.look import PATTERNS, filled, name_axis, new, number_axis, shown, wrapped
+from calib.report.html.numbers import chance, fixed, flag, percent, significant
+from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
+from calib.report.style import AFTER, BEFORE, BLACK, CASES, GREEN, GREY, ORANGE, PURPLE, SKY
+from calib.report.verification import GROUPS, best_options
+
+TERMS = (
+    ("rms", "root mean square of the errors, in units σ of the measurement's scatter"),
+    ("right model", "the rms that a model without fault would show on these data"),
+    ("p", "chance that a right model errs as much"),
+)
+_TICKS = [factor * 10**power for power in range(-1, 6) for factor in (1, 2, 5)]
+STAGES = {
+    "before": ("base model", BEFORE),
+    "after": ("with what is missing", AFTER),
+    "attempt": ("best attempt, not believed", "#BDBDBD"),
+}
+_GAP = 0.3
+_KINDS = {"sensor": SKY, "mode": ORANGE, "repeats": GREEN, "bench": PURPLE}
+
+
+def errors(answers: Answers) -> Section | None:
+    """Before and after, by group of data; over the versions of a model that was extended."""
+    blocks = [*_explained(answers), *_calibrated(answers), *_modes(answers), *_versions(answers)]
+    if not blocks:
+        return None
+    intro = Words(
+        "An explanation or a calibration is worth what it predicts: the error in data that were fitted, in modes left "
+        "out one after the other, and in data that were withheld from every fit."
+    )
+    return Section("errors", "Error before and after", (intro, Terms(TERMS), *blocks))
+
+
+def _explained(answers: Answers) -> list[Block]:
+    table = answers.table("errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
+    if table is None:
+        return []
+    groups = _groups(table)
+    stages = [s for s in STAGES if (table["stage"] == s).any()]
+    figure = new(400, barmode="group", bargap=_GAP)
+    for k, stage in enumerate(stages):
+        rows = table[table["stage"] == stage].set_index("group").reindex(groups)
+        label, colour = STAGES[stage]
+        words = [
+            shown(
+                f"{GROUPS.get(g, g)}, {label}: {fixed(r['rms'], 2)} σ; right model {fixed(r['expected'], 2)}; "
+                f"p {chance(r['p'])}"
+            )
+            for g, r in zip(groups, rows.to_dict("records"), strict=True)
+        ]
+        figure.add_bar(
+            x=list(range(len(groups))), y=rows["rms"].to_numpy(dtype=float), name=label, showlegend=True,
+            hovertext=words, hoverinfo="text",
+            marker=filled(colour, PATTERNS[stage]),
+        )  # fmt: skip
+        # Bars of a group share what bargap leaves of the room between two names.
+        at = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * (1.0 - _GAP) / len(stages)
+        figure.add_scatter(
+            x=at, y=rows["expected"].to_numpy(dtype=float), mode="markers", name="right model", showlegend=k == 0,
+            hoverinfo="skip",
+            legendrank=2000, marker={"symbol": "line-ew", "size": 40, "line": {"width": 3, "color": BLACK}},
+        )  # fmt: skip
+    labels = [GROUPS.get(g, g) for g in groups]
+    figure.update_layout(xaxis=name_axis(labels), yaxis=number_axis("rms error, σ", rangemode="tozero"))
+    told = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
+    name = " + ".join(answers.explanation.get("chosen", []))
+    what = f"before and after adding {name}" if name else "of the base model"
+    caption = f"Error {what}, in units of the scatter; black lines: what a right model would show."
+    return [
+        Plot("errors", caption, f"Bars. {told}.", figure),
+        _error_table(table, f"Errors {what}"),
+    ]
+
+
+def _arrow(table: pd.DataFrame, group: str) -> str:
+    return " → ".join(fixed(v, 2) for v in table[table["group"] == group]["rms"])
+
+
+def _error_table(table: pd.DataFrame, caption: str) -> Table:
+    rows = tuple(
+        (
+            GROUPS.get(str(r["group"]), str(r["group"])),
+            STAGES.get(str(r.get("stage", "")), ("calibrated model",))[0],
+            fixed(r["rows"], 0),
+            fixed(r["rms"], 2),
+            fixed(r["expected"], 2),
+            chance(r["p"]),
+        )
+        for r in table.to_dict("records")
+    )
+    return Table(caption, ("data", "model", "numbers", "rms, σ", "right model, σ", "p"), rows, (1,))
+
+
+def _calibrated(answers: Answers) -> list[Block]:
+    table = answers.table("data_errors", ["group"], ["rows", "rms", "expected", "p"])
+    return [] if table is None else [_error_table(table, "Errors of the calibrated model, nothing added")]
+
+
+def _modes(answers: Answers) -> list[Block]:
+    kinds = ("damped_freq", "error", "mac")
+    numbers = [f"{kind}_{stage}" for kind in kinds for stage in ("before", "after")]
+    table = answers.table(
+        "modes", ["mode"], ["damped_freq_measured", *numbers], flags=["withheld"], unique="mode",
+        if_there=[f"{kind}_initial" for kind in kinds],
+    )  # fmt: skip
+    if table is None:
+        return []
+    stages = [stage for stage in ("initial", "before", "after") if f"error_{stage}" in table]
+    rows = tuple(
+        (
+            str(r["mode"]),
+            "withheld" if flag(r["withheld"]) else "fitted",
+            *(fixed(r[f"damped_freq_{stage}"], 3) for stage in ("measured", *stages)),
+            *(percent(r[f"error_{stage}"], 2, sign=True) for stage in stages),
+            *(fixed(r[f"mac_{stage}"], 3) for stage in stages),
+        )
+        for r in table.to_dict("records")
+    )
+    heads = ["mode", "", "measured, Hz", *(f"{stage}, Hz" for stage in stages)]
+    heads += [*(f"error {stage}, %" for stage in stages), *(f"MAC {stage}" for stage in stages)]
+    caption = "Damped frequencies and MAC of every measured mode, before and after calibration"
+    told = "Initial is the model whose earlier study was not calibrated either."
+    notes = [Words(told)] if "initial" in stages else []
+    return [*notes, Table(caption, tuple(heads), rows, (1,))]
+
+
+def _versions(answers: Answers) -> list[Block]:
+    table = answers.table(
+        "versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["study", "effects"]
+    )
+    if table is None:
+        return []
+    groups, versions = _groups(table), sorted(set(table["version"]))
+    effects = table.groupby("version")["effects"].first()
+    labels = [f"{v:g}: {effects[v] or 'base model'}" for v in versions]
+    figure = new(400)
+    for k, group in enumerate(groups):
+        over = table[table["group"] == group].groupby("version")[["rms", "expected"]].first().reindex(versions)
+        looks = {"color": CASES[k % len(CASES)]}
+        at, name = list(range(len(versions))), GROUPS.get(group, group)
+        figure.add_scatter(
+            x=at, y=over["rms"].to_numpy(dtype=float), mode="lines+markers", name=name, line=looks,
+            marker={"size": 9, "symbol": ("circle", "square", "diamond", "triangle-up")[k % 4]},
+        )  # fmt: skip
+        figure.add_scatter(
+            x=at, y=over["expected"].to_numpy(dtype=float), mode="lines", line={**looks, "dash": "dash", "width": 1},
+            name=f"{name}, right model", showlegend=False,
+        )  # fmt: skip
+    figure.update_layout(xaxis=name_axis(labels), yaxis=number_axis("rms error, σ", rangemode="tozero"))
+    told = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
+    rows = tuple(
+        (f"{r['version']:g}", str(r["effects"]) or "base model", GROUPS.get(str(r["group"]), str(r["group"])),
+         fixed(r["rms"], 2), fixed(r["expected"], 2))
+        for r in table.to_dict("records")
+    )  # fmt: skip
+    caption = "Errors over the versions of the model; dashed: what a right model would show."
+    heads = ("version", "added", "data", "rms, σ", "right model, σ")
+    return [
+        Plot("versions", caption, f"Lines. {told}.", figure),
+        Table("Errors over the versions of the model", heads, rows, (1, 2)),
+    ]
+
+
+def _groups(table: pd.DataFrame) -> list[str]:
+    there = set(table["group"][table["rms"].notna()])
+    return [*(g for g in GROUPS if g in there), *sorted(there - set(GROUPS))]
+
+
+def next_measurement(answers: Answers) -> Section | None:
+    """What further measurements promise."""
+    worth = ["gain", "ln_bayes"]
+    table = answers.table(
+        "next_measurement", ["option", "kind"], [*worth, "phi_min"], unbounded=[*worth, "phi_min"], blank=["effect"]
+    )
+    if table is None:
+        return None
+    best = best_options(table)
+    finite = best["gain"].replace(np.inf, np.nan)
+    words = [shown(f"{r['option']}: × {fixed(r['gain'], 2)} for {r['effect']}") for r in best.to_dict("records")]
+    labels = [wrapped(str(option), 48) for option in best["option"]]
+    lines = max(label.count("<br>") + 1 for label in labels)
+    figure = new(120 + (18 + 16 * lines) * len(best), margin={"l": 60, "r": 60, "t": 30, "b": 60})
+    figure.add_bar(
+        x=finite.to_numpy(dtype=float), y=list(range(len(best))), orientation="h", hovertext=words, hoverinfo="text",
+        text=[f"× {fixed(v, 1)}" for v in best["gain"]], textposition="outside", cliponaxis=False,
+        marker={"color": [_KINDS.get(str(kind), GREY) for kind in best["kind"]]},
+    )  # fmt: skip
+    figure.update_layout(
+        xaxis=number_axis("factor in the expected score; 1 is no gain", type="log", tickvals=_TICKS),
+        yaxis=name_axis(labels, reverse=True, ticktext=labels),
+    )
+    odds = table["ln_bayes"].notna().any()
+    rows = tuple(
+        (
+            str(r["option"]),
+            str(r["kind"]),
+            str(r["effect"]),
+            f"× {fixed(r['gain'], 2)}",
+            "never" if np.isinf(r["phi_min"]) else significant(r["phi_min"], 2),
+            *([fixed(r["ln_bayes"], 1)] if odds else []),
+        )
+        for r in best.to_dict("records")
+    )
+    heads = (
+        "measurement",
+        "kind",
+        "for the effect",
+        "score",
+        "smallest visible then",
+        *(["expected ln odds"] if odds else []),
+    )
+    first = best.to_dict("records")[0]
+    told = f"Most is gained by: {first['option']} (× {fixed(first['gain'], 1)} in the score of {first['effect']})."
+    intro = (
+        "What each further measurement would gain, computed from the model before anything is measured. A withheld "
+        "mode that is used no longer verifies the result."
+    )
+    caption = f"The {len(best)} measurements of most worth, each for the effect whose score it raises most."
+    return Section(
+        "next",
+        "What to measure next",
+        (
+            Words(f"{intro} {told}"),
+            Plot("next-measurement", caption, f"Bars. {told}", figure),
+            Table("Measurements of most worth", heads, rows, (1, 2)),
+        ),
+    )

@@ -1,0 +1,51 @@
+import math
+
+import pytest
+
+from calib.report.html.numbers import chance, counted, fixed, flag, percent, significant, with_unit, yes
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "sign", "words"),
+    [
+        (3.14159, 2, False, "3.14"),
+        (-3.14159, 2, False, "−3.14"),
+        (3.14159, 2, True, "+3.14"),
+        (-0.001, 2, False, "0.00"),
+        (math.nan, 2, False, "–"),
+        (math.inf, 2, False, "∞"),
+        (-math.inf, 2, True, "−∞"),
+    ],
+)
+def test_fixed(value, digits, sign, words):
+    assert fixed(value, digits, sign) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "words"),
+    [
+        (123.456, 4, "123.5"),
+        (0.0012345, 3, "0.00123"),
+        (99999.4, 3, "100000"),
+        (-12.34, 3, "−12.3"),
+        (7.0, 5, "7"),
+        (0.0, 3, "0"),
+        (1.5e-9, 2, "1.5e−09"),
+        (2.5e9, 3, "2.50e+09"),
+        (math.nan, 3, "–"),
+    ],
+)
+def test_significant(value, digits, words):
+    assert significant(value, digits) == words
+
+
+def test_units_shares_and_chances():
+    assert percent(0.12345, 1, sign=True) == "+12.3"
+    assert with_unit(63.5652, "kg") == "63.6 kg" and with_unit(0.5, "-") == "0.500" and with_unit(math.nan, "kg") == "–"
+    assert chance(1e-9) == "< 0.001" and chance(0.0371) == "0.037" and chance(math.nan) == "–"
+    assert counted(1, "mode") == "1 mode" and counted(0, "mode") == "0 modes"
+
+
+def test_unknown_flags_are_no_and_are_shown_as_unknown():
+    assert flag(True) and not flag(False) and not flag(None) and not flag(math.nan)
+    assert (yes(True), yes(False), yes(None)) == ("yes", "no", "–")
