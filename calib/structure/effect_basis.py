@@ -61,9 +61,11 @@ def effect_basis(
         count = basis.count + extended.n_dof - model.n_dof
         solved = [extended.modes({**point, **own}, count) for point in points for own in _looked_at(effect)]
         vectors = growth.widened(vectors, np.hstack([_unit(growth, m, model.n_dof, basis) for m in solved]), _ERROR)
+    adopted = model.modes(middle, basis.count)
     for k in range(0, len(atoms), _BATCH):
         some = atoms[k : k + _BATCH]
-        vectors = growth.widened(vectors, _derivatives(growth, extend(model, some), middle, some, basis), _ERROR)
+        slopes = _derivatives(growth, extend(model, some), middle, adopted, some, basis)
+        vectors = growth.widened(vectors, slopes, _ERROR)
     return replace(basis, vectors=vectors, version=basis.version + 1)
 
 
@@ -112,9 +114,14 @@ def _unit(growth: Growth, modes: Modes, rows: int, basis: Basis) -> np.ndarray:
 
 
 def _derivatives(
-    growth: Growth, model: StructuralModel, point: Mapping[str, float], atoms: Sequence[Effect], basis: Basis
+    growth: Growth,
+    model: StructuralModel,
+    point: Mapping[str, float],
+    modes: Modes,
+    atoms: Sequence[Effect],
+    basis: Basis,
 ) -> np.ndarray:
-    modes = model.modes(point, basis.count)
+    """Derivatives of a model's modes by atoms, which add no degrees of freedom and are of strength 0 there."""
     chosen = np.flatnonzero(modes.natural_freq <= basis.freq_max)
     slopes = mode_derivatives(model, point, modes, [a.name for a in atoms], chosen)
     shapes = modes.shapes[:, chosen]

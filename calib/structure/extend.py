@@ -52,7 +52,7 @@ def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel
     """
     for effect in effects:
         effect.require_new(model.space, model.name)
-    additions = [(effect, _built(model, effect)) for effect in effects]
+    additions = [(effect, addition_of(model, effect)) for effect in effects]
     total = model.n_dof + sum(a.n_added for _, a in additions)
     placed, first = [], model.n_dof
     for _, addition in additions:
@@ -89,7 +89,8 @@ def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel
     )
 
 
-def _built(model: StructuralModel, effect: Effect) -> Addition:
+def addition_of(model: StructuralModel, effect: Effect) -> Addition:
+    """What an effect adds to a model; InputError when it does not fit."""
     place = f"effect {effect.name}"
     try:
         addition = effect.build(model)

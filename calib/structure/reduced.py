@@ -19,7 +19,7 @@ from calib.structure.affine import AffineMatrix
 from calib.structure.basis import Basis
 from calib.structure.energy import shares_of, strain_energy
 from calib.structure.inertia import symmetric_factor
-from calib.structure.model import Assumption, Mesh, StructuralModel
+from calib.structure.model import Assumption, Matrix, Mesh, StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduced_matrix import ReducedMatrix, reduce_matrix
 from calib.structure.solve_dense import solve_dense
@@ -114,7 +114,7 @@ class ReducedModel:
         si = self.space.si(self.space.complete(values))
         return self._stiffness(si), self._damping(si), self._mass(si)
 
-    def matrix_derivatives(self, values: Mapping[str, float], name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def matrix_derivatives(self, values: Mapping[str, float], name: str) -> tuple[Matrix, Matrix, Matrix]:
         """dK, dC, dM with respect to one parameter, per one of its own unit; whole-number parameters count as fixed."""
         si = self.space.si(self.space.complete(values))
         factor = self.space[name].si_factor

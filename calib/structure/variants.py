@@ -10,7 +10,7 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import carried
-from calib.structure.extend import extend
+from calib.structure.extend import addition_of, extend
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 
@@ -40,7 +40,7 @@ class Variants:
     @cached_property
     def _added(self) -> dict[str, int]:
         """Degrees of freedom that each effect adds."""
-        return {e.name: extend(self.model, [e]).n_dof - self.model.n_dof for e in self.effects}
+        return {e.name: addition_of(self.model, e).n_added for e in self.effects}
 
     def added(self, names: Sequence[str]) -> int:
         """Degrees of freedom that the named effects add together."""

@@ -11,9 +11,22 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.attach import between, elongation, hung_masses, motion, outer_term, soft_mounts
+from calib.structure.attach import (
+    GRAVITY,
+    between,
+    elongation,
+    hung_masses,
+    loosened_masses,
+    maxwell_branches,
+    motion,
+    outer_term,
+    part_of,
+    scaled_part,
+    soft_mounts,
+    softened_part,
+)
 from calib.structure.extend import extend
-from calib.structure.model import DofMap, Mesh, StructuralModel
+from calib.structure.model import DofMap, Mesh, Part, StructuralModel
 
 M0, K0 = 3.0, 3.0 * (2 * np.pi * 4.0) ** 2
 
@@ -105,6 +118,56 @@ def test_a_very_stiff_hung_mass_is_a_rigid_one(body):
     model = with_hung(body, [np.array([1.0, 0.0, 0.0])], ratio=0.0)
     modes = model.modes({"m": 1.5, "f": 3000.0, "c": 0.0}, 1)
     assert modes.natural_freq[0] == pytest.approx(np.sqrt(K0 / (M0 + 1.5)) / 2 / np.pi, rel=1e-5)
+
+
+@pytest.mark.parametrize("sag", [1e-6, 0.4, 9.0, 150.0])
+@pytest.mark.parametrize("ratio", [0.0, 0.08])
+def test_a_loosened_mass_is_the_two_mass_oscillator_of_the_same_weight(body, sag, ratio):
+    """1.2 of the body's 3 kg are let go in x; the sag is in mm."""
+    part, w = 1.2, np.sqrt(GRAVITY / (sag * 1e-3))
+    strength = Parameter("sag", 1e-6, 1e-6, 500.0, "mm", prior_sd=5.0)
+    build = lambda m: loosened_masses([np.sqrt(part) * np.array([1.0, 0.0, 0.0])], "sag", ratio)  # noqa: E731
+    model = extend(body, [Effect("sag", "sag", "", "", strength, build)])
+    link = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    for root in (0.3j, 9j - 1, 70j):
+        k, c, m = (a.toarray()[np.ix_([0, 3], [0, 3])] for a in model.matrices({"sag": sag}))
+        z = k + root * c + root**2 * m
+        single = np.diag([K0 + 30.0 * root + (M0 - part) * root**2, part * root**2])
+        single = single + part * (w**2 + 2 * ratio * w * root) * link
+        expected = single[0, 0] - single[0, 1] ** 2 / single[1, 1]
+        assert z[0, 0] - z[0, 1] ** 2 / z[1, 1] == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize("stiffness", [1e-3, 50.0, 4e3])
+def test_a_maxwell_branch_is_soft_below_its_corner_and_stiff_above(body, stiffness):
+    strength = Parameter("k", 0.0, 0.0, 1e5, "N/m", prior_sd=1e3)
+    corner = Parameter("f", 3.0, 0.1, 50.0, "Hz")
+    build = lambda m: maxwell_branches([np.array([0.0, 1.0, 0.0])], "k", "f")  # noqa: E731
+    model = extend(body, [Effect("k", "k", "", "", strength, build, (corner,), ({"k": 1e3, "f": 3.0},))])
+    k, c, m = (a.toarray()[np.ix_([1, 3], [1, 3])] for a in model.matrices({"k": stiffness, "f": 3.0}))
+    for root in (0.01j, 19j - 2, 4e4j):
+        z, along = k + root * c + root**2 * m, root / (2 * np.pi * 3.0)
+        branch = stiffness * along / (1 + along)
+        assert z[0, 0] - z[0, 1] ** 2 / z[1, 1] == pytest.approx(K0 * 25 / 16 + M0 * root**2 + branch, rel=1e-10)
+
+
+def with_parts(body):
+    parts = (
+        Part("spring", "stiffness", sp.csr_array(np.diag([1.0, 0.0, 0.0])), parameter("k"), (0.0, 0.0, 0.0)),
+        Part("spring", "mass", sp.csr_array(np.diag([0.0, 2.0, 0.0])), Monomial(3.0), (0.0, 0.0, 0.0)),
+    )
+    return replace(body, parts=parts)
+
+
+def test_parts_are_scaled_and_softened(body):
+    model, values = with_parts(body), {"k": 400.0, "e": 0.3, "s": 1e-3}
+    scaled = scaled_part(model, "stiffness", "spring", "e", -1.0)
+    assert scaled.coefficient(values) * scaled.matrix[0, 0] == pytest.approx(-0.3 * 400.0)
+    softened = softened_part(model, "spring", "s")
+    assert 400.0 + softened.coefficient(values) * softened.matrix[0, 0] == pytest.approx(1 / (1 / 400.0 + 1e-3))
+    assert scaled_part(model, "mass", "spring", "e").coefficient(values) == pytest.approx(0.9)
+    with pytest.raises(InputError, match="0 parts 'spring' of damping"):
+        part_of(model, "damping", "spring")
 
 
 def with_soft(body):

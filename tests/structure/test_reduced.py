@@ -5,12 +5,15 @@ import pickle
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from calib.errors import InputError
 from calib.measurement.modal import Sensor
+from calib.structure.affine import AffineMatrix, Term, parameter
 from calib.structure.basis import Basis
 from calib.structure.model import ModalModel
 from calib.structure.reduced import ReducedModel
+from calib.structure.reduced_matrix import reduce_matrix
 from calib.structure.training import train_basis
 
 POINT = {"k_upper": 61.0, "k_lower": 17.0, "k_rung": 1.1, "c_end": 44.0, "mass": 0.8, "place": 4.0}
@@ -97,7 +100,26 @@ def test_matrices_and_derivatives_are_projections(ladder, random_vectors):
     for name in model.space.names:
         pairs = zip(reduced.matrix_derivatives(POINT, name), model.matrix_derivatives(POINT, name), strict=True)
         for found, full in pairs:
-            np.testing.assert_allclose(found, v.T @ (full @ v), rtol=1e-10, atol=1e-9)
+            dense = found.toarray() if sp.issparse(found) else found
+            np.testing.assert_allclose(dense, v.T @ (full @ v), rtol=1e-10, atol=1e-9)
+
+
+def test_terms_that_touch_few_motions_and_many_are_projected_alike(random_vectors):
+    v, rng = random_vectors(60, 9), np.random.default_rng(3)
+    terms = []
+    for touched in (3, 40):
+        full, at = np.zeros((60, 60)), rng.choice(60, touched, replace=False)
+        part = rng.standard_normal((touched, touched))
+        full[np.ix_(at, at)] = part + part.T
+        terms.append(Term(f"{touched}", sp.csr_array(full), parameter(f"k{touched}")))
+    reduced = reduce_matrix(AffineMatrix(60, tuple(terms)), v)
+    assert [block.rows is None for block in reduced.blocks] == [False, True]
+    values = {"k3": 2.0, "k40": 0.5}
+    whole = sum(t.coefficient(values) * t.matrix for t in terms)
+    np.testing.assert_allclose(reduced(values), v.T @ whole @ v, atol=1e-12)
+    for term in terms:
+        found = reduced.derivative(values, f"k{term.name}")
+        np.testing.assert_allclose(found, v.T @ term.matrix @ v, atol=1e-12)
 
 
 @pytest.mark.parametrize("damped", [True, False])

@@ -91,23 +91,38 @@ class Alone:
         ]
 
     def field(self, motion: Callable[..., Sequence[Any]], bodies: Collection[str] | None = None) -> np.ndarray:
-        """Motion of bodies (all by default) by a function of x, y and z that gives three shifts and three turns."""
-        frame, d, node = self.base.locator.frame, self.base.dofs.direction, self.base.dofs.node
-        full = np.stack(np.broadcast_arrays(*motion(*frame.points.T)), axis=1)
-        own = np.array([bodies is None or frame.bodies[k] in bodies for k in node])
-        return np.where(own, full[node, d], 0.0)
+        """See `field_of`."""
+        return field_of(self.base, motion, bodies)
 
-    def rigid(
-        self, direction: int, bodies: Collection[str] | None = None, centre: Sequence[float] = (0.0, 0.0, 0.0)
-    ) -> np.ndarray:
-        """Motion of bodies (all by default) as one rigid piece, over the degrees of freedom there are."""
-        unit = np.eye(6)[direction]
+    def rigid(self, *arguments: Any) -> np.ndarray:
+        """See `rigid`."""
+        return rigid(self.base, *arguments)
 
-        def motion(*places: np.ndarray) -> list[Any]:
-            arms = np.stack(places, axis=1) - np.asarray(centre)
-            return [*(unit[:3] + np.cross(unit[3:], arms)).T, *unit[3:]]
 
-        return self.field(motion, bodies)
+def field_of(
+    model: StructuralModel, motion: Callable[..., Sequence[Any]], bodies: Collection[str] | None = None
+) -> np.ndarray:
+    """Motion of bodies (all by default) by a function of x, y and z that gives three shifts and three turns."""
+    frame, d, node = model.locator.frame, model.dofs.direction, model.dofs.node
+    full = np.stack(np.broadcast_arrays(*motion(*frame.points.T)), axis=1)
+    own = np.array([bodies is None or frame.bodies[k] in bodies for k in node])
+    return np.where(own, full[node, d], 0.0)
+
+
+def rigid(
+    model: StructuralModel,
+    direction: int,
+    bodies: Collection[str] | None = None,
+    centre: Sequence[float] = (0.0, 0.0, 0.0),
+) -> np.ndarray:
+    """Motion of bodies (all by default) as one rigid piece, over the degrees of freedom there are."""
+    unit = np.eye(6)[direction]
+
+    def motion(*places: np.ndarray) -> list[Any]:
+        arms = np.stack(places, axis=1) - np.asarray(centre)
+        return [*(unit[:3] + np.cross(unit[3:], arms)).T, *unit[3:]]
+
+    return field_of(model, motion, bodies)
 
 
 def energy(matrix: sp.csr_array, motion: np.ndarray) -> float:

@@ -38,14 +38,9 @@ def change(name, values, twin=False):
     return out
 
 
-def rigid(model, direction, bodies=None, centre=(0.0, 0.0, 0.0)):
-    """Motion of bodies (all by default) as one rigid piece, over the degrees of freedom there are."""
-    frame, d, node = model.locator.frame, model.dofs.direction, model.dofs.node
-    unit = np.eye(6)[direction]
-    moves = unit[:3] + np.cross(unit[3:], frame.points - np.asarray(centre))
-    full = np.hstack([moves, np.tile(unit[3:], (len(moves), 1))])
-    own = np.array([bodies is None or frame.bodies[k] in bodies for k in node])
-    return np.where(own, full[node, d], 0.0)
+@pytest.fixture
+def rigid(effect_checks):
+    return effect_checks.rigid
 
 
 def test_flexible_actuators_are_softer_supports(monkeypatch):
@@ -84,7 +79,7 @@ def test_soft_stretches_lower_the_stiffness_of_their_elements(name):
     assert mine > 0 and mine == pytest.approx(theirs, rel=0.1)
 
 
-def test_only_what_stands_on_the_ground_holds_a_bogie_that_rises():
+def test_only_what_stands_on_the_ground_holds_a_bogie_that_rises(rigid):
     up = rigid(base(), 1)
     for name, effect in EFFECTS.items():
         values = effect.grid[0] if effect.grid else {name: effect.plausible}
@@ -98,7 +93,7 @@ def test_only_what_stands_on_the_ground_holds_a_bogie_that_rises():
         assert weight == pytest.approx(expected, abs=1e-6), name
 
 
-def test_block_tilt_resists_a_block_that_tilts():
+def test_block_tilt_resists_a_block_that_tilts(rigid):
     tilted = rigid(base(), 3, {"block_left"}, (0.0, rig.BLOCK_Y, rig.BLOCK_Z))
     stiffness = change("block_tilt", {"block_tilt": 70.0})[0]
     assert tilted @ stiffness @ tilted == pytest.approx(70e3)
@@ -111,7 +106,7 @@ def test_blocks_and_rods_dissipate_as_they_store():
     assert abs(rods - 2e3 * (terms["K_rod_upper"] + terms["K_rod_lower"])).max() < 1e-9
 
 
-def test_one_corner_only():
+def test_one_corner_only(rigid):
     raised = rigid(base(), 1, {"axle_front", "box_front_left", "box_front_right"})
     springs = change("primary_uneven", {"primary_uneven": 0.25})[0]
     damper = change("weak_damper", {"weak_damper": 0.5})[1]
@@ -140,14 +135,14 @@ def test_wheel_contact_moves_from_one_wheel_to_the_other():
     assert abs(stiffness - expected).max() <= 1e-9 * abs(expected).max()
 
 
-def test_rolling_wheels_are_heavier_lengthwise():
+def test_rolling_wheels_are_heavier_lengthwise(rigid):
     ahead = rigid(base(), 0, {"axle_front"})
     mass = change("rolling_wheels", {"rolling_wheels": 1.0})[2]
     assert ahead @ mass @ ahead == pytest.approx(2 * 48.0 / 0.43**2)
 
 
 @pytest.mark.parametrize("twin", [False, True])
-def test_gear_case_off_the_middle_turns_on_an_arm(twin):
+def test_gear_case_off_the_middle_turns_on_an_arm(rigid, twin):
     model, centre, mass, e = base(twin), (AXLE_X, AXLE_Y, 0.0), 300.0, 0.2
     ahead, up = (rigid(model, d, {"axle_front"}) for d in (0, 1))
     about_x, about_y = (rigid(model, d, {"axle_front"}, centre) for d in (3, 4))
@@ -165,13 +160,13 @@ def test_gear_case_of_another_bogie_is_refused():
         extend(replace(base(), parts=strange), [EFFECTS["gear_case_offset"]])
 
 
-def test_torque_link_holds_the_axle_to_the_crossbar():
+def test_torque_link_holds_the_axle_to_the_crossbar(rigid):
     raised = rigid(base(), 1, {"axle_front"})
     stiffness = change("torque_link", {"torque_link": 500.0})[0]
     assert raised @ stiffness @ raised == pytest.approx(500e3)
 
 
-def test_stiff_bushes_resist_a_box_that_turns():
+def test_stiff_bushes_resist_a_box_that_turns(rigid):
     # Turned by 1, a box moves the ends of its rods by 1 times their height; either bush then turns against the line.
     turned = rigid(base(), 5, {"box_front_left"}, (AXLE_X, AXLE_Y, 1.05))
     own = [r for group in ("rod_upper", "rod_lower") for r in bogie(1.0).springs[group] if r.end[0] == "box_front_left"]
