@@ -272,8 +272,8 @@ def test_a_study_edited_while_running(mast, capsys, monkeypatch, workers, old, n
     load, loaded = Study.load, []
     file = mast / "study.toml"
 
-    def edited(path, adopted):
-        study = load(path, adopted)
+    def edited(path, *taken):
+        study = load(path, *taken)
         if not loaded:
             loaded.append(study)
             file.write_text(file.read_text().replace(old, new, 1))
