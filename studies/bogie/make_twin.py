@@ -92,7 +92,7 @@ def eight_modes(twin: StructuralModel, truth: dict[str, float], nominal: np.ndar
     best = similar.argmax(axis=1)
     if len(set(best)) < len(MODES) or similar.max(axis=1).min() < 0.6:
         return None
-    return Modes(modes.natural_freq[best], modes.damped_freq[best], modes.damping_ratio[best], modes.shapes[:, best])
+    return modes.subset(best)
 
 
 def scattered(modes: Modes, shapes: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

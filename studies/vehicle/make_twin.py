@@ -24,16 +24,13 @@ Noise is that of the bogie's twin.
 
 from __future__ import annotations
 
-import argparse
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from calib.limits import search_space, sensitivity_space
+from calib.loading import module_of
 from calib.mac import mac
 from calib.measurement.modal import Sensor
 from calib.settings import read_settings
@@ -54,18 +51,7 @@ THIRD_BENDING = 16.0
 ALIKE, BOGIES_ALIKE = 0.6, 0.5
 APART = 0.02
 
-
-def _module(path: Path) -> ModuleType:
-    name = f"{path.parent.name}_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-bogie = _module(HERE.parent / "bogie" / "make_twin.py")
+bogie = module_of(HERE.parent / "bogie" / "make_twin.py")
 
 
 def sensors() -> tuple[Sensor, ...]:
@@ -108,7 +94,7 @@ def named(model: StructuralModel, values: dict[str, float], layout: tuple[Sensor
     similar = mac(templates(layout), shapes)
     similar[: len(CAR), modes.natural_freq > THIRD_BENDING] = 0.0  # it looks more like the first than this itself
     index = linear_sum_assignment(-similar)[1]
-    return chosen(modes, index), shapes[:, index]
+    return modes.subset(index), shapes[:, index]
 
 
 def found(modes: Modes, shapes: np.ndarray, nominal: np.ndarray) -> np.ndarray | None:
@@ -138,13 +124,6 @@ def admissible(space: ParameterSpace, truth: dict[str, float]) -> bool:
     )
 
 
-def chosen(modes: Modes, index: np.ndarray) -> Modes:
-    """Some of the modes."""
-    return Modes(
-        modes.natural_freq[index], modes.damped_freq[index], modes.damping_ratio[index], modes.shapes[:, index]
-    )
-
-
 def drawn(first: int = 1) -> bogie.Twin:
     """The twin of the first seed, from a given one on, that makes a study."""
     coarse, layout = vehicle(), sensors()
@@ -163,7 +142,7 @@ def drawn(first: int = 1) -> bogie.Twin:
             continue
         modes = coarse.modes(truth, SOLVED)
         index = found(modes, coarse.sensor_rows(layout) @ modes.shapes, nominal)
-        if index is None or _error(initial, chosen(modes, index)) < INITIAL_ERROR:
+        if index is None or _error(initial, modes.subset(index)) < INITIAL_ERROR:
             continue
         # The finer mesh decides; the coarse one spares solving it for every seed.
         twin = vehicle(refine=2, distributed=True)
@@ -171,7 +150,7 @@ def drawn(first: int = 1) -> bogie.Twin:
         index = found(modes, rows @ modes.shapes, nominal)
         if index is None:
             continue
-        twelve = chosen(modes, index)
+        twelve = modes.subset(index)
         error = _error(initial, twelve)
         if error >= INITIAL_ERROR:
             return bogie.Twin(seed, truth, error, twelve, rows @ twelve.shapes, layout, rng)
@@ -182,17 +161,5 @@ def _error(initial: Modes, modes: Modes) -> float:
     return float(np.abs(initial.natural_freq / modes.natural_freq - 1)[: len(FITTED)].mean())
 
 
-def main() -> None:
-    """Draw a truth, measure the twin five times, write truth and repeats."""
-    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    arguments.add_argument("truth", type=Path, help="where the hidden values are written")
-    arguments.add_argument("--seed", type=int, default=1, help="first seed tried (default 1)")
-    arguments.add_argument("--into", type=Path, default=HERE / "measured", help="folder for the repeats")
-    given = arguments.parse_args()
-    twin = drawn(given.seed)
-    bogie.write_measurement(given.into, MODES, twin.modes, twin.shapes, twin.layout, twin.rng, "vehicle test")
-    bogie.write_truth(given.truth, MODES, twin)
-
-
 if __name__ == "__main__":
-    main()
+    bogie.write_twin((__doc__ or "").splitlines()[0], HERE, MODES, drawn, "vehicle test")
