@@ -177,7 +177,7 @@ class ReducedModel:
         parts = np.zeros((len(names), real.shape[1]))
         for i, name in enumerate(names):
             share = self._cluster_energy[name]
-            matrix = sum((factors[q] * block for q, block in share.blocks), start=np.zeros((self.n_dof, self.n_dof)))
+            matrix = share.matrix(factors)
             parts[i] = np.einsum("ij,ij->j", real, matrix @ real)
             for (factor, b, key), own in zip(picks, share.supports, strict=True):
                 if key in own:
@@ -191,19 +191,14 @@ class ReducedModel:
         return {name: self._energy_of(np.unique(members)) for name, members in self.model.clusters.items()}
 
     def _energy_of(self, members: np.ndarray) -> _ClusterEnergy:
-        vectors = self.basis.vectors
-        own = vectors[members]
-        blocks = []
-        for q, term in enumerate(self.model.stiffness.terms):
-            rows = sp.csr_array(term.matrix)[members]
-            if rows.nnz:
-                block = own.T @ (rows @ vectors)
-                blocks.append((q, 0.5 * (block + block.T)))
+        own = self.basis.vectors[members]
+        rows = {q: sp.csr_array(term.matrix)[members] for q, term in enumerate(self.model.stiffness.terms)}
         supports = tuple(
             {key: own.T @ b[members] for key, b in term.vectors.items() if np.any(b[members])}
             for term in self.model.stiffness.selected
         )
-        return _ClusterEnergy(tuple(blocks), supports)
+        touched = {q: matrix for q, matrix in rows.items() if matrix.nnz}
+        return _ClusterEnergy(self.basis.vectors, members, touched, supports)
 
     # -- rotations, asked only where there are zero roots --------------------------------------------------------------
 
@@ -253,10 +248,25 @@ class ReducedModel:
 
 @dataclass(frozen=True, eq=False)
 class _ClusterEnergy:
-    """What of the strain energy belongs to one cluster: blocks of terms, and V_c^T b_c of selected vectors."""
+    """What of the strain energy belongs to one cluster: its rows of every term, and V_c^T b_c of selected vectors."""
 
-    blocks: tuple[tuple[int, np.ndarray], ...]
+    vectors: np.ndarray
+    members: np.ndarray
+    rows: Mapping[int, sp.csr_array]
     supports: tuple[Mapping[tuple[int, ...], np.ndarray], ...]
+    _blocks: dict[int, np.ndarray] = field(init=False, repr=False, default_factory=dict)
+
+    def matrix(self, factors: Sequence[float]) -> np.ndarray:
+        """Symmetric part of ``V_c^T K_c V``; blocks are made of terms that count, which few of many do."""
+        out = np.zeros((self.vectors.shape[1],) * 2)
+        for q, rows in self.rows.items():
+            if not factors[q]:
+                continue
+            if q not in self._blocks:
+                block = self.vectors[self.members].T @ (rows @ self.vectors)
+                self._blocks[q] = 0.5 * (block + block.T)
+            out += factors[q] * self._blocks[q]
+        return out
 
 
 def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset: float) -> sp.csc_array:
