@@ -46,6 +46,8 @@ INSIDE = 0.9
 LEAST_MAC = 0.6
 VISIBLE = (8.0, 20.0)
 LEAST_FREQ_CHANGE, LARGEST_MAC = 0.01, 0.98
+MEASURABLE = 0.65
+"""A mode that is damped more than that would hardly be identified in a test."""
 MORE = 4
 """Modes of a twin solved beyond those that are named: others may come between."""
 
@@ -272,7 +274,7 @@ def _tried(specimen: Specimen, kind: Kind, rng: np.random.Generator) -> Drawn | 
     for effect in chosen:
         values |= draw_effect(effect, float(rng.uniform(*STRENGTHS)), rng)
     names, modes, shapes = specimen.solved(chosen, values, rng)
-    if names != specimen.modes:
+    if names != specimen.modes or modes.damping_ratio.max() > MEASURABLE:
         return None
     size: list[float] = []
     if chosen:
