@@ -62,7 +62,7 @@ def main() -> None:
     own = next(iter(found.values()))
     rows = [(name, *(f"{f:.3f}" for f in freq[:12])) for name, freq in found.items()]
     page.say(f"Lowest frequencies in Hz; the highest of ours is {own[-1]:.2f}:")
-    page.table(("", *map(str, range(1, 13))), rows)
+    page.table(("", *map(str, range(1, len(rows[0])))), rows)
 
 
 def of_vehicle(page: Page, modes: int, found: Frequencies, folder: Path) -> dict[str, Task]:
