@@ -82,10 +82,15 @@ def on_fresh_points(page: Page, reduced: ReducedModel, name: str, points: list[P
         f"highest damping ratio of the {count} modes is {max(m.damping_ratio.max() for m in found):.3f}; "
         f"{min(overdamped)} to {max(overdamped)} overdamped roots lie among them."
     )
-    true = np.concatenate([e.eigenvalue for e in errors])
+    true, said = (np.concatenate([getattr(e, name) for e in errors]) for name in ("eigenvalue", "indicator"))
+    bad = true > reduced.basis.tolerance
+    page.say(
+        f"Of {np.count_nonzero(bad)} eigenvalues beyond the tolerance the indicator tells "
+        f"{np.count_nonzero(said[bad] > reduced.basis.tolerance)}."
+    )
     above = true > 1e-6
     if above.any():
-        ratio = np.concatenate([e.indicator for e in errors])[above] / true[above]
+        ratio = said[above] / true[above]
         page.say(
             f"Indicator over true error, {np.count_nonzero(above)} modes above 1e-6: minimum {ratio.min():.2f}, "
             f"median {np.median(ratio):.2f}, maximum {ratio.max():.2f}."
