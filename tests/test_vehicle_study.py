@@ -81,7 +81,7 @@ def test_the_twin_stands_on_the_bogies_of_the_first_phase():
     assert set(ADOPTED) <= set(own) and all(TRUTH["parameters"][n] == BOGIE_TRUTH[n] for n in own)
 
 
-def test_initial_error_is_the_largest_that_the_limits_give(before):
+def test_initial_error_is_as_stated(before):
     assert before.measured.names == FITTED and len(before.pairing.paired) == 5
     assert TRUTH["initial_mean_freq_error"] >= 0.10
     assert np.abs(before.freq_error).mean() == pytest.approx(TRUTH["initial_mean_freq_error"], abs=0.01)

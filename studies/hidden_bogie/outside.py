@@ -9,8 +9,8 @@ import scipy.sparse as sp
 
 from calib.effect import Effect
 from calib.space import Parameter
-from calib.structure.affine import Monomial, Term, parameter
-from calib.structure.attach import between
+from calib.structure.affine import Term, parameter
+from calib.structure.attach import between, scaled_part
 from calib.structure.extend import Addition
 from calib.structure.model import PartKind, StructuralModel
 from models.railway.bogie import GIRDER_Y, UY, UZ
@@ -51,12 +51,8 @@ def scaled(name: str, kind: PartKind, parts: Sequence[str]) -> Build:
     """Stiffness or mass of some parts, changed in proportion."""
 
     def build(model: StructuralModel) -> Addition:
-        terms = []
-        for wanted in parts:
-            (part,) = (p for p in model.parts if p.name == wanted and p.kind == kind)
-            powers = (*part.coefficient.powers, (name, 1.0))
-            terms.append(Term(f"{name}: {wanted}", part.matrix, Monomial(part.coefficient.factor, powers)))
-        return Addition(mass=tuple(terms)) if kind == "mass" else Addition(stiffness=tuple(terms))
+        terms = tuple(scaled_part(model, kind, part, name) for part in parts)
+        return Addition(mass=terms) if kind == "mass" else Addition(stiffness=terms)
 
     return build
 
