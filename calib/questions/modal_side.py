@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from calib.correlation.mesh import elements_table, points_table
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.missing.advice import Prospects
@@ -115,8 +116,13 @@ class ModalSide:
         return {a.effect.name: (a.kind, a.place, a.sensor) for a in self.atoms}
 
     def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:
-        """``sensor_misfit``: whitened residuals of shapes by sensor; ``structure``: lines of the model's mesh."""
-        return {"sensor_misfit": self._sensors(stages), "structure": self._structure()}
+        """``sensor_misfit``: whitened residuals of shapes by sensor; ``mesh_points``, ``mesh_elements``: the mesh."""
+        assert isinstance(self.study.model, StructuralModel)
+        mesh = self.study.model.mesh
+        return {
+            "sensor_misfit": self._sensors(stages), "mesh_points": points_table(mesh),
+            "mesh_elements": elements_table(mesh),
+        }  # fmt: skip
 
     def _sensors(self, stages: dict[str, Trial]) -> pd.DataFrame:
         sensors = {s.name: s for s in self.hypotheses.problem.measured.sensors}
@@ -134,9 +140,3 @@ class ModalSide:
             )
         columns = ["stage", "mode", "sensor", "node", "direction", "x", "y", "z", "re", "im"]
         return pd.DataFrame(rows, columns=columns)
-
-    def _structure(self) -> pd.DataFrame:
-        assert isinstance(self.study.model, StructuralModel)
-        mesh = self.study.model.mesh
-        ends = np.hstack([mesh.points[mesh.lines[:, 0]], mesh.points[mesh.lines[:, 1]]])
-        return pd.DataFrame(ends, columns=["x0", "y0", "z0", "x1", "y1", "z1"]).assign(group=list(mesh.groups))

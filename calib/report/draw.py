@@ -16,7 +16,7 @@ from calib.report.calibration import draw_convergence, draw_parameters
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frequencies import draw_frequencies
-from calib.report.mesh import read_mesh
+from calib.report.mesh import read_mesh, rest_lines
 from calib.report.misfit import draw_strain, where_it_fails_figure
 from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
@@ -206,14 +206,13 @@ def _plan_explanation(folder: Path, add: _Add) -> None:
     if kinds is not None:
         caption = "where the model fails, beyond noise"
         add("where_it_fails_sigma", caption, lambda: where_it_fails_figure(kinds, name=name))
-    ends = ["x0", "y0", "z0", "x1", "y1", "z1"]
-    mesh = read("structure", [], ends, complete=ends)
+    rest = rest_lines(folder)
     sensors = read("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
-    if mesh is not None and sensors is not None and (sensors["stage"] == "base").any():
-        add("sensor_misfit", "misfit at the sensors, base model", lambda: sensor_misfit_figure(sensors, mesh))
+    if rest is not None and sensors is not None and (sensors["stage"] == "base").any():
+        add("sensor_misfit", "misfit at the sensors, base model", lambda: sensor_misfit_figure(sensors, rest))
     atoms = read("atoms", ["atom", "kind"], ["x", "y", "z", "score", "gamma"])
-    if mesh is not None and atoms is not None:
-        add("atom_map", "local changes that would fit, not causes", lambda: atom_map_figure(atoms, mesh))
+    if rest is not None and atoms is not None:
+        add("atom_map", "local changes that would fit, not causes", lambda: atom_map_figure(atoms, rest))
     if strain is not None:
         caption = "parameters under strain"
         add("parameters_under_strain", caption, lambda: _owner(draw_strain(strain, attempt=attempt)))

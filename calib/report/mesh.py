@@ -51,6 +51,11 @@ class Pieces(NamedTuple):
     kind: np.ndarray
     group: np.ndarray
 
+    @property
+    def strokes(self) -> np.ndarray:
+        """Lines and borders as pairs of points, (n, 2) rows of the table of points."""
+        return self.corners[self.kind != FACE, :2]
+
     def some(self, which: np.ndarray) -> Pieces:
         """Only those at ``which``."""
         return Pieces(self.corners[which], self.kind[which], self.group[which])
@@ -68,6 +73,12 @@ def read_mesh(folder: Path) -> Mesh | None:
     )
     check_mesh(mesh, elements)
     return mesh
+
+
+def rest_lines(folder: Path) -> np.ndarray | None:
+    """Return lines of a folder's mesh at rest, borders of shells included, (n, 2, 3) in metres; None without a mesh."""
+    mesh = read_mesh(folder)
+    return None if mesh is None else places(mesh)[pieces(mesh).strokes]
 
 
 def check_mesh(mesh: Mesh, path: Path) -> None:

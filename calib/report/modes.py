@@ -133,8 +133,7 @@ def draw_model_mode(
     kind = shown.kind[:, None]
     faces = np.where(kind == FACE, colours, 0.0)
     edges = np.where(kind == BORDER, to_rgba(_BORDER), colours)
-    strokes = rest[shown.corners[shown.kind != FACE, :2]]
-    plot_lines(ax, strokes, color=REST, linewidth=0.5, gid="undeformed", zorder=1)
+    plot_lines(ax, rest[shown.strokes], color=REST, linewidth=0.5, gid="undeformed", zorder=1)
     draw_pieces(ax, moved[shown.corners], shown.kind, faces, edges, _WIDTHS[shown.kind], "deformed")
     frame_panel(ax, np.concatenate([rest[seen], moved[seen]]), title)
     return ax

@@ -6,7 +6,6 @@ import math
 from typing import cast
 
 import numpy as np
-import pandas as pd
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -95,11 +94,6 @@ def frame_scene(ax: Axes3D, points: np.ndarray, heading: float = 0.0) -> None:
     ax.set_box_aspect(size, zoom=_FILLED * float((room / np.maximum(filled, 1e-9)).min()))
     for artist in (*ax.lines, *ax.collections):
         artist.set_clip_on(False)
-
-
-def segments(structure: pd.DataFrame) -> np.ndarray:
-    """Return the lines of the mesh, (n, 2, 3) in metres, from columns ``x0..z0, x1..z1``."""
-    return structure[["x0", "y0", "z0", "x1", "y1", "z1"]].to_numpy(dtype=float).reshape(-1, 2, 3)
 
 
 def new_figure(height: float, foot: float = FOOT) -> Figure:

@@ -64,8 +64,7 @@ def draw_mode_shape(
     place, measured = measured_motions(shapes)
     at, moves = np.concatenate([rest[seen], place]), np.concatenate([motion[seen], measured])
     scale = motion_scale(at, moves, thickness(mesh))
-    strokes = parts.corners[parts.kind != FACE, :2]
-    plot_lines(ax, rest[strokes], color=REST, linewidth=0.8, gid="undeformed", zorder=1)
+    plot_lines(ax, rest[parts.strokes], color=REST, linewidth=0.8, gid="undeformed", zorder=1)
     if len(deflection):
         is_face = (parts.kind == FACE)[:, None]
         faces = np.where(is_face, to_rgba(_PALE), 0.0)

@@ -31,7 +31,6 @@ from calib.report.scene import (
     plot_coordinates,
     plot_lines,
     seen_size,
-    segments,
     show_axes,
 )
 from calib.report.shapes import measured_motions
@@ -70,7 +69,7 @@ def sensor_rms(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw_sensor_misfit(
-    table: pd.DataFrame, structure: pd.DataFrame, ax: Axes3D | None = None, *, stage: str = "base"
+    table: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None, *, stage: str = "base"
 ) -> Axes3D:
     """Draw every sensor's residual over all modes on the structure.
 
@@ -79,8 +78,8 @@ def draw_sensor_misfit(
     table : DataFrame
         Columns ``stage, mode, sensor, direction`` (x, y or z), ``x, y, z`` (m), ``re, im`` (sigma). Sensors without a
         place are not drawn.
-    structure : DataFrame
-        Lines of the mesh, ends ``x0, y0, z0, x1, y1, z1`` (m).
+    rest : ndarray (n, 2, 3)
+        Lines of the mesh, in metres.
     ax : Axes3D, optional
     stage : str
         The rows to draw.
@@ -93,7 +92,6 @@ def draw_sensor_misfit(
         three are numbered.
     """
     ax = new_axes(ax)
-    rest = segments(structure)
     sensors = sensor_rms(table[table["stage"] == stage]).dropna()
     place = sensors[PLACE].to_numpy(dtype=float)
     rms = sensors["rms"].to_numpy(dtype=float)
@@ -109,7 +107,7 @@ def draw_sensor_misfit(
 
 
 def draw_mode_misfit(
-    table: pd.DataFrame, structure: pd.DataFrame, ax: Axes3D | None = None, *, scale: float | None = None
+    table: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None, *, scale: float | None = None
 ) -> Axes3D:
     """Draw one mode's residual at the sensors as arrows.
 
@@ -117,8 +115,8 @@ def draw_mode_misfit(
     ----------
     table : DataFrame
         Rows of one mode and stage, columns as for `draw_sensor_misfit`. Sensors at one place make one arrow.
-    structure : DataFrame
-        Lines of the mesh, ends ``x0, y0, z0, x1, y1, z1`` (m).
+    rest : ndarray (n, 2, 3)
+        Lines of the mesh, in metres.
     ax : Axes3D, optional
     scale : float, optional
         Metres a sigma; without it, the longest arrow is a tenth of the structure's diagonal.
@@ -129,7 +127,6 @@ def draw_mode_misfit(
         Lines with the gids ``structure``, ``re`` and ``im`` (from the place to the tip), and ``re tip``, ``im tip``.
     """
     ax = new_axes(ax)
-    rest = segments(structure)
     arrows = {part: measured_motions(table.assign(measured_re=table[part])) for part in ("re", "im")}
     everything = np.concatenate([rest.reshape(-1, 3), *[place for place, _ in arrows.values()]])
     if scale is None:
@@ -147,12 +144,12 @@ def draw_mode_misfit(
     return ax
 
 
-def sensor_misfit_figure(table: pd.DataFrame, structure: pd.DataFrame, *, stage: str = "base") -> Figure:
+def sensor_misfit_figure(table: pd.DataFrame, rest: np.ndarray, *, stage: str = "base") -> Figure:
     """Draw the sensors over all modes, and under them the arrows of the three worst modes on one scale.
 
     Parameters
     ----------
-    table, structure : DataFrame
+    table : DataFrame
         As for `draw_sensor_misfit`.
     stage : str
         The rows to draw.
@@ -160,18 +157,18 @@ def sensor_misfit_figure(table: pd.DataFrame, structure: pd.DataFrame, *, stage:
     rows = table[(table["stage"] == stage) & table[PLACE].notna().all(axis=1)]
     by_mode = {str(mode): part for mode, part in rows.groupby("mode", sort=False)}
     worst = sorted(by_mode, key=lambda mode: -np.nan_to_num(_rms(by_mode[mode])))[:3]
-    points = _everything(structure, rows)
+    points = _everything(rest, rows)
     wide, high = seen_size(points, largest_drawn(points))
     upper = min(WIDTH * high / wide + 2 * HEADING, 4.4)
     lower = min(WIDTH / 3 * high / wide + 2 * HEADING, WIDTH / 3) if worst else 0.0
     figure = new_figure(upper + lower + FOOT)
     grid = figure.add_gridspec(2 if worst else 1, 3, height_ratios=[upper, lower] if worst else None)
-    main = draw_sensor_misfit(table, structure, figure.add_subplot(grid[0, :], projection="3d"), stage=stage)
+    main = draw_sensor_misfit(table, rest, figure.add_subplot(grid[0, :], projection="3d"), stage=stage)
     shown = [by_mode[mode] for mode in worst]
     motions = [measured_motions(t.assign(measured_re=t[part]))[1] for t in shown for part in ("re", "im")]
     scale = motion_scale(points, np.concatenate(motions)) if motions else None
     for k, part in enumerate(shown):
-        draw_mode_misfit(part, structure, figure.add_subplot(grid[1, k], projection="3d"), scale=scale)
+        draw_mode_misfit(part, rest, figure.add_subplot(grid[1, k], projection="3d"), scale=scale)
     show_axes(figure)
     height = float(figure.get_size_inches()[1])
     if motions:
@@ -193,7 +190,7 @@ def sensor_misfit_figure(table: pd.DataFrame, structure: pd.DataFrame, *, stage:
 
 def draw_atoms(
     table: pd.DataFrame,
-    structure: pd.DataFrame,
+    rest: np.ndarray,
     ax: Axes3D | None = None,
     *,
     kind: str = "stiffness",
@@ -207,8 +204,8 @@ def draw_atoms(
     table : DataFrame
         Columns ``atom, kind, x, y, z`` (m) and ``score`` (signed, in standard deviations; NaN where calibration absorbs
         the change). Changes without a place are not drawn.
-    structure : DataFrame
-        Lines of the mesh, ends ``x0, y0, z0, x1, y1, z1`` (m).
+    rest : ndarray (n, 2, 3)
+        Lines of the mesh, in metres.
     ax : Axes3D, optional
     kind : str
         The rows to draw.
@@ -223,7 +220,6 @@ def draw_atoms(
         Circles with the gid ``score``, the largest at the back, and small crosses with the gid ``absorbed``.
     """
     ax = new_axes(ax)
-    rest = segments(structure)
     rows = table[(table["kind"] == kind) & table[PLACE].notna().all(axis=1)]
     rows = rows.iloc[np.argsort(-rows["score"].abs().to_numpy(dtype=float), kind="stable")]
     limit = score_limit(table) if limit is None else limit
@@ -250,17 +246,17 @@ def best_atoms(table: pd.DataFrame, count: int = 3) -> pd.DataFrame:
     return placed.iloc[np.argsort(-placed["score"].abs().to_numpy(dtype=float), kind="stable")[:count]]
 
 
-def atom_map_figure(table: pd.DataFrame, structure: pd.DataFrame) -> Figure:
+def atom_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     """Draw one panel of `draw_atoms` a kind and name the three best; they are places that would fit, not causes.
 
     Parameters
     ----------
-    table, structure : DataFrame
+    table : DataFrame
         As for `draw_atoms`, and a column ``gamma`` (share of the fingerprint that calibration cannot absorb).
     """
     kinds = [k for k in (*ATOM_KINDS, *sorted(set(table["kind"]) - {*ATOM_KINDS})) if (table["kind"] == k).any()]
     kinds = kinds or [ATOM_KINDS[0]]
-    shown = _everything(structure, table)
+    shown = _everything(rest, table)
     wide, high = seen_size(shown, 0.3 * largest_drawn(shown))
     # A long low structure is seen best with the panels over one another.
     columns = 1 if high < 0.28 * wide or len(kinds) == 1 else min(len(kinds), 2)
@@ -277,7 +273,7 @@ def atom_map_figure(table: pd.DataFrame, structure: pd.DataFrame) -> Figure:
     limit = score_limit(table)
     for k, kind in enumerate(kinds):
         ax = figure.add_subplot(grid[k // columns, k % columns], projection="3d")
-        draw_atoms(table, structure, ax, kind=kind, limit=limit, best=best)
+        draw_atoms(table, rest, ax, kind=kind, limit=limit, best=best)
     show_axes(figure)
     height = float(figure.get_size_inches()[1])
     figure.text(4.5 / WIDTH, (FOOT + 0.02) / height, words, fontsize=8.5, va="bottom")
@@ -286,9 +282,9 @@ def atom_map_figure(table: pd.DataFrame, structure: pd.DataFrame) -> Figure:
     return figure
 
 
-def _everything(structure: pd.DataFrame, placed: pd.DataFrame) -> np.ndarray:
+def _everything(rest: np.ndarray, placed: pd.DataFrame) -> np.ndarray:
     """Ends of the mesh's lines and the places of a table."""
-    return np.concatenate([segments(structure).reshape(-1, 3), placed[PLACE].dropna().to_numpy(dtype=float)])
+    return np.concatenate([rest.reshape(-1, 3), placed[PLACE].dropna().to_numpy(dtype=float)])
 
 
 def _in_words(number: int, row: dict[Hashable, Any]) -> str:

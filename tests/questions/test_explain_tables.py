@@ -17,7 +17,7 @@ from calib.study import Study
 ROOT = Path(__file__).resolve().parents[2]
 ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired"]
 COMMON = {"effects", "errors", "atoms", "confounding", "strain", "misfit_kinds", "tried", "next_measurement"}
-MODAL = COMMON | {"sensor_misfit", "structure"}
+MODAL = COMMON | {"sensor_misfit", "mesh_points", "mesh_elements"}
 GROUND = {"measured", "assumptions", "parameter_space"}
 """What every answer stands on."""
 

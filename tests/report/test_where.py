@@ -20,8 +20,8 @@ DIAGONAL = np.sqrt(4.0**2 + 1.0**2 + 2.0**2)
 
 @pytest.fixture
 def structure():
-    rows = [(0, 0, -1, 4, 0, -1, "frame"), (4, 0, -1, 4, 1, 1, "frame")]
-    return pd.DataFrame(rows, columns="x0 y0 z0 x1 y1 z1 group".split())
+    """Two lines."""
+    return np.array([[[0.0, 0.0, -1.0], [4.0, 0.0, -1.0]], [[4.0, 0.0, -1.0], [4.0, 1.0, 1.0]]])
 
 
 @pytest.fixture

@@ -14,7 +14,8 @@ from calib.report.html.answers import Answers
 from calib.report.html.look import add_matrix, filled, name_axis, new, number_axis, shown, wrapped
 from calib.report.html.numbers import counted, fixed, flag, significant, with_unit
 from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
-from calib.report.html.space import AXES_TOLD, add_dots, new_space, rest_lines
+from calib.report.html.space import AXES_TOLD, add_dots, new_space
+from calib.report.mesh import rest_lines
 from calib.report.style import BLACK, BLUE, GREY, ORANGE, REST, SKY
 
 NUMBERS = (
@@ -225,7 +226,7 @@ def _local_changes(answers: Answers) -> list[Block]:
     if len(placed):
         points, score = placed[["x", "y", "z"]].to_numpy(dtype=float), placed["score"].to_numpy(dtype=float)
         reach = float(np.abs(score).max()) or 1.0
-        figure = new_space(rest_lines(answers), points)
+        figure = new_space(rest_lines(answers.folder), points)
         marker = {
             "color": score, "colorscale": "RdBu_r", "cmin": -reach, "cmax": reach, "line": {"color": BLACK, "width": 1},
             "size": 4 + 16 * np.abs(score) / reach, "colorbar": {"title": {"text": "score z"}, "thickness": 14},

@@ -11,7 +11,8 @@ from calib.report.html.compared import COLOURS
 from calib.report.html.look import PATTERNS, add_matrix, filled, name_axis, new, number_axis, shown
 from calib.report.html.numbers import chance, fixed, significant
 from calib.report.html.page import Block, Plot, Section, Table, Words
-from calib.report.html.space import AXES_TOLD, add_dots, new_space, rest_lines
+from calib.report.html.space import AXES_TOLD, add_dots, new_space
+from calib.report.mesh import rest_lines
 from calib.report.misfit import KINDS
 from calib.report.misfit import STAGES as MODELS
 from calib.report.style import REST, added
@@ -130,7 +131,7 @@ def _sensors(answers: Answers) -> list[Block]:
         return []
     points, rms = found[["x", "y", "z"]].to_numpy(dtype=float), found["rms"].to_numpy(dtype=float)
     words = [f"{r['sensor']}: {fixed(r['rms'], 2)} times its scatter" for r in found.to_dict("records")]
-    figure = new_space(rest_lines(answers), points)
+    figure = new_space(rest_lines(answers.folder), points)
     largest = max(3.0, float(rms.max()))
     marker = {
         "color": rms, "colorscale": "YlOrRd", "cmin": 0.0, "cmax": largest, "size": 5.0 + 15.0 * rms / largest,

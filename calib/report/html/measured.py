@@ -8,7 +8,8 @@ import pandas as pd
 from calib.report.html.answers import Answers
 from calib.report.html.numbers import counted, fixed, flag, percent, significant, yes
 from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
-from calib.report.html.space import AXES_TOLD, add_dots, new_space, rest_lines
+from calib.report.html.space import AXES_TOLD, add_dots, new_space
+from calib.report.mesh import rest_lines
 from calib.report.style import BLUE, MEASURED
 
 USED = ("withheld", "used")
@@ -126,7 +127,7 @@ def _map(answers: Answers, table: pd.DataFrame) -> list[Block]:
     points = placed[["x", "y", "z"]].to_numpy(dtype=float)
     held = np.array([flag(value) for value in placed["withheld"]])
     words = [f"{s} (direction {d})" for s, d in zip(placed["sensor"], placed["direction"], strict=True)]
-    figure = new_space(rest_lines(answers), points)
+    figure = new_space(rest_lines(answers.folder), points)
     for mask, name, marker in (
         (~held, "used", {"color": BLUE, "size": 5}),
         (held, "withheld", {"color": MEASURED, "size": 6, "symbol": "diamond"}),

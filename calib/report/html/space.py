@@ -11,8 +11,8 @@ import plotly.graph_objects as go
 from calib.report.html.answers import STAGES, Answers
 from calib.report.html.look import FONT, new, shown
 from calib.report.html.numbers import fixed
-from calib.report.mesh import FACE, Mesh, Pieces, motions, pieces, places, read_mesh, thickness
-from calib.report.scene import motion_scale, plot_coordinates, segments, view_directions
+from calib.report.mesh import FACE, Mesh, motions, pieces, places, read_mesh, thickness
+from calib.report.scene import motion_scale, plot_coordinates, view_directions
 from calib.report.shapes import measured_motions
 from calib.report.style import BLUE, MEASURED, REST
 
@@ -21,21 +21,6 @@ _HEIGHT = 460
 _ROOM = (3.3, 1.5)
 """Width and height that a figure shows, in the library's own unit, which a parallel view does not scale."""
 _DIGITS = 5
-
-
-def rest_lines(answers: Answers) -> np.ndarray | None:
-    """Return lines of the model at rest, borders of shells included, (n, 2, 3) in metres; None without a table."""
-    mesh = read_mesh(answers.folder)
-    if mesh is not None:
-        return places(mesh)[strokes(pieces(mesh))]
-    ends = [f"{axis}{end}" for end in (0, 1) for axis in "xyz"]
-    table = answers.table("structure", [], ends, complete=ends)
-    return None if table is None else segments(table)
-
-
-def strokes(parts: Pieces) -> np.ndarray:
-    """Return lines and borders as pairs of points, (n, 2) rows of the table of points."""
-    return parts.corners[parts.kind != FACE, :2]
 
 
 def new_space(lines: np.ndarray | None, points: np.ndarray) -> go.Figure:
@@ -164,7 +149,7 @@ def _stage(answers: Answers, mesh: Mesh, stage: str) -> dict[str, Any] | None:
         "modes": out,
         "view": scene_layout(np.concatenate(reached)),
         "points": _numbers(points),
-        "lines": row[strokes(parts)].tolist(),
+        "lines": row[parts.strokes].tolist(),
         "triangles": np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]]).T.tolist(),
     }
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from calib.report.html.answers import Answers
-from calib.report.html.space import directions, new_space, rest_lines, scene, scene_layout
+from calib.report.html.space import directions, new_space, scene, scene_layout
 from calib.report.scene import plot_coordinates, view_directions
 
 PLACE, MOTION = ["x", "y", "z"], ["u", "v", "w"]
@@ -79,16 +79,6 @@ def test_the_view_keeps_equal_scales_and_holds_all_points(size):
     eye = np.array([look["camera"]["eye"][axis] for axis in "xyz"])
     np.testing.assert_allclose(view_directions() @ eye, 0.0, atol=1e-12)
     assert eye[2] > 0  # from above
-
-
-def test_lines_at_rest_come_from_the_mesh_or_from_the_explanation(everything, folder):
-    table = pd.read_csv(everything / "structure.csv")
-    ends = table[["x0", "y0", "z0", "x1", "y1", "z1"]].to_numpy().reshape(-1, 2, 3)
-    np.testing.assert_allclose(rest_lines(Answers(everything, "", True)), ends, atol=1e-9)
-    (folder / "mesh_points.csv").unlink()
-    np.testing.assert_allclose(rest_lines(Answers(folder, "", True)), ends)
-    (folder / "structure.csv").unlink()
-    assert rest_lines(Answers(folder, "", True)) is None
 
 
 def test_directions_stand_along_the_axes():
