@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -155,12 +156,6 @@ class AffineMatrix:
     n_dof: int
     terms: tuple[Term, ...]
     selected: tuple[SelectedTerm, ...] = ()
-    _indptr: np.ndarray = field(init=False, repr=False, compare=False)
-    _indices: np.ndarray = field(init=False, repr=False, compare=False)
-    _stack: sp.csr_array = field(init=False, repr=False, compare=False)
-    _picks: tuple[Mapping[tuple[int, ...], tuple[np.ndarray, np.ndarray]], ...] = field(
-        init=False, repr=False, compare=False
-    )
 
     def __post_init__(self) -> None:
         n = self.n_dof
@@ -173,6 +168,11 @@ class AffineMatrix:
                     place="model matrices",
                     remedy="check the sections and coordinates of that group",
                 )
+
+    @cached_property
+    def _pattern(self) -> _Pattern:
+        """Made when first asked for: a model that is only projected on a few vectors never needs it."""
+        n = self.n_dof
         blocks = [{key: _outer(b) for key, b in s.vectors.items()} for s in self.selected]
         coos = [sp.coo_array(term.matrix) for term in self.terms]
         entries = [(coo.row, coo.col) for coo in coos]
@@ -181,16 +181,16 @@ class AffineMatrix:
         keys = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(_key(r, c, n) for r, c in entries)]))
         # Entries over terms, (n_entries, n_terms): most terms touch few of the entries.
         rows = [np.searchsorted(keys, _key(coo.row, coo.col, n)) for coo in coos]
-        stack = _stacked(rows, [coo.data for coo in coos], len(keys))
         picks = [
             {key: (np.searchsorted(keys, _key(rows, cols, n)), data) for key, (rows, cols, data) in options.items()}
             for options in blocks
         ]
-        indptr = np.searchsorted(keys, np.arange(n + 1, dtype=np.int64) * n).astype(np.int32)
-        object.__setattr__(self, "_indptr", indptr)
-        object.__setattr__(self, "_indices", (keys % n).astype(np.int32))
-        object.__setattr__(self, "_stack", stack)
-        object.__setattr__(self, "_picks", tuple(picks))
+        return _Pattern(
+            indptr=np.searchsorted(keys, np.arange(n + 1, dtype=np.int64) * n).astype(np.int32),
+            indices=(keys % n).astype(np.int32),
+            stack=_stacked(rows, [coo.data for coo in coos], len(keys)),
+            picks=tuple(picks),
+        )
 
     @property
     def is_zero(self) -> bool:
@@ -199,38 +199,47 @@ class AffineMatrix:
 
     def __call__(self, values: Mapping[str, float]) -> sp.csc_array:
         """The matrix at parameters in SI, shape (n_dof, n_dof)."""
-        coefficients = np.array([t.coefficient(values) for t in self.terms])
-        data = self._stack @ coefficients
-        for term, pick in zip(self.selected, self._picks, strict=True):
-            where, entries = pick[term.choice(values)]
-            data[where] += term.coefficient(values) * entries
-        return sp.csc_array((data, self._indices, self._indptr), shape=(self.n_dof, self.n_dof))
+        factors = [t.coefficient(values) for t in self.terms]
+        return self._sum(factors, [t.coefficient(values) for t in self.selected], values)
 
     def derivative(self, values: Mapping[str, float], name: str) -> sp.csc_array:
         """Derivative of the matrix with respect to one parameter in SI, shape (n_dof, n_dof).
 
         A discrete parameter that selects a vector has none: it counts as fixed.
         """
-        slopes = np.array([t.coefficient.derivative(values, name) for t in self.terms])
-        data = self._stack @ slopes
-        for term, pick in zip(self.selected, self._picks, strict=True):
-            slope = term.coefficient.derivative(values, name)
-            if slope:
-                where, entries = pick[term.choice(values)]
-                data[where] += slope * entries
-        return sp.csc_array((data, self._indices, self._indptr), shape=(self.n_dof, self.n_dof))
+        slopes = [t.coefficient.derivative(values, name) for t in self.terms]
+        return self._sum(slopes, [t.coefficient.derivative(values, name) for t in self.selected], values)
+
+    def _sum(self, factors: list[float], picked: list[float], values: Mapping[str, float]) -> sp.csc_array:
+        pattern = self._pattern
+        data = pattern.stack @ np.array(factors)
+        for term, factor, pick in zip(self.selected, picked, pattern.picks, strict=True):
+            where, entries = pick[term.choice(values)]
+            if factor:
+                data[where] += factor * entries
+        return sp.csc_array((data, pattern.indices, pattern.indptr), shape=(self.n_dof, self.n_dof))
 
     def digest(self) -> bytes:
         """Hash over every term, for the model's fingerprint."""
         out = hashlib.sha256(repr((self.n_dof, [(t.name, t.coefficient) for t in self.terms])).encode())
-        stack = self._stack
-        for array in (self._indptr, self._indices, stack.indptr, stack.indices, stack.data):
+        stack = self._pattern.stack
+        for array in (self._pattern.indptr, self._pattern.indices, stack.indptr, stack.indices, stack.data):
             out.update(np.ascontiguousarray(array).tobytes())
         for term in self.selected:
             out.update(repr((term.name, term.coefficient, term.selectors, sorted(term.vectors))).encode())
             for key in sorted(term.vectors):
                 out.update(np.ascontiguousarray(term.vectors[key], dtype=float).tobytes())
         return out.digest()
+
+
+@dataclass(frozen=True, eq=False)
+class _Pattern:
+    """The sparsity all terms share, their entries on it (n_entries, n_terms), and those of every selected vector."""
+
+    indptr: np.ndarray
+    indices: np.ndarray
+    stack: sp.csr_array
+    picks: tuple[Mapping[tuple[int, ...], tuple[np.ndarray, np.ndarray]], ...]
 
 
 def _stacked(rows: list[np.ndarray], entries: list[np.ndarray], size: int) -> sp.csr_array:

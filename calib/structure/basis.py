@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -116,6 +116,36 @@ class Basis:
         point = np.array([values[name] for name in self.names])
         slack = 1e-9 * np.maximum(np.abs(self.lower), np.abs(self.upper))
         return bool(np.all((point >= self.lower - slack) & (point <= self.upper + slack)))
+
+    def carried(self, space: ParameterSpace, n_dof: int) -> Basis:
+        """The same for an extension of the model, whose own degrees of freedom and parameters come first.
+
+        Parameters
+        ----------
+        space : ParameterSpace
+            Of the extension; its further parameters are free within their limits.
+        n_dof : int
+            Of the extension; its further degrees of freedom stand for themselves.
+        """
+        more = n_dof - len(self.vectors)
+        vectors = np.zeros((n_dof, self.size + more))
+        vectors[: n_dof - more, : self.size] = self.vectors
+        vectors[n_dof - more :, self.size :] = np.eye(more)
+        own = space.parameters[len(self.names) :]
+
+        def wider(array: np.ndarray, ends: list[float]) -> np.ndarray:
+            return np.hstack([array, np.broadcast_to(ends, (*array.shape[:-1], len(own)))])
+
+        return replace(
+            self,
+            vectors=vectors,
+            names=space.names,
+            reference=wider(self.reference, [p.value for p in own]),
+            lower=wider(self.lower, [p.lower for p in own]),
+            upper=wider(self.upper, [p.upper for p in own]),
+            samples=wider(self.samples, [p.value for p in own]),
+            count=self.count + more,
+        )
 
     # -- files ---------------------------------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ from calib.space import ParameterSpace
 from calib.structure.modes import Modes
 
 Matrix = Any
-"""A dense ndarray or a SciPy sparse array, shape (n_dof, n_dof), symmetric."""
+"""A dense ndarray or a SciPy sparse array, shape (n_dof, n_dof), symmetric; a derivative need only be multiplied."""
 
 NEIGHBOUR = 0.1
 """Roots nearer than this part of their modulus are solved as one group: the bordered matrix then stays regular."""

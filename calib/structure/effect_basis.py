@@ -69,31 +69,6 @@ def effect_basis(
     return replace(basis, vectors=vectors, version=basis.version + 1)
 
 
-def carried(basis: Basis, model: StructuralModel) -> Basis:
-    """A basis of a model for an extension of that model: degrees of freedom that were added stand for themselves."""
-    n = len(basis.vectors)
-    more = model.n_dof - n
-    vectors = np.zeros((model.n_dof, basis.size + more))
-    vectors[:n, : basis.size] = basis.vectors
-    vectors[n:, basis.size :] = np.eye(more)
-    own = model.space.parameters[len(basis.names) :]
-
-    def wider(array: np.ndarray, ends: list[float]) -> np.ndarray:
-        return np.hstack([array, np.broadcast_to(ends, (*array.shape[:-1], len(own)))])
-
-    return replace(
-        basis,
-        vectors=vectors,
-        model_fingerprint=model.fingerprint,
-        names=model.space.names,
-        reference=wider(basis.reference, [p.value for p in own]),
-        lower=wider(basis.lower, [p.lower for p in own]),
-        upper=wider(basis.upper, [p.upper for p in own]),
-        samples=wider(basis.samples, [p.value for p in own]),
-        count=basis.count + more,
-    )
-
-
 def _looked_at(effect: Effect) -> Iterator[Mapping[str, float]]:
     """Strengths and nuisance values at which modes are solved."""
     if effect.grid:

@@ -128,6 +128,10 @@ class _Placed:
     def wider(self, matrix: sp.csr_array) -> sp.csr_array:
         if matrix.shape == (self.total, self.total):
             return matrix
+        if self.first == self.own:  # what is added follows at once: the entries are shared, not copied
+            ends = np.full(self.total - len(matrix.indptr) + 1, matrix.indptr[-1], dtype=matrix.indptr.dtype)
+            indptr = np.concatenate([matrix.indptr, ends])
+            return sp.csr_array((matrix.data, matrix.indices, indptr), shape=(self.total, self.total))
         coo = sp.coo_array(matrix)
         where = (self.index(coo.row), self.index(coo.col))
         return sp.csr_array(sp.coo_array((coo.data, where), shape=(self.total, self.total)))

@@ -16,6 +16,7 @@ from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.modes import Modes
+from calib.structure.reduced_matrix import ReducedSlope
 from calib.structure.solve import solve_modes
 
 
@@ -106,6 +107,9 @@ class Part:
 Matrix = sp.csc_array | np.ndarray
 """A square matrix of a model, sparse or dense."""
 
+MatrixSlope = sp.csc_array | np.ndarray | ReducedSlope
+"""A derivative of one: it multiplies shapes, and ``abs`` tells the sizes of its entries."""
+
 
 class Locator(Protocol):
     """Finds points of the geometry on a model."""
@@ -182,7 +186,9 @@ class ModalModel(Protocol):
         """K, C, M, each (n_dof, n_dof), sparse or dense."""
         ...
 
-    def matrix_derivatives(self, values: Mapping[str, float], name: str) -> tuple[Matrix, Matrix, Matrix]:
+    def matrix_derivatives(
+        self, values: Mapping[str, float], name: str
+    ) -> tuple[MatrixSlope, MatrixSlope, MatrixSlope]:
         """dK, dC, dM with respect to one parameter, per one of its own unit; whole-number parameters count as fixed."""
         ...
 

@@ -12,16 +12,18 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
+from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import Sensor
 from calib.space import ParameterSpace
-from calib.structure.affine import AffineMatrix
+from calib.structure.affine import AffineMatrix, Term
 from calib.structure.basis import Basis
 from calib.structure.energy import shares_of, strain_energy
+from calib.structure.extend import extend
 from calib.structure.inertia import symmetric_factor
-from calib.structure.model import Assumption, Matrix, Mesh, StructuralModel
+from calib.structure.model import Assumption, Mesh, StructuralModel
 from calib.structure.modes import Modes
-from calib.structure.reduced_matrix import ReducedMatrix, reduce_matrix
+from calib.structure.reduced_matrix import ReducedMatrix, ReducedSlope, reduce_matrix
 from calib.structure.solve_dense import solve_dense
 
 
@@ -38,6 +40,8 @@ class ReducedModel:
     ----------
     model : StructuralModel
     basis : Basis
+    inner : ReducedModel, optional
+        What ``model`` extends and ``basis`` carries on: its projections are shared, see `extended`.
 
     Raises
     ------
@@ -47,23 +51,30 @@ class ReducedModel:
 
     model: StructuralModel
     basis: Basis
+    inner: ReducedModel | None = None
     _stiffness: ReducedMatrix = field(init=False, repr=False)
     _damping: ReducedMatrix = field(init=False, repr=False)
     _mass: ReducedMatrix = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.basis.model_fingerprint != self.model.fingerprint:
+        if self.inner is None and self.basis.model_fingerprint != self.model.fingerprint:
             raise InputError(
                 "the reduced basis belongs to another model or to an earlier state of it",
                 place=f"model {self.model.name}",
                 remedy="train it anew",
             )
         for name in ("stiffness", "damping", "mass"):
-            object.__setattr__(self, f"_{name}", reduce_matrix(getattr(self.model, name), self.basis.vectors))
+            known = () if self.inner is None else getattr(self.inner, f"_{name}").blocks
+            object.__setattr__(self, f"_{name}", reduce_matrix(getattr(self.model, name), self.basis.vectors, known))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Factors cannot be pickled, and projecting anew is quicker than sending the matrices.
-        return ReducedModel, (self.model, self.basis)
+        return ReducedModel, (self.model, self.basis, self.inner)
+
+    def extended(self, effects: Sequence[Effect]) -> ReducedModel:
+        """The model with effects; degrees of freedom that they add stand for themselves in the basis."""
+        model = extend(self.model, effects)
+        return ReducedModel(model, self.basis.carried(model.space, model.n_dof), self)
 
     # -- what it has in common with the full model ---------------------------------------------------------------------
 
@@ -114,7 +125,9 @@ class ReducedModel:
         si = self.space.si(self.space.complete(values))
         return self._stiffness(si), self._damping(si), self._mass(si)
 
-    def matrix_derivatives(self, values: Mapping[str, float], name: str) -> tuple[Matrix, Matrix, Matrix]:
+    def matrix_derivatives(
+        self, values: Mapping[str, float], name: str
+    ) -> tuple[ReducedSlope, ReducedSlope, ReducedSlope]:
         """dK, dC, dM with respect to one parameter, per one of its own unit; whole-number parameters count as fixed."""
         si = self.space.si(self.space.complete(values))
         factor = self.space[name].si_factor
@@ -188,17 +201,16 @@ class ReducedModel:
 
     @cached_property
     def _cluster_energy(self) -> Mapping[str, _ClusterEnergy]:
-        return {name: self._energy_of(np.unique(members)) for name, members in self.model.clusters.items()}
+        return {name: self._energy_of(name, np.unique(members)) for name, members in self.model.clusters.items()}
 
-    def _energy_of(self, members: np.ndarray) -> _ClusterEnergy:
+    def _energy_of(self, name: str, members: np.ndarray) -> _ClusterEnergy:
         own = self.basis.vectors[members]
-        rows = {q: sp.csr_array(term.matrix)[members] for q, term in enumerate(self.model.stiffness.terms)}
         supports = tuple(
             {key: own.T @ b[members] for key, b in term.vectors.items() if np.any(b[members])}
             for term in self.model.stiffness.selected
         )
-        touched = {q: matrix for q, matrix in rows.items() if matrix.nnz}
-        return _ClusterEnergy(self.basis.vectors, members, touched, supports)
+        inner = None if self.inner is None else self.inner._cluster_energy[name]
+        return _ClusterEnergy(self.basis.vectors, members, self.model.stiffness.terms, supports, inner)
 
     # -- rotations, asked only where there are zero roots --------------------------------------------------------------
 
@@ -248,25 +260,36 @@ class ReducedModel:
 
 @dataclass(frozen=True, eq=False)
 class _ClusterEnergy:
-    """What of the strain energy belongs to one cluster: its rows of every term, and V_c^T b_c of selected vectors."""
+    """What of the strain energy belongs to one cluster: blocks of the terms, and V_c^T b_c of selected vectors."""
 
     vectors: np.ndarray
     members: np.ndarray
-    rows: Mapping[int, sp.csr_array]
+    terms: tuple[Term, ...]
     supports: tuple[Mapping[tuple[int, ...], np.ndarray], ...]
-    _blocks: dict[int, np.ndarray] = field(init=False, repr=False, default_factory=dict)
+    inner: _ClusterEnergy | None = None
+    _blocks: dict[int, np.ndarray | None] = field(init=False, repr=False, default_factory=dict)
 
     def matrix(self, factors: Sequence[float]) -> np.ndarray:
-        """Symmetric part of ``V_c^T K_c V``; blocks are made of terms that count, which few of many do."""
+        """Symmetric part of ``V_c^T K_c V``."""
         out = np.zeros((self.vectors.shape[1],) * 2)
-        for q, rows in self.rows.items():
-            if not factors[q]:
-                continue
-            if q not in self._blocks:
-                block = self.vectors[self.members].T @ (rows @ self.vectors)
-                self._blocks[q] = 0.5 * (block + block.T)
-            out += factors[q] * self._blocks[q]
+        for q, factor in enumerate(factors):
+            block = self.block(q) if factor else None
+            if block is not None:
+                out[: len(block), : len(block)] += factor * block
         return out
+
+    def block(self, q: int) -> np.ndarray | None:
+        """Of one term, over the first vectors where it touches no others; None where it has no part in the cluster.
+
+        Made when first asked for: few of many terms are.
+        """
+        if self.inner is not None and q < len(self.inner.terms):
+            return self.inner.block(q)
+        if q not in self._blocks:
+            rows = sp.csr_array(self.terms[q].matrix)[self.members]
+            part = self.vectors[self.members].T @ (rows @ self.vectors) if rows.nnz else None
+            self._blocks[q] = None if part is None else 0.5 * (part + part.T)
+        return self._blocks[q]
 
 
 def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset: float) -> sp.csc_array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,6 +27,17 @@ class Block:
     matrix: np.ndarray
     rows: np.ndarray | None = None
 
+    @property
+    def size(self) -> int:
+        """Number of vectors."""
+        return len(self.matrix) if self.rows is None else self.rows.shape[1]
+
+    def __matmul__(self, shapes: np.ndarray) -> np.ndarray:
+        """``V^T A V`` times shapes (size,) or (size, m)."""
+        if self.rows is None:
+            return self.matrix @ shapes
+        return self.rows.T @ (self.matrix @ (self.rows @ shapes))
+
     def projected(self) -> np.ndarray:
         """``V^T A V``, (size, size)."""
         if self.rows is None:
@@ -50,7 +61,7 @@ class ReducedMatrix:
     size : int
         Number of vectors.
     blocks : tuple of Block
-        One for each term.
+        One for each term; one of fewer vectors touches only the first ones.
     vectors : tuple of mapping from tuple of int to ndarray (size,)
         One mapping for each selected term.
     """
@@ -66,25 +77,22 @@ class ReducedMatrix:
         for term, block in zip(self.affine.terms, self.blocks, strict=True):
             factor = term.coefficient(si)
             if factor:
-                out += factor * block.kept
+                _add(out, factor, block.kept)
         for selected, vectors in zip(self.affine.selected, self.vectors, strict=True):
             b = vectors[selected.choice(si)]
             out += selected.coefficient(si) * np.outer(b, b)
         return out
 
-    def derivative(self, si: Mapping[str, float], name: str) -> np.ndarray | sp.csc_array:
-        """Its derivative with respect to one parameter in SI, (size, size), sparse where it does not depend on it.
-
-        A selector counts as fixed.
-        """
+    def derivative(self, si: Mapping[str, float], name: str) -> ReducedSlope:
+        """Its derivative with respect to one parameter in SI; a selector counts as fixed."""
         slopes = [(self.affine.terms[q].coefficient.derivative(si, name), q) for q in self._terms_of.get(name, [])]
-        parts = [slope * self.blocks[q].projected() for slope, q in slopes if slope]
+        parts = tuple((slope, self.blocks[q]) for slope, q in slopes if slope)
+        picked = []
         for term, vectors in zip(self.affine.selected, self.vectors, strict=True):
             slope = term.coefficient.derivative(si, name)
             if slope:
-                b = vectors[term.choice(si)]
-                parts.append(slope * np.outer(b, b))
-        return np.asarray(sum(parts)) if parts else sp.csc_array((self.size, self.size))
+                picked.append((slope, vectors[term.choice(si)]))
+        return ReducedSlope(self.size, parts, tuple(picked))
 
     @cached_property
     def _terms_of(self) -> Mapping[str, list[int]]:
@@ -96,11 +104,70 @@ class ReducedMatrix:
         return out
 
 
-def reduce_matrix(affine: AffineMatrix, vectors: np.ndarray) -> ReducedMatrix:
-    """Project an affine matrix on vectors (n_dof, size)."""
+@dataclass(frozen=True, eq=False)
+class ReducedSlope:
+    """A derivative of a reduced matrix, known by what it does to shapes: made whole, hundreds would fill the memory.
+
+    Attributes
+    ----------
+    size : int
+        Number of vectors.
+    parts : tuple of (float, Block)
+        Factors and what they multiply.
+    picked : tuple of (float, ndarray (size,))
+        Factors and vectors b of ``b b^T``.
+    """
+
+    size: int
+    parts: tuple[tuple[float, Block], ...]
+    picked: tuple[tuple[float, np.ndarray], ...] = ()
+
+    def __matmul__(self, shapes: np.ndarray) -> np.ndarray:
+        """Times shapes (size,) or (size, m)."""
+        out = np.zeros(shapes.shape, dtype=shapes.dtype)
+        for factor, block in self.parts:
+            out[: block.size] += factor * (block @ shapes[: block.size])
+        for factor, b in self.picked:
+            out += factor * np.multiply.outer(b, b @ shapes)
+        return out
+
+    def __mul__(self, factor: float) -> ReducedSlope:
+        """The same per another unit."""
+        parts = tuple((factor * slope, block) for slope, block in self.parts)
+        return ReducedSlope(self.size, parts, tuple((factor * slope, b) for slope, b in self.picked))
+
+    def __abs__(self) -> np.ndarray:
+        """Sizes of the entries, (size, size)."""
+        return np.abs(self.toarray())
+
+    def toarray(self) -> np.ndarray:
+        """The whole matrix, (size, size)."""
+        out = np.zeros((self.size, self.size))
+        for factor, block in self.parts:
+            _add(out, factor, block.projected())
+        for factor, b in self.picked:
+            out += factor * np.outer(b, b)
+        return out
+
+
+def _add(matrix: np.ndarray, factor: float, block: np.ndarray) -> None:
+    size = len(block)
+    matrix[:size, :size] += factor * block
+
+
+def reduce_matrix(affine: AffineMatrix, vectors: np.ndarray, known: Sequence[Block] = ()) -> ReducedMatrix:
+    """Project an affine matrix on vectors.
+
+    Parameters
+    ----------
+    affine : AffineMatrix
+    vectors : ndarray (n_dof, size)
+    known : sequence of Block
+        Projections of the first terms, which touch only motions of the first vectors.
+    """
     size = vectors.shape[1]
-    blocks = []
-    for term in affine.terms:
+    blocks = list(known)
+    for term in affine.terms[len(known) :]:
         matrix = sp.csr_array(term.matrix)
         active = np.flatnonzero(np.diff(matrix.indptr))  # a part of the model touches few of its motions
         rows = vectors[active]

@@ -9,7 +9,6 @@ from functools import cached_property
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.structure.basis import Basis
-from calib.structure.effect_basis import carried
 from calib.structure.extend import addition_of, extend
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
@@ -61,7 +60,15 @@ class Variants:
         return self._made[key]
 
     def _make(self, with_dofs: tuple[str, ...]) -> StructuralModel | ReducedModel:
-        plain = [e for e in self.effects if not self._added[e.name]]
-        own = [e for e in self.effects if e.name in with_dofs]
-        model = extend(self.model, [*plain, *self.atoms, *own])
-        return model if self.basis is None else ReducedModel(model, carried(self.basis, model))
+        own, common = [e for e in self.effects if e.name in with_dofs], self._common
+        if not own:
+            return common
+        return common.extended(own) if isinstance(common, ReducedModel) else extend(common, own)
+
+    @cached_property
+    def _common(self) -> StructuralModel | ReducedModel:
+        """With all effects that add no degrees of freedom, and all local changes."""
+        plain = [*(e for e in self.effects if not self._added[e.name]), *self.atoms]
+        if self.basis is None:
+            return extend(self.model, plain)
+        return ReducedModel(self.model, self.basis).extended(plain)

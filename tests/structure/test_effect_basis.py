@@ -10,7 +10,7 @@ from calib.structure.affine import parameter
 from calib.structure.atoms import atoms
 from calib.structure.attach import hung_masses, outer_term
 from calib.structure.derivatives import mode_derivatives
-from calib.structure.effect_basis import carried, effect_basis
+from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import Addition, extend
 from calib.structure.reduced import ReducedModel, reference_matrix
 from calib.structure.training import Growth, train_basis
@@ -60,7 +60,7 @@ def errors(model, basis, effect, strength):
     wider = extend(model, [effect])
     values = {**POINT, **strength}
     full = wider.modes(values, COUNT)
-    reduced = ReducedModel(wider, carried(basis, wider))
+    reduced = ReducedModel(model, basis).extended([effect])
     found = reduced.modes(values, COUNT)
     a, b = full.shapes[:N], reduced.lift(found.shapes)[:N]
     mac = np.abs(np.einsum("ij,ij->j", a.conj(), b)) ** 2
@@ -113,14 +113,14 @@ def test_derivatives_by_local_changes_are_held(made):
 def test_degrees_of_freedom_of_effects_stand_for_themselves(made):
     model, plain, _, _ = made
     wider = extend(model, [hung(), spring()])
-    basis = carried(plain, wider)
+    basis = plain.carried(wider.space, wider.n_dof)
     assert basis.vectors.shape == (N + 1, plain.size + 1) and basis.count == plain.count + 1
     np.testing.assert_array_equal(basis.vectors[:N, :-1], plain.vectors)
     assert basis.vectors[N].tolist() == [0.0] * plain.size + [1.0] and not basis.vectors[:N, -1].any()
-    assert basis.names == wider.space.names and basis.model_fingerprint == wider.fingerprint
+    assert basis.names == wider.space.names and basis.model_fingerprint == model.fingerprint
     assert basis.reference[-3:].tolist() == [0.0, 1.0, 0.0] and basis.upper[-3:].tolist() == [30.0, 5.0, 1e5]
     assert basis.samples.shape == (len(plain.samples), len(wider.space.names))
-    same = carried(plain, model)
+    same = plain.carried(model.space, model.n_dof)
     np.testing.assert_array_equal(same.vectors, plain.vectors)
 
 

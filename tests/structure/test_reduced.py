@@ -7,16 +7,23 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from calib.effect import Effect
 from calib.errors import InputError
 from calib.measurement.modal import Sensor
+from calib.space import Parameter
 from calib.structure.affine import AffineMatrix, Term, parameter
+from calib.structure.attach import hung_masses, outer_term
 from calib.structure.basis import Basis
+from calib.structure.extend import Addition, extend
 from calib.structure.model import ModalModel
 from calib.structure.reduced import ReducedModel
 from calib.structure.reduced_matrix import reduce_matrix
 from calib.structure.training import train_basis
 
 POINT = {"k_upper": 61.0, "k_lower": 17.0, "k_rung": 1.1, "c_end": 44.0, "mass": 0.8, "place": 4.0}
+
+
+GRID = ({"h": 1.0, "h_freq": 4.0},)
 
 
 def basis_of(model, vectors, count=8, reference=None):
@@ -100,8 +107,39 @@ def test_matrices_and_derivatives_are_projections(ladder, random_vectors):
     for name in model.space.names:
         pairs = zip(reduced.matrix_derivatives(POINT, name), model.matrix_derivatives(POINT, name), strict=True)
         for found, full in pairs:
-            dense = found.toarray() if sp.issparse(found) else found
-            np.testing.assert_allclose(dense, v.T @ (full @ v), rtol=1e-10, atol=1e-9)
+            expected = v.T @ (full @ v)
+            np.testing.assert_allclose(found.toarray(), expected, rtol=1e-10, atol=1e-9)
+            np.testing.assert_allclose(found @ (1 + 2j * np.eye(9)), expected @ (1 + 2j * np.eye(9)), atol=1e-9)
+            np.testing.assert_allclose(abs(found * -3.0), 3 * np.abs(expected), rtol=1e-10, atol=1e-9)
+
+
+def test_extended_it_answers_as_if_projected_at_once(ladder, random_vectors):
+    """Terms, shares of energy and derivatives of the base are shared, those of the effect are its own."""
+    model, v = ladder(), random_vectors(60, 12)
+    inner = ReducedModel(model, basis_of(model, v))
+    row = np.eye(60)[7] - np.eye(60)[31]
+    strength = Parameter("s", 0.0, 0.0, 5e4, "N/m", prior_sd=2e3)
+    spring = Effect("s", "s", "", "", strength, lambda m: Addition((outer_term("s", [row], parameter("s")),)))
+    mass = Parameter("h", 0.0, 0.0, 5.0, "kg", prior_sd=1.0)
+    freq = Parameter("h_freq", 5.0, 1.0, 30.0, "Hz")
+    hung = Effect("h", "h", "", "", mass, lambda m: hung_masses([np.eye(60)[20]], "h", "h_freq", 0.04), (freq,), GRID)
+    found = inner.extended([spring]).extended([hung])
+    wider = extend(model, [spring, hung])
+    vectors = np.zeros((61, 13))
+    vectors[:60, :12], vectors[60, 12] = v, 1.0
+    alone = ReducedModel(wider, basis_of(wider, vectors))
+    values = {**POINT, "s": 3e3, "h": 0.7, "h_freq": 3.0}
+    for a, b in zip(found.matrices(values), alone.matrices(values), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-9)
+    for name in wider.space.names:
+        for a, b in zip(found.matrix_derivatives(values, name), alone.matrix_derivatives(values, name), strict=True):
+            np.testing.assert_allclose(a.toarray(), b.toarray(), rtol=1e-12, atol=1e-9)
+            np.testing.assert_allclose(a @ np.eye(13), b.toarray(), rtol=1e-10, atol=1e-9)
+    shapes = alone.modes(values, 5).shapes
+    shares = [m.energy_shares(values, shapes, m.clusters) for m in (found, alone)]
+    np.testing.assert_allclose(*shares, atol=1e-12)
+    without = found.energy_shares({**values, "s": 0.0}, shapes, found.clusters)
+    assert np.abs(shares[0] - without).max() > 1e-3
 
 
 def test_terms_that_touch_few_motions_and_many_are_projected_alike(random_vectors):
@@ -119,7 +157,8 @@ def test_terms_that_touch_few_motions_and_many_are_projected_alike(random_vector
     np.testing.assert_allclose(reduced(values), v.T @ whole @ v, atol=1e-12)
     for term in terms:
         found = reduced.derivative(values, f"k{term.name}")
-        np.testing.assert_allclose(found, v.T @ term.matrix @ v, atol=1e-12)
+        np.testing.assert_allclose(found.toarray(), v.T @ term.matrix @ v, atol=1e-12)
+        np.testing.assert_allclose(found @ np.eye(9), found.toarray(), atol=1e-12)
 
 
 @pytest.mark.parametrize("damped", [True, False])
