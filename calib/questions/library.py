@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from calib.errors import EvaluationError, InputError
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.reduction import WORTHWHILE_DOFS
 from calib.results import Results
+from calib.space import ParameterSpace
 from calib.structure.atoms import Atom, atoms
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
@@ -41,42 +43,55 @@ def modal_hypotheses(
     basis = None
     if study.settings.reduction.use and model.n_dof >= WORTHWHILE_DOFS:
         progress("reduced basis for the effects")
-        basis = _basis(study, problem, model, effects, plain, results.path)
+        freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
+        wanted = Wanted(problem.mode_count, freq_max, study.settings.reduction.tolerance, study.settings.reduction.seed)
+        try:
+            basis = kept_basis(model, study.search_space, effects, plain, wanted, results.path)
+        except EvaluationError as fault:
+            raise InputError(
+                f"no reduced basis can be trained: {fault}", place=study.file,
+                remedy="check the model over the search limits, or set use = false under [reduction]",
+            ) from None  # fmt: skip
     variants = Variants(model, effects, plain, basis)
     return ModalHypotheses(problem, variants, study.search_space, Floors()), local
 
 
-def _basis(
-    study: Study,
-    problem: ModalProblem,
+@dataclass(frozen=True)
+class Wanted:
+    """What a basis must represent, and how well; see `calib.structure.training.train_basis`."""
+
+    count: int
+    freq_max: float
+    tolerance: float
+    seed: int
+
+
+def kept_basis(
     model: StructuralModel,
-    effects: tuple[Effect, ...],
-    local: tuple[Effect, ...],
+    space: ParameterSpace,
+    effects: Sequence[Effect],
+    local: Sequence[Effect],
+    wanted: Wanted,
     folder: Path,
 ) -> Basis:
-    settings = study.settings.reduction
-    freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
+    """A basis that holds effects and local changes of a model, from a folder; trained and kept there if it has none.
+
+    The folder keeps one; EvaluationError when the model cannot be solved somewhere.
+    """
     digest = hashlib.sha256(extend(model, [*effects, *local]).fingerprint.encode())
     digest.update(repr([(e.name, e.parameters, e.grid) for e in effects]).encode())
-    digest.update(repr((problem.mode_count, freq_max, settings.tolerance, settings.seed)).encode())
-    digest.update(repr(study.search_space.parameters).encode())
+    digest.update(repr((wanted.count, wanted.freq_max, wanted.tolerance, wanted.seed)).encode())
+    digest.update(repr(space.parameters).encode())
     path = folder / f"basis_effects_{digest.hexdigest()[:16]}.npz"
     if path.exists():
         try:
             return Basis.load(path)
         except InputError:
             path.unlink(missing_ok=True)
-    try:
-        basis = train_basis(
-            model, study.search_space, problem.mode_count, seed=settings.seed, freq_max=freq_max,
-            tolerance=settings.tolerance,
-        )  # fmt: skip
-        basis = effect_basis(model, basis, study.search_space, effects, local, settings.seed)
-    except EvaluationError as fault:
-        raise InputError(
-            f"no reduced basis can be trained: {fault}", place=study.file,
-            remedy="check the model over the search limits, or set use = false under [reduction]",
-        ) from None  # fmt: skip
+    basis = train_basis(
+        model, space, wanted.count, seed=wanted.seed, freq_max=wanted.freq_max, tolerance=wanted.tolerance
+    )
+    basis = effect_basis(model, basis, space, effects, local, wanted.seed)
     for old in folder.glob("basis_effects_*.npz"):
         old.unlink(missing_ok=True)
     basis.save(path)
