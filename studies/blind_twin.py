@@ -35,7 +35,7 @@ from calib.measurement.modal import MeasuredModes, Sensor
 from calib.settings import StudySettings, read_settings
 from calib.space import Parameter, ParameterSpace
 from calib.structure.extend import extend
-from calib.structure.model import StructuralModel
+from calib.structure.model import ModalModel, StructuralModel
 from calib.structure.modes import Modes
 
 twin = module_of(Path(__file__).resolve().parent / "bogie" / "make_twin.py")
@@ -147,9 +147,15 @@ class Specimen:
     ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
         """The twin's modes with some effects, as `identified`; sensors sit off their places where ``rng`` is given."""
         model = extend(self.fine, effects) if effects else self.fine
+        return self.seen(model, model.n_dof - self.fine.n_dof, values, rng)
+
+    def seen(
+        self, model: ModalModel, added: int, values: Mapping[str, float], rng: np.random.Generator | None = None
+    ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
+        """The same of any model of the twin, with so many degrees of freedom added."""
         layout = self.layout if rng is None else twin.moved(self.layout, rng)
         rows = model.sensor_rows(layout)
-        modes = model.modes(values, len(self.modes) + MORE + model.n_dof - self.fine.n_dof)
+        modes = model.modes(values, len(self.modes) + MORE + added)
         return self.identified(modes, rows @ modes.shapes)
 
     def problem(self, whole: MeasuredModes, withheld: bool = True) -> ModalProblem:
@@ -214,11 +220,17 @@ def visible(
     base = problem.model
     assert isinstance(base, StructuralModel)
     model = extend(base, effects)
-    own = {name: value for name, value in values.items() if name in base.space}
-    names = [p.name for p in space.free if not p.integer]
-    without = ModalResidual(problem)
     more = replace(problem, model=model, mode_count=problem.mode_count + model.n_dof - base.n_dof)
-    change = without.residual(own) - ModalResidual(more).residual(values)
+    return change_seen(ModalResidual(problem), ModalResidual(more), space, values)
+
+
+def change_seen(
+    without: ModalResidual, extended: ModalResidual, space: ParameterSpace, values: Mapping[str, float]
+) -> float:
+    """The same from the residuals of the base model and of the one with effects."""
+    own = {name: value for name, value in values.items() if name in space}
+    names = [p.name for p in space.free if not p.integer]
+    change = without.residual(own) - extended.residual(values)
     wide = np.vstack(
         [without.jacobian(own, names) * [space[n].prior_width for n in names], np.eye(len(names))]
     )  # prior knowledge is data too

@@ -75,19 +75,22 @@ class ModalHypotheses:
     space : ParameterSpace
         Parameters of the base model; free are those that a calibration would fit.
     floors : Floors
+    without : tuple of str
+        Effects of the variants that are no candidates.
     """
 
     problem: ModalProblem
     variants: Variants
     space: ParameterSpace
     floors: Floors = field(default_factory=Floors)
+    without: tuple[str, ...] = ()
     counter: Counter = field(init=False, repr=False, default_factory=Counter)
     _questions: dict[tuple[str, ...], ModalQuestion] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
         """Named candidates."""
-        return self.variants.effects
+        return tuple(e for e in self.variants.effects if e.name not in self.without)
 
     @property
     def atoms(self) -> tuple[Effect, ...]:

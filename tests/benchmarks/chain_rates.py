@@ -16,8 +16,9 @@ import argparse
 from collections import Counter
 
 import numpy as np
-from rates_world import ROOT, module_of
+from rates_subject import ROOT
 
+from calib.loading import module_of
 from calib.missing.explain import Settings, explain
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.study import Study

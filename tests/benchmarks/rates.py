@@ -1,12 +1,12 @@
-"""How often the search for a missing effect is right on the bogie, with everything that should fool it.
+"""How often the search for a missing effect is right, with everything that should fool it.
 
-    python tests/benchmarks/rates.py run --runs 300 --workers 2
-    python tests/benchmarks/rates.py report
+    python tests/benchmarks/rates.py run --of bogie --runs 300 --workers 2
+    python tests/benchmarks/rates.py report --of bogie
 
 ``run`` makes the first so many runs of a plan that never changes and appends a line for each to
-``results/rates/runs.jsonl``; started again it goes on where it stopped. Seeds belong to the runs, whatever the number
-of workers. Lines made with other code are kept and not counted (``report --code all`` counts them). Effects that leave
-no trace are run like all others: nobody knows beforehand.
+``results/rates_bogie/runs.jsonl``; started again it goes on where it stopped. Seeds belong to the runs, whatever the
+number of workers. Lines made with other code are kept and not counted (``report --code all`` counts them). Effects that
+leave no trace are run like all others: nobody knows beforehand.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from pathlib import Path
 from typing import Any
 
 from rates_scenarios import Scenario, plan
+from rates_subject import ROOT, SUBJECTS, Subject
 from rates_table import report
-from rates_world import ROOT, World, code_digest
+from rates_world import World, code_digest
 
 _world: World | None = None
 """Of a worker process."""
@@ -38,21 +39,26 @@ def main() -> None:
     """Run or report."""
     arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     arguments.add_argument("what", choices=("run", "report"))
+    arguments.add_argument("--of", choices=tuple(SUBJECTS), default="bogie", help="what is measured (default bogie)")
     arguments.add_argument("--runs", type=int, default=300, help="how many runs of the plan (default 300)")
     arguments.add_argument("--workers", type=int, default=2)
     arguments.add_argument("--only", help="run only scenarios whose name begins so")
-    arguments.add_argument("--folder", type=Path, default=ROOT / "results" / "rates")
+    arguments.add_argument("--folder", type=Path, help="where runs and bases are kept (default results/rates_...)")
     arguments.add_argument("--code", help="report only lines of this code, or 'all' (default: the latest)")
     given = arguments.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
-    file = given.folder / "runs.jsonl"
+    subject = SUBJECTS[given.of]
+    folder = given.folder or ROOT / "results" / f"rates_{subject.name}"
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "runs.jsonl"
     if given.what == "report":
         report(list(lines(file)), given.code)
         return
-    world = World(given.folder, code_digest())
+    world = World(subject, folder, code_digest(subject))
     world.settle()
     done = {(row["scenario"], row["number"]) for row in lines(file) if row["code"] == world.code}
-    chosen = ((s, k) for s, k in plan(world.study.candidates) if not given.only or s.name.startswith(given.only))
+    chosen = (
+        (s, k) for s, k in plan(subject, world.study.candidates) if not given.only or s.name.startswith(given.only)
+    )
     wanted = [(s, k) for s, k in islice(chosen, given.runs) if (s.name, k) not in done]
     print(f"code {world.code}: {len(wanted)} of {given.runs} runs to make", flush=True)
     started = time.perf_counter()
@@ -82,16 +88,16 @@ def rows(world: World, wanted: list[tuple[Scenario, int]], workers: int) -> Iter
         yield from (world.run(s, k) for s, k in wanted)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _begin, (world.folder, world.code)) as pool:
+    with ProcessPoolExecutor(workers, context, _begin, (world.subject, world.folder, world.code)) as pool:
         for future in as_completed([pool.submit(_run, s, k) for s, k in wanted]):
             yield future.result()
 
 
-def _begin(folder: Path, code: str) -> None:
+def _begin(subject: Subject, folder: Path, code: str) -> None:
     global _world
-    if code_digest() != code:
+    if code_digest(subject) != code:
         raise RuntimeError("the code changed meanwhile: start again")
-    _world = World(folder, code)
+    _world = World(subject, folder, code)
     _world.settle()
 
 

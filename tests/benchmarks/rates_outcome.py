@@ -74,7 +74,8 @@ def outcome(found: Findings, measured: Measured) -> dict[str, Any]:
         row["kinds_after"] = _chances(after)
         row["after"] = {"p_named": after.p_named, "p_atoms": after.p_atoms, "p_fit": after.p_fit}
         row["after"] |= {"named": _largest(after.named), "atom": _largest(after.atoms)}
-    moved = {n: found.base.state.values[n] for n in ("pos_long_left", "pos_long_right")}
+    whole = [p.name for p in found.base.state.question.space.free if p.integer]
+    moved = {n: found.base.state.values[n] for n in whole}
     row["places_right"] = all(measured.values[n] == v for n, v in moved.items())
     if found.chosen is not None:
         row["places_right_after"] = all(measured.values[n] == found.chosen.state.values[n] for n in moved)

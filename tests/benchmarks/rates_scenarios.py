@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from rates_subject import Subject
 
 from calib.effect import Effect
 from calib.space import Parameter
@@ -15,13 +16,6 @@ from calib.structure.model import Part, StructuralModel
 
 OWN, FIFTY = "own", "fifty"
 STRENGTHS = {"S": 0.5, "M": 1.0, "L": 2.0}
-OUTSIDE = ("heavy_rear", "stiff_rear_rods", "soft_girder", "skew_block")
-PAIRS = (
-    ("brake_unit", "weak_damper"),
-    ("crossbar_mass", "rolling_wheels"),
-    ("gear_case_offset", "primary_uneven"),
-    ("damper_mount", "rod_damping"),
-)
 ANY = ("any",)
 """Any effect of the library, drawn for each run."""
 _SEED = 20260501
@@ -64,8 +58,8 @@ class Scenario:
         return (library[int(rng.integers(len(library)))].name,) if self.effects == ANY else self.effects
 
 
-def scenarios(library: Sequence[Effect]) -> tuple[Scenario, ...]:
-    """All kinds of runs for a library."""
+def scenarios(subject: Subject, library: Sequence[Effect]) -> tuple[Scenario, ...]:
+    """All kinds of runs for a subject and its library."""
     out = [
         Scenario("nothing", "nothing", each=6),
         Scenario("fifty", "fifty", library=FIFTY, each=3),
@@ -73,15 +67,15 @@ def scenarios(library: Sequence[Effect]) -> tuple[Scenario, ...]:
         Scenario("noise/any/L", "noise_effect", ANY, 2.0, noise=2.0, each=3),
     ]
     out += [Scenario(f"{e.name}/{s}", "single", (e.name,), f) for s, f in STRENGTHS.items() for e in library]
-    out += [Scenario(f"outside/{n}/{s}", "outside", (n,), f) for s, f in STRENGTHS.items() for n in OUTSIDE]
+    out += [Scenario(f"outside/{n}/{s}", "outside", (n,), f) for s, f in STRENGTHS.items() for n in subject.outside]
     out += [Scenario(f"without/{e.name}/{s}", "removed", (e.name,), STRENGTHS[s], True) for s in "ML" for e in library]
-    out += [Scenario(f"{a}+{b}/{s}", "pair", (a, b), STRENGTHS[s]) for s in "ML" for a, b in PAIRS]
+    out += [Scenario(f"{a}+{b}/{s}", "pair", (a, b), STRENGTHS[s]) for s in "ML" for a, b in subject.pairs]
     return tuple(out)
 
 
-def plan(library: Sequence[Effect]) -> Iterator[tuple[Scenario, int]]:
+def plan(subject: Subject, library: Sequence[Effect]) -> Iterator[tuple[Scenario, int]]:
     """Runs without end, every round once through all scenarios in an order of its own."""
-    kinds = scenarios(library)
+    kinds = scenarios(subject, library)
     for turn in range(1_000_000):
         runs = [(s, turn * s.each + k) for s in kinds for k in range(s.each)]
         for i in np.random.default_rng([_SEED, turn]).permutation(len(runs)):

@@ -1,7 +1,7 @@
-"""The bogie as a blind test bench: any number of synthetic measurements whose truth is known, and one run on each.
+"""A blind test bench: any number of synthetic measurements whose truth is known, and one run on each.
 
-Nothing here is tuned to answers. A measurement comes from the twin of ``studies/hidden_bogie/make_twin.py`` at full
-order on the finer mesh; the question is asked on the reduced basis of the coarser model, as in a study.
+Nothing here is tuned to answers. A measurement comes from the twin of the subject's blind studies, a finer mesh at full
+order or on a reduced basis of its own; the question is asked on the reduced basis of the coarser model, as in a study.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from rates_outcome import Measured, outcome
 from rates_scenarios import FIFTY, OWN, Scenario, fifty_effects
+from rates_subject import ROOT, Subject
 
 from calib.correlation.problem import ModalProblem
 from calib.correlation.unused import withheld_errors
@@ -30,29 +31,28 @@ from calib.missing.explain import explain
 from calib.missing.findings import Findings
 from calib.missing.profile import profile_interval
 from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.library import Wanted, kept_basis
 from calib.space import ParameterSpace
 from calib.structure.atoms import atoms
 from calib.structure.basis import Basis
-from calib.structure.effect_basis import effect_basis
 from calib.structure.model import StructuralModel
-from calib.structure.training import train_basis
+from calib.structure.modes import Modes
 from calib.structure.variants import Variants
 from calib.study import Study
 
-ROOT = Path(__file__).resolve().parents[2]
 ANSWERING = (
     "calib/missing", "calib/structure", "calib/correlation", "calib/updating", "calib/measurement", "models",
     "calib/questions/hypotheses.py", "calib/effect.py", "calib/space.py", "calib/mac.py", "calib/limits.py",
-    "studies/hidden_bogie/make_twin.py", "studies/hidden_bogie/outside.py", "studies/hidden_bogie/study.toml",
-    "studies/bogie/make_twin.py", "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py",
-    "tests/benchmarks/rates_outcome.py",
+    "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py", "tests/benchmarks/rates_outcome.py",
 )  # fmt: skip
+_NEAR = 3.0
+"""Standard deviations of a draw within which the twin's basis is trained."""
 
 
-def code_digest() -> str:
+def code_digest(subject: Subject) -> str:
     """Hash over all code that a run depends on; comments and docstrings do not count."""
     digest = hashlib.sha256()
-    for place in ANSWERING:
+    for place in (*ANSWERING, *subject.sources):
         path = ROOT / place
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             text = file.read_text("utf-8")
@@ -75,18 +75,20 @@ class World:
 
     Attributes
     ----------
+    subject : Subject
     folder : Path
         Where reduced bases are kept.
     code : str
     """
 
+    subject: Subject
     folder: Path
     code: str
 
     @cached_property
     def maker(self) -> Any:
         """The generator of the blind studies."""
-        return module_of(ROOT / "studies/hidden_bogie/make_twin.py")
+        return module_of(self.subject.maker)
 
     @cached_property
     def specimen(self) -> Any:
@@ -96,7 +98,7 @@ class World:
     @cached_property
     def study(self) -> Study:
         """One of them, for its settings; its measurement is not used."""
-        return Study.load(ROOT / "studies/hidden_bogie_none")
+        return Study.load(ROOT / self.subject.study)
 
     @property
     def model(self) -> StructuralModel:
@@ -117,39 +119,51 @@ class World:
 
     def settle(self) -> None:
         """Everything that takes long."""
-        self.variants(OWN), self.variants(FIFTY)
+        _ = self.libraries, self.twin
 
-    # -- libraries -----------------------------------------------------------------------------------------------------
-
-    def variants(self, library: str, removed: tuple[str, ...] = ()) -> Variants:
-        """The model with a library of effects, some of them taken out."""
-        whole = self._libraries[library]
-        if not removed:
-            return whole
-        return replace(whole, effects=tuple(e for e in whole.effects if e.name not in removed))
+    # -- models --------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _libraries(self) -> dict[str, Variants]:
+    def libraries(self) -> dict[str, Variants]:
+        """The model with each library of effects."""
         held = self.study.settings.withheld.sensors
         used = [s for s in self.specimen.layout if s.name not in held]
         local = tuple(a.effect for a in atoms(self.model, used, self.space.values, 10.0))
         own = self.study.candidates
         many = (*own, *fifty_effects(self.model, 50 - len(own)))
-        return {
-            OWN: Variants(self.model, own, local, self._basis("own", own, local)),
-            FIFTY: Variants(self.model, many, local, self._basis("fifty", many, local)),
-        }
+        basis = self._basis("own", self.model, self.space, own, local)
+        # Those that lengthen the library scale a few parts; the basis holds what each part does.
+        return {OWN: Variants(self.model, own, local, basis), FIFTY: Variants(self.model, many, local, basis)}
 
-    def _basis(self, name: str, effects: Sequence[Effect], local: Sequence[Effect]) -> Basis:
-        path = self.folder / f"basis_{name}_{self.code}.npz"
-        if path.exists():
-            return Basis.load(path)
-        pairing = self.study.settings.pairing
+    @cached_property
+    def twin(self) -> Variants:
+        """What is measured, with everything that may be hidden."""
+        fine, hidden = self.specimen.fine, tuple(self.effects.values())
+        basis = None
+        if self.subject.reduced_twin:
+            space = self.space
+            for p in space.free:
+                near = _NEAR * self.maker.blind.SPREAD * p.prior_width
+                limits = {"lower": max(p.lower, p.value - near), "upper": min(p.upper, p.value + near)}
+                space = space.replace(p.name, **limits)
+            basis = self._basis("twin", fine, space, hidden, (), len(self.specimen.modes) + self.maker.blind.MORE)
+        return Variants(fine, hidden, (), basis)
+
+    def _basis(
+        self,
+        name: str,
+        model: StructuralModel,
+        space: ParameterSpace,
+        effects: Sequence[Effect],
+        local: Sequence[Effect],
+        count: int | None = None,
+    ) -> Basis:
+        folder, settings = self.folder / name, self.study.settings
+        folder.mkdir(parents=True, exist_ok=True)
+        pairing, reduction = settings.pairing, settings.reduction
         assert pairing.mode_count is not None and pairing.freq_window is not None
-        basis = train_basis(self.model, self.space, pairing.mode_count, seed=1, freq_max=pairing.freq_window[1])
-        basis = effect_basis(self.model, basis, self.space, effects, local, 1)
-        basis.save(path)
-        return basis
+        wanted = Wanted(count or pairing.mode_count, pairing.freq_window[1], reduction.tolerance, reduction.seed)
+        return kept_basis(model, space, effects, local, wanted, folder)
 
     # -- one measurement -----------------------------------------------------------------------------------------------
 
@@ -160,11 +174,20 @@ class World:
         hidden = tuple(self.effects[name] for name in scenario.hidden(rng, self.study.candidates))
         for effect in hidden:
             values |= self.maker.blind.draw_effect(effect, scenario.strength, rng)
-        names, modes, shapes = self.specimen.solved(hidden, values, rng)
+        names, modes, shapes = self._solved(hidden, values, rng)
         clean = self.specimen.noiseless(names, modes, shapes)
         modes, shapes = self.maker.blind.set_up_errors(modes, shapes, scenario.noise, rng)
         repeats = [self._repeat(names, self.maker.blind.twin.scattered(modes, shapes, rng)) for _ in range(5)]
         return Measured(values, {e.name: e.names for e in hidden}, clean, self._combined(repeats))
+
+    def _solved(
+        self, hidden: Sequence[Effect], values: dict[str, float], rng: np.random.Generator
+    ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
+        own = tuple(e.name for e in hidden)
+        found: tuple[tuple[str, ...], Modes, np.ndarray] = self.specimen.seen(
+            self.twin.with_effects(own), self.twin.added(own), values, rng
+        )
+        return found
 
     def _repeat(self, names: tuple[str, ...], test: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Repeat:
         freq, damping, shapes = test
@@ -191,7 +214,7 @@ class World:
             row |= self._truth(scenario, measured)
             removed = measured.hidden if scenario.removed else ()
             problem = self.specimen.problem(measured.whole)
-            hypotheses = ModalHypotheses(problem, self.variants(scenario.library, removed), self.space)
+            hypotheses = ModalHypotheses(problem, self.libraries[scenario.library], self.space, without=removed)
             found = explain(hypotheses)
             row |= outcome(found, measured)
             if row["outcome"] == "right" and len(measured.hidden) == 1:
@@ -203,7 +226,13 @@ class World:
     def _truth(self, scenario: Scenario, measured: Measured) -> dict[str, Any]:
         hidden = [self.effects[name] for name in measured.hidden]
         problem = self.specimen.problem(measured.clean)
-        size = [self.maker.blind.visible(problem, self.space, [e], measured.only(e)) / scenario.noise for e in hidden]
+        asked = ModalHypotheses(replace(problem, model=self.specimen.fine), self.twin, self.space)
+        without = asked.question(()).inner
+        size = [
+            self.maker.blind.change_seen(without, asked.question((e.name,)).inner, self.space, measured.only(e))
+            / scenario.noise
+            for e in hidden
+        ]
         values = {n: round(v, 5) for n, v in measured.values.items() if n in self.space.free_names}
         strengths = {n: measured.values[n] for e in hidden for n in e.names}
         return {

@@ -21,26 +21,27 @@ def bench():
     """The scripts of the benchmark, which import each other by name."""
     sys.path.insert(0, str(BENCH))
     try:
-        yield {name: importlib.import_module(name) for name in ("rates_scenarios", "rates_world", "rates_table")}
+        names = ("rates_scenarios", "rates_subject", "rates_world", "rates_table")
+        yield {name: importlib.import_module(name) for name in names}
     finally:
         sys.path.remove(str(BENCH))
 
 
 @pytest.fixture(scope="module")
 def world(bench, blind_basis, tmp_path_factory):
-    """The bogie with its own library and the blind studies' basis; nothing is run with the one of fifty effects."""
+    """The bogie with the blind studies' basis."""
 
     class Own(bench["rates_world"].World):
-        def _basis(self, name, effects, local):
-            return None if name == bench["rates_scenarios"].FIFTY else Basis.load(blind_basis)
+        def _basis(self, *_):
+            return Basis.load(blind_basis)
 
-    return Own(tmp_path_factory.mktemp("rates"), "test")
+    return Own(bench["rates_subject"].BOGIE, tmp_path_factory.mktemp("rates"), "test")
 
 
 @pytest.fixture(scope="module")
 def run(bench, world):
     """One run of a scenario by its name, each made once."""
-    kinds = {s.name: s for s in bench["rates_scenarios"].scenarios(world.study.candidates)}
+    kinds = {s.name: s for s in bench["rates_scenarios"].scenarios(world.subject, world.study.candidates)}
     done = {}
 
     def make(name, number):
@@ -106,7 +107,7 @@ def test_a_scatter_stated_half_as_large_names_nothing(run, number):
 
 def test_a_run_depends_on_its_number_alone(bench, world, run):
     """The same scenario and number measure the same, another number something else."""
-    kinds = {s.name: s for s in bench["rates_scenarios"].scenarios(world.study.candidates)}
+    kinds = {s.name: s for s in bench["rates_scenarios"].scenarios(world.subject, world.study.candidates)}
     one, again, other = (world.measure(kinds["weak_damper/M"], k) for k in (0, 0, 1))
     assert one.values == again.values != other.values
     assert (one.whole.natural_freq == again.whole.natural_freq).all()
@@ -118,7 +119,9 @@ def test_a_run_depends_on_its_number_alone(bench, world, run):
 @pytest.mark.slow
 def test_the_first_runs_of_the_plan_keep_the_required_rates(bench, world):
     """Too few runs to show a rate, enough to see that something broke."""
-    runs = ((s, k) for s, k in bench["rates_scenarios"].plan(world.study.candidates) if s.library == "own")
+    runs = (
+        (s, k) for s, k in bench["rates_scenarios"].plan(world.subject, world.study.candidates) if s.library == "own"
+    )
     rows = [world.run(s, k) for s, k in islice(runs, 60)]
     assert not [row for row in rows if row["outcome"] == "failed"]
     for rate in bench["rates_table"].rates(rows):

@@ -1,0 +1,71 @@
+"""What blind runs are made of: a family of blind studies, and how it is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One family of blind studies.
+
+    Attributes
+    ----------
+    name : str
+    study : str
+        One of the studies, for its settings; its measurement is not used.
+    sources : tuple of str
+        Files that its measurements depend on, beside the code that answers.
+    outside : tuple of str
+        Designs that no effect describes.
+    pairs : tuple of (str, str)
+        Effects that are hidden together.
+    reduced_twin : bool
+        Whether the finer mesh is solved on a reduced basis of its own, for which full order would take too long.
+    """
+
+    name: str
+    study: str
+    sources: tuple[str, ...]
+    outside: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    reduced_twin: bool = False
+
+    @property
+    def maker(self) -> Path:
+        """The generator of the blind studies."""
+        return ROOT / self.sources[0]
+
+
+BOGIE = Subject(
+    "bogie", "studies/hidden_bogie_none",
+    (
+        "studies/hidden_bogie/make_twin.py", "studies/hidden_bogie/outside.py", "studies/hidden_bogie/study.toml",
+        "studies/bogie/make_twin.py", "studies/blind_twin.py",
+    ),
+    ("heavy_rear", "stiff_rear_rods", "soft_girder", "skew_block"),
+    (
+        ("brake_unit", "weak_damper"), ("crossbar_mass", "rolling_wheels"), ("gear_case_offset", "primary_uneven"),
+        ("damper_mount", "rod_damping"),
+    ),
+)  # fmt: skip
+
+VEHICLE = Subject(
+    "vehicle", "studies/hidden_none",
+    (
+        "studies/hidden_effect/make_twin.py", "studies/hidden_effect/outside.py", "studies/hidden_bogie/outside.py",
+        "studies/hidden_effect/study.toml", "studies/vehicle/make_twin.py", "studies/bogie/make_twin.py",
+        "studies/blind_twin.py",
+    ),
+    ("soft_rear_wall", "heavy_front", "soft_rear_frame", "stiff_rear_primary"),
+    (
+        ("neighbour_coupling", "body_damping"), ("air_spring", "hung_roof_unit"), ("damper_asymmetry", "tipping"),
+        ("secondary_asymmetry", "yaw_damper_mount"),
+    ),
+    reduced_twin=True,
+)  # fmt: skip
+
+SUBJECTS = {s.name: s for s in (BOGIE, VEHICLE)}
