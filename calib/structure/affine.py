@@ -199,25 +199,30 @@ class AffineMatrix:
 
     def __call__(self, values: Mapping[str, float]) -> sp.csc_array:
         """The matrix at parameters in SI, shape (n_dof, n_dof)."""
-        factors = [t.coefficient(values) for t in self.terms]
-        return self._sum(factors, [t.coefficient(values) for t in self.selected], values)
+        pattern = self._pattern
+        data = pattern.stack @ np.array([t.coefficient(values) for t in self.terms])
+        for term, pick in zip(self.selected, pattern.picks, strict=True):
+            where, entries = pick[term.choice(values)]
+            data[where] += term.coefficient(values) * entries
+        return sp.csc_array((data, pattern.indices, pattern.indptr), shape=(self.n_dof, self.n_dof))
 
     def derivative(self, values: Mapping[str, float], name: str) -> sp.csc_array:
         """Derivative of the matrix with respect to one parameter in SI, shape (n_dof, n_dof).
 
-        A discrete parameter that selects a vector has none: it counts as fixed.
+        It holds only what the parameter touches. A discrete parameter that selects a vector has none: it counts as
+        fixed.
         """
-        slopes = [t.coefficient.derivative(values, name) for t in self.terms]
-        return self._sum(slopes, [t.coefficient.derivative(values, name) for t in self.selected], values)
-
-    def _sum(self, factors: list[float], picked: list[float], values: Mapping[str, float]) -> sp.csc_array:
-        pattern = self._pattern
-        data = pattern.stack @ np.array(factors)
-        for term, factor, pick in zip(self.selected, picked, pattern.picks, strict=True):
-            where, entries = pick[term.choice(values)]
-            if factor:
-                data[where] += factor * entries
-        return sp.csc_array((data, pattern.indices, pattern.indptr), shape=(self.n_dof, self.n_dof))
+        out = sp.csr_array((self.n_dof, self.n_dof))
+        for term in self.terms:
+            slope = term.coefficient.derivative(values, name)
+            if slope:
+                out = out + slope * term.matrix
+        for chosen in self.selected:
+            slope = chosen.coefficient.derivative(values, name)
+            if slope:
+                b = sp.csr_array(chosen.vectors[chosen.choice(values)][None])
+                out = out + slope * (b.T @ b)
+        return sp.csc_array(out)
 
     def digest(self) -> bytes:
         """Hash over every term, for the model's fingerprint."""

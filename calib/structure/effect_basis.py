@@ -25,6 +25,8 @@ _ERROR = 3e-5
 """Squared projection error of every vector, over the strain energy of its mode."""
 _BATCH = 20
 """Atoms taken together: the principal directions of all of them at once would cost far more and save few vectors."""
+_TOGETHER = 80
+"""Atoms whose derivatives are solved with the same factors: more would fill the memory."""
 
 
 def effect_basis(
@@ -62,10 +64,11 @@ def effect_basis(
         solved = [extended.modes({**point, **own}, count) for point in points for own in _looked_at(effect)]
         vectors = growth.widened(vectors, np.hstack([_unit(growth, m, model.n_dof, basis) for m in solved]), _ERROR)
     adopted = model.modes(middle, basis.count)
-    for k in range(0, len(atoms), _BATCH):
-        some = atoms[k : k + _BATCH]
+    for first in range(0, len(atoms), _TOGETHER):
+        some = atoms[first : first + _TOGETHER]
         slopes = _derivatives(growth, extend(model, some), middle, adopted, some, basis)
-        vectors = growth.widened(vectors, slopes, _ERROR)
+        for k in range(0, len(slopes), _BATCH):
+            vectors = growth.widened(vectors, np.hstack(slopes[k : k + _BATCH]), _ERROR)
     return replace(basis, vectors=vectors, version=basis.version + 1)
 
 
@@ -95,13 +98,15 @@ def _derivatives(
     modes: Modes,
     atoms: Sequence[Effect],
     basis: Basis,
-) -> np.ndarray:
-    """Derivatives of a model's modes by atoms, which add no degrees of freedom and are of strength 0 there."""
+) -> list[np.ndarray]:
+    """Derivatives of a model's modes by each atom, (n_dof, m) with real and imaginary parts.
+
+    Atoms add no degrees of freedom and are of strength 0 there.
+    """
     chosen = np.flatnonzero(modes.natural_freq <= basis.freq_max)
     slopes = mode_derivatives(model, point, modes, [a.name for a in atoms], chosen)
     shapes = modes.shapes[:, chosen]
     size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real)
     usable = slopes.regular & (modes.damping_ratio[chosen] < basis.damping_max)
     columns = [a.plausible * slopes.shapes[q][:, usable] / size[usable] for q, a in enumerate(atoms)]
-    stacked = np.hstack(columns)
-    return np.hstack([stacked.real, stacked.imag]) if np.iscomplexobj(stacked) else stacked
+    return [np.hstack([c.real, c.imag]) if np.iscomplexobj(c) else c for c in columns]
