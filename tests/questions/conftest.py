@@ -1,6 +1,7 @@
 """Small studies for questions that take well under a second, and the reduced basis that all blind studies share."""
 
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -95,3 +96,26 @@ def with_basis(blind_basis: Path) -> Callable[[Results], Results]:
         return results
 
     return put
+
+
+@pytest.fixture(scope="session")
+def blindly() -> Callable[[str, Results], Path]:
+    """Explains one of the studies by its name and returns the folder of its results; none opens a file with a truth."""
+    opened: list[str] = []
+
+    def watch(event: str, arguments: tuple[object, ...]) -> None:  # such a hook cannot be taken away again
+        if event == "open" and opened and "truth" in str(arguments[0]):
+            opened.append(str(arguments[0]))
+
+    sys.addaudithook(watch)
+
+    def answer(name: str, results: Results) -> Path:
+        opened.append("watching")
+        try:
+            explain(Study.load(ROOT / "studies" / name), results)
+            assert opened == ["watching"]
+        finally:
+            opened.clear()
+        return results.path
+
+    return answer

@@ -1,0 +1,102 @@
+"""The blind studies of the whole vehicle: what they hide is read only once the verdict is written.
+
+They share one model and so one reduced basis, whose training takes most of the time.
+"""
+
+import json
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib.results import Results
+
+ROOT = Path(__file__).resolve().parents[2]
+VERDICTS = {
+    "hidden_effect": "effect",
+    "hidden_none": "nothing_detectable",
+    "hidden_outside": "none_explains",
+    "hidden_two": "two_effects",
+    "hidden_noise": "noise_underestimated",
+}
+NAMED = ("hidden_effect", "hidden_two")
+pytestmark = pytest.mark.whole
+
+
+@pytest.fixture(scope="module")
+def explained(blindly, tmp_path_factory):
+    """Each explanation once: the folder of its results."""
+    root, done, kept = tmp_path_factory.mktemp("vehicles"), {}, []
+
+    def make(name):
+        if name not in done:
+            results = Results.at(root, name)
+            for basis in kept:
+                shutil.copy(basis, results.path)
+            done[name] = blindly(name, results)
+            kept[:] = results.path.glob("basis_effects_*.npz")
+        return done[name]
+
+    return make
+
+
+def summary_of(folder):
+    return json.loads((folder / "explanation.json").read_text("utf-8"))
+
+
+def truth(name):
+    return json.loads((ROOT / f"tests/truth/{name}.json").read_text("utf-8"))
+
+
+@pytest.mark.parametrize("name", VERDICTS)
+def test_the_verdict_is_right(explained, name):
+    summary = summary_of(explained(name))
+    assert summary["verdict"] == VERDICTS[name]
+    named = truth(name)["effects"] if name in NAMED else []
+    assert set(summary["credible_set"]) == set(named)
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_strengths_are_found(explained, name):
+    """Within a tenth of the truth, or within what the interval says where that is wider."""
+    folder = explained(name)
+    found, hidden = summary_of(folder)["chosen_values"], truth(name)["strengths"]
+    effects = pd.read_csv(folder / "effects.csv").set_index("name")
+    for effect, strength in hidden.items():
+        row = effects.loc[effect]
+        inside = name == "hidden_effect" and row["phi_low"] <= strength <= row["phi_high"]
+        assert inside or found[effect] == pytest.approx(strength, rel=0.1)
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_withheld_data_are_predicted_better_and_to_the_noise(explained, name):
+    errors = pd.read_csv(explained(name) / "errors.csv").set_index(["group", "stage"])
+    rms, expected, p = errors["rms"], errors["expected"], errors["p"]
+    assert rms["withheld_sensors", "after"] <= 1.10 * expected["withheld_sensors", "after"]
+    assert p["withheld_modes", "after"] > 0.01
+    for group in ("withheld_sensors", "withheld_modes", "left_out", "fit"):
+        assert rms[group, "after"] < rms[group, "before"]
+
+
+def test_what_is_in_no_library_is_pointed_at(explained):
+    """The local change of the largest score is no farther than a wheelbase from the springs that were changed."""
+    folder = explained("hidden_outside")
+    assert truth("hidden_outside")["effects"] == ["stiff_rear_primary"]
+    atoms = pd.read_csv(folder / "atoms.csv")
+    best = atoms.loc[atoms["score"].abs().idxmax()]
+    springs = atoms[atoms["atom"].str.contains("front bogie, primary springs rear")]
+    assert len(springs) == 2 and (springs[["x"]] - best["x"]).abs().to_numpy().max() < 2.6
+
+
+def test_understated_scatter_is_told_with_its_factor(explained):
+    summary = summary_of(explained("hidden_noise"))
+    assert truth("hidden_noise")["noise"] == 2.0 and 1.8 < summary["noise_scale"] < 2.2
+
+
+@pytest.mark.parametrize("name", VERDICTS)
+def test_the_cost_the_basis_and_the_mesh_are_within_bounds(explained, name):
+    summary = summary_of(explained(name))
+    assert 0 < summary["evaluations"] <= 150
+    assert 0 < summary["basis_error"] <= 0.05
+    assert 0 < summary["discretisation"] <= 1.0
