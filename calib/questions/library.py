@@ -12,9 +12,9 @@ import numpy as np
 from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import Floors
 from calib.effect import Effect
-from calib.errors import EvaluationError, InputError
+from calib.errors import InputError
 from calib.questions.hypotheses import ModalHypotheses
-from calib.questions.reduction import WORTHWHILE_DOFS
+from calib.questions.reduction import WORTHWHILE_DOFS, reduction_of, training
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.structure.atoms import Atom, atoms
@@ -43,15 +43,17 @@ def modal_hypotheses(
     basis = None
     if study.settings.reduction.use and model.n_dof >= WORTHWHILE_DOFS:
         progress("reduced basis for the effects")
+        reduction = study.settings.reduction
         freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
-        wanted = Wanted(problem.mode_count, freq_max, study.settings.reduction.tolerance, study.settings.reduction.seed)
-        try:
-            basis = kept_basis(model, study.search_space, effects, plain, wanted, results.path)
-        except EvaluationError as fault:
-            raise InputError(
-                f"no reduced basis can be trained: {fault}", place=study.file,
-                remedy="check the model over the search limits, or set use = false under [reduction]",
-            ) from None  # fmt: skip
+        wanted = Wanted(problem.mode_count, freq_max, reduction.tolerance, reduction.seed)
+
+        def search_basis() -> Basis:
+            found = reduction_of(study, results)  # a search has trained it, or will need it
+            assert found is not None
+            return found.basis
+
+        with training(study):
+            basis = kept_basis(model, study.search_space, effects, plain, wanted, results.path, search_basis)
     variants = Variants(model, effects, plain, basis)
     return ModalHypotheses(problem, variants, study.search_space, Floors()), local
 
@@ -65,6 +67,10 @@ class Wanted:
     tolerance: float
     seed: int
 
+    def trained(self, model: StructuralModel, space: ParameterSpace) -> Basis:
+        """A basis of the model alone."""
+        return train_basis(model, space, self.count, seed=self.seed, freq_max=self.freq_max, tolerance=self.tolerance)
+
 
 def kept_basis(
     model: StructuralModel,
@@ -73,10 +79,12 @@ def kept_basis(
     local: Sequence[Effect],
     wanted: Wanted,
     folder: Path,
+    plain: Callable[[], Basis] | None = None,
 ) -> Basis:
     """A basis that holds effects and local changes of a model, from a folder; trained and kept there if it has none.
 
-    The folder keeps one; EvaluationError when the model cannot be solved somewhere.
+    The folder keeps one. ``plain`` gives a basis of the model alone; by default one is trained. EvaluationError when
+    the model cannot be solved somewhere.
     """
     digest = hashlib.sha256(extend(model, [*effects, *local]).fingerprint.encode())
     digest.update(repr([(e.name, e.parameters, e.grid) for e in effects]).encode())
@@ -88,10 +96,7 @@ def kept_basis(
             return Basis.load(path)
         except InputError:
             path.unlink(missing_ok=True)
-    basis = train_basis(
-        model, space, wanted.count, seed=wanted.seed, freq_max=wanted.freq_max, tolerance=wanted.tolerance
-    )
-    basis = effect_basis(model, basis, space, effects, local, wanted.seed)
+    basis = effect_basis(model, plain() if plain else wanted.trained(model, space), space, effects, local, wanted.seed)
     for old in folder.glob("basis_effects_*.npz"):
         old.unlink(missing_ok=True)
     basis.save(path)

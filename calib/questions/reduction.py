@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,17 +108,24 @@ def reduction_of(study: Study, home: Results) -> Reduction | None:
         found = (basis.model_fingerprint, basis.count, basis.freq_max, basis.tolerance, basis.seed) if basis else None
         if basis is not None and found == wanted and basis.covers(study.search_space):
             return _reduced(problem, basis, path, settings.tolerance)
-    try:
+    with training(study):
         basis = train_basis(
             problem.model, study.search_space, problem.mode_count, seed=settings.seed, freq_max=freq_max,
             tolerance=settings.tolerance,
         )  # fmt: skip
+    return _on(problem, basis, home, settings.tolerance)
+
+
+@contextlib.contextmanager
+def training(study: Study) -> Iterator[None]:
+    """Says what to do when a study's model cannot be solved somewhere in training."""
+    try:
+        yield
     except EvaluationError as fault:
         raise InputError(
             f"no reduced basis can be trained: {fault}", place=study.file,
             remedy="check the model over the search limits, or set use = false under [reduction]",
         ) from None  # fmt: skip
-    return _on(problem, basis, home, settings.tolerance)
 
 
 def fingerprints(study: Study, home: Results) -> tuple[str, ...]:

@@ -7,8 +7,9 @@ import pytest
 
 from calib.correlation.problem import ModalProblem
 from calib.errors import EvaluationError, InputError
-from calib.questions import library
+from calib.questions import library, reduction
 from calib.questions.library import modal_hypotheses
+from calib.questions.reduction import reduction_of
 from calib.results import Results
 from calib.study import Study
 
@@ -25,11 +26,12 @@ def results(tmp_path):
 
 @pytest.fixture
 def small_pays(monkeypatch):
-    """A basis even for a small model, and how often one was trained."""
+    """A basis even for a small model, and how often one was trained for effects."""
     trained = []
-    train = library.train_basis
-    monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
-    monkeypatch.setattr(library, "train_basis", lambda *a, **k: trained.append(k) or train(*a, **k))
+    train = library.effect_basis
+    for module in (library, reduction):
+        monkeypatch.setattr(module, "WORTHWHILE_DOFS", 10)
+    monkeypatch.setattr(library, "effect_basis", lambda *a: trained.append(a) or train(*a))
     return trained
 
 
@@ -87,6 +89,16 @@ def test_the_kept_basis_answers_as_the_model_itself(study, results, small_pays):
         assert np.abs(one.jacobian(there, names) - slope).max() < 0.02 * np.abs(slope).max()
 
 
+def test_the_basis_of_a_search_is_taken_and_left_to_it(study, results, small_pays, monkeypatch):
+    modal_hypotheses(study, results)
+    trained = []
+    monkeypatch.setattr(reduction, "train_basis", lambda *a, **k: trained.append(a))
+    assert reduction_of(study, results).basis.version == 1 and not trained
+    bases(results)[0].unlink()
+    modal_hypotheses(study, results)
+    assert len(small_pays) == 2 and not trained
+
+
 @pytest.mark.parametrize("change", ["limits", "modes", "tolerance", "effects", "model"])
 def test_another_question_has_another_basis(study, results, small_pays, change):
     modal_hypotheses(study, results)
@@ -136,11 +148,14 @@ def test_the_user_may_do_without(study, results, small_pays):
     assert small_pays == [] and bases(results) == []
 
 
-def test_a_basis_that_cannot_be_trained_is_said_with_a_remedy(study, results, small_pays, monkeypatch):
+@pytest.mark.parametrize(("module", "training"), [(library, "effect_basis"), (reduction, "train_basis")])
+def test_a_basis_that_cannot_be_trained_is_said_with_a_remedy(
+    study, results, small_pays, monkeypatch, module, training
+):
     def fails(*a, **k):
         raise EvaluationError("the matrix is singular")
 
-    monkeypatch.setattr(library, "train_basis", fails)
+    monkeypatch.setattr(module, training, fails)
     with pytest.raises(InputError, match="no reduced basis can be trained: the matrix is singular") as told:
         modal_hypotheses(study, results)
     assert "use = false" in told.value.remedy and bases(results) == []
