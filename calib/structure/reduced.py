@@ -16,13 +16,14 @@ from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import Sensor
 from calib.space import ParameterSpace
-from calib.structure.affine import AffineMatrix, Term
+from calib.structure.affine import AffineMatrix
 from calib.structure.basis import Basis
 from calib.structure.energy import shares_of, strain_energy
 from calib.structure.extend import extend
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import Assumption, Mesh, StructuralModel
 from calib.structure.modes import Modes
+from calib.structure.reduced_energy import ClusterEnergy
 from calib.structure.reduced_matrix import ReducedMatrix, ReducedSlope, reduce_matrix
 from calib.structure.solve_dense import solve_dense
 
@@ -200,17 +201,17 @@ class ReducedModel:
         return shares_of(parts, strain_energy(self._stiffness(si), shapes))
 
     @cached_property
-    def _cluster_energy(self) -> Mapping[str, _ClusterEnergy]:
+    def _cluster_energy(self) -> Mapping[str, ClusterEnergy]:
         return {name: self._energy_of(name, np.unique(members)) for name, members in self.model.clusters.items()}
 
-    def _energy_of(self, name: str, members: np.ndarray) -> _ClusterEnergy:
+    def _energy_of(self, name: str, members: np.ndarray) -> ClusterEnergy:
         own = self.basis.vectors[members]
         supports = tuple(
             {key: own.T @ b[members] for key, b in term.vectors.items() if np.any(b[members])}
             for term in self.model.stiffness.selected
         )
         inner = None if self.inner is None else self.inner._cluster_energy[name]
-        return _ClusterEnergy(self.basis.vectors, members, self.model.stiffness.terms, supports, inner)
+        return ClusterEnergy(self.basis.vectors, members, self.model.stiffness.terms, supports, inner)
 
     # -- rotations, asked only where there are zero roots --------------------------------------------------------------
 
@@ -256,40 +257,6 @@ class ReducedModel:
     @cached_property
     def _reference_factor(self) -> spla.SuperLU:
         return reference_factor(self.model, self.basis.reference_values, self.basis.offset)
-
-
-@dataclass(frozen=True, eq=False)
-class _ClusterEnergy:
-    """What of the strain energy belongs to one cluster: blocks of the terms, and V_c^T b_c of selected vectors."""
-
-    vectors: np.ndarray
-    members: np.ndarray
-    terms: tuple[Term, ...]
-    supports: tuple[Mapping[tuple[int, ...], np.ndarray], ...]
-    inner: _ClusterEnergy | None = None
-    _blocks: dict[int, np.ndarray | None] = field(init=False, repr=False, default_factory=dict)
-
-    def matrix(self, factors: Sequence[float]) -> np.ndarray:
-        """Symmetric part of ``V_c^T K_c V``."""
-        out = np.zeros((self.vectors.shape[1],) * 2)
-        for q, factor in enumerate(factors):
-            block = self.block(q) if factor else None
-            if block is not None:
-                out[: len(block), : len(block)] += factor * block
-        return out
-
-    def block(self, q: int) -> np.ndarray | None:
-        """Of one term, over the first vectors where it touches no others; None where it has no part in the cluster.
-
-        Made when first asked for: few of many terms are.
-        """
-        if self.inner is not None and q < len(self.inner.terms):
-            return self.inner.block(q)
-        if q not in self._blocks:
-            rows = sp.csr_array(self.terms[q].matrix)[self.members]
-            part = self.vectors[self.members].T @ (rows @ self.vectors) if rows.nnz else None
-            self._blocks[q] = None if part is None else 0.5 * (part + part.T)
-        return self._blocks[q]
 
 
 def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset: float) -> sp.csc_array:
