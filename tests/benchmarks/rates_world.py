@@ -146,8 +146,13 @@ class World:
                 near = _NEAR * self.maker.blind.SPREAD * p.prior_width
                 limits = {"lower": max(p.lower, p.value - near), "upper": min(p.upper, p.value + near)}
                 space = space.replace(p.name, **limits)
-            basis = self._basis("twin", fine, space, hidden, (), len(self.specimen.modes) + self.maker.blind.MORE)
+            basis = self._basis("twin", fine, space, hidden, (), self._twin_modes)
         return Variants(fine, hidden, (), basis)
+
+    @property
+    def _twin_modes(self) -> int:
+        """How many of its modes are solved."""
+        return len(self.specimen.modes) + int(self.maker.blind.MORE)
 
     def _basis(
         self,
@@ -226,7 +231,8 @@ class World:
     def _truth(self, scenario: Scenario, measured: Measured) -> dict[str, Any]:
         hidden = [self.effects[name] for name in measured.hidden]
         problem = self.specimen.problem(measured.clean)
-        asked = ModalHypotheses(replace(problem, model=self.specimen.fine), self.twin, self.space)
+        problem = replace(problem, model=self.specimen.fine, mode_count=self._twin_modes)
+        asked = ModalHypotheses(problem, self.twin, self.space)
         without = asked.question(()).inner
         size = [
             self.maker.blind.change_seen(without, asked.question((e.name,)).inner, self.space, measured.only(e))
