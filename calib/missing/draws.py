@@ -27,7 +27,9 @@ def drawn(state: State, count: int, seed: int) -> tuple[dict[str, float], ...]:
     rng = np.random.default_rng(seed)
     p = len(state.names)
     space = state.question.space
-    lower, upper = (np.array([getattr(space[n], side) for n in state.names], dtype=float) for side in ("lower", "upper"))
+    lower, upper = (
+        np.array([getattr(space[n], side) for n in state.names], dtype=float) for side in ("lower", "upper")
+    )
     centre = np.array([state.values[n] for n in state.names])
     # Strengths first: the first coordinate of a triangular root keeps its even spread.
     order = np.array(sorted(range(p), key=lambda k: state.names[k] not in state.effects), dtype=int)

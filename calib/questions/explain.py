@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -28,7 +28,7 @@ from calib.missing.tables import (
     strain_table,
     tried_table,
 )
-from calib.missing.verdict import rounded, sentence
+from calib.missing.verdict import sentence
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
 from calib.questions.modal_side import ModalSide
