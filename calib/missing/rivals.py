@@ -58,6 +58,8 @@ class Rival:
         Rows that would be there.
     there : ndarray (n_rows,), bool
         Rows that are there at the fit.
+    loose : ndarray (n_rows, q)
+        What one standard deviation of everything else that only data tell, such as the scale of a shape, does to them.
     """
 
     name: str
@@ -69,6 +71,12 @@ class Rival:
     drawn: np.ndarray
     seen: np.ndarray
     there: np.ndarray
+    loose: np.ndarray
+
+    @property
+    def spread(self) -> np.ndarray:
+        """What is left open of the predictions at the fit: one standard deviation each, (n_rows, p + q)."""
+        return np.hstack([self.slope @ root(self.state), self.loose])
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +111,8 @@ class Rivals:
 
         What was measured stays as it is, with the odds it gave. New data y are drawn from each model in turn, at points
         of its posterior and with scatter; they move the log odds by the difference of the log predictive densities
-        ``-(r^T S^-1 r + ln|S|)/2``, ``r = y - prediction at the fit`` and ``S = I + G C G^T`` with the covariance C of
-        the parameters after the first measurement and the slope G of the new rows.
+        ``-(r^T S^-1 r + ln|S|)/2``, ``r = y - prediction at the fit`` and ``S = I + G C G^T + L L^T`` with the
+        covariance C of the parameters after the first measurement, the slope G of the new rows and what else is loose.
         """
         rng = np.random.default_rng(self.seed)
         found, weight = [], []
@@ -118,6 +126,8 @@ class Rivals:
                 values = np.array([s * point[n] for n, s in zip(bench, told, strict=True)])
                 clean = np.concatenate([(size * drawn)[kept], values])
                 tests = clean + rng.standard_normal((_TESTS, len(clean)))
+                moved = rng.standard_normal((_TESTS, truth.loose.shape[1])) @ (size[:, None] * truth.loose)[kept].T
+                tests[:, : moved.shape[1]] += moved
                 gain = _density(truth, tests, size, kept, bench) - _density(other, tests, size, kept, bench)
                 found.append(now + gain)
                 weight.append(np.full(_TESTS, share / (len(truth.points) * _TESTS)))
@@ -136,7 +146,7 @@ class Rivals:
         m = (size * (self.pair[0].fit - self.pair[1].fit))[kept]
         total = 0.0
         for one in self.pair:
-            wide = (size[:, None] * one.slope)[kept] @ _root(one.state)
+            wide = (size[:, None] * one.spread)[kept]
             inner = la.cho_factor(np.eye(wide.shape[1]) + wide.T @ wide)
             along = wide.T @ m
             total += float(m @ m - along @ la.cho_solve(inner, along)) / 2
@@ -155,7 +165,8 @@ def sharpness(state: State, name: str, sd: float) -> float:
     return float(np.sqrt(max(1 / sd**2 - 1 / prior**2, 0.0)))
 
 
-def _root(state: State) -> np.ndarray:
+def root(state: State) -> np.ndarray:
+    """A root of the covariance of the parameters, (p, p)."""
     return la.cholesky(state.covariance, lower=True)
 
 
@@ -164,13 +175,13 @@ def _density(
 ) -> np.ndarray:
     """Log predictive density of new data (n_tests, n_new), less what all models share, (n_tests,)."""
     state = one.state
-    rows = [(size[:, None] * one.slope)[kept]]
+    rows, spread = [(size[:, None] * one.spread)[kept]], root(state)
     fit = [(size * one.fit)[kept]]
     for name, sd in bench.items():
         told = sharpness(state, name, sd)
-        rows.append(told * np.eye(len(state.names))[[state.names.index(name)]])
+        rows.append(told * np.append(spread[state.names.index(name)], np.zeros(one.loose.shape[1]))[None])
         fit.append(np.array([told * state.values[name]]))
-    wide = np.vstack(rows) @ _root(state)
+    wide = np.vstack(rows)
     r = tests - np.concatenate(fit)
     inner = la.cho_factor(np.eye(wide.shape[1]) + wide.T @ wide)
     along = r @ wide

@@ -168,7 +168,8 @@ def imagined_measurement(
         Indices of the modes that are measured, length n_modes.
     sensors : tuple of Sensor
     shapes : ndarray (n_sensors, n_modes)
-        In the scale of the measured shapes: largest modulus 1 at the sensors that were there.
+        In the scale of the measured shapes. A sensor that moves by more than 1 there scatters in proportion: the
+        scatter of a shape is a part of its largest motion.
     """
     freq, ratio = modes.natural_freq[list(which)], modes.damping_ratio[list(which)]
     sizes = [float(np.sqrt(np.mean(s**2))) if s.size else np.nan for s in (scatter.freq, scatter.damping)]
@@ -183,7 +184,7 @@ def imagined_measurement(
         damping_std=sizes[1] * ratio,
         sensors=sensors,
         shapes=shapes,
-        shape_std=np.full(shapes.shape, spread),
+        shape_std=spread * np.maximum(np.abs(shapes), 1.0),
         n_repeats=1,
     )
 
@@ -242,7 +243,11 @@ class _Imagined:
         if known.has_shapes:
             model = self.found.model
             shapes = (model.sensor_rows((*self.sensors, *self.places)) @ modes.shapes[:, cols]).astype(complex)
-            shapes = shapes / np.abs(shapes[: len(self.sensors)]).max(axis=0)
+            # In the scale that the scatter is told in: not that of the largest entry where sensors were left out, and of
+            # a further mode that of its largest motion anywhere, which the sensors may hardly see.
+            there, here = (np.abs(part).max(axis=0) for part in (shapes, shapes[: len(self.sensors)]))
+            told = np.nanmax(np.abs(known.shapes[:, self.paired]), axis=0) / here[: len(self.paired)]
+            shapes = shapes * np.concatenate([told, 1 / there[len(self.paired) :]])
         names, sensors = (*self.modes, *self.more), (*self.sensors, *self.places)
         return imagined_measurement(known, self.scatter, names, modes, cols, sensors, shapes)
 
@@ -301,7 +306,11 @@ class _Imagined:
                 columns.append(np.zeros(len(here)))
         factor = seen[:, None] / scale
         table = np.column_stack(columns) * factor
-        return View(names, trial.state.prior_sd, slope[:, : len(names)] * factor, table, share)
+        # The scale of a shape at further sensors is only as well known as the first ones tell it.
+        loose = question.inner.factor_spread(question.at(values)) * seen[:, None]
+        every = (*names, *(f"scale {k}" for k in range(loose.shape[1])))
+        known = np.append(trial.state.prior_sd, np.ones(loose.shape[1]))
+        return View(every, known, np.hstack([slope[:, : len(names)] * factor, loose]), table, share)
 
     def rival(self, trial: Trial, points: Sequence[Mapping[str, float]], scale: float) -> Rival:
         """What a fitted model predicts at its fit and at points of its posterior; both count from the imagined test."""
@@ -321,6 +330,7 @@ class _Imagined:
         return Rival(
             trial.names[0], trial.ln_evidence, state, fit, slope * factor[:, None], tuple(kept),
             np.array(drawn_there), np.array(seen), there,
+            question.inner.factor_spread(question.at(state.values)) * there[:, None],
         )  # fmt: skip
 
 

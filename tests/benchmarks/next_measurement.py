@@ -4,7 +4,7 @@
 
 The bogie of ``studies/hidden_bogie`` carries a mass on its left girder that the model lacks: in turn at the middle or
 ahead of it. The first test has no sensors on the frame and can hardly tell where. Each run measures the twin (another
-mesh, displaced sensors, noise of five repeats), explains, and, where the answer is one of the two or both, measures
+mesh, displaced sensors, the mean of five repeats with its scatter as stated), explains, and, where the answer is one of the two or both, measures
 what the advice puts first, keeps the old data, and explains again. Every line is appended to
 ``results/next/runs.jsonl``; started again it goes on. The table compares the log odds promised for the true place with
 those that came out.
@@ -34,7 +34,6 @@ from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.loading import module_of
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 from calib.missing.advice import advise
 from calib.missing.explain import explain
 from calib.missing.findings import Findings, Trial
@@ -145,39 +144,37 @@ class Twin:
 
     def measured(self, extra: Sequence[Sensor] = (), repeats: int = REPEATS) -> MeasuredModes:
         """All modes that can be told apart at all sensors and at further ones."""
-        spec, known = self.bench.specimen, len(self.bench.specimen.layout)
+        spec, known, twin = self.bench.specimen, len(self.bench.specimen.layout), self.bench.maker.blind.twin
         hidden = [e for e in masses() if e.name == self.hidden]
         model = extend(spec.fine, hidden)
-        displaced = self.bench.maker.blind.twin.moved(spec.layout, np.random.default_rng([8, self.number]))
+        displaced = twin.moved(spec.layout, np.random.default_rng([8, self.number]))
         found = model.modes(self.values, len(spec.modes) + 4)
         rows = model.sensor_rows((*displaced, *extra))
         names, modes, _ = spec.identified(found, rows[:known] @ found.shapes)
         index = [int(np.flatnonzero(found.natural_freq == f)[0]) for f in modes.natural_freq]
         shapes = rows @ found.shapes[:, index]
         shapes = shapes / np.abs(shapes[:known]).max(axis=0)
-        sensors = (*spec.layout, *extra)
-        parts = [self._repeat(k, names, modes, shapes, known, sensors) for k in range(repeats)]
-        c = combine_repeats(parts)
-        damped = c.natural_freq * np.sqrt(1 - np.minimum(c.damping_ratio, 0.99) ** 2)
+        freq, damping = modes.natural_freq, modes.damping_ratio
+        std = np.full(shapes.shape, twin.STD_SHAPE)
+        std[known:] *= np.maximum(np.abs(shapes).max(axis=0), 1.0)  # the scatter is a part of the largest motion
+        size, noise = math.sqrt(REPEATS / repeats), self._noise(len(names), known, len(extra), repeats)
+        freq = freq * np.exp(twin.STD_FREQ * size * noise[0])
+        damping = damping * np.exp(twin.STD_DAMPING * size * noise[1])
         return MeasuredModes(
-            c.names, c.natural_freq, damped, c.freq_std, c.damping_ratio, c.damping_std, sensors, c.shapes,
-            c.shape_std, repeats, True,
+            names, freq, freq * np.sqrt(1 - np.minimum(damping, 0.99) ** 2), twin.STD_FREQ * size * freq, damping,
+            twin.STD_DAMPING * size * damping, (*spec.layout, *extra), shapes + size * std * noise[2], size * std, 1,
+            True,
         )  # fmt: skip
 
-    def _repeat(
-        self, k: int, names: tuple[str, ...], modes: Any, shapes: np.ndarray, known: int, sensors: tuple[Sensor, ...]
-    ) -> Repeat:
-        twin, n = self.bench.maker.blind.twin, len(names)
-        rng, more = (np.random.default_rng([seed, self.number, k]) for seed in (9, 10))
-        grow = math.sqrt(twin.REPEATS)
-        freq = modes.natural_freq * np.exp(twin.STD_FREQ * grow * rng.standard_normal(n))
-        damping = modes.damping_ratio * np.exp(twin.STD_DAMPING * grow * rng.standard_normal(n))
-        noise = [r.standard_normal((m, n, 2)) for r, m in ((rng, known), (more, len(sensors) - known))]
-        off = np.concatenate(noise) @ np.array([1.0, 1.0j])
-        where = tuple((s.node, s.direction) for s in sensors)
-        own = ShapeSet("", where, shapes + twin.STD_SHAPE * grow * off, np.full(shapes.shape, np.nan))
-        unknown = np.full(n, np.nan)
-        return Repeat("", names, True, freq, unknown, damping, unknown, own)
+    def _noise(self, n: int, known: int, more: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the mean over the repeats in units of its standard deviation; that of each repeat is always the same."""
+        parts = []
+        for k in range(repeats):
+            rng, other = (np.random.default_rng([seed, self.number, k]) for seed in (9, 10))
+            first = rng.standard_normal((2, n)), rng.standard_normal((known, n, 2)), other.standard_normal((more, n, 2))
+            parts.append(first)
+        both = [sum(part[i] for part in parts) / math.sqrt(repeats) for i in range(3)]
+        return both[0][0], both[0][1], np.concatenate(both[1:]) @ np.array([1.0, 1.0j])
 
 
 def run(bench: Bench, number: int, modes: Sequence[str], sensors: Sequence[str]) -> dict[str, Any]:
@@ -212,7 +209,7 @@ def run(bench: Bench, number: int, modes: Sequence[str], sensors: Sequence[str])
         "option": option.name, "kind": option.kind, "now": sign * now, "promised": float(best["ln_bayes"]),
         "low": float(best["ln_bayes_low"]), "high": float(best["ln_bayes_high"]), "chance": float(best["chance"]),
         "realised": sign * realised, "verdict_after": again.verdict, "credible_after": list(again.credible),
-        "evaluations": found.evaluations,
+        "evaluations": found.evaluations, "scale": again.noise_scale, "p_fit": again.base_check.p_fit,
     }  # fmt: skip
 
 

@@ -63,7 +63,18 @@ def rivals(seed, truth=(0.5, -1.0, 0.3, SIZE), count=40):
         rows = np.array([design @ [p[n] for n in names] for p in points])
         predicted = design @ [state.values[n] for n in names]
         there = np.ones(N, dtype=bool)
-        rival = Rival(name, evidence(state), state, predicted, design, points, rows, np.ones(rows.shape, bool), there)
+        rival = Rival(
+            name,
+            evidence(state),
+            state,
+            predicted,
+            design,
+            points,
+            rows,
+            np.ones(rows.shape, bool),
+            there,
+            np.zeros((N, 0)),
+        )
         pair.append(rival)
         designs.append(design)
     return Rivals((pair[0], pair[1]), MEASURED, seed), designs, y
