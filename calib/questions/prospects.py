@@ -267,9 +267,9 @@ class _Imagined:
     def identified(self, question: ModalQuestion, values: Mapping[str, float]) -> np.ndarray:
         """Rows of modes that a test of the model with these values would identify as those of the fit, (n_rows,)."""
         found = question.at(values)
-        damping = found.paired(found.modes.damping_ratio)
+        damping = found.paired(found.modes.damping_ratio)  # NaN where there is no such mode
         alike = np.isnan(found.pairing.mac) | (found.pairing.mac >= ALIKE)
-        there = (found.pairing.model_index >= 0) & (damping < OVERDAMPED) & alike
+        there = (damping < OVERDAMPED) & alike
         names = {name for name, one in zip(self.measurement.names, there, strict=True) if one}
         return np.array([row.mode in names for row in question.inner.rows])
 

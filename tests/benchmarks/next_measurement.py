@@ -4,8 +4,8 @@
 
 The bogie of ``studies/hidden_bogie`` carries a mass on its left girder that the model lacks: in turn at the middle or
 ahead of it. The first test has no sensors on the frame and can hardly tell where. Each run measures the twin (another
-mesh, displaced sensors, the mean of five repeats with its scatter as stated), explains, and, where the answer is one of the two or both, measures
-what the advice puts first, keeps the old data, and explains again. Every line is appended to
+mesh, displaced sensors, the mean of five repeats with its scatter as stated), explains, and, where the answer is one of
+the two or both, measures what the advice puts first, keeps the old data, and explains again. Every line is appended to
 ``results/next/runs.jsonl``; started again it goes on. The table compares the log odds promised for the true place with
 those that came out.
 """

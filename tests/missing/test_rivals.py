@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from calib.missing.draws import drawn
 from calib.missing.evidence import ln_evidence
 from calib.missing.option import Option
-from calib.missing.rivals import Rival, Rivals
+from calib.missing.rivals import Rival, Rivals, _density
 from calib.missing.state import State
 
 N, MORE, P = 24, 8, 3
@@ -172,3 +173,30 @@ def test_weights_are_the_odds_now():
     found, _, _ = rivals(3)
     ratio = np.exp(found.pair[0].ln_evidence - found.pair[1].ln_evidence)
     assert found.weights[0] / found.weights[1] == pytest.approx(ratio) and sum(found.weights) == pytest.approx(1)
+
+
+def test_what_is_loose_besides_the_parameters_counts_as_open():
+    """Against the covariance of the new data written out."""
+    found, _, _ = rivals(2)
+    loose = np.random.default_rng(5).standard_normal((N, 2))
+    pair = tuple(replace(r, loose=loose) for r in found.pair)
+    both = replace(found, pair=pair)
+    m = (pair[0].fit - pair[1].fit)[~MEASURED]
+    total = 0.0
+    for one in pair:
+        g = one.slope[~MEASURED]
+        s = np.eye(MORE) + g @ one.state.covariance @ g.T + loose[~MEASURED] @ loose[~MEASURED].T
+        total += m @ np.linalg.solve(s, m) / 2
+    assert both.difference(NEW) == pytest.approx(total)
+    assert both.difference(NEW) < found.difference(NEW) and both.odds(NEW).mean < found.odds(NEW).mean
+
+
+def test_the_predictive_density_is_that_of_a_gaussian():
+    found, _, _ = rivals(2)
+    loose = np.random.default_rng(5).standard_normal((N, 2))
+    tests, new = np.random.default_rng(6).standard_normal((3, MORE)), ~MEASURED
+    for one in (found.pair[0], replace(found.pair[1], loose=loose)):
+        spread = one.spread[new]
+        told = multivariate_normal(one.fit[new], np.eye(MORE) + spread @ spread.T).logpdf(tests)
+        shared = -0.5 * MORE * np.log(2 * np.pi)
+        np.testing.assert_allclose(_density(one, tests, new.astype(float), new, {}), told - shared)

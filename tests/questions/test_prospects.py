@@ -55,14 +55,22 @@ def measured_again(hypotheses, state, extra=(), more_modes=(), scale=1.0, prior=
     names = (*known.names, *(f"more {j}" for j in more_modes))
     sensors = (*known.sensors, *extra)
     rows = hypotheses.variants.model.sensor_rows(sensors)
-    shapes = rows @ model_modes(hypotheses, state).shapes[:, index]
-    shapes = shapes / np.abs(shapes[: len(known.sensors)]).max(axis=0)
+    moved = model_modes(hypotheses, state).shapes[:, index]
+    shapes = rows @ moved
+    # Measured modes in the scale of their measured shapes, further ones in that of their largest motion.
+    points = hypotheses.variants.model.mesh.points
+    anywhere = hypotheses.variants.model.sensor_rows(
+        [Sensor(2000 + k, d, tuple(map(float, p)), "mast") for k, p in enumerate(points) for d in "xz" if p[1] > 0]
+    )
+    scale_of = np.abs(known.shapes).max(axis=0) / np.abs(shapes[: len(known.sensors), : known.n_modes]).max(axis=0)
+    largest = np.abs(anywhere @ moved).max(axis=0)
+    shapes = shapes * np.append(scale_of, 1 / largest[known.n_modes :])
     scatter = question.inner.scatter
     freq = found.modes.natural_freq[index]
     measured = replace(
         known, names=names, natural_freq=freq, damped_freq=freq, sensors=sensors, shapes=shapes.astype(complex),
         freq_std=scale * np.sqrt(np.mean(scatter.freq**2)) * freq,
-        shape_std=np.full(shapes.shape, scale * np.sqrt(np.mean(scatter.shape**2))),
+        shape_std=scale * np.sqrt(np.mean(scatter.shape**2)) * np.maximum(np.abs(shapes), 1.0),
         damping_ratio=np.full(len(names), np.nan), damping_std=np.full(len(names), np.nan),
     )  # fmt: skip
     problem = replace(hypotheses.problem, measured=measured)
@@ -302,7 +310,7 @@ def test_two_models_are_seen_from_points_of_both_as_the_data_weigh_them(world):
     _, hypotheses, state = world
     pair, found = pair_of(hypotheses), scores(state, hypotheses.effects, {})
     prospects = modal_prospects(hypotheses, pair, hypotheses.effects, found, 1.0, draws=3)
-    assert [view.names[-1] for view in prospects.views] == ["platform"] * 3 + ["lamp"] * 3
+    assert [view.names[3] for view in prospects.views] == ["platform"] * 3 + ["lamp"] * 3
     assert prospects.rivals.names == ("platform", "lamp")
     assert {view.weight for view in prospects.views} == set(prospects.rivals.weights)
     for rival, trial in zip(prospects.rivals.pair, pair, strict=True):
