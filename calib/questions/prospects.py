@@ -243,7 +243,7 @@ class _Imagined:
         if known.has_shapes:
             model = self.found.model
             shapes = (model.sensor_rows((*self.sensors, *self.places)) @ modes.shapes[:, cols]).astype(complex)
-            # In the scale that the scatter is told in: not that of the largest entry where sensors were left out, and of
+            # In the scale that the scatter is told in: not of the largest entry where sensors were left out, and of
             # a further mode that of its largest motion anywhere, which the sensors may hardly see.
             there, here = (np.abs(part).max(axis=0) for part in (shapes, shapes[: len(self.sensors)]))
             told = np.nanmax(np.abs(known.shapes[:, self.paired]), axis=0) / here[: len(self.paired)]
