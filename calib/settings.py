@@ -160,6 +160,8 @@ class ExplainSettings(_Section):
         Correlation from which on effects of the same sign count as one.
     finer_options : dict
         Model options of a finer discretisation.
+    draws : int
+        Points of the posterior over which the advice on what to measure next is averaged.
     seed : int
     """
 
@@ -167,6 +169,7 @@ class ExplainSettings(_Section):
     refits: int = Field(default=6, ge=1)
     merge: float = Field(default=0.98, gt=0, le=1)
     finer_options: dict[str, Any] = {}
+    draws: int = Field(default=10, ge=1)
     seed: int = Field(default=1, ge=0)
 
 

@@ -134,3 +134,11 @@ class Findings:
     def singles(self) -> tuple[Trial, ...]:
         """Trials with one named effect, best first."""
         return tuple(t for t in self.trials if len(t.effects) == 1)
+
+    @property
+    def believed(self) -> tuple[Trial, ...]:
+        """Models that may be the truth: what is named, the two best that cannot be told apart, else the base model."""
+        if not self.names_something or self.chosen is None:
+            return (self.base,)
+        rivals = [t for t in self.singles if t.names[0] in self.credible][:2]
+        return tuple(rivals) if self.verdict == "indistinguishable" and len(rivals) > 1 else (self.chosen,)

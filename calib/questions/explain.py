@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -16,7 +16,7 @@ from calib.errors import EvaluationError, InputError
 from calib.loading import with_effects
 from calib.missing import explain as engine
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
-from calib.missing.advice import Prospects, advice_sentence, advise, expected_odds
+from calib.missing.advice import Prospects, advice_sentence, advise
 from calib.missing.findings import Findings, Trial
 from calib.missing.hypotheses import Hypotheses, Scaled
 from calib.missing.left_out import left_out
@@ -26,10 +26,9 @@ from calib.missing.tables import (
     effects_table,
     misfit_table,
     strain_table,
-    strength_of,
     tried_table,
 )
-from calib.missing.verdict import rounded, sentence
+from calib.missing.verdict import sentence
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
 from calib.questions.modal_side import ModalSide
@@ -177,12 +176,15 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     errors, more_notes, figures = side.errors({**before, **after}, found.noise_scale)
     errors = errors[["group", "stage", "rows", "rms", "expected", "p", "unpaired"]]
     progress("what to measure next")
+    told = side.hypotheses.evaluations
     next_table, advice = _next(side, found, effects)
-    found = replace(found, evaluations=side.hypotheses.evaluations)
+    # What the decision took is one thing, what is told about it another.
+    advised = side.hypotheses.evaluations
+    figures |= {"evaluations_intervals": told - found.evaluations, "evaluations_advice": advised - told}
     progress("what the discretisation alone would look like")
     budget = side.budget(found)
     notes = [*([] if budget is None else [budget.sentence]), *side.notes(), *more_notes]
-    told = sentence(found, effects, errors, advice)
+    words = sentence(found, effects, errors, advice)
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     tables = {
@@ -198,7 +200,7 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
         tables["discretisation"] = budget.table
         figures["discretisation"] = budget.largest
     seconds = time.perf_counter() - started
-    return Explanation(found, told, tuple(notes), effects, errors, tables, figures, seconds)
+    return Explanation(found, words, tuple(notes), effects, errors, tables, figures, seconds)
 
 
 def _untested(side: Side, found: Findings) -> list[Effect]:
@@ -237,18 +239,10 @@ def _next(side: Side, found: Findings, effects: pd.DataFrame) -> tuple[pd.DataFr
     prospects = side.prospects(found)
     if prospects is None:
         return pd.DataFrame(columns=list(ADVICE_COLUMNS)), ""
-    fitted = {t.names[0]: strength_of(t, t.names[0])[0] for t in found.singles}
-    plausible = {g.effect.name: g.effect.plausible for g in found.groups}
-    strengths = [fitted.get(name, plausible[name]) for name in prospects.effects]
-    fitted_ones = [name for name in found.credible if name in fitted]  # others have the very same fingerprint
-    pair = (fitted_ones[0], fitted_ones[1]) if len(fitted_ones) > 1 and found.verdict == "indistinguishable" else None
-    table = advise(prospects, strengths, pair)
+    table = advise(prospects)
+    pair = None if prospects.rivals is None else prospects.rivals.names
     unseen = effects.loc[~effects["visible"].astype(bool), "name"].tolist()
-    told = advice_sentence(table, pair, unseen)
-    if pair is not None:
-        now = expected_odds(prospects, strengths, pair)
-        told = f"Odds to expect with these sensors: {rounded(float(np.exp(min(now, 20.0))))}:1. {told}"
-    return table, told
+    return table, advice_sentence(table, pair, unseen)
 
 
 def _atoms(side: Side, found: Findings) -> pd.DataFrame:

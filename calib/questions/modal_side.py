@@ -98,13 +98,16 @@ class ModalSide:
         return set()
 
     def prospects(self, found: Findings) -> Prospects | None:
-        """What else could be measured, seen from the base model."""
+        """What else could be measured, seen from what may be the truth."""
         held, whole = set(self.study.settings.withheld.modes), self.study.whole
         withheld = {} if whole is None else dict(zip(whole.names, whole.natural_freq.tolist(), strict=True))
         withheld = {name: freq for name, freq in withheld.items() if name in held}
         candidates = [g.effect for g in found.groups]
         named = found.base_check.named
-        return modal_prospects(self.hypotheses, found.base.state, candidates, named, found.noise_scale, withheld)
+        own = self.study.settings.explain
+        return modal_prospects(
+            self.hypotheses, found.believed, candidates, named, found.noise_scale, withheld, own.draws, own.seed
+        )
 
     def budget(self, found: Findings) -> Budget | None:
         """What a finer mesh alone would look like; None where the study names none."""

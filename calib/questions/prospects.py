@@ -9,15 +9,19 @@ from dataclasses import replace
 import numpy as np
 
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.residual import ModalResidual, Row
 from calib.correlation.scatter import Scatter
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
-from calib.missing.advice import Option, Prospects
+from calib.missing.advice import Prospects, View
+from calib.missing.draws import drawn
+from calib.missing.findings import Trial
+from calib.missing.option import Option
+from calib.missing.rivals import Rival, Rivals
 from calib.missing.score import Scores
 from calib.missing.state import State
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModalHypotheses, ModalQuestion
 from calib.structure.modes import Modes
 
 PLACES = 40
@@ -28,68 +32,75 @@ MORE_MODES = 3
 """Modes beyond those measured that are tried."""
 NEAR = 0.1
 """Relative distance in frequency within which a model mode is taken for a withheld one."""
+OVERDAMPED = 0.9
+"""Damping ratio from which a mode is not identified in a test."""
+ALIKE = 0.6
+"""MAC with the mode of the fit from which a mode is taken for the same."""
 BENCH = 0.03
 """Standard deviation of a parameter, over its value, after a test of that part by itself."""
 
 
 def modal_prospects(
     hypotheses: ModalHypotheses,
-    state: State,
+    believed: Sequence[Trial],
     effects: Sequence[Effect],
     found: Scores,
     scale: float,
     withheld: Mapping[str, float] | None = None,
+    draws: int = 10,
+    seed: int = 1,
 ) -> Prospects:
-    """Further measurements of a modal test, linearised at a fitted model.
+    """Further measurements of a modal test, seen from points of the posterior of what may be the truth.
 
     The modes of the fitted model stand in for measured ones, at the measured sensors and at places spread over the
-    structure, with the scatter of the measurement.
+    structure, with the scatter of the measurement. Every point is laid over these: a mode that leaves the window there,
+    is overdamped or looks like no mode of the fit brings nothing there.
 
     Parameters
     ----------
     hypotheses : ModalHypotheses
-    state : State
+    believed : sequence of Trial
+        The model taken for true, or two that the data cannot tell apart.
     effects : sequence of Effect
-        Candidates, none of them in the state's model.
+        Candidates.
     found : Scores
         Scores of the candidates, for the point of a grid that speaks for each of them.
     scale : float
         Factor on the scatter.
     withheld : mapping from str to float, optional
         Natural frequency (Hz) of every withheld mode, which can be used without measuring it.
+    draws : int
+        Points drawn from each model.
+    seed : int
     """
-    imagined = _Imagined(hypotheses, state, withheld or {})
-    residual = imagined.residual(state.effects)
-    slope = -residual.jacobian(state.values, state.names)
-    columns = []
-    for effect in effects:
-        point = found.points[found.best(effect.name)]
-        if not point:
-            columns.append(-residual.jacobian(state.values, [effect.name])[:, 0])
-            continue
-        try:
-            changed = imagined.residual((*state.effects, effect.name)).residual({**state.values, **point})
-        except (EvaluationError, InputError):
-            changed = np.zeros(len(slope))
-        columns.append((residual.residual(state.values) - changed) / point[effect.name])
-    labels = residual.rows
+    imagined = _Imagined(hypotheses, believed[0].state, withheld or {})
+    labels = imagined.question(believed[0].names).inner.rows
     modes, sensors = set(imagined.modes), {s.name for s in imagined.sensors}
     measured = np.array([row.mode in modes and (not row.sensor or row.sensor in sensors) for row in labels])
-    table = np.column_stack(columns) / scale
-    options = _options(hypotheses, state, imagined, residual, slope / scale, table)
-    names = tuple(e.name for e in effects)
-    return Prospects(state.names, state.prior_sd, slope / scale, names, table, measured, tuple(options))
+    seeds = np.random.default_rng(seed).integers(2**31, size=len(believed))
+    points = [drawn(trial.state, draws, int(s)) for trial, s in zip(believed, seeds, strict=True)]
+    rivals = None
+    if len(believed) > 1:
+        first, second = (imagined.rival(t, own, scale) for t, own in zip(believed[:2], points[:2], strict=True))
+        rivals = Rivals((first, second), measured, seed)
+    shares = (1.0,) if rivals is None else rivals.weights
+    views = []
+    for trial, own, share in zip(believed, points, shares, strict=True):
+        seen = [imagined.view(trial, values, effects, found, scale, share) for values in own]
+        views += [view for view in seen if view is not None]
+    options = _options(hypotheses, believed[0].state, imagined, labels, views, rivals)
+    return Prospects(tuple(e.name for e in effects), measured, tuple(options), tuple(views), rivals)
 
 
 def _options(
     hypotheses: ModalHypotheses,
     state: State,
     imagined: _Imagined,
-    residual: ModalResidual,
-    slope: np.ndarray,
-    columns: np.ndarray,
+    labels: Sequence[Row],
+    views: Sequence[View],
+    rivals: Rivals | None,
 ) -> list[Option]:
-    labels, known = residual.rows, {s.name for s in imagined.sensors}
+    known = {s.name for s in imagined.sensors}
     measured = set(imagined.modes)
     out = [Option("twice the repeats", "repeats", scale=1 / math.sqrt(2))]
     for mode in imagined.more:
@@ -101,8 +112,12 @@ def _options(
     if of_sensor:
         here = np.array([row.mode in measured and (not row.sensor or row.sensor in known) for row in labels])
         chosen: dict[tuple[str, ...], None] = {}
-        for k in range(columns.shape[1]):
-            chosen.setdefault(_best_sensors(slope, columns[:, k], here, of_sensor, state.prior_sd))
+        if rivals is not None:
+            apart = {name: rivals.difference(Option(name, "sensor", rows=rows)) for name, rows in of_sensor.items()}
+            chosen.setdefault(_largest(apart))
+        gains = [_gains_of_sensors(view, here, of_sensor) for view in views]
+        for k in range(views[0].columns.shape[1] if views else 0):
+            chosen.setdefault(_largest({n: sum(float(g[n][k]) for g in gains) for n in of_sensor}))
         for several in chosen:
             places = ", ".join(imagined.extra[name] for name in several)
             rows = np.logical_or.reduce([of_sensor[name] for name in several])
@@ -115,17 +130,18 @@ def _options(
     return out
 
 
-def _best_sensors(
-    slope: np.ndarray, column: np.ndarray, here: np.ndarray, of_sensor: dict[str, np.ndarray], prior_sd: np.ndarray
-) -> tuple[str, ...]:
-    """Sensors that each by itself would add most to the length of a fingerprint after projection."""
-    g = slope * prior_sd
-    information = g[here].T @ g[here] + np.eye(len(prior_sd))
-    follow = np.linalg.solve(information, g[here].T @ column[here])
-    # What a further row would see once the parameters have followed; that they follow it too is second order.
-    rest = column - g @ follow
-    gains = {name: float(np.sum(rest[rows] ** 2)) for name, rows in of_sensor.items()}
+def _largest(gains: Mapping[str, float]) -> tuple[str, ...]:
     return tuple(sorted(sorted(gains, key=lambda n: -gains[n])[:TOGETHER]))
+
+
+def _gains_of_sensors(view: View, here: np.ndarray, of_sensor: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What each sensor by itself would add to the squared length of every fingerprint after projection, (m,)."""
+    g = view.slope * view.prior_sd
+    information = g[here].T @ g[here] + np.eye(len(view.names))
+    follow = np.linalg.solve(information, g[here].T @ view.columns[here])
+    # What a further row would see once the parameters have followed; that they follow it too is second order.
+    rest = view.columns - g @ follow
+    return {name: np.sum(rest[rows] ** 2, axis=0) * view.weight for name, rows in of_sensor.items()}
 
 
 def imagined_measurement(
@@ -152,7 +168,8 @@ def imagined_measurement(
         Indices of the modes that are measured, length n_modes.
     sensors : tuple of Sensor
     shapes : ndarray (n_sensors, n_modes)
-        In the scale of the measured shapes: largest modulus 1 at the sensors that were there.
+        In the scale of the measured shapes. A sensor that moves by more than 1 there scatters in proportion: the
+        scatter of a shape is a part of its largest motion.
     """
     freq, ratio = modes.natural_freq[list(which)], modes.damping_ratio[list(which)]
     sizes = [float(np.sqrt(np.mean(s**2))) if s.size else np.nan for s in (scatter.freq, scatter.damping)]
@@ -167,7 +184,7 @@ def imagined_measurement(
         damping_std=sizes[1] * ratio,
         sensors=sensors,
         shapes=shapes,
-        shape_std=np.full(shapes.shape, spread),
+        shape_std=spread * np.maximum(np.abs(shapes), 1.0),
         n_repeats=1,
     )
 
@@ -187,12 +204,13 @@ class _Imagined:
         self.columns = [int(index[i]) for i in self.paired]
         freq, window = self.found.modes.natural_freq, problem.freq_window or (0.0, np.inf)
         free = [j for j in range(len(freq)) if j not in self.columns and window[0] <= freq[j] <= window[1]]
-        further = [j for j in free if self.found.modes.damping_ratio[j] < 0.9][:MORE_MODES]
+        further = [j for j in free if self.found.modes.damping_ratio[j] < OVERDAMPED][:MORE_MODES]
         self.more = [_mode_in_words(float(freq[j]), withheld) for j in further]
         self.columns += further
         self.places = self._places() if measured.has_shapes else ()
         self.extra = {s.name: _in_words(s) for s in self.places}
         self.measurement = self._measurement()
+        self._questions: dict[tuple[str, ...], ModalQuestion] = {}
 
     def _places(self) -> tuple[Sensor, ...]:
         """Sensors spread over the structure: each time the node farthest from all before."""
@@ -225,18 +243,95 @@ class _Imagined:
         if known.has_shapes:
             model = self.found.model
             shapes = (model.sensor_rows((*self.sensors, *self.places)) @ modes.shapes[:, cols]).astype(complex)
-            shapes = shapes / np.abs(shapes[: len(self.sensors)]).max(axis=0)
+            # In the scale that the scatter is told in: not of the largest entry where sensors were left out, and of
+            # a further mode that of its largest motion anywhere, which the sensors may hardly see.
+            there, here = (np.abs(part).max(axis=0) for part in (shapes, shapes[: len(self.sensors)]))
+            told = np.nanmax(np.abs(known.shapes[:, self.paired]), axis=0) / here[: len(self.paired)]
+            shapes = shapes * np.concatenate([told, 1 / there[len(self.paired) :]])
         names, sensors = (*self.modes, *self.more), (*self.sensors, *self.places)
         return imagined_measurement(known, self.scatter, names, modes, cols, sensors, shapes)
 
-    def residual(self, effects: tuple[str, ...]) -> ModalResidual:
+    def question(self, effects: tuple[str, ...]) -> ModalQuestion:
         """Against a variant of the model; modes are paired by what they are."""
-        problem: ModalProblem = self.hypotheses.question(effects).inner.problem
-        kept = {m: c for m, c in problem.mode_clusters.items() if m in self.modes}
-        imagined = replace(problem, measured=self.measurement, mode_clusters=kept, override={}, threshold=0.05)
-        floors = replace(self.hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)
-        # Scale and phase come from the sensors that are there: what others would see is predicted.
-        return ModalResidual(imagined, floors, factor_sensors=tuple(s.name for s in self.sensors))
+        if effects not in self._questions:
+            asked = self.hypotheses.question(effects)
+            problem: ModalProblem = asked.inner.problem
+            kept = {m: c for m, c in problem.mode_clusters.items() if m in self.modes}
+            imagined = replace(problem, measured=self.measurement, mode_clusters=kept, override={}, threshold=0.05)
+            floors = replace(self.hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)
+            # Scale and phase come from the sensors that are there: what others would see is predicted.
+            residual = ModalResidual(imagined, floors, factor_sensors=tuple(s.name for s in self.sensors))
+            self._questions[effects] = ModalQuestion(residual, asked.space, asked.counter)
+        return self._questions[effects]
+
+    def identified(self, question: ModalQuestion, values: Mapping[str, float]) -> np.ndarray:
+        """Rows of modes that a test of the model with these values would identify as those of the fit, (n_rows,)."""
+        found = question.at(values)
+        damping = found.paired(found.modes.damping_ratio)  # NaN where there is no such mode
+        alike = np.isnan(found.pairing.mac) | (found.pairing.mac >= ALIKE)
+        there = (damping < OVERDAMPED) & alike
+        names = {name for name, one in zip(self.measurement.names, there, strict=True) if one}
+        return np.array([row.mode in names for row in question.inner.rows])
+
+    def view(
+        self,
+        trial: Trial,
+        values: Mapping[str, float],
+        effects: Sequence[Effect],
+        found: Scores,
+        scale: float,
+        share: float,
+    ) -> View | None:
+        """Slopes and fingerprints at a point; None where the model cannot be solved."""
+        question, names = self.question(trial.names), trial.state.names
+        try:
+            seen = self.identified(question, values)
+        except EvaluationError:
+            return None
+        points = {e.name: found.points[found.best(e.name)] for e in effects if e.name not in trial.names}
+        plain = [name for name, point in points.items() if not point]
+        slope = -question.jacobian(values, [*names, *plain])
+        here, columns = question.residual(values), []
+        for effect in effects:
+            if effect.name in trial.names or effect.name in plain:
+                columns.append(slope[:, [*names, *plain].index(effect.name)])
+                continue
+            point = points[effect.name]
+            other = self.question((*trial.names, effect.name))
+            try:
+                changed = other.residual({**values, **point})
+                both = self.identified(other, {**values, **point})
+                columns.append(np.where(both, here - changed, 0.0) / point[effect.name])
+            except (EvaluationError, InputError):
+                columns.append(np.zeros(len(here)))
+        factor = seen[:, None] / scale
+        table = np.column_stack(columns) * factor
+        # The scale of a shape at further sensors is only as well known as the first ones tell it.
+        loose = question.inner.factor_spread(question.at(values)) * seen[:, None]
+        every = (*names, *(f"scale {k}" for k in range(loose.shape[1])))
+        known = np.append(trial.state.prior_sd, np.ones(loose.shape[1]))
+        return View(every, known, np.hstack([slope[:, : len(names)] * factor, loose]), table, share)
+
+    def rival(self, trial: Trial, points: Sequence[Mapping[str, float]], scale: float) -> Rival:
+        """What a fitted model predicts at its fit and at points of its posterior; both count from the imagined test."""
+        question, state = self.question(trial.names), trial.state
+        there = self.identified(question, state.values)
+        kept, drawn_there, seen = [], [], []
+        for values in points:
+            try:
+                rows = self.identified(question, values)
+                drawn_there.append(np.where(rows, -question.residual(values), 0.0) / scale)
+            except EvaluationError:
+                continue
+            kept.append(values)
+            seen.append(rows)
+        factor = there / scale
+        fit, slope = -question.residual(state.values) * factor, -question.jacobian(state.values, state.names)
+        return Rival(
+            trial.names[0], trial.ln_evidence, state, fit, slope * factor[:, None], tuple(kept),
+            np.array(drawn_there), np.array(seen), there,
+            question.inner.factor_spread(question.at(state.values)) * there[:, None],
+        )  # fmt: skip
 
 
 def _mode_in_words(freq: float, withheld: Mapping[str, float]) -> str:

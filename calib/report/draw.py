@@ -238,7 +238,7 @@ def _plan_explanation(folder: Path, add: _Add) -> None:
     if versions is not None:
         caption = "errors over the versions of the model"
         add("errors_over_versions", caption, lambda: _owner(draw_error_versions(versions)))
-    worth = ["gain", "ln_bayes"]
+    worth = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]
     options = read("next_measurement", ["option", "kind"], worth, unbounded=worth, blank=["effect"])
     if options is not None:
         add("next_measurement", "what to measure next", lambda: next_measurement_figure(options))

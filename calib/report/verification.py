@@ -172,7 +172,8 @@ def draw_next_measurement(
     ----------
     table : DataFrame
         Columns ``option, kind`` (sensor, mode, repeats or bench), ``effect`` (whose score grows), ``gain`` (factor in
-        the expected score z) and ``ln_bayes`` (expected ln odds between the two leading effects; NaN when one leads).
+        the expected score z) and ``ln_bayes`` (expected ln odds between the two leading effects; NaN when one leads),
+        means, each with ``_low`` and ``_high``, between which eight of ten cases lie: drawn as lines.
     ax : Axes, optional
     measure : str
         ``gain``, drawn from 1, which is no gain, or ``ln_bayes``, drawn from 0.
@@ -192,14 +193,18 @@ def draw_next_measurement(
     bars = ax.barh(at, values - start, 0.66, left=start, color=colours, gid=measure)
     ax.bar_label(bars, [w.replace("-", "−").replace("inf", "∞") for w in words], fontsize=8, padding=3)
     ax.axvline(start, color=BLACK, linewidth=0.8)
-    known = np.append(values, [start, 2.0 if measure == "gain" else LEAST_ODDS])
+    low, high = (rows[f"{measure}_{end}"].to_numpy(dtype=float) for end in ("low", "high"))
+    wide = np.isfinite(low) & np.isfinite(high)
+    ax.hlines(at[wide] + 0.2, low[wide], high[wide], color=BLACK, linewidth=1.0, gid="range")
+    known = np.concatenate([values, low[wide], high[wide]])
+    known = np.append(known, [start, 2.0 if measure == "gain" else LEAST_ODDS])
     span = float(known.max() - known.min())
     ax.set_xlim(known.min() - 0.02 * span, known.max() + 0.24 * span)
     if measure == "ln_bayes":
         ax.axvline(LEAST_ODDS, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
-        ax.set_xlabel(f"expected ln odds between the two\nleading effects (–; dashed: {LEAST_ODDS:g})")
+        ax.set_xlabel(f"mean ln odds to expect for the true one\nof two (–; lines: 8 of 10; dashed: {LEAST_ODDS:g})")
     else:
-        ax.set_xlabel("factor in the expected score z of the\neffect named (–); 1: nothing is gained")
+        ax.set_xlabel("mean factor in the expected score z of the\neffect named (–; lines: 8 of 10; 1: no gain)")
     ax.set_yticks(at, _option_labels(rows), fontsize=8)
     ax.tick_params(axis="y", length=0)
     ax.set_ylim(len(rows) - 0.45, -0.55)

@@ -78,7 +78,7 @@ def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(guy
         "study", "synthetic", "verdict", "sentence", "notes", "p_family", "p_fit", "credible_set", "effects", "chosen",
         "adequacy_p_family", "adequacy_p_fit",
         "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations", "errors",
-        "basis_error", "discretisation", "seconds",
+        "basis_error", "discretisation", "seconds", "evaluations_intervals", "evaluations_advice",
     }  # fmt: skip
     assert set(explanation()["effects"][0]) == {
         "name", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "ln_bayes", "posterior", "heldout_gain",

@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parents[2]
 KEYS = {
     "study", "synthetic", "verdict", "sentence", "notes", "p_family", "p_fit", "credible_set", "effects", "chosen",
     "adequacy_p_family", "adequacy_p_fit",
-    "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations", "errors",
-    "seconds",
+    "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations",
+    "evaluations_intervals", "evaluations_advice", "errors", "seconds",
 }  # fmt: skip
 
 
@@ -91,12 +91,15 @@ def test_those_that_cannot_be_told_apart_are_told_with_what_would(mast, tmp_path
     study = Study.load(folder)
     answer = explain(study, Results.at(tmp_path / "results", "mast"))
     assert answer.verdict == "indistinguishable" and set(answer.findings.credible) == {"platform", "lamp"}
-    assert re.search(r"Odds to expect with these sensors: [\d.]+:1\.", answer.sentence)
+    assert re.search(r"odds of [\d.,:]+ for the true one of (platform and lamp|lamp and platform) \(", answer.sentence)
     assert (
         "To tell them apart, measure next: " in answer.sentence
         or "No measurement looked at would tell" in answer.sentence
     )
-    assert answer.tables["next_measurement"]["ln_bayes"].notna().all()
+    promised = answer.tables["next_measurement"]
+    assert promised["chance"].between(0, 1).all()
+    assert (promised["ln_bayes_low"] < promised["ln_bayes_high"]).all()
+    assert (promised["gain_low"] <= promised["gain_high"]).all()
     table = answer.effects.set_index("name")
     assert table.loc["platform", "confounded_with"] == "lamp"
     for trial in answer.findings.singles[:2]:  # intervals of both by profile likelihood

@@ -4,9 +4,13 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calib.measurement.modal import Sensor
+from calib.missing.advice import advise
+from calib.missing.evidence import ln_evidence
+from calib.missing.findings import Trial
 from calib.missing.score import scores
 from calib.missing.state import State, fitted
 from calib.questions.hypotheses import ModalHypotheses
@@ -35,9 +39,12 @@ def world(mast, tmp_path_factory):
     return study, hypotheses, fitted(question, (), question.space.values)
 
 
-def prospects_of(hypotheses, state, withheld=None, scale=1.0):
+def prospects_of(hypotheses, state, withheld=None, scale=1.0, draws=1, certain=True):
+    """Seen from the fit alone: its posterior shrunk to a point."""
     found = scores(state, hypotheses.effects, {})
-    return modal_prospects(hypotheses, state, hypotheses.effects, found, scale, withheld)
+    sharp = replace(state, slope=1e7 * state.slope) if certain else state
+    trial = Trial((), sharp, 0.0, "")
+    return modal_prospects(hypotheses, [trial], hypotheses.effects, found, scale, withheld, draws)
 
 
 def measured_again(hypotheses, state, extra=(), more_modes=(), scale=1.0, prior=None):
@@ -48,14 +55,22 @@ def measured_again(hypotheses, state, extra=(), more_modes=(), scale=1.0, prior=
     names = (*known.names, *(f"more {j}" for j in more_modes))
     sensors = (*known.sensors, *extra)
     rows = hypotheses.variants.model.sensor_rows(sensors)
-    shapes = rows @ model_modes(hypotheses, state).shapes[:, index]
-    shapes = shapes / np.abs(shapes[: len(known.sensors)]).max(axis=0)
+    moved = model_modes(hypotheses, state).shapes[:, index]
+    shapes = rows @ moved
+    # Measured modes in the scale of their measured shapes, further ones in that of their largest motion.
+    points = hypotheses.variants.model.mesh.points
+    anywhere = hypotheses.variants.model.sensor_rows(
+        [Sensor(2000 + k, d, tuple(map(float, p)), "mast") for k, p in enumerate(points) for d in "xz" if p[1] > 0]
+    )
+    scale_of = np.abs(known.shapes).max(axis=0) / np.abs(shapes[: len(known.sensors), : known.n_modes]).max(axis=0)
+    largest = np.abs(anywhere @ moved).max(axis=0)
+    shapes = shapes * np.append(scale_of, 1 / largest[known.n_modes :])
     scatter = question.inner.scatter
     freq = found.modes.natural_freq[index]
     measured = replace(
         known, names=names, natural_freq=freq, damped_freq=freq, sensors=sensors, shapes=shapes.astype(complex),
         freq_std=scale * np.sqrt(np.mean(scatter.freq**2)) * freq,
-        shape_std=np.full(shapes.shape, scale * np.sqrt(np.mean(scatter.shape**2))),
+        shape_std=scale * np.sqrt(np.mean(scatter.shape**2)) * np.maximum(np.abs(shapes), 1.0),
         damping_ratio=np.full(len(names), np.nan), damping_std=np.full(len(names), np.nan),
     )  # fmt: skip
     problem = replace(hypotheses.problem, measured=measured)
@@ -82,7 +97,7 @@ def option_of(prospects, kind):
 
 
 def sizes(prospects, option=None):
-    return np.sqrt(np.diag(prospects.seen(option)))
+    return prospects.sizes(option)[0]
 
 
 def sensors_in(option, first=900):
@@ -227,10 +242,136 @@ def test_the_fingerprint_of_an_effect_with_a_grid_is_taken_where_it_speaks(world
     other = replace(hypotheses, variants=replace(hypotheses.variants, effects=effects))
     found = scores(state, effects, {"platform": other.question(("platform",))})
     k = effects.index(gridded)
-    derivative = prospects_of(hypotheses, state).columns[:, k]
+    derivative = prospects_of(hypotheses, state).views[0].columns[:, k]
     for strength in (60.0, 1e-4):
         column = next(j for j, p in enumerate(found.points) if p == {"platform": strength})
         told = replace(found, z=np.where(np.arange(len(found.z)) == column, 99.0, found.z))
-        here = modal_prospects(other, state, effects, told, 1.0).columns[:, k]
+        trial = Trial((), replace(state, slope=1e7 * state.slope), 0.0, "")
+        here = modal_prospects(other, [trial], effects, told, 1.0, draws=1).views[0].columns[:, k]
         close = np.linalg.norm(here - derivative) / np.linalg.norm(derivative)
         assert close < 0.01 if strength < 1 else close > 0.05
+
+
+# -- over what may be true ---------------------------------------------------------------------------------------------
+
+
+def test_a_posterior_that_has_shrunk_to_a_point_promises_what_the_fit_does(world):
+    _, hypotheses, state = world
+    one, several = prospects_of(hypotheses, state), prospects_of(hypotheses, state, draws=4)
+    assert len(several.views) == 4 and [o.name for o in one.options] == [o.name for o in several.options]
+    pd.testing.assert_frame_equal(advise(one), advise(several), rtol=1e-4)
+
+
+def test_points_differ_as_the_posterior_leaves_them_and_are_the_same_again(world):
+    _, hypotheses, state = world
+    one, again = (prospects_of(hypotheses, state, draws=5, certain=False) for _ in range(2))
+    pd.testing.assert_frame_equal(advise(one), advise(again), check_exact=True)
+    spread = one.sizes(None).std(axis=0) / one.sizes(None).mean(axis=0)
+    assert (spread > 1e-4).all() and (spread < 0.5).all()
+    table = advise(one)
+    assert (table["gain_low"] <= table["gain"]).all() and (table["gain"] <= table["gain_high"]).all()
+    assert (table["gain_low"] < table["gain_high"]).any()
+
+
+def test_a_further_mode_that_leaves_the_window_at_some_points_brings_nothing_there(world):
+    """The window ends just above the first of the further modes, which the draws move by some per cent."""
+    _, hypotheses, state = world
+    modes, index = model_modes(hypotheses, state), hypotheses.question(()).at(state.values).pairing.model_index
+    free = [j for j in range(modes.n_modes) if j not in index and modes.natural_freq[j] < 100.0]
+    top = float(modes.natural_freq[free[0]]) * 1.0005
+    window = replace(hypotheses.problem, freq_window=(0.5, top))
+    narrow = ModalHypotheses(window, hypotheses.variants, hypotheses.space)
+    prospects = prospects_of(narrow, state, draws=8, certain=False)
+    (option,) = [o for o in option_of(prospects, "mode") if o.name.endswith(f"{modes.natural_freq[free[0]]:.3g} Hz")]
+    gains = prospects.sizes(option) / prospects.sizes(None)
+    lost = np.isclose(gains, 1.0, atol=1e-12).all(axis=1)
+    assert 0 < lost.sum() < 8
+    wide = prospects_of(hypotheses, state, draws=8, certain=False)
+    (same,) = [o for o in option_of(wide, "mode") if o.name == option.name]
+    whole = wide.sizes(same) / wide.sizes(None)
+    np.testing.assert_allclose(gains[~lost], whole[~lost], rtol=1e-6)
+    assert (whole[lost].max(axis=1) > 1 + 1e-6).all()
+
+
+# -- two models --------------------------------------------------------------------------------------------------------
+
+
+def pair_of(hypotheses, names=("platform", "lamp")):
+    trials = []
+    for name in names:
+        question = hypotheses.question((name,))
+        state = fitted(question, (name,), question.space.values)
+        (own,) = [e for e in hypotheses.effects if e.name == name]
+        trials.append(Trial((own,), state, ln_evidence(state, [own]), ""))
+    return trials
+
+
+def test_two_models_are_seen_from_points_of_both_as_the_data_weigh_them(world):
+    _, hypotheses, state = world
+    pair, found = pair_of(hypotheses), scores(state, hypotheses.effects, {})
+    prospects = modal_prospects(hypotheses, pair, hypotheses.effects, found, 1.0, draws=3)
+    assert [view.names[3] for view in prospects.views] == ["platform"] * 3 + ["lamp"] * 3
+    assert prospects.rivals.names == ("platform", "lamp")
+    assert {view.weight for view in prospects.views} == set(prospects.rivals.weights)
+    for rival, trial in zip(prospects.rivals.pair, pair, strict=True):
+        assert len({p[rival.name] for p in rival.points}) == 3 and rival.seen.all() and rival.there.all()
+        k = trial.state.names.index(rival.name)
+        step = trial.state.covariance[k, k] ** 0.5
+        moved = rival.drawn - rival.fit
+        linear = np.array(
+            [[p[n] - trial.state.values[n] for n in trial.state.names] for p in rival.points]
+        ) @ rival.slope.T  # fmt: skip
+        assert step > 0 and np.linalg.norm(moved - linear) < 0.2 * np.linalg.norm(moved)
+
+
+@pytest.mark.slow
+def test_the_odds_promised_for_twice_the_repeats_come_out(mast, tmp_path):
+    """Two masses near each other, which one test hardly tells apart; the truth is in turn one and the other."""
+    promised, realised, inside = [], [], 0
+    for number in range(12):
+        hidden = ("platform", "lamp")[number % 2]
+        tests = []
+        for again in (0, 1000):
+            folder = tmp_path / f"{number}_{again}" / "mast"
+            tests.append(Study.load(near_lamp(mast, folder, hidden, number + again)))
+        first, _ = modal_hypotheses(tests[0], Results.at(tmp_path / f"r{number}", "mast"))
+        one, other = (t.measured for t in tests)
+        both = replace(
+            one, natural_freq=(one.natural_freq + other.natural_freq) / 2, shapes=(one.shapes + other.shapes) / 2,
+            damped_freq=(one.damped_freq + other.damped_freq) / 2, freq_std=one.freq_std / np.sqrt(2),
+            shape_std=one.shape_std / np.sqrt(2),
+        )  # fmt: skip
+        more = ModalHypotheses(replace(first.problem, measured=both), first.variants, first.space)
+        pair, after = pair_of(first), pair_of(more)
+        question = first.question(())
+        base = fitted(question, (), question.space.values)
+        prospects = modal_prospects(first, pair, pair[0].effects, scores(base, first.effects, {}), 1.0, draws=6)
+        (option,) = option_of(prospects, "repeats")
+        odds = prospects.rivals.odds(option)
+        sign = 1 if hidden == "platform" else -1
+        promised.append(odds.mean)
+        realised.append(sign * (after[0].ln_evidence - after[1].ln_evidence))
+        inside += odds.low <= realised[-1] <= odds.high
+    error = np.std(realised, ddof=1) / np.sqrt(len(realised))
+    assert np.mean(realised) == pytest.approx(np.mean(promised), abs=2.5 * error)
+    assert error < 1.5 and inside >= 7 and np.mean(np.array(realised) > 0) >= 0.75
+
+
+def near_lamp(mast, folder, hidden, seed):
+    """A study whose lamp hangs just above the platform."""
+    lamp = '"Lamp near the top", 4.5', '"Lamp near the platform", 3.5'
+    library = mast.library
+    mast.library = lambda: tuple(
+        mast._one("lamp", "Lamp near the platform", 3.5, (0, 1, 2), "mass", "kg", 10.0, 100.0)
+        if e.name == "lamp"
+        else e
+        for e in library()
+    )
+    try:
+        mast.write_study(folder, {hidden: 3.0}, seed)
+    finally:
+        mast.library = library
+    text = (folder / "effects.py").read_text()
+    assert lamp[0] in text
+    (folder / "effects.py").write_text(text.replace(*lamp))
+    return folder

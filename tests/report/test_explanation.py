@@ -217,7 +217,8 @@ TABLES = {
     "confounding": "effect,arb\narb,1.0\n",
     "errors": "group,stage,rms,expected,p\nfit,before,4.4,1.0,0.0\nfit,after,0.9,1.0,\n",
     "versions": "version,study,effects,group,rms,expected\n0,bogie,,fit,4.4,1.0\n1,bogie_2,arb,fit,0.9,1.0\n",
-    "next_measurement": "option,kind,effect,gain,ln_bayes,words\ntwice,repeats,arb,inf,,more\n",
+    "next_measurement": "option,kind,effect,gain,gain_low,gain_high,ln_bayes,ln_bayes_low,ln_bayes_high,words\n"
+    "twice,repeats,arb,inf,inf,inf,,,,more\n",
 }
 
 

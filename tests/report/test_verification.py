@@ -113,7 +113,14 @@ def test_one_version_or_none(versions):
 def options():
     rows = [(f"sensor {k}", "sensor", "arb", 1.0 + 0.1 * k, nan) for k in range(12)]
     rows += [("twice", "repeats", "arb", np.inf, nan), ("weigh", "bench", "arb", nan, nan)]
-    return pd.DataFrame(rows, columns="option kind effect gain ln_bayes".split())
+    table = pd.DataFrame(rows, columns="option kind effect gain ln_bayes".split())
+    more = {
+        "gain_low": table["gain"] - 0.2,
+        "gain_high": table["gain"] + 0.3,
+        "ln_bayes_low": nan,
+        "ln_bayes_high": nan,
+    }
+    return table.assign(**more)
 
 
 def test_the_ten_best_options_are_drawn_from_no_gain(options):
@@ -123,12 +130,17 @@ def test_the_ten_best_options_are_drawn_from_no_gain(options):
     np.testing.assert_allclose([b.get_x() for b in container], 1.0)
     np.testing.assert_allclose([b.get_width() for b in container][1:], np.arange(1.1, 0.2, -0.1))
     assert labels(ax.texts)[:2] == ["× ∞", "× 2.10"]
+    (ranges,) = [c for c in ax.collections if c.get_gid() == "range"]
+    ends = [segment[:, 0] for segment in ranges.get_segments()]
+    np.testing.assert_allclose(ends, [(1 + 0.1 * k - 0.2, 1 + 0.1 * k + 0.3) for k in range(11, 2, -1)])
     assert labels(ax.get_legend().get_texts()) == ["more repeats", "further sensor"]
     assert len(next_measurement_figure(options).axes) == 1
 
 
 def test_with_two_leading_effects_the_expected_odds_rank(options):
-    two = options.assign(ln_bayes=np.arange(14.0)[::-1], effect=["arb", "seats"] * 7)
+    ln_odds = np.arange(14.0)[::-1]
+    ends = {"ln_bayes_low": ln_odds - 3, "ln_bayes_high": ln_odds + 3}
+    two = options.assign(ln_bayes=ln_odds, **ends, effect=["arb", "seats"] * 7)
     assert list(best_options(two)["option"])[:3] == ["sensor 0", "sensor 1", "sensor 2"]
     figure = next_measurement_figure(two)
     _, left, right = figure.axes
