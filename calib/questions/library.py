@@ -14,7 +14,7 @@ from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.questions.hypotheses import ModalHypotheses
-from calib.questions.reduction import WORTHWHILE_DOFS, reduction_of, training
+from calib.questions.reduction import reduction_of, training, worthwhile
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.structure.atoms import Atom, atoms
@@ -41,7 +41,7 @@ def modal_hypotheses(
     local = atoms(model, placed, study.search_space.values, float(measured.natural_freq.min()))
     effects, plain = study.candidates, tuple(a.effect for a in local)
     basis = None
-    if study.settings.reduction.use and model.n_dof >= WORTHWHILE_DOFS:
+    if worthwhile(study):
         progress("reduced basis for the effects")
         reduction = study.settings.reduction
         freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)

@@ -96,10 +96,9 @@ class Reduction:
 def reduction_of(study: Study, home: Results) -> Reduction | None:
     """Train a basis for a study's search, or load the one trained before; None where full order is fast enough."""
     settings, problem = study.settings.reduction, study.problem
-    if not settings.use or not isinstance(problem, ModalProblem) or not isinstance(problem.model, StructuralModel):
+    if not worthwhile(study):
         return None
-    if problem.model.n_dof < WORTHWHILE_DOFS:
-        return None
+    assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
     freq_max = problem.freq_window[1] if problem.freq_window else np.inf
     path = _file(home, 1)
     if path.exists():
@@ -126,6 +125,12 @@ def training(study: Study) -> Iterator[None]:
             f"no reduced basis can be trained: {fault}", place=study.file,
             remedy="check the model over the search limits, or set use = false under [reduction]",
         ) from None  # fmt: skip
+
+
+def worthwhile(study: Study) -> bool:
+    """Whether a study is to be asked on a reduced basis."""
+    model = study.problem.model if isinstance(study.problem, ModalProblem) else None
+    return study.settings.reduction.use and isinstance(model, StructuralModel) and model.n_dof >= WORTHWHILE_DOFS
 
 
 def fingerprints(study: Study, home: Results) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from calib import cli
-from calib.questions import library
+from calib.questions import library, reduction
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = str(ROOT / "studies/five_mass_chain")
@@ -147,11 +147,11 @@ def test_what_is_not_known_is_left_empty(guyed, capsys):
 
 
 def test_explain_twice_gives_the_same_bytes_and_trains_no_second_basis(guyed, monkeypatch, capsys, explanation, files):
-    monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
+    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", 10)
     assert cli.answer(["explain", "mast"]) == 0
     first = {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}
     assert any(p.suffix == ".npz" for p in first)
-    monkeypatch.setattr(library, "train_basis", lambda *a, **k: pytest.fail("a basis is there"))
+    monkeypatch.setattr(library, "effect_basis", lambda *a: pytest.fail("a basis is there"))
     before = explanation()
     assert cli.answer(["explain", "mast"]) == 0
     assert first == {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}
@@ -160,7 +160,7 @@ def test_explain_twice_gives_the_same_bytes_and_trains_no_second_basis(guyed, mo
 
 def test_explain_on_a_basis_says_the_same(guyed, monkeypatch):
     assert cli.answer(["explain", "mast", "--results", "full"]) == 0
-    monkeypatch.setattr(library, "WORTHWHILE_DOFS", 10)
+    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", 10)
     assert cli.answer(["explain", "mast", "--results", "reduced"]) == 0
     full, reduced = (json.loads(Path(k, "mast/explanation.json").read_text()) for k in ("full", "reduced"))
     assert 0 < reduced["basis_error"] < 0.05 and full["basis_error"] == pytest.approx(0.0, abs=1e-9)

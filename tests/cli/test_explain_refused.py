@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calib import cli
-from calib.questions import library
+from calib.questions import reduction
 
 
 def refused(arguments, capsys, *words):
@@ -34,11 +34,11 @@ def test_a_study_whose_model_has_all_effects_is_told_what_to_do(guyed, capsys, e
     )
 
 
-@pytest.mark.parametrize("worthwhile_dofs", [library.WORTHWHILE_DOFS, 10])
+@pytest.mark.parametrize("worthwhile_dofs", [reduction.WORTHWHILE_DOFS, 10])
 @pytest.mark.parametrize("held", [["B2z", "B3x", "B3z"], ["B1x", "B1z", "B2x", "B2z", "B3x"]])
 def test_too_few_modes_are_told_before_a_basis_is_trained(guyed, capsys, monkeypatch, held, worthwhile_dofs, edit):
-    monkeypatch.setattr(library, "WORTHWHILE_DOFS", worthwhile_dofs)
-    monkeypatch.setattr(library, "train_basis", lambda *a, **k: pytest.fail("a basis is trained"))
+    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", worthwhile_dofs)
+    monkeypatch.setattr(reduction, "train_basis", lambda *a, **k: pytest.fail("a basis is trained"))
     edit(guyed, "modes = []", f"modes = {json.dumps(held)}")
     words = f"{6 - len(held)} measured modes cannot tell a missing effect from a parameter"
     refused(["explain", "mast"], capsys, words, "measure at least 4")

@@ -29,8 +29,7 @@ def small_pays(monkeypatch):
     """A basis even for a small model, and how often one was trained for effects."""
     trained = []
     train = library.effect_basis
-    for module in (library, reduction):
-        monkeypatch.setattr(module, "WORTHWHILE_DOFS", 10)
+    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", 10)
     monkeypatch.setattr(library, "effect_basis", lambda *a: trained.append(a) or train(*a))
     return trained
 
