@@ -14,6 +14,8 @@ import typer
 from calib import __version__, console, interrupt, progress
 from calib.errors import InputError
 from calib.example import write_example
+from calib.missing.findings import Findings
+from calib.questions import added as addition
 from calib.questions import calibrate as calibration
 from calib.questions import compare as comparison
 from calib.questions import explain as explanation
@@ -139,46 +141,51 @@ def explain(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     """
     loaded = _load(study, results)
     folder = places.results_of(loaded, results)
-    _explain(loaded, folder)
+    console.tell_what_to_add(loaded, _explain(loaded, folder).findings)
     _draw(loaded, folder)
 
 
 @app.command()
 def extend(
     study: StudyPath,
-    effect: Annotated[str, typer.Argument(metavar="EFFECT", help="One of the study's library of effects.")],
+    effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Of the study's library of effects.")],
     into: Annotated[Path, typer.Option("--into", metavar="FOLDER", help="A folder that does not exist yet.")],
     results: ResultsPath = DEFAULT_RESULTS,
 ) -> None:
-    """Write a new study whose model has one more effect; the old one stays as it is."""
-    console.tell_extension(extension.extend(_load(study, results), effect, into))
+    """Write a new study whose model has one effect more, or several; the old one stays as it is."""
+    written = extension.extend(_load(study, results), effects, into)
+    console.tell_extension(written)
+    console.say(f"Calibrate it with: calib calibrate {console.called(written.file)}")
 
 
 @app.command()
 def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     """Tell all earlier answers in report.html, one file that opens anywhere, and draw every figure anew."""
     loaded = _load(study, results)
-    home = results / loaded.name
-    folders = [home, *sorted(p for p in home.glob("*") if p.is_dir() and any(p.glob("*.csv")))]
-    if not any(home.glob("*.csv")) and len(folders) == 1:
+    if not places.answers_of(loaded, results):
+        home = results / loaded.name
         raise InputError("there are no results to draw", place=home, remedy=f"ask first, such as 'calib run {study}'")
-    console.tell_versions(write_versions(loaded, results))
-    for folder in folders:
-        _draw(loaded, Results(folder), whole_report=True)
+    _draw_anew(loaded, results)
 
 
 @app.command()
 def run(
     study: StudyPath, results: ResultsPath = DEFAULT_RESULTS, workers: Workers = None, quick: Quick = False
 ) -> None:
-    """Ask everything: compare, sensitivity, calibrate, explain where effects are named; draw, and write report.html."""
+    """Ask everything: compare, sensitivity, calibrate, explain, add what is named; draw, and write report.html.
+
+    A study that names effects which its model may lack is explained. What is missing, if anything is named, is added:
+    the extended study is written among the results and calibrated too, and the errors before and after are told.
+    """
     loaded = _load(study, results, workers, quick)
     folder = places.results_of(loaded, results, quick)
     _compare(loaded, folder)
     _sensitivity(loaded, folder, results, workers, quick)
-    _calibrate(loaded, folder, results, workers, None, quick, None)
+    calibrated = _calibrate(loaded, folder, results, workers, None, quick, None)
     if loaded.candidates:
-        _explain(loaded, folder)
+        found = _explain(loaded, folder).findings
+        if extended := _add(loaded, folder, results, workers, quick, calibrated, found):
+            _draw(*extended, whole_report=True)
     _draw(loaded, folder, whole_report=True)
 
 
@@ -208,9 +215,7 @@ def _load(path: Path, root: Path, workers: int | None = None, quick: bool = Fals
         if found is None:
             console.say(f"{study.settings.title} comes first: {path} takes over what it finds.")
             folder = places.results_of(study, root, quick)
-            if isinstance(study.settings.selection, str):
-                _sensitivity(study, folder, root, workers, quick)
-            _calibrate(study, folder, root, workers, None, quick, None)
+            _fit(study, folder, root, workers, quick)
             _draw(study, folder)
             found = phases.values_found(study, root, quick)
         taken = found or phases.Found({}, {})
@@ -257,7 +262,7 @@ def _calibrate(
     case: str | None,
     quick: bool,
     method: calibration.Method | None,
-) -> None:
+) -> calibration.Calibration:
     study = influence.selected_by_measures(study, places.results_of(study, root, quick))
     console.head(study, "calibrate")
     with places.ledger_of(study, root) as ledger, progress.search() as step:
@@ -265,13 +270,62 @@ def _calibrate(
         home = places.results_of(study, root)
         answer = calibration.calibrate(study, folder, ledger, workers, case, quick, method, step, home)
     console.tell_calibration(study, answer, folder)
+    return answer
 
 
-def _explain(study: Study, folder: Results) -> None:
+def _fit(study: Study, folder: Results, root: Path, workers: int | None, quick: bool) -> calibration.Calibration:
+    """Calibrate, and ask before which parameters matter where the study leaves their choice to that."""
+    if isinstance(study.settings.selection, str):
+        _sensitivity(study, folder, root, workers, quick)
+    return _calibrate(study, folder, root, workers, None, quick, None)
+
+
+def _explain(study: Study, folder: Results) -> explanation.Explanation:
     console.head(study, "explain")
     with progress.told() as step:
         answer = explanation.explain(study, folder, step)
     console.tell_explanation(study, answer, folder)
+    return answer
+
+
+def _add(
+    study: Study,
+    folder: Results,
+    root: Path,
+    workers: int | None,
+    quick: bool,
+    calibrated: calibration.Calibration,
+    found: Findings,
+) -> tuple[Study, Results] | None:
+    """Extend the study by what an explanation names, calibrate it too, and tell what that brings.
+
+    Returns the extended study and where its answers are; None when nothing is named.
+    """
+    console.head(study, "extend")
+    names = addition.to_add(found)
+    if not names:
+        console.say(addition.write_nothing_added(found, folder).sentence)
+        return None
+    written = extension.extend_among(study, names, folder.path)
+    console.tell_extension(written)
+    extended = _load(written.file, root, workers, quick)
+    own = places.results_of(extended, root, quick)
+    after = _fit(extended, own, root, workers, quick)
+    answer = addition.write_added(study, calibrated, written.effects, extended, after, folder, quick)
+    console.head(study, "before and after")
+    console.tell_added(answer, written, own)
+    return extended, own
+
+
+def _draw_anew(study: Study, root: Path) -> None:
+    """Every figure and report of a study, and of those that its runs have extended it to."""
+    console.tell_versions(write_versions(study, root))
+    folders = places.answers_of(study, root)
+    for folder in folders:
+        _draw(study, folder, whole_report=True)
+    written = [file for folder in folders if (file := extension.found_among(study, folder.path))]
+    for file in written[:1]:  # that of a quick look has its answers in the same place
+        _draw_anew(_load(file, root), root)
 
 
 def _draw(study: Study, folder: Results, whole_report: bool = False) -> None:

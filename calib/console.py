@@ -11,7 +11,9 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from calib.missing.findings import Findings
 from calib.missing.verdict import rounded
+from calib.questions.added import WORDS, Added, by_group
 from calib.questions.calibrate import Calibration
 from calib.questions.compare import Answer
 from calib.questions.explain import Explanation
@@ -161,15 +163,32 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
 
 def tell_extension(extension: Extension) -> None:
     """The new study that was written, and what to ask of it."""
-    effect, folder = extension.effect, extension.file.parent
-    say(f"Written: {folder}, the same study with one more effect in its model: {effect.title} ({effect.name}).")
+    effects, folder = extension.effects, extension.file.parent
+    more = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
+    named = " and ".join(f"{effect.title} ({effect.name})" for effect in effects)
+    say(f"Written: {folder}, the same study with {more} more in its model: {named}.")
     if extension.selected:
         say(f"Its calibration may change {', '.join(extension.selected)} too.")
     else:
-        say(f"Its model has {', '.join(effect.names)} too; the study leaves the selection to 'calib sensitivity'.")
+        names = ", ".join(name for effect in effects for name in effect.names)
+        say(f"Its model has {names} too; the study leaves the selection to 'calib sensitivity'.")
     for before, after in extension.moved:
         say(f"Not copied, still read from where it is: {before}, from there {after}.")
-    say(f"Calibrate it with: calib calibrate {_called(extension.file)}")
+
+
+def tell_added(answer: Added, extension: Extension, folder: Results) -> None:
+    """What was added, the errors before and after on every group of data, and where the extended study is."""
+    rows = [
+        (WORDS[r["group"]], str(r["rows_after"]), *(_number(r[f"rms_{stage}"], 2) for stage in ("before", "after")),
+         _number(r["expected_after"], 2), *(f"{r[f'p_{stage}']:.2g}" for stage in ("before", "after")))
+        for r in by_group(answer.errors).to_dict("records")
+    ]  # fmt: skip
+    if rows:
+        say("Both models calibrated alike; rms errors in units of the scatter:")
+        _table(("data", "rows", "before", "after", "of a right model", "p before", "p after"), rows)
+    say(answer.sentence)
+    say(f"\nThe extended study, to be opened, moved or gone on with: {extension.file.parent}")
+    say(f"Its own answers: {folder.path}")
 
 
 def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None:
@@ -217,12 +236,14 @@ def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None
             label = f" and with {name}: best attempt, not believed"
         say(f"\nErrors in units of the scatter, before{label}:")
         _table(("data", "stage", "rows", "rms", "of a right model", "p"), errors)
-    if found.verdict in ("effect", "indistinguishable"):
-        say(f"Add it with: calib extend {_called(study.file)} {found.credible[0]} --into FOLDER")
-    if found.verdict == "two_effects" and found.chosen is not None:
-        one, other = found.chosen.names
-        first = f"calib extend {_called(study.file)} {one} --into FOLDER"
-        say(f"Add them with: {first}, then calib extend FOLDER {other} --into FOLDER_2")
+
+
+def tell_what_to_add(study: Study, found: Findings) -> None:
+    """The command that adds what was named."""
+    if found.names_something and found.chosen is not None:
+        names = found.chosen.names if found.verdict == "two_effects" else found.credible[:1]
+        them = "them" if len(names) > 1 else "it"
+        say(f"Add {them} with: calib extend {called(study.file)} {' '.join(names)} --into FOLDER")
 
 
 def tell_versions(versions: Versions) -> None:
@@ -304,7 +325,7 @@ def _print_answer(answer: Answer) -> None:
         say(f"Mean MAC {answer.mean_mac:.4f}; noise alone allows {_number(answer.noise_mac, 4) or 'an unknown value'}.")
 
 
-def _called(file: Path) -> Path:
+def called(file: Path) -> Path:
     """How a study is called on the command line."""
     return file.parent if file.name == "study.toml" else file
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Mapping
@@ -17,8 +18,8 @@ import pandas as pd
 from calib.errors import InputError
 
 _REMEDY = "choose another place with --results DIR, or free the folder"
-_DRAFT = ".part"
-"""End of the name of every file, figures too, that is being written."""
+DRAFT = ".part"
+"""End of the name of every file or folder, figures too, that is being written."""
 _ABANDONED = 600.0
 """Seconds after which nobody is writing a draft any more."""
 
@@ -41,7 +42,7 @@ class Results:
         try:
             path.mkdir(parents=True, exist_ok=True)
             _clear_drafts(path)
-            with tempfile.NamedTemporaryFile(dir=path, prefix=".probe-", suffix=_DRAFT):
+            with tempfile.NamedTemporaryFile(dir=path, prefix=".probe-", suffix=DRAFT):
                 pass
         except OSError as fault:
             raise InputError(
@@ -67,7 +68,7 @@ class Results:
             (self.path / name).unlink(missing_ok=True)
 
     def _write(self, name: str, text: str) -> Path:
-        target, draft = self.path / name, self.path / f".{name}.{os.getpid()}{_DRAFT}"
+        target, draft = self.path / name, self.path / f".{name}.{os.getpid()}{DRAFT}"
         try:
             draft.write_text(text, encoding="utf-8")
             os.replace(draft, target)
@@ -81,10 +82,10 @@ class Results:
 
 def _clear_drafts(folder: Path) -> None:
     """Delete what killed processes left half-written; a process at work needs no draft for that long."""
-    for draft in folder.glob(f".*{_DRAFT}"):
+    for draft in folder.glob(f".*{DRAFT}"):
         with contextlib.suppress(OSError):
             if time.time() - draft.stat().st_mtime > _ABANDONED:
-                draft.unlink()
+                shutil.rmtree(draft) if draft.is_dir() else draft.unlink()
 
 
 def _plain(value: Any) -> Any:

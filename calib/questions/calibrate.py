@@ -18,6 +18,7 @@ from calib.ledger import Ledger
 from calib.questions.case import CaseFinder, CaseFound, SearchProgress
 from calib.questions.compare import Answer, compare, write_answer, write_model_modes
 from calib.questions.every_mode import all_stages, every_mode
+from calib.questions.places import ADDED
 from calib.questions.record import write_record
 from calib.questions.verify import errors_at
 from calib.results import Results
@@ -48,6 +49,8 @@ class Calibration:
     method : {"genetic", "gauss-newton"}
     modes : DataFrame or None
         ``modes.csv``; None for plain responses.
+    errors : DataFrame or None
+        ``data_errors.csv``; None for a model that fails beside the optimum.
     """
 
     cases: tuple[CaseFound, ...]
@@ -59,6 +62,7 @@ class Calibration:
     search_agreement: Agreement | None
     method: Method
     modes: pd.DataFrame | None = None
+    errors: pd.DataFrame | None = None
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -148,11 +152,13 @@ def calibrate(
             results.write_table("modes", modes)
             for stage, comparison in stages.items():
                 write_model_modes(results, comparison, stage)
-    results.remove("data_errors.csv")
+    results.remove("data_errors.csv", *ADDED)
+    errors = None
     with suppress(EvaluationError):  # a model that fails beside the optimum has no errors to tell
-        results.write_table("data_errors", errors_at(study, best.judgement.values))
+        errors = errors_at(study, best.judgement.values)
+        results.write_table("data_errors", errors)
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
-    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen, modes)
+    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen, modes, errors)
     seeds = {**{case.name: case.seed for case in cases}, "reduction": study.settings.reduction.seed}
     write_record(study, results, "calibrate", seeds, answer.sentences, quick)
     results.write_json("summary", summary)

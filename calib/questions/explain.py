@@ -32,6 +32,7 @@ from calib.missing.verdict import sentence
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
 from calib.questions.modal_side import ModalSide
+from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
 from calib.questions.record import write_record
 from calib.results import Results
@@ -152,6 +153,7 @@ def explain(study: Study, results: Results, progress: Progress = lambda words: N
             f"the model cannot be fitted: {fault}", place=study.file, remedy="check values, limits and supports"
         ) from None
     answer = _answer(side, found, progress, started)
+    results.remove(*ADDED)
     results.write_table("effects", answer.effects)
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():

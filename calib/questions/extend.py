@@ -1,4 +1,4 @@
-"""A new study whose model has one more effect, written beside the one it comes from."""
+"""A new study whose model has effects more, written beside the one it comes from or among its results."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from tomlkit.exceptions import TOMLKitError
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.loading import pick
+from calib.results import DRAFT
 from calib.settings import line_of
 from calib.study import Study
 
@@ -24,39 +25,40 @@ LEFT_BEHIND = ("results", "__pycache__")
 """Folders that are no part of a study; hidden files and folders are none either."""
 TOLD_OF_THE_OLD = "README.md"
 """File that says what a study is; it would not be true of the new one."""
+EXTENDED, EARLIER = "_extended", "_earlier"
+"""Ends of the names of a study written among results, and of one that was there before."""
 
 
 @dataclass(frozen=True)
 class Extension:
-    """A study that was written with one more effect.
+    """A study that was written with more effects.
 
     Attributes
     ----------
     file : Path
         The new study file.
-    effect : Effect
+    effects : tuple of Effect
         What its model has more than the old one's.
     selected : tuple of str
-        The effect's parameters that were added to the selection; none when the study leaves that to the sensitivity
-        analysis.
+        Their parameters that were added to the selection; none when the study leaves that to the sensitivity analysis.
     moved : tuple of (str, str)
         Paths that lead out of the study, as they were and as they lead to the same place from the new folder.
     """
 
     file: Path
-    effect: Effect
+    effects: tuple[Effect, ...]
     selected: tuple[str, ...]
     moved: tuple[tuple[str, str], ...]
 
 
-def extend(study: Study, name: str, folder: Path) -> Extension:
-    """Write a copy of a study with one more effect of its library; the folder appears whole or not at all.
+def extend(study: Study, names: Sequence[str], folder: Path) -> Extension:
+    """Write a copy of a study with more effects of its library; the folder appears whole or not at all.
 
     Parameters
     ----------
     study : Study
-    name : str
-        Of the effect.
+    names : sequence of str
+        Of the effects.
     folder : Path
         A folder that does not exist yet, in one that does.
 
@@ -65,13 +67,84 @@ def extend(study: Study, name: str, folder: Path) -> Extension:
     InputError
         When the study has no such effect or has it already, the folder cannot be there, or the new study is not sound.
     """
-    effect = _candidate(study, name)
+    effects = _candidates(study, names)
+    new = _free_place(study.file.resolve().parent, folder)
+    with _written(study, effects, folder, new, _beside) as (draft, extension):
+        _put(draft, new, folder)
+    return extension
+
+
+def extend_among(study: Study, names: Sequence[str], results: Path) -> Extension:
+    """Write the same into a folder of results, whatever an earlier run has written there.
+
+    Paths that lead out of the study become absolute, so that the folder may be moved. One that is there and says the
+    same stays as it is; another is kept beside it, its name ending in `EARLIER`, in place of an older one.
+    """
+    folder = _place_among(study, results)
+    new = folder.parent.resolve() / folder.name
+    with _written(study, _candidates(study, names), folder, new, _anywhere) as (draft, extension):
+        if not new.is_dir() or _content(new) != _content(draft):
+            with _draft_of(new, folder) as old:
+                earlier = new.with_name(new.name + EARLIER)
+                for there, aside in ((earlier, old / earlier.name), (new, earlier)):
+                    if os.path.lexists(there):
+                        _put(there, aside, folder)
+                _put(draft, new, folder)
+    return extension
+
+
+def found_among(study: Study, results: Path) -> Path | None:
+    """The study file that `extend_among` has written into a folder of results; None without one."""
+    file = _place_among(study, results) / study.file.name
+    return file if file.is_file() else None
+
+
+def _place_among(study: Study, results: Path) -> Path:
+    return results / f"{study.name}{EXTENDED}"
+
+
+def _candidates(study: Study, names: Sequence[str]) -> tuple[Effect, ...]:
+    if study.settings.effects is None:
+        raise InputError(
+            "the study names no library of effects",
+            place=study.file,
+            remedy='add a line such as effects = "effects.py:library"',
+        )
+    effects = tuple(pick(study.library, name, str(study.file)) for name in dict.fromkeys(names))
+    for effect in effects:
+        if effect in study.included:
+            raise InputError(
+                f"the effect {effect.name!r} is in the model already",
+                place=study.file,
+                remedy=f"the effects it lacks are {', '.join(e.name for e in study.candidates) or 'none'}",
+            )
+    return effects
+
+
+# -- writing -----------------------------------------------------------------------------------------------------------
+
+Leading = Callable[[Path, Path], str]
+"""How a path is written that leads from the new folder to a place outside."""
+
+
+def _beside(goal: Path, new: Path) -> str:
+    return Path(os.path.relpath(goal, new)).as_posix()
+
+
+def _anywhere(goal: Path, new: Path) -> str:
+    return goal.as_posix()
+
+
+@contextlib.contextmanager
+def _written(
+    study: Study, effects: tuple[Effect, ...], folder: Path, new: Path, leading: Leading
+) -> Iterator[tuple[Path, Extension]]:
+    """The new study as a draft beside its place, checked; gone afterwards unless it was put there."""
     source = study.file.resolve()
     old = source.parent
-    new = _free_place(old, folder)
-    free = tuple(p.name for p in effect.parameters if p.distribution != "fixed")
+    free = tuple(p.name for effect in effects for p in effect.parameters if p.distribution != "fixed")
     selected = () if isinstance(study.settings.selection, str) else free
-    text, moved = _extended_text(study, effect, selected, source, new)
+    text, moved = _extended_text(study, effects, selected, source, new, leading)
     with _draft_of(new, folder) as draft:
         try:
             shutil.copytree(old, draft, ignore=_left_behind(old, draft), dirs_exist_ok=True)
@@ -84,28 +157,21 @@ def extend(study: Study, name: str, folder: Path) -> Extension:
         _check(target, folder, study.adopted)
         for cache in draft.rglob("__pycache__"):  # made by the check
             shutil.rmtree(cache, ignore_errors=True)
-        try:
-            draft.rename(new)
-        except OSError as fault:
-            raise _unwritable(fault, folder) from None
-    return Extension(folder / source.name, effect, selected, moved)
+        yield draft, Extension(folder / source.name, effects, selected, moved)
 
 
-def _candidate(study: Study, name: str) -> Effect:
-    if study.settings.effects is None:
-        raise InputError(
-            "the study names no library of effects",
-            place=study.file,
-            remedy='add a line such as effects = "effects.py:library"',
-        )
-    effect = pick(study.library, name, str(study.file))
-    if effect in study.included:
-        raise InputError(
-            f"the effect {name!r} is in the model already",
-            place=study.file,
-            remedy=f"the effects it lacks are {', '.join(e.name for e in study.candidates) or 'none'}",
-        )
-    return effect
+def _put(draft: Path, new: Path, folder: Path) -> None:
+    try:
+        draft.rename(new)
+    except OSError as fault:
+        raise _unwritable(fault, folder) from None
+
+
+def _content(folder: Path) -> dict[Path, bytes]:
+    """Every file of a study with its content."""
+    files = (p for p in folder.rglob("*") if p.is_file())
+    within = ((p, [q for q in (p, *p.parents) if q != folder and q.is_relative_to(folder)]) for p in files)
+    return {p.relative_to(folder): p.read_bytes() for p, parts in within if not any(map(_is_left_behind, parts))}
 
 
 # -- places ------------------------------------------------------------------------------------------------------------
@@ -136,6 +202,7 @@ def _left_behind(old: Path, draft: Path) -> Callable[[str, list[str]], set[str]]
 
     def ignored(folder: str, names: list[str]) -> set[str]:
         left = {name for name in names if _is_left_behind(Path(folder, name))}
+        left |= {name for name in names if draft.is_relative_to(Path(folder, name))}  # results beside the study's files
         left |= {TOLD_OF_THE_OLD} & set(names) if Path(folder) == old else set()
         for linked in (Path(folder, name) for name in names if name not in left):
             if linked.is_symlink() and linked.is_dir():
@@ -155,7 +222,7 @@ def _left_behind(old: Path, draft: Path) -> Callable[[str, list[str]], set[str]]
 def _draft_of(new: Path, folder: Path) -> Iterator[Path]:
     """A folder beside the new one that is gone afterwards, unless it was renamed."""
     try:
-        draft = Path(tempfile.mkdtemp(prefix=".calib-extend-", dir=new.parent))
+        draft = Path(tempfile.mkdtemp(prefix=".calib-extend-", suffix=DRAFT, dir=new.parent))
     except OSError as fault:
         raise _unwritable(fault, folder) from None
     try:
@@ -187,23 +254,24 @@ def _check(target: Path, folder: Path, adopted: Mapping[str, float]) -> None:
 
 
 def _extended_text(
-    study: Study, effect: Effect, selected: Sequence[str], source: Path, new: Path
+    study: Study, effects: Sequence[Effect], selected: Sequence[str], source: Path, new: Path, leading: Leading
 ) -> tuple[str, tuple[tuple[str, str], ...]]:
     """The new study file, its comments and order kept, and the paths that had to change."""
     try:
         document: Any = tomlkit.parse(source.read_bytes().decode("utf-8"))
     except TOMLKitError as fault:
         raise InputError(f"it cannot be rewritten ({fault})", place=study.file, remedy="extend by hand") from None
-    document["title"] = f"{study.settings.title} + {effect.name}"
+    names = [effect.name for effect in effects]
+    document["title"] = " + ".join([study.settings.title, *names])
     for name in selected:
         document["selection"].append(name)
-    moved = tuple(_move_paths(document, source.parent, new))
+    moved = tuple(_move_paths(document, source.parent, new, leading))
     fresh: dict[str, Any] = {}
     if "with_effects" in document:
-        document["with_effects"].append(effect.name)
+        document["with_effects"].extend(names)
     else:
-        fresh["with_effects"] = [effect.name]
-    came_from = Path(os.path.relpath(source.parent if source.name == "study.toml" else source, new)).as_posix()
+        fresh["with_effects"] = names
+    came_from = leading(source.parent if source.name == "study.toml" else source, new)
     if "extended_from" in document:
         document["extended_from"] = came_from
     else:
@@ -222,7 +290,7 @@ def _with_lines(text: str, after: str, fresh: dict[str, Any]) -> str:
     return "".join(lines)
 
 
-def _move_paths(document: Any, old: Path, new: Path) -> Iterator[tuple[str, str]]:
+def _move_paths(document: Any, old: Path, new: Path, leading: Leading) -> Iterator[tuple[str, str]]:
     """Rewrite every path of the study file that leads to what is not copied; yields what it was and what it is."""
 
     def moved(path: str) -> str:
@@ -232,7 +300,7 @@ def _move_paths(document: Any, old: Path, new: Path) -> Iterator[tuple[str, str]
         parts = [p for p in (goal, *goal.parents) if p != old and p.is_relative_to(old)]
         if parts and not any(_is_left_behind(p) for p in parts):
             return path
-        return Path(os.path.relpath(goal, new)).as_posix()
+        return leading(goal, new)
 
     for key in ("model", "effects"):
         where, _, function = str(document[key]).rpartition(":")

@@ -19,6 +19,9 @@ QUICK_SAMPLES, QUICK_POPULATION, QUICK_GENERATIONS = 60, 20, 15
 
 LEDGER = "ledger.sqlite"
 
+ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "added_errors.png")
+"""What `calib.questions.added` tells; it rests on a calibration and an explanation and ends with either."""
+
 
 def results_of(
     study: Study, root: Path, quick: bool = False, only: str | None = None, method: str | None = None
@@ -32,6 +35,14 @@ def results_of(
 def ledger_of(study: Study, root: Path) -> Ledger:
     """The one ledger of a study, shared by whole, quick and single-case runs."""
     return Ledger.open(Results.at(root, study.name).path / LEDGER)
+
+
+def answers_of(study: Study, root: Path) -> tuple[Results, ...]:
+    """Every folder with answers of a study: a whole run's, then those of quick looks, single cases and methods."""
+    home = root / study.name
+    inside = sorted(p for p in home.glob("*") if p.is_dir() and not p.name.startswith("."))
+    answered = [p for p in (home, *inside) if any(p.glob("*.csv")) and not (p / study.file.name).exists()]
+    return tuple(Results(p) for p in answered)
 
 
 def is_modal(study: Study) -> bool:

@@ -100,7 +100,7 @@ def test_two_effects_are_told_without_offering_one_of_them(here, write_study, ca
     out = capsys.readouterr().out
     assert "\ntwo_effects\n" in out and "before and after with platform and stuck_base" in out
     told = (
-        "Add them with: calib extend mast platform --into FOLDER, then calib extend FOLDER stuck_base --into FOLDER_2"
+        "Add them with: calib extend mast platform stuck_base --into FOLDER"
     )
     assert told in out.splitlines()
     assert cli.answer(["extend", "mast", "platform", "--into", "FOLDER"]) == 0

@@ -119,14 +119,14 @@ def refusal(study: Path, effect: str, folder: str | Path) -> str:
     before = {p for p in Path().iterdir()}
     old = tree(study)
     with pytest.raises(InputError) as caught:
-        extend(Study.load(study), effect, Path(folder))
+        extend(Study.load(study), [effect], Path(folder))
     assert {p for p in Path().iterdir()} == before and tree(study) == old
     return str(caught.value)
 
 
 def test_the_new_study_is_the_old_one_with_the_effect(rig):
     before = tree(rig)
-    made = extend(Study.load(rig), "top_cables", Path("new"))
+    made = extend(Study.load(rig), ["top_cables"], Path("new"))
     new, old = Study.load(Path("new")), Study.load(rig)
     assert tree(rig) == before and made.file == Path("new/study.toml") and made.moved == ()
     assert new.settings.with_effects == ("top_cables",) and new.settings.extended_from == "../rig"
@@ -144,9 +144,9 @@ def test_the_new_study_is_the_old_one_with_the_effect(rig):
 
 
 def test_an_extended_study_can_be_extended_again(rig):
-    extend(Study.load(rig), "top_cables", Path("once"))
+    extend(Study.load(rig), ["top_cables"], Path("once"))
     Path("deeper/down").mkdir(parents=True)
-    extend(Study.load(Path("once")), "low_cables", Path("deeper/down/twice"))
+    extend(Study.load(Path("once")), ["low_cables"], Path("deeper/down/twice"))
     twice = Study.load(Path("deeper/down/twice"))
     assert twice.settings.with_effects == ("top_cables", "low_cables") and twice.candidates == ()
     assert twice.settings.extended_from == "../../../once"
@@ -156,7 +156,7 @@ def test_an_extended_study_can_be_extended_again(rig):
 
 
 def test_comments_and_order_of_the_study_file_stay(sums):
-    extend(Study.load(sums), "bend", Path("new"))
+    extend(Study.load(sums), ["bend"], Path("new"))
     expected = SUMS_STUDY.replace("title = 'sums'", 'title = "sums + bend"')
     expected = expected.replace('"b"    # the second\n', '"b",    # the second\n    "bend",\n    "bend_at"\n')
     expected = expected.replace(':library"\n', ':library"\nwith_effects = ["bend"]\nextended_from = "../sums"\n')
@@ -165,7 +165,7 @@ def test_comments_and_order_of_the_study_file_stay(sums):
 
 
 def test_a_fixed_parameter_of_an_effect_is_not_selected(sums):
-    extend(Study.load(sums), "bend", Path("new"))
+    extend(Study.load(sums), ["bend"], Path("new"))
     new = Study.load(Path("new"))
     assert new.search_space.free_names == ("a", "b", "bend", "bend_at")
     assert new.problem.evaluate({"bend": 0.5, "bend_at": 2.0}) == {"s": 4.0}
@@ -174,7 +174,7 @@ def test_a_fixed_parameter_of_an_effect_is_not_selected(sums):
 def test_a_selection_left_to_the_sensitivity_stays_so(sums):
     selection = SUMS_STUDY[SUMS_STUDY.index("selection") : SUMS_STUDY.index("effects")]
     edit(sums, (selection, 'selection = "from sensitivity"\n'))
-    made = extend(Study.load(sums), "bend", Path("new"))
+    made = extend(Study.load(sums), ["bend"], Path("new"))
     assert made.selected == () and settings("new")["selection"] == "from sensitivity"
     assert "bend" in Study.load(Path("new")).search_space.free_names
 
@@ -182,7 +182,7 @@ def test_a_selection_left_to_the_sensitivity_stays_so(sums):
 def test_line_ends_and_names_of_the_old_file_stay(sums):
     text = SUMS_STUDY.replace("of two numbers", "é").replace("\n", "\r\n")
     Path("sums/other.toml").write_bytes(text.encode())
-    made = extend(Study.load(Path("sums/other.toml")), "bend", Path("new"))
+    made = extend(Study.load(Path("sums/other.toml")), ["bend"], Path("new"))
     assert made.file == Path("new/other.toml")
     assert Study.load(made.file).settings.extended_from == "../sums/other.toml"
     written = made.file.read_bytes()
@@ -200,7 +200,7 @@ def test_results_caches_and_hidden_files_are_left_behind(sums, monkeypatch):
     Path("sums/make_data.py").write_text("print()\n")
     Path("sums/README.md").write_text("of the old study")
     Path("sums/data/README.md").write_text("of the data")
-    extend(Study.load(sums), "bend", Path("new"))
+    extend(Study.load(sums), ["bend"], Path("new"))
     files = {str(p.relative_to("new")) for p in Path("new").rglob("*") if p.is_file()}
     assert files == {
         "study.toml",
@@ -218,7 +218,7 @@ def test_paths_that_lead_out_of_the_study_lead_to_the_same_files(rig):
     shutil.move("rig/effects.py", "shared/code/effects.py")
     edit(rig, ('"measured.csv"', '"../shared/measured.csv"'), ('"effects.py:', '"../rig/../shared/code/effects.py:'))
     Path("deep").mkdir()
-    made = extend(Study.load(rig), "top_cables", Path("deep/new"))
+    made = extend(Study.load(rig), ["top_cables"], Path("deep/new"))
     assert settings("deep/new")["measurement"]["files"] == ["../../shared/measured.csv"]
     assert settings("deep/new")["effects"] == "../../shared/code/effects.py:library"
     assert dict(made.moved) == {
@@ -233,7 +233,7 @@ def test_data_in_what_is_not_copied_are_read_where_they_are(sums):
     Path("sums/results").mkdir()
     shutil.move("sums/data/measured.csv", "sums/results/measured.csv")
     edit(sums, ("data/measured.csv", "results/measured.csv"))
-    extend(Study.load(sums), "bend", Path("new"))
+    extend(Study.load(sums), ["bend"], Path("new"))
     assert settings("new")["measurement"]["responses"] == "../sums/results/measured.csv"
     assert Study.load(Path("new")).targets == {"s": (3.0, 0.01)}
 
@@ -242,7 +242,7 @@ def test_absolute_paths_and_links_keep_their_meaning(sums, here):
     edit(sums, ('"data/measured.csv"', f'"{here}/sums/data/measured.csv"'))
     Path("elsewhere").write_text("notes")
     os.symlink("../elsewhere", "sums/notes.txt")
-    extend(Study.load(sums), "bend", Path("new"))
+    extend(Study.load(sums), ["bend"], Path("new"))
     assert settings("new")["measurement"]["responses"] == f"{here}/sums/data/measured.csv"
     assert Path("new/notes.txt").read_text() == "notes" and not Path("new/notes.txt").is_symlink()
 
@@ -261,7 +261,7 @@ def test_what_cannot_be_is_refused_in_one_sentence(sums, rig):
     assert "inside the study" in refusal(rig, "top_cables", "rig/new")
     assert "no folder 'nowhere'" in refusal(rig, "top_cables", "nowhere/new")
     assert "taken for a study file" in refusal(rig, "top_cables", "new.toml")
-    extend(Study.load(rig), "top_cables", Path("new"))
+    extend(Study.load(rig), ["top_cables"], Path("new"))
     said = refusal(Path("new"), "top_cables", "newer")
     assert "is in the model already; the effects it lacks are low_cables" in said
     edit(sums, ('effects = "model.py:library"\n', ""))
@@ -288,7 +288,7 @@ def test_nothing_half_written_stays(sums, monkeypatch, what, fault):
 
     monkeypatch.setattr(what, fail)
     with pytest.raises(InputError if isinstance(fault, OSError) else KeyboardInterrupt) as caught:
-        extend(study, "bend", Path("new"))
+        extend(study, ["bend"], Path("new"))
     if isinstance(fault, OSError):
         assert "No space left" in str(caught.value)
     assert {p.name for p in Path().iterdir()} == {"sums"}

@@ -17,8 +17,8 @@ GROUPS = ("fit", "left_out", "withheld_sensors")
 def chain(mast, tmp_path):
     """A study, and two made from it with one effect more each."""
     first = Study.load(mast.write_study(tmp_path / "mast"))
-    second = Study.load(extend(first, "platform", tmp_path / "mast_2").file)
-    third = Study.load(extend(second, "guy", tmp_path / "mast_3").file)
+    second = Study.load(extend(first, ["platform"], tmp_path / "mast_2").file)
+    third = Study.load(extend(second, ["guy"], tmp_path / "mast_3").file)
     return first, second, third
 
 
@@ -118,7 +118,7 @@ def test_a_circle_ends(chain, answered, tmp_path):
 def test_an_ancestor_may_be_a_study_file_of_another_name(mast, tmp_path):
     folder = mast.write_study(tmp_path / "mast")
     (folder / "study.toml").rename(folder / "second.toml")
-    new = Study.load(extend(Study.load(folder / "second.toml"), "guy", tmp_path / "mast_2").file)
+    new = Study.load(extend(Study.load(folder / "second.toml"), ["guy"], tmp_path / "mast_2").file)
     for name in ("mast", "mast_2"):
         answers(tmp_path / "results", name, 5.0)
     root = tmp_path / "results"

@@ -49,6 +49,16 @@ class Answers:
         """``explanation.json``."""
         return self._json("explanation")
 
+    @cached_property
+    def added(self) -> dict[str, Any]:
+        """``added.json``: what was added after an explanation, or why nothing was."""
+        return self._json("added")
+
+    @property
+    def added_names(self) -> tuple[str, ...]:
+        """Names of the effects that were added."""
+        return tuple(str(effect["name"]) for effect in self.added.get("effects", ()))
+
     def has(self, name: str) -> bool:
         """Whether a table of that name was written."""
         return (self.folder / f"{name}.csv").exists()

@@ -104,6 +104,8 @@ def not_asked(answers: Answers) -> Section | None:
         lines.append(f"Which parameter values fit: calib calibrate {name}")
     if not answers.explanation and answers.record.get("effects_known"):
         lines.append(f"What the model lacks: calib explain {name}")
+    if not answers.added and answers.explanation.get("verdict") in ("effect", "two_effects"):
+        lines.append(f"What it brings to add what is named: calib run {name}")
     if not lines:
         return None
     intro = Words(f"These questions have no answer here; the command adds it ({name} stands for the study's folder).")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from calib.report.html.answers import Answers
+from calib.report.html.answers import STAGES, Answers
 from calib.report.html.effects import effects_table
 from calib.report.html.numbers import fixed, flag, percent, significant, with_unit
 
@@ -66,7 +66,8 @@ def _explanation(answers: Answers) -> str:
         "nothing_detectable": "Nothing is missing in the model that these data could show.",
         "noise_underestimated": "The scatter of the measurement seems to be understated; nothing can be named.",
     }
-    return words.get(str(told.get("verdict", "")), "")
+    told_of = " ".join([words.get(str(told.get("verdict", "")), ""), str(answers.added.get("conclusion", ""))])
+    return told_of.strip()
 
 
 def _calibration(answers: Answers) -> str:
@@ -137,8 +138,17 @@ def _explained(answers: Answers) -> list[tuple[str, str]]:
             if r["name"] in told.get("chosen", []) and flag(r["refitted"]):
                 interval = f"{significant(r['phi_low'], 3)} to {significant(r['phi_high'], 3)}"
                 out.append((f"strength of {r['name']}", f"{with_unit(r['phi'], str(r['unit']))} (95 %: {interval})"))
-    for group, found in told.get("errors", {}).items():
+    for group, found in (_added_errors(answers) or told.get("errors", {})).items():
         if found.get("before") is not None:
             after = "" if found.get("after") is None else f" → {fixed(found['after'], 2)}"
             out.append((DATA.get(group, group), f"{fixed(found['before'], 2)}{after} σ"))
     return out
+
+
+def _added_errors(answers: Answers) -> dict[str, dict[str, float]]:
+    """Errors of the calibrated models by group and stage, where something was added."""
+    table = answers.table("added_errors", ["group", "stage"], ["rms"])
+    if table is None:
+        return {}
+    rms = table.set_index(["group", "stage"])["rms"]
+    return {group: {stage: float(rms[group, stage]) for stage in STAGES} for group in dict.fromkeys(table["group"])}

@@ -10,7 +10,7 @@ import pandas as pd
 
 from calib.report.html.answers import Answers
 from calib.report.html.look import PATTERNS, filled, name_axis, new, number_axis, shown, wrapped
-from calib.report.html.numbers import chance, fixed, flag, percent, significant
+from calib.report.html.numbers import chance, fixed, flag, percent, significant, with_unit
 from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
 from calib.report.style import AFTER, BEFORE, BLACK, CASES, GREEN, GREY, ORANGE, PURPLE, SKY
 from calib.report.verification import GROUPS, best_options
@@ -32,20 +32,65 @@ _KINDS = {"sensor": SKY, "mode": ORANGE, "repeats": GREEN, "bench": PURPLE}
 
 def errors(answers: Answers) -> Section | None:
     """Before and after, by group of data; over the versions of a model that was extended."""
-    blocks = [*_explained(answers), *_calibrated(answers), *_modes(answers), *_versions(answers)]
+    told = [Words(str(answers.added["sentence"]).replace(" -> ", " → "), "verdict")] if answers.added else []
+    if answers.added_names:
+        title, blocks = "What was added, and the error before and after", _added(answers)
+    else:
+        title, blocks = "Error before and after", [*_explained(answers), *_calibrated(answers), *_modes(answers)]
+    blocks += _versions(answers)
     if not blocks:
         return None
     intro = Words(
         "An explanation or a calibration is worth what it predicts: the error in data that were fitted, in modes left "
         "out one after the other, and in data that were withheld from every fit."
     )
-    return Section("errors", "Error before and after", (intro, Terms(TERMS), *blocks))
+    return Section("errors", title, (intro, *told, Terms(TERMS), *blocks))
+
+
+def _added(answers: Answers) -> list[Block]:
+    """What the effects bring that were added to the model, which was calibrated once more."""
+    name = " + ".join(answers.added_names)
+    note = (
+        "Both models were calibrated alike. The verdict quotes the errors of the explanation's own fits, which may "
+        f"differ from these in the last digits. The extended study lies in {answers.added['study']}."
+    )
+    out: list[Block] = [Words(note)]
+    table = answers.table("added_errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
+    if table is not None:
+        out += _error_blocks(table, f"before and after adding {name}, calibrated both times")
+    called = {"initial": "nothing fitted", "before": "calibrated", "after": "extended"}
+    caption = f"Every measured mode: nothing fitted, calibrated, and extended with {name} and calibrated again"
+    return [*out, *_added_parameters(answers, name), *_mode_table(answers, "added_modes", called, caption)]
+
+
+def _added_parameters(answers: Answers, name: str) -> list[Block]:
+    numbers = ["adopted", "before", "before_std", "after", "after_std"]
+    table = answers.table("added_parameters", ["parameter"], numbers, flags=["added"], blank=["unit"])
+    if table is None:
+        return []
+    rows = tuple(
+        (
+            str(r["parameter"]),
+            "added" if flag(r["added"]) else "",
+            with_unit(r["adopted"], str(r["unit"]), 4),
+            *(significant(r[n], 4 if n in ("before", "after") else 2) for n in numbers[1:]),
+        )
+        for r in table.to_dict("records")
+    )
+    heads = ("parameter", "", "adopted", "without", "std", f"with {name}", "std")
+    return [Table("Calibrated parameters without and with what was added", heads, rows, (1,))]
 
 
 def _explained(answers: Answers) -> list[Block]:
     table = answers.table("errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
     if table is None:
         return []
+    name = " + ".join(answers.explanation.get("chosen", []))
+    return _error_blocks(table, f"before and after adding {name}" if name else "of the base model")
+
+
+def _error_blocks(table: pd.DataFrame, what: str) -> list[Block]:
+    """Errors by stage and group of data, in a figure and a table."""
     groups = _groups(table)
     stages = [s for s in STAGES if (table["stage"] == s).any()]
     figure = new(400, barmode="group", bargap=_GAP)
@@ -74,8 +119,6 @@ def _explained(answers: Answers) -> list[Block]:
     labels = [GROUPS.get(g, g) for g in groups]
     figure.update_layout(xaxis=name_axis(labels), yaxis=number_axis("rms error, σ", rangemode="tozero"))
     told = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
-    name = " + ".join(answers.explanation.get("chosen", []))
-    what = f"before and after adding {name}" if name else "of the base model"
     caption = f"Error {what}, in units of the scatter; black lines: what a right model would show."
     return [
         Plot("errors", caption, f"Bars. {told}.", figure),
@@ -108,15 +151,23 @@ def _calibrated(answers: Answers) -> list[Block]:
 
 
 def _modes(answers: Answers) -> list[Block]:
+    caption = "Damped frequencies and MAC of every measured mode, before and after calibration"
+    table = _mode_table(answers, "modes", {"initial": "initial", "before": "before", "after": "after"}, caption)
+    told = "Initial is the model whose earlier study was not calibrated either."
+    return [Words(told), *table] if table and "initial, Hz" in table[0].heads else [*table]
+
+
+def _mode_table(answers: Answers, name: str, called: Mapping[str, str], caption: str) -> list[Table]:
+    """Every measured mode from stage to stage, each stage by what it is called."""
     kinds = ("damped_freq", "error", "mac")
     numbers = [f"{kind}_{stage}" for kind in kinds for stage in ("before", "after")]
     table = answers.table(
-        "modes", ["mode"], ["damped_freq_measured", *numbers], flags=["withheld"], unique="mode",
+        name, ["mode"], ["damped_freq_measured", *numbers], flags=["withheld"], unique="mode",
         if_there=[f"{kind}_initial" for kind in kinds],
     )  # fmt: skip
     if table is None:
         return []
-    stages = [stage for stage in ("initial", "before", "after") if f"error_{stage}" in table]
+    stages = [stage for stage in called if f"error_{stage}" in table]
     rows = tuple(
         (
             str(r["mode"]),
@@ -127,12 +178,9 @@ def _modes(answers: Answers) -> list[Block]:
         )
         for r in table.to_dict("records")
     )
-    heads = ["mode", "", "measured, Hz", *(f"{stage}, Hz" for stage in stages)]
-    heads += [*(f"error {stage}, %" for stage in stages), *(f"MAC {stage}" for stage in stages)]
-    caption = "Damped frequencies and MAC of every measured mode, before and after calibration"
-    told = "Initial is the model whose earlier study was not calibrated either."
-    notes = [Words(told)] if "initial" in stages else []
-    return [*notes, Table(caption, tuple(heads), rows, (1,))]
+    heads = ["mode", "", "measured, Hz", *(f"{called[stage]}, Hz" for stage in stages)]
+    heads += [*(f"error {called[stage]}, %" for stage in stages), *(f"MAC {called[stage]}" for stage in stages)]
+    return [Table(caption, tuple(heads), rows, (1,))]
 
 
 def _versions(answers: Answers) -> list[Block]:

@@ -1,0 +1,235 @@
+"""What an effect that was named and added brings: errors before and after, both models calibrated alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from calib.effect import Effect
+from calib.missing.findings import Findings
+from calib.questions.calibrate import Calibration
+from calib.questions.record import write_record
+from calib.results import Results
+from calib.study import Study
+
+UNSEEN = ("withheld_sensors", "withheld_modes")
+"""Groups of data that no fit has seen."""
+WORDS = {
+    "fit": "used data",
+    "left_out": "data left out in turn",
+    "withheld_sensors": "withheld sensors",
+    "withheld_modes": "withheld modes",
+}
+COLUMNS = ("group", "stage", "rows", "rms", "expected", "p", "unpaired")
+TWO_SIDED = 1.96
+"""Standard deviations on either side that hold 95 %."""
+LEAST = 0.98
+"""Ratio of two errors up to which one has fallen."""
+WITHIN = 0.05
+"""Chance of a right model from which an error is that of noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Added:
+    """What was added, and what it brought.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        Empty when nothing was added.
+    sentence : str
+        What they bring, or why none was added.
+    conclusion : str
+        Whether the model fits and predicts better with them; empty where that is not known.
+    errors : DataFrame
+        ``added_errors.csv``: ``group, stage, rows, rms, expected, p, unpaired``, stages ``before`` and ``after``.
+    parameters : DataFrame
+        ``added_parameters.csv``: ``parameter, unit, added, adopted, before, before_std, after, after_std``.
+    modes : DataFrame
+        ``added_modes.csv``: ``mode, withheld, damped_freq_measured`` and ``damped_freq_, error_, mac_`` of the stages
+        ``initial`` (nothing fitted), ``before`` (calibrated) and ``after`` (calibrated with what was added).
+    """
+
+    effects: tuple[Effect, ...]
+    sentence: str
+    conclusion: str
+    errors: pd.DataFrame
+    parameters: pd.DataFrame
+    modes: pd.DataFrame
+
+
+def to_add(found: Findings) -> tuple[str, ...]:
+    """Names of the effects that a verdict names without a rival; none for every other verdict."""
+    named = found.verdict in ("effect", "two_effects") and found.chosen is not None
+    return found.chosen.names if named and found.chosen is not None else ()
+
+
+def write_nothing_added(found: Findings, results: Results) -> Added:
+    """Tell why nothing is added, and write it."""
+    reasons = {
+        "nothing_detectable": "Nothing is missing that these data could show, so nothing is added and the story ends "
+        "here.",
+        "noise_underestimated": "The scatter of the measurement has to be mended first, so nothing is added.",
+        "indistinguishable": f"These data cannot tell between {' and '.join(found.credible)}, so none of them is "
+        "added: look at the structure, or measure what would tell them apart.",
+        "partial": "What was tried explains a part only and may stand in for something else, so nothing is added.",
+        "none_explains": "No effect of the library explains what is missing, so nothing is added.",
+    }
+    nothing = pd.DataFrame()
+    return _written(Added((), reasons[found.verdict], "", nothing, nothing, nothing), results, [], "", False)
+
+
+def write_added(
+    study: Study,
+    before: Calibration,
+    effects: Sequence[Effect],
+    extended: Study,
+    after: Calibration,
+    results: Results,
+    quick: bool = False,
+) -> Added:
+    """Compare a calibrated model with the same one that has effects more, calibrated alike; write what they bring.
+
+    Parameters
+    ----------
+    study : Study
+    before : Calibration
+        Of its model.
+    effects : sequence of Effect
+        What was added.
+    extended : Study
+        The study with them.
+    after : Calibration
+        Of its model.
+    results : Results
+        Of ``study``; here ``added.json`` and the ``added_*`` tables are written.
+    quick : bool
+        Whether both were small searches for a first look.
+    """
+    errors = _errors(before, after)
+    parameters = _parameters(extended, effects, before, after)
+    strengths = [_strength(effect, extended, after) for effect in effects]
+    told = "" if errors.empty else conclusion(errors)
+    words = _sentence(strengths, errors, told) + (" Both are quick looks: ask the whole to be sure." if quick else "")
+    answer = Added(tuple(effects), words, told, errors, parameters, _modes(before, after))
+    results.write_table("added_errors", errors)
+    results.write_table("added_parameters", parameters)
+    if len(answer.modes):
+        results.write_table("added_modes", answer.modes)
+    seeds = {case.name: case.seed for case in extended.settings.calibration.cases}
+    write_record(study, results, "extend", seeds, (answer.sentence,), quick)
+    return _written(answer, results, strengths, str(extended.file.parent), quick)
+
+
+def _written(
+    answer: Added, results: Results, strengths: Sequence[Mapping[str, object]], study: str, quick: bool
+) -> Added:
+    """Write ``added.json``."""
+    words = {"sentence": answer.sentence, "conclusion": answer.conclusion}
+    results.write_json("added", {**words, "effects": strengths, "study": study, "quick": quick})
+    return answer
+
+
+def _errors(before: Calibration, after: Calibration) -> pd.DataFrame:
+    stages = {"before": before.errors, "after": after.errors}
+    known = [table.assign(stage=stage) for stage, table in stages.items() if table is not None]
+    return pd.concat(known, ignore_index=True)[list(COLUMNS)] if len(known) == 2 else pd.DataFrame(columns=COLUMNS)
+
+
+def _parameters(study: Study, effects: Sequence[Effect], before: Calibration, after: Calibration) -> pd.DataFrame:
+    """Fitted values without and with what was added; NaN where a parameter was not fitted."""
+    own = {name for effect in effects for name in effect.names}
+    found = [c.verdicts.set_index("parameter")[["value", "std"]].astype(float) for c in (before, after)]
+    table = found[1].rename(columns={"value": "after", "std": "after_std"})
+    table = table.join(found[0].rename(columns={"value": "before", "std": "before_std"}))
+    space = study.model.space
+    table["unit"] = [space[name].unit for name in table.index]
+    table["added"] = [name in own for name in table.index]
+    table["adopted"] = [space[name].value for name in table.index]
+    columns = ["unit", "added", "adopted", "before", "before_std", "after", "after_std"]
+    return table[columns].reset_index()
+
+
+def _modes(before: Calibration, after: Calibration) -> pd.DataFrame:
+    """All measured modes, nothing fitted, fitted, and fitted with what was added; empty for plain responses."""
+    if before.modes is None or after.modes is None:
+        return pd.DataFrame()
+    table = before.modes[["mode", "withheld", "damped_freq_measured"]].copy()
+    stages = {"initial": (before.modes, "before"), "before": (before.modes, "after"), "after": (after.modes, "after")}
+    for stage, (modes, own) in stages.items():
+        for kind in ("damped_freq", "error", "mac"):
+            table[f"{kind}_{stage}"] = modes[f"{kind}_{own}"]
+    return table
+
+
+def _strength(effect: Effect, study: Study, after: Calibration) -> dict[str, object]:
+    """Name, title, fitted strength and its 95 % interval, between the limits of the search."""
+    name, limits = effect.strength.name, study.search_space[effect.strength.name]
+    known = dict(zip(after.verdicts["parameter"], after.verdicts["std"], strict=True))
+    value, reach = after.best.result.values[name], TWO_SIDED * float(known.get(name, math.nan))
+    interval = np.clip([value - reach, value + reach], limits.lower, limits.upper).tolist()
+    ends = dict(zip(("low", "high"), interval, strict=True))
+    return {"name": effect.name, "title": effect.title, "unit": effect.strength.unit, "value": value, **ends}
+
+
+# -- words -------------------------------------------------------------------------------------------------------------
+
+
+def _sentence(strengths: Sequence[Mapping[str, Any]], errors: pd.DataFrame, told_of: str) -> str:
+    named = " and ".join(f"{s['title']} ({s['name']}), {_with_interval(s)}" for s in strengths)
+    if errors.empty:
+        return f"Added: {named}. Its errors are not known: the model fails beside the best values."
+    told = "; ".join(
+        f"{WORDS[r['group']]} {r['rms_before']:.2f} -> {r['rms_after']:.2f} ({r['expected_after']:.2f})"
+        for r in by_group(errors).to_dict("records")
+    )
+    return (
+        f"Added: {named}. {told_of} Rms error in units of the scatter, before -> after "
+        f"(what a right model would show): {told}."
+    )
+
+
+def _with_interval(strength: Mapping[str, Any]) -> str:
+    unit = "" if strength["unit"] == "-" else f" {strength['unit']}"
+    if math.isnan(strength["low"]):
+        return f"{strength['value']:.3g}{unit}"
+    return f"{strength['value']:.3g}{unit} (95 %: {strength['low']:.3g} to {strength['high']:.3g}{unit})"
+
+
+def conclusion(errors: pd.DataFrame) -> str:
+    """Whether a model with effects more fits and predicts better, in words.
+
+    Data count as predicted that no fit has seen; where nothing is withheld, what was left out in turn.
+
+    Parameters
+    ----------
+    errors : DataFrame
+        ``group, stage, rms, expected, p`` of the stages ``before`` and ``after``.
+    """
+    table = by_group(errors).set_index("group")
+    fell = table["rms_after"] < LEAST * table["rms_before"]
+    quiet = ~fell & (table["p_before"] > WITHIN) & (table["p_after"] > WITHIN)
+    unseen = [group for group in UNSEEN if group in table.index] or ["left_out"]
+    better = [WORDS[g] for g in unseen if fell[g]]
+    same = [WORDS[g] for g in unseen if not fell[g] and not quiet[g]]
+    noise = [WORDS[g] for g in unseen if quiet[g]]
+    told = "The model fits better" if fell["fit"] else "The model fits no better"
+    if better and not same:
+        told += " and predicts better" + ("" if unseen == ["left_out"] else " what no fit has seen")
+    elif better:
+        told += f", predicts {' and '.join(better)} better, {' and '.join(same)} no better"
+    else:
+        told += ", predicts no better"
+    return told + (f"; {' and '.join(noise)} stay within the noise" if noise else "") + "."
+
+
+def by_group(errors: pd.DataFrame) -> pd.DataFrame:
+    """One row a group of data in the order of `WORDS`, with ``rows, rms, expected, p`` as ``rms_before, rms_after``."""
+    before, after = (errors[errors["stage"] == stage] for stage in ("before", "after"))
+    table = before.merge(after, on="group", suffixes=("_before", "_after")).set_index("group")
+    return table.reindex([group for group in WORDS if group in table.index]).reset_index()
