@@ -81,7 +81,7 @@ def write_nothing_added(found: Findings, results: Results) -> Added:
         "none_explains": "No effect of the library explains what is missing, so nothing is added.",
     }
     nothing = pd.DataFrame()
-    return _written(Added((), reasons[found.verdict], "", nothing, nothing, nothing), results, [], "", False)
+    return _written(Added((), reasons[found.verdict], "", nothing, nothing, nothing), results, effects=[])
 
 
 def write_added(
@@ -114,7 +114,7 @@ def write_added(
     errors = _errors(before, after)
     parameters = _parameters(extended, effects, before, after)
     strengths = [_strength(effect, extended, after) for effect in effects]
-    told = "" if errors.empty else conclusion(errors)
+    told = "" if errors.empty else f"With {'it' if len(effects) == 1 else 'them'} {conclusion(errors)}."
     words = _sentence(strengths, errors, told) + (" Both are quick looks: ask the whole to be sure." if quick else "")
     answer = Added(tuple(effects), words, told, errors, parameters, _modes(before, after))
     results.write_table("added_errors", errors)
@@ -123,15 +123,13 @@ def write_added(
         results.write_table("added_modes", answer.modes)
     seeds = {case.name: case.seed for case in extended.settings.calibration.cases}
     write_record(study, results, "extend", seeds, (answer.sentence,), quick)
-    return _written(answer, results, strengths, str(extended.file.parent), quick)
+    reached = {"mean_freq_error": after.best.answer.mean_freq_error, "mean_mac": after.best.answer.mean_mac}
+    return _written(answer, results, effects=strengths, study=str(extended.file.parent), quick=quick, **reached)
 
 
-def _written(
-    answer: Added, results: Results, strengths: Sequence[Mapping[str, object]], study: str, quick: bool
-) -> Added:
+def _written(answer: Added, results: Results, **more: object) -> Added:
     """Write ``added.json``."""
-    words = {"sentence": answer.sentence, "conclusion": answer.conclusion}
-    results.write_json("added", {**words, "effects": strengths, "study": study, "quick": quick})
+    results.write_json("added", {"sentence": answer.sentence, "conclusion": answer.conclusion, **more})
     return answer
 
 
@@ -218,14 +216,14 @@ def conclusion(errors: pd.DataFrame) -> str:
     better = [WORDS[g] for g in unseen if fell[g]]
     same = [WORDS[g] for g in unseen if not fell[g] and not quiet[g]]
     noise = [WORDS[g] for g in unseen if quiet[g]]
-    told = "The model fits better" if fell["fit"] else "The model fits no better"
+    told = "the model fits better" if fell["fit"] else "the model fits no better"
     if better and not same:
         told += " and predicts better" + ("" if unseen == ["left_out"] else " what no fit has seen")
     elif better:
         told += f", predicts {' and '.join(better)} better, {' and '.join(same)} no better"
     else:
         told += ", predicts no better"
-    return told + (f"; {' and '.join(noise)} stay within the noise" if noise else "") + "."
+    return told + (f"; {' and '.join(noise)} stay within the noise" if noise else "")
 
 
 def by_group(errors: pd.DataFrame) -> pd.DataFrame:

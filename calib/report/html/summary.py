@@ -46,7 +46,7 @@ def _origin(answers: Answers) -> str:
     last = max(answers.questions.values(), key=lambda q: str(q.get("when", "")), default=None)
     if last is None:
         return ""
-    quick = ", a quick look" if last.get("quick") else ""
+    quick = ", a quick look" if any(q.get("quick") for q in answers.questions.values()) else ""
     version = last.get("versions", {}).get("calib", "")
     return f"Study {answers.name}, answered on {str(last.get('when', ''))[:10]} by calib {version}{quick}."
 
@@ -117,12 +117,15 @@ def _calibrated(answers: Answers) -> list[tuple[str, str]]:
         mac = compared["mac"].mean()
         return out if pd.isna(mac) else [*out, ("mean MAC, nothing fitted", fixed(mac, 3))]
     label = "mean error" if answers.plain else "mean frequency error"
-    errors = [percent(told[f"mean_freq_error_{stage}"]) for stage in ("before", "after")]
-    out = [(f"{label}, calibrated", f"{errors[0]} % → {errors[1]} %")]
+    errors = [told[f"mean_freq_error_{stage}"] for stage in ("before", "after")]
+    added = answers.added if answers.added_names else {}
+    errors += [added["mean_freq_error"]] if added else []
+    more = f", with {' + '.join(answers.added_names)}" if added else ""
+    out = [(f"{label}, calibrated{more}", " → ".join(f"{percent(error)} %" for error in errors))]
     if told.get("mean_mac_after") is not None:
         noise = "" if told.get("noise_mac") is None else f" (noise allows {fixed(told['noise_mac'], 3)})"
-        macs = [fixed(told[f"mean_mac_{stage}"], 3) for stage in ("before", "after")]
-        out.append(("mean MAC, calibrated", f"{macs[0]} → {macs[1]}{noise}"))
+        macs = [told[f"mean_mac_{stage}"] for stage in ("before", "after")] + ([added["mean_mac"]] if added else [])
+        out.append((f"mean MAC, calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
     verdicts = answers.table("verdicts", ["parameter"], flags=["identified"])
     if verdicts is not None:
         out.append(("parameters identified", f"{sum(map(flag, verdicts['identified']))} of {len(verdicts)}"))

@@ -34,7 +34,7 @@ def everything(tmp_path_factory):
     )
     file = folder / "study.toml"
     file.write_text(file.read_text().replace(*HELD))
-    return ask(folder, ["sensitivity"], ["calibrate"], ["explain"])
+    return ask(folder, ["run", "--workers", "1"])
 
 
 @pytest.fixture(scope="session")

@@ -280,20 +280,59 @@ def test_effects_errors_and_trials_are_those_of_the_tables(everything, read):
     for row in rows:
         assert number(row[head.index("z")]) == pytest.approx(effects["z"][row[1]], abs=0.0501)
         assert number(row[head.index("ln Bayes")]) == pytest.approx(effects["ln_bayes"][row[1]], abs=0.0501)
-    errors = pd.read_csv(everything / "errors.csv")
-    rows = read.tables["Errors before and after adding guy"][1:]
+    errors = pd.read_csv(everything / "added_errors.csv")
+    rows = read.tables["Errors before and after adding guy, calibrated both times"][1:]
     np.testing.assert_allclose([number(r[3]) for r in rows], errors["rms"], atol=0.00501)
     tried = pd.read_csv(everything / "tried.csv")
     assert [r[0] for r in read.tables["Models that were fitted"][1:]] == list(tried["effects"].fillna("none"))
+
+
+def test_what_was_added_is_told_by_parameter_and_by_mode(everything, text, read):
+    found = pd.read_csv(everything / "added_parameters.csv").set_index("parameter")
+    head, *rows = read.tables["Calibrated parameters without and with what was added"]
+    assert [r[0] for r in rows] == list(found.index) and head[3] == "without" and head[5] == "with guy"
+    for row in rows:
+        assert (row[1] == "added") == found["added"][row[0]] == (row[0] == "guy") == (row[3] == "–")
+        assert number(row[5]) == pytest.approx(found["after"][row[0]], rel=6e-4)
+    modes = pd.read_csv(everything / "added_modes.csv")
+    ((head, *rows),) = (t for name, t in read.tables.items() if name.startswith("Every measured mode: nothing fitted"))
+    assert [r[1] for r in rows] == ["withheld" if held else "fitted" for held in modes["withheld"]]
+    for stage, words in (("initial", "nothing fitted"), ("before", "calibrated"), ("after", "extended")):
+        cells = [number(r[head.index(f"error {words}, %")]) for r in rows]
+        np.testing.assert_allclose(cells, 100 * modes[f"error_{stage}"], atol=0.00501)
+    top = " ".join(Reader(text[: text.index("<section")]).text.split())
+    assert "With it the model fits better and predicts better what no fit has seen." in top
+    rms = pd.read_csv(everything / "added_errors.csv").set_index(["group", "stage"])["rms"]
+    told = [f"{rms['withheld_modes', stage]:.2f}" for stage in ("before", "after")]
+    assert f"error in withheld modes {told[0]} → {told[1]} σ" in top
+
+
+def test_until_something_is_added_the_errors_are_those_of_the_explanation(folder):
+    for file in folder.glob("added*"):
+        file.unlink()
+    *told, last = sections(Answers(folder, TITLE, True))
+    assert [s.name for s in told] == WHOLE and last.name == "not-asked"
+    assert any("calib run mast" in words.text for words in last.blocks)
+    errors = pd.read_csv(folder / "errors.csv")
+    rows = blocks(folder, Table)["Errors before and after adding guy"].rows
+    np.testing.assert_allclose([number(r[3]) for r in rows], errors["rms"], atol=0.00501)
+
+
+def test_why_nothing_was_added_is_told(folder):
+    for file in folder.glob("added*"):
+        file.unlink()
+    (folder / "added.json").write_text('{"sentence": "None of them is added.", "conclusion": "", "effects": []}')
+    read = Reader(page(Answers(folder, TITLE, True)))
+    assert "None of them is added." in read.text and "errors" in [a["id"] for a in read.named("section")]
 
 
 def test_the_sentences_are_those_that_were_said(everything, read):
     told = json.loads((everything / "explanation.json").read_text())["sentence"]
     assert " ".join(told.replace("->", "→").split()) in read.text
     record = json.loads((everything / "record.json").read_text())
-    for question in ("compare", "sensitivity", "calibrate"):
+    for question in ("compare", "sensitivity", "calibrate", "extend"):
         sentences = record["questions"][question]["sentences"]
-        assert sentences and all(" ".join(s.split()) in read.text for s in sentences)
+        assert sentences and all(" ".join(s.replace("->", "→").split()) in read.text for s in sentences)
 
 
 def test_figures_show_the_tables(everything):
@@ -305,7 +344,7 @@ def test_figures_show_the_tables(everything):
     np.testing.assert_allclose(bars[3].y, after["mac"])
     mac = pd.read_csv(everything / "mac_before.csv").set_index("mode")
     np.testing.assert_allclose(plots["mac-before"].figure.data[0].z, mac)
-    errors = pd.read_csv(everything / "errors.csv")
+    errors = pd.read_csv(everything / "added_errors.csv")
     drawn = plots["errors"].figure.data
     np.testing.assert_allclose(drawn[0].y, errors[errors["stage"] == "before"]["rms"])
     np.testing.assert_allclose(drawn[1].y, errors[errors["stage"] == "before"]["expected"])

@@ -1,0 +1,166 @@
+"""``calib run`` of a study that names effects: explained, extended, calibrated again, and told from end to end."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib import cli
+from calib.questions import calibrate as calibration
+from calib.study import Study
+
+HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
+FOLDER, OWN = Path("results/mast/quick"), Path("results/mast_extended/quick")
+UNSEEN = ("withheld_sensors", "withheld_modes")
+RUN = ["run", "mast", "--quick", "--workers", "1"]
+
+
+def quick(folder: Path, write_study, asked, edit, hidden) -> str:
+    """What a quick run of a mast says; one mode and two sensors are withheld."""
+    edit(write_study(folder / "mast", hidden), *HELD)
+    return asked(folder, *RUN)
+
+
+@pytest.fixture(scope="module")
+def lacking(write_study, asked, edit, tmp_path_factory):
+    """A folder with the run of a mast with a guy rope that its model lacks, nothing drawn, and what was said."""
+    folder = tmp_path_factory.mktemp("lacking")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli, "draw_all", lambda *a: [])
+        patch.setattr(cli, "write_report", lambda folder, *a: folder / "report.html")
+        return folder, quick(folder, write_study, asked, edit, {"guy": 9000.0})
+
+
+@pytest.fixture
+def within(lacking, tmp_path, monkeypatch):
+    """A copy of that folder as the current one, and what was said."""
+    shutil.copytree(lacking[0], tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    return lacking[1]
+
+
+def tables(folder: Path) -> dict[str, bytes]:
+    """Every table below a folder, without what tells of seconds."""
+    return {str(p): p.read_bytes() for p in sorted(folder.rglob("*.csv"))}
+
+
+def test_what_is_named_is_added_and_withheld_errors_fall(within):
+    study = Study.load(FOLDER / "mast_extended")
+    assert study.settings.with_effects == ("guy",) and "guy" in study.search_space.free_names
+    errors = pd.read_csv(FOLDER / "added_errors.csv").set_index(["group", "stage"])
+    for stage, folder in (("before", FOLDER), ("after", OWN)):
+        told = pd.read_csv(folder / "data_errors.csv").set_index("group")
+        assert list(errors.xs(stage, level="stage")["rms"]) == list(told["rms"])
+    for group in ("fit", "left_out", *UNSEEN):
+        assert errors.loc[(group, "after"), "rms"] < 0.9 * errors.loc[(group, "before"), "rms"]
+    for group in UNSEEN:
+        assert errors.loc[(group, "after"), "rms"] < 1.3 * errors.loc[(group, "after"), "expected"]
+    added = json.loads((FOLDER / "added.json").read_text())
+    (guy,) = added["effects"]
+    assert guy["low"] < 9000.0 < guy["high"] and guy["high"] - guy["low"] < 2000.0 and added["quick"] is True
+    found = pd.read_csv(FOLDER / "added_parameters.csv").set_index("parameter")
+    assert list(found.index[found["added"]]) == ["guy"] and found.loc["guy", "after"] == pytest.approx(guy["value"])
+    # Without the rope another parameter had to stand in for it.
+    shift = (found["before"] - found["adopted"]).abs() > (found["after"] - found["adopted"]).abs()
+    assert shift["E"] and shift["K_base"]
+    modes = pd.read_csv(FOLDER / "added_modes.csv").set_index("mode")
+    assert modes["withheld"]["B3x"] and abs(modes["error_after"]["B3x"]) < abs(modes["error_before"]["B3x"])
+
+
+def test_the_story_is_said_in_order_with_its_numbers(within):
+    heads = [
+        line.split(": ")[1].split("  ")[0] for line in within.splitlines() if line.endswith("[synthetic measurement]")
+    ]
+    verbs = ["compare", "sensitivity", "calibrate", "explain", "extend", "calibrate", "before and after"]
+    assert heads == verbs
+    end = within[within.index("before and after  [synthetic") :]
+    added = json.loads((FOLDER / "added.json").read_text())
+    assert added["sentence"] in end and "Both are quick looks" in end
+    assert "With it the model fits better and predicts better what no fit has seen." in end
+    errors = pd.read_csv(FOLDER / "added_errors.csv").set_index(["group", "stage"])
+    for words, group in {"used data": "fit", "withheld sensors": UNSEEN[0], "withheld modes": UNSEEN[1]}.items():
+        before, after = errors.loc[(group, "before")], errors.loc[(group, "after")]
+        (line,) = [x for x in end.splitlines() if x.startswith(f"{words}  ")]
+        assert line.removeprefix(words).split()[:4] == [
+            str(int(after["rows"])), f"{before['rms']:.2f}", f"{after['rms']:.2f}", f"{after['expected']:.2f}",
+        ]  # fmt: skip
+        assert f"{words} {before['rms']:.2f} -> {after['rms']:.2f} ({after['expected']:.2f})" in added["sentence"]
+    assert str(FOLDER / "mast_extended") in end and str(OWN) in end and "Add it with" not in within
+
+
+@pytest.mark.slow
+def test_pictures_and_reports_of_both_are_drawn_and_drawn_anew(within, drawn, monkeypatch):
+    monkeypatch.setattr("calib.correlation.problem.ModalProblem.compare", lambda *a: pytest.fail("it solved"))
+    assert cli.answer(["report", "mast"]) == 0
+    assert (FOLDER / "added_errors.png").stat().st_size > 5000 and (OWN / "comparison.png").exists()
+    page = (FOLDER / "report.html").read_text()
+    assert 'id="errors"' in page and "What was added, and the error before and after" in page
+    assert "predicts better what no fit has seen" in page and "a quick look" in page
+    assert "mast_extended" in page and (OWN / "report.html").exists()
+    for figure in [*Path("results").rglob("*.png"), *Path("results").rglob("report.html")]:
+        figure.unlink()
+    assert cli.answer(["report", "mast"]) == 0
+    assert (FOLDER / "report.html").read_text() == page and (OWN / "report.html").exists()
+
+
+def test_the_same_run_again_says_the_same(lacking, monkeypatch):
+    monkeypatch.chdir(lacking[0])
+    before = tables(Path("results"))
+    assert cli.answer(RUN) == 0
+    assert tables(Path("results")) == before
+    assert sorted(p.name for p in FOLDER.glob("mast_extended*")) == ["mast_extended"]
+
+
+def test_an_interrupted_run_is_completed_by_the_same_command(within, monkeypatch):
+    whole = tables(Path("results"))
+    shutil.rmtree("results")
+    calibrate, calls = calibration.calibrate, []
+
+    def stopped(*given, **more):
+        calls.append(given[0].name)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return calibrate(*given, **more)
+
+    monkeypatch.setattr(calibration, "calibrate", stopped)
+    assert cli.answer(RUN) == 130 and calls == ["mast", "mast_extended"]
+    assert not (FOLDER / "added.json").exists() and not list(Path("results").rglob(".*"))
+    assert cli.answer(RUN) == 0
+    assert tables(Path("results")) == whole
+
+
+def test_a_later_question_takes_away_what_rested_on_the_earlier_one(within):
+    assert cli.answer(["calibrate", "mast", "--quick", "--workers", "1"]) == 0
+    assert not list(FOLDER.glob("added*"))
+
+
+def test_two_effects_are_added_together(here, write_study, asked, edit):
+    quick(here, write_study, asked, edit, {"platform": 25.0, "stuck_base": 0.6})
+    assert Study.load(FOLDER / "mast_extended").settings.with_effects == ("platform", "stuck_base")
+    added = json.loads((FOLDER / "added.json").read_text())
+    assert [e["name"] for e in added["effects"]] == ["platform", "stuck_base"]
+    assert "With them the model fits better" in added["sentence"]
+
+
+def test_where_nothing_is_missing_the_run_says_so_and_ends(here, write_study, asked, edit):
+    out = quick(here, write_study, asked, edit, {})
+    words = "Nothing is missing that these data could show, so nothing is added and the story ends here."
+    assert words in out.splitlines() and "before and after" not in out
+    assert json.loads((FOLDER / "added.json").read_text())["sentence"] == words
+    assert not list(FOLDER.glob("mast_extended*")) and not Path("results/mast_extended").exists()
+    assert (FOLDER / "explanation.json").exists()
+
+
+def test_a_study_without_effects_is_run_as_ever(here, asked):
+    asked(here, "new", "mast")
+    out = asked(here, *RUN)
+    assert ": extend" not in out and not (FOLDER / "added.json").exists() and (FOLDER / "summary.json").exists()
+
+
+def test_the_extended_study_can_be_moved_and_gone_on_with(within):
+    shutil.move(FOLDER / "mast_extended", "mast_2")
+    assert cli.answer(["explain", "mast_2"]) == 0
+    assert json.loads(Path("results/mast_2/explanation.json").read_text())["verdict"] == "nothing_detectable"
+    assert cli.answer(["report", "mast"]) == 0  # what was moved away is not missed
