@@ -141,7 +141,7 @@ def explain(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     """
     loaded = _load(study, results)
     folder = places.results_of(loaded, results)
-    console.tell_what_to_add(loaded, _explain(loaded, folder).findings)
+    console.tell_what_to_add(loaded, _explain(loaded, folder, results).findings)
     _draw(loaded, folder)
 
 
@@ -183,7 +183,7 @@ def run(
     _sensitivity(loaded, folder, results, workers, quick)
     calibrated = _calibrate(loaded, folder, results, workers, None, quick, None)
     if loaded.candidates:
-        found = _explain(loaded, folder).findings
+        found = _explain(loaded, folder, results).findings
         if extended := _add(loaded, folder, results, workers, quick, calibrated, found):
             _draw(*extended, whole_report=True)
     _draw(loaded, folder, whole_report=True)
@@ -280,10 +280,10 @@ def _fit(study: Study, folder: Results, root: Path, workers: int | None, quick: 
     return _calibrate(study, folder, root, workers, None, quick, None)
 
 
-def _explain(study: Study, folder: Results) -> explanation.Explanation:
+def _explain(study: Study, folder: Results, root: Path) -> explanation.Explanation:
     console.head(study, "explain")
     with progress.told() as step:
-        answer = explanation.explain(study, folder, step)
+        answer = explanation.explain(study, folder, step, places.results_of(study, root))
     console.tell_explanation(study, answer, folder)
     return answer
 

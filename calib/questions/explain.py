@@ -118,8 +118,12 @@ class Explanation:
         return self.findings.verdict
 
 
-def explain(study: Study, results: Results, progress: Progress = lambda words: None) -> Explanation:
+def explain(
+    study: Study, results: Results, progress: Progress = lambda words: None, home: Results | None = None
+) -> Explanation:
     """Find which effect of the study's library its model lacks; write all tables and ``explanation.json``.
+
+    ``home`` holds the reduced basis, which whole and quick runs share; by default it is ``results``.
 
     Raises
     ------
@@ -143,7 +147,7 @@ def explain(study: Study, results: Results, progress: Progress = lambda words: N
     if isinstance(study.problem, FunctionProblem):
         side = PlainSide.of(study)
     else:
-        side = ModalSide.of(study, results, progress)
+        side = ModalSide.of(study, home or results, progress)
     given = study.settings.explain
     settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed, side.budget_of_fits)
     try:
