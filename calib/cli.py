@@ -312,6 +312,8 @@ def _add(
     own = places.results_of(extended, root, quick)
     after = _fit(extended, own, root, workers, quick)
     answer = addition.write_added(study, calibrated, written.effects, extended, after, folder, quick)
+    if not quick:
+        write_versions(extended, root)
     console.head(study, "before and after")
     console.tell_added(answer, written, own)
     return extended, own
@@ -319,8 +321,9 @@ def _add(
 
 def _draw_anew(study: Study, root: Path) -> None:
     """Every figure and report of a study, and of those that its runs have extended it to."""
-    console.tell_versions(write_versions(study, root))
     folders = places.answers_of(study, root)
+    if Results(root / study.name) in folders:  # versions are those of whole answers
+        console.tell_versions(write_versions(study, root))
     for folder in folders:
         _draw(study, folder, whole_report=True)
     written = [file for folder in folders if (file := extension.found_among(study, folder.path))]

@@ -218,7 +218,11 @@ def conclusion(errors: pd.DataFrame) -> str:
     noise = [WORDS[g] for g in unseen if quiet[g]]
     told = "the model fits better" if fell["fit"] else "the model fits no better"
     if better and not same:
-        told += " and predicts better" + ("" if unseen == ["left_out"] else " what no fit has seen")
+        told += (
+            " and predicts better what no fit has seen"
+            if unseen != ["left_out"]
+            else f" and predicts {better[0]} better"
+        )
     elif better:
         told += f", predicts {' and '.join(better)} better, {' and '.join(same)} no better"
     else:

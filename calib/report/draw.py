@@ -234,6 +234,10 @@ def _plan_explanation(folder: Path, add: _Add) -> None:
             add("confounding", "which effects look alike", lambda: _owner(draw_confounding(alike, effects=effects)))
     if errors is not None:
         add("errors_before_after", "errors before and after", lambda: _owner(draw_errors(errors, name=name)))
+    both = read("added_errors", ["group", "stage"], ["rms", "expected", "p"])
+    if both is not None:
+        caption = "errors before and after, calibrated both times"
+        add("added_errors", caption, lambda: _owner(draw_errors(both, name=name)))
     versions = read("versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["effects"])
     if versions is not None:
         caption = "errors over the versions of the model"
