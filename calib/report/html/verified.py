@@ -57,7 +57,8 @@ def _added(answers: Answers) -> list[Block]:
     out: list[Block] = [Words(note)]
     table = answers.table("added_errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
     if table is not None:
-        out += _error_blocks(table, f"before and after adding {name}, calibrated both times")
+        what = f"before and after adding {name}, calibrated both times"
+        out += [_error_plot(table, what), _both_table(table, f"Errors {what}")]
     called = {"initial": "nothing fitted", "before": "calibrated", "after": "extended"}
     caption = f"Every measured mode: nothing fitted, calibrated, and extended with {name} and calibrated again"
     return [*out, *_added_parameters(answers, name), *_mode_table(answers, "added_modes", called, caption)]
@@ -86,11 +87,12 @@ def _explained(answers: Answers) -> list[Block]:
     if table is None:
         return []
     name = " + ".join(answers.explanation.get("chosen", []))
-    return _error_blocks(table, f"before and after adding {name}" if name else "of the base model")
+    what = f"before and after adding {name}" if name else "of the base model"
+    return [_error_plot(table, what), _error_table(table, f"Errors {what}")]
 
 
-def _error_blocks(table: pd.DataFrame, what: str) -> list[Block]:
-    """Errors by stage and group of data, in a figure and a table."""
+def _error_plot(table: pd.DataFrame, what: str) -> Plot:
+    """Errors by stage and group of data."""
     groups = _groups(table)
     stages = [s for s in STAGES if (table["stage"] == s).any()]
     figure = new(400, barmode="group", bargap=_GAP)
@@ -120,10 +122,7 @@ def _error_blocks(table: pd.DataFrame, what: str) -> list[Block]:
     figure.update_layout(xaxis=name_axis(labels), yaxis=number_axis("rms error, σ", rangemode="tozero"))
     told = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
     caption = f"Error {what}, in units of the scatter; black lines: what a right model would show."
-    return [
-        Plot("errors", caption, f"Bars. {told}.", figure),
-        _error_table(table, f"Errors {what}"),
-    ]
+    return Plot("errors", caption, f"Bars. {told}.", figure)
 
 
 def _arrow(table: pd.DataFrame, group: str) -> str:
@@ -143,6 +142,22 @@ def _error_table(table: pd.DataFrame, caption: str) -> Table:
         for r in table.to_dict("records")
     )
     return Table(caption, ("data", "model", "numbers", "rms, σ", "right model, σ", "p"), rows, (1,))
+
+
+def _both_table(table: pd.DataFrame, caption: str) -> Table:
+    """One row a group of data, both stages side by side."""
+    before, after = (table[table["stage"] == stage].set_index("group") for stage in ("before", "after"))
+    rows = tuple(
+        (
+            GROUPS.get(group, group),
+            fixed(after["rows"][group], 0),
+            *(fixed(stage[number][group], 2) for number in ("rms", "expected") for stage in (before, after)),
+            *(chance(stage["p"][group]) for stage in (before, after)),
+        )
+        for group in _groups(table)
+    )
+    columns = ("rms before, σ", "after, σ", "right model before, σ", "after, σ", "p before", "after")
+    return Table(caption, ("data", "numbers", *columns), rows)
 
 
 def _calibrated(answers: Answers) -> list[Block]:

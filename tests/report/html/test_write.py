@@ -282,7 +282,10 @@ def test_effects_errors_and_trials_are_those_of_the_tables(everything, read):
         assert number(row[head.index("ln Bayes")]) == pytest.approx(effects["ln_bayes"][row[1]], abs=0.0501)
     errors = pd.read_csv(everything / "added_errors.csv")
     rows = read.tables["Errors before and after adding guy, calibrated both times"][1:]
-    np.testing.assert_allclose([number(r[3]) for r in rows], errors["rms"], atol=0.00501)
+    for k, stage in enumerate(("before", "after")):
+        own = errors[errors["stage"] == stage]
+        np.testing.assert_allclose([number(r[2 + k]) for r in rows], own["rms"], atol=0.00501)
+        np.testing.assert_allclose([number(r[4 + k]) for r in rows], own["expected"], atol=0.00501)
     tried = pd.read_csv(everything / "tried.csv")
     assert [r[0] for r in read.tables["Models that were fitted"][1:]] == list(tried["effects"].fillna("none"))
 
