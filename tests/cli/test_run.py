@@ -11,6 +11,7 @@ from calib import cli
 from calib.questions import calibrate as calibration
 from calib.study import Study
 
+ROOT = Path(__file__).resolve().parents[2]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
 FOLDER, OWN = Path("results/mast/quick"), Path("results/mast_extended/quick")
 UNSEEN = ("withheld_sensors", "withheld_modes")
@@ -164,3 +165,15 @@ def test_the_extended_study_can_be_moved_and_gone_on_with(within):
     assert cli.answer(["explain", "mast_2"]) == 0
     assert json.loads(Path("results/mast_2/explanation.json").read_text())["verdict"] == "nothing_detectable"
     assert cli.answer(["report", "mast"]) == 0  # what was moved away is not missed
+
+
+@pytest.mark.slow
+def test_a_model_without_matrices_is_run_to_the_end_too(here, asked):
+    """Nothing is withheld there, so what is left out in turn is the judge."""
+    truth = json.loads((ROOT / "tests/truth/five_mass_chain.json").read_text())
+    out = asked(here, "run", str(ROOT / "studies/five_mass_chain"), "--quick", "--workers", "1")
+    assert "With it the model fits better and predicts data left out in turn better." in out
+    (effect,) = json.loads(Path("results/five_mass_chain/quick/added.json").read_text())["effects"]
+    strength = truth["strength"][truth["effect"]]
+    assert effect["name"] == truth["effect"] and effect["low"] < strength < effect["high"]
+    assert not Path("results/five_mass_chain/quick/added_modes.csv").exists()
