@@ -15,8 +15,8 @@ _LEAST = 1 / 4000
 """Probabilities below this are drawn too rarely to be told apart."""
 
 
-def sentence(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advice: str) -> str:
-    """Verdict with what supports it, what cannot be seen, and what to measure next.
+def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advice: str) -> tuple[str, ...]:
+    """Verdict with what supports it, what cannot be seen, and what to measure next; the first ones are the verdict.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def sentence(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advic
         parts.append(advice)
     if found.names_something or found.verdict == "partial":
         parts.append("Explanations outside the library cannot be excluded.")
-    return " ".join(part for part in parts if part)
+    return tuple(part for part in parts if part)
 
 
 def rounded(value: float) -> str:

@@ -121,7 +121,8 @@ def write_added(
     results.write_table("added_parameters", parameters)
     if len(answer.modes):
         results.write_table("added_modes", answer.modes)
-    seeds = {case.name: case.seed for case in extended.settings.calibration.cases}
+    given = extended.settings
+    seeds = {**{case.name: case.seed for case in given.calibration.cases}, "reduction": given.reduction.seed}
     write_record(study, results, "extend", seeds, (answer.sentence,), quick)
     reached = {"mean_freq_error": after.best.answer.mean_freq_error, "mean_mac": after.best.answer.mean_mac}
     return _written(answer, results, effects=strengths, study=str(extended.file.parent), quick=quick, **reached)

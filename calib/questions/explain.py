@@ -28,7 +28,7 @@ from calib.missing.tables import (
     strain_table,
     tried_table,
 )
-from calib.missing.verdict import sentence
+from calib.missing.verdict import sentences
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
 from calib.questions.modal_side import ModalSide
@@ -91,7 +91,8 @@ class Explanation:
     Attributes
     ----------
     findings : Findings
-    sentence : str
+    sentences : tuple of str
+        The verdict and what supports it.
     notes : tuple of str
         What a reader must know, such as a scatter that had to be assumed.
     effects, errors : DataFrame
@@ -104,13 +105,18 @@ class Explanation:
     """
 
     findings: Findings
-    sentence: str
+    sentences: tuple[str, ...]
     notes: tuple[str, ...]
     effects: pd.DataFrame
     errors: pd.DataFrame
     tables: dict[str, pd.DataFrame]
     figures: dict[str, object]
     seconds: float
+
+    @property
+    def sentence(self) -> str:
+        """The verdict and what supports it."""
+        return " ".join(self.sentences)
 
     @property
     def verdict(self) -> str:
@@ -190,7 +196,7 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     progress("what the discretisation alone would look like")
     budget = side.budget(found)
     notes = [*([] if budget is None else [budget.sentence]), *side.notes(), *more_notes]
-    words = sentence(found, effects, errors, advice)
+    words = sentences(found, effects, errors, advice)
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     tables = {
@@ -276,6 +282,7 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "synthetic": study.synthetic,
         "verdict": found.verdict,
         "sentence": answer.sentence,
+        "sentences": list(answer.sentences),
         "notes": list(answer.notes),
         "p_family": check.p_family,
         "p_fit": check.p_fit,

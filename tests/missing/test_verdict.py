@@ -10,7 +10,7 @@ import pytest
 
 from calib.missing.explain import explain
 from calib.missing.tables import effects_table
-from calib.missing.verdict import sentence
+from calib.missing.verdict import sentences
 
 UNITS = {"E0": "kg", "E1": "-", "E2": "kN/m", "E3": "-", "E4": "kg"}
 VERDICTS = (
@@ -78,7 +78,7 @@ def told(found, intervals=None, advice="", some_errors=None, change=None):
     table = effects_table(found, intervals or {}, {})
     for (name, column), value in (change or {}).items():
         table.loc[table["name"] == name, column] = value
-    return sentence(found, table, errors() if some_errors is None else some_errors, advice)
+    return " ".join(sentences(found, table, errors() if some_errors is None else some_errors, advice))
 
 
 # -- all verdicts ------------------------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ def test_data_that_show_no_effect_at_all_can_tell_nothing(cases):
 def test_what_was_not_tested_is_not_called_invisible(cases):
     found = cases["nothing_detectable"]
     table = effects_table(found, {}, {}, untested=[g.effect for g in found.groups if g.effect.name == "E1"])
-    text = sentence(found, table, errors().head(0), "")
+    text = " ".join(sentences(found, table, errors().head(0), ""))
     assert "Not tested, since the model fails with it: E1." in text and "E1 of any" not in text
 
 

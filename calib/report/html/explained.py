@@ -10,6 +10,8 @@ from calib.report.html.numbers import chance, fixed, flag, with_unit, yes
 from calib.report.html.page import Block, Plot, Section, Table, Words
 from calib.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, added
 
+_OF_VERDICT = 2
+"""Sentences that say what is missing and what it is; all others support them."""
 _COLOURS = (ORANGE, BLUE, GREEN, PURPLE, SKY)
 
 
@@ -89,9 +91,11 @@ def verdict(answers: Answers) -> Section | None:
     ]
     rows = tuple((what, chance(float(p))) for what, p in facts if p is not None)
     notes = [Words(str(note), "told") for note in told.get("notes", [])]
-    sentence = str(told.get("sentence", "")).replace(" -> ", " → ")
+    parts = [str(words).replace(" -> ", " → ") for words in told.get("sentences", [told.get("sentence", "")])]
+    supports = [Words(words, "told") for words in parts[_OF_VERDICT:]]
     caption = "Chance of what was seen, or more, if the model were right"
-    blocks: list[Block] = [Words(sentence, "verdict"), *notes, Table(caption, ("looking at", "p"), rows)]
+    table = Table(caption, ("looking at", "p"), rows)
+    blocks: list[Block] = [Words(" ".join(parts[:_OF_VERDICT]), "verdict"), *supports, *notes, table]
     return Section("verdict", "Verdict", tuple(blocks))
 
 

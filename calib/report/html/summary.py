@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from calib.report.html.answers import STAGES, Answers
@@ -121,7 +122,9 @@ def _calibrated(answers: Answers) -> list[tuple[str, str]]:
     added = answers.added if answers.added_names else {}
     errors += [added["mean_freq_error"]] if added else []
     more = f", with {' + '.join(answers.added_names)}" if added else ""
-    out = [(f"{label}, calibrated{more}", " → ".join(f"{percent(error)} %" for error in errors))]
+    floor = _noise_of_errors(answers)
+    allowed = "" if pd.isna(floor) else f" (noise allows {percent(floor)} %)"
+    out = [(f"{label}, calibrated{more}", " → ".join(f"{percent(error)} %" for error in errors) + allowed)]
     if told.get("mean_mac_after") is not None:
         noise = "" if told.get("noise_mac") is None else f" (noise allows {fixed(told['noise_mac'], 3)})"
         macs = [told[f"mean_mac_{stage}"] for stage in ("before", "after")] + ([added["mean_mac"]] if added else [])
@@ -130,6 +133,16 @@ def _calibrated(answers: Answers) -> list[tuple[str, str]]:
     if verdicts is not None:
         out.append(("parameters identified", f"{sum(map(flag, verdicts['identified']))} of {len(verdicts)}"))
     return out
+
+
+def _noise_of_errors(answers: Answers) -> float:
+    """Mean relative error of frequencies, or of plain responses, that noise alone would leave; NaN where unknown."""
+    value, std = ("value", "std") if answers.plain else ("natural_freq", "freq_std")
+    table = answers.table("measured", [], [value, std], flags=["withheld"])
+    if table is None:
+        return float("nan")
+    used = table[~table["withheld"].map(flag)]
+    return float((used[std] / used[value].abs()).mean(skipna=False) * np.sqrt(2 / np.pi))
 
 
 def _explained(answers: Answers) -> list[tuple[str, str]]:

@@ -1,33 +1,34 @@
-"""Errors on data that were used, left out and withheld, and what to measure next."""
+"""Errors on data that were used, left out and withheld, before and after, and what was added between."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 
 from calib.report.html.answers import Answers
-from calib.report.html.look import PATTERNS, filled, name_axis, new, number_axis, shown, wrapped
+from calib.report.html.look import PATTERNS, filled, name_axis, new, number_axis, shown
 from calib.report.html.numbers import chance, fixed, flag, percent, significant, with_unit
 from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
-from calib.report.style import AFTER, BEFORE, BLACK, CASES, GREEN, GREY, ORANGE, PURPLE, SKY
-from calib.report.verification import GROUPS, best_options
+from calib.report.style import AFTER, BEFORE, BLACK, CASES
+from calib.report.verification import GROUPS
 
 TERMS = (
     ("rms", "root mean square of the errors, in units σ of the measurement's scatter"),
-    ("right model", "the rms that a model without fault would show on these data"),
+    (
+        "right model",
+        "the rms that a model without fault would show on these data; more where those left out were all that told of "
+        "something",
+    ),
     ("p", "chance that a right model errs as much"),
 )
-_TICKS = [factor * 10**power for power in range(-1, 6) for factor in (1, 2, 5)]
 STAGES = {
     "before": ("base model", BEFORE),
     "after": ("with what is missing", AFTER),
     "attempt": ("best attempt, not believed", "#BDBDBD"),
 }
 _GAP = 0.3
-_KINDS = {"sensor": SKY, "mode": ORANGE, "repeats": GREEN, "bench": PURPLE}
 
 
 def errors(answers: Answers) -> Section | None:
@@ -51,8 +52,8 @@ def _added(answers: Answers) -> list[Block]:
     """What the effects bring that were added to the model, which was calibrated once more."""
     name = " + ".join(answers.added_names)
     note = (
-        "Both models were calibrated alike. The verdict quotes the errors of the explanation's own fits, which may "
-        f"differ from these in the last digits. The extended study lies in {answers.added['study']}."
+        "Both models were calibrated alike. The verdict quotes strengths and errors of the explanation's own fits, "
+        f"which may differ from these in the last digits. The extended study lies in {answers.added['study']}."
     )
     out: list[Block] = [Words(note)]
     table = answers.table("added_errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
@@ -79,7 +80,17 @@ def _added_parameters(answers: Answers, name: str) -> list[Block]:
         for r in table.to_dict("records")
     )
     heads = ("parameter", "", "adopted", "without", "std", f"with {name}", "std")
-    return [Table("Calibrated parameters without and with what was added", heads, rows, (1,))]
+    moved = table[(table["after"] - table["before"]).abs() > 2 * table["before_std"]]
+    told = "; ".join(
+        f"{r['parameter']} {significant(r['before'])} → {with_unit(r['after'], str(r['unit']), 4)} "
+        f"(adopted {significant(r['adopted'])})"
+        for r in moved.to_dict("records")
+    )
+    words = f"Without what was added other parameters stood in for it, by more than two standard deviations: {told}."
+    return [
+        *([Words(words)] if told else []),
+        Table("Calibrated parameters without and with what was added", heads, rows, (1,)),
+    ]
 
 
 def _explained(answers: Answers) -> list[Block]:
@@ -238,71 +249,3 @@ def _versions(answers: Answers) -> list[Block]:
 def _groups(table: pd.DataFrame) -> list[str]:
     there = set(table["group"][table["rms"].notna()])
     return [*(g for g in GROUPS if g in there), *sorted(there - set(GROUPS))]
-
-
-def next_measurement(answers: Answers) -> Section | None:
-    """What further measurements promise."""
-    worth = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]
-    numbers = [*worth, "phi_min"]
-    table = answers.table(
-        "next_measurement", ["option", "kind"], [*numbers, "chance"], unbounded=numbers, blank=["effect"]
-    )
-    if table is None:
-        return None
-    best = best_options(table)
-    finite = best["gain"].replace(np.inf, np.nan)
-    words = [shown(f"{r['option']}: × {fixed(r['gain'], 2)} for {r['effect']}") for r in best.to_dict("records")]
-    labels = [wrapped(str(option), 48) for option in best["option"]]
-    lines = max(label.count("<br>") + 1 for label in labels)
-    figure = new(120 + (18 + 16 * lines) * len(best), margin={"l": 60, "r": 60, "t": 30, "b": 60})
-    figure.add_bar(
-        x=finite.to_numpy(dtype=float), y=list(range(len(best))), orientation="h", hovertext=words, hoverinfo="text",
-        text=[f"× {fixed(v, 1)}" for v in best["gain"]], textposition="outside", cliponaxis=False,
-        marker={"color": [_KINDS.get(str(kind), GREY) for kind in best["kind"]]},
-    )  # fmt: skip
-    figure.update_layout(
-        xaxis=number_axis("factor in the expected score; 1 is no gain", type="log", tickvals=_TICKS),
-        yaxis=name_axis(labels, reverse=True, ticktext=labels),
-    )
-    odds = table["ln_bayes"].notna().any()
-    rows = tuple(
-        (
-            str(r["option"]),
-            str(r["kind"]),
-            str(r["effect"]),
-            f"× {fixed(r['gain'], 2)} ({fixed(r['gain_low'], 2)} to {fixed(r['gain_high'], 2)})",
-            "never" if np.isinf(r["phi_min"]) else significant(r["phi_min"], 2),
-            *([_odds(r), f"{fixed(100 * r['chance'], 0)} %"] if odds else []),
-        )
-        for r in best.to_dict("records")
-    )
-    heads = (
-        "measurement",
-        "kind",
-        "for the effect",
-        "score",
-        "smallest visible then",
-        *(["expected ln odds for the true one", "chance of more than 20:1"] if odds else []),
-    )
-    first = best.to_dict("records")[0]
-    told = f"Most is gained by: {first['option']} (× {fixed(first['gain'], 1)} in the score of {first['effect']})."
-    intro = (
-        "What each further measurement would gain, computed from the model before anything is measured and averaged "
-        "over what parameters and strengths may be; ranges in brackets hold in 8 of 10 cases. A withheld mode that is "
-        "used no longer verifies the result."
-    )
-    caption = f"The {len(best)} measurements of most worth, each for the effect whose score it raises most."
-    return Section(
-        "next",
-        "What to measure next",
-        (
-            Words(f"{intro} {told}"),
-            Plot("next-measurement", caption, f"Bars. {told}", figure),
-            Table("Measurements of most worth", heads, rows, (1, 2)),
-        ),
-    )
-
-
-def _odds(row: Mapping[Hashable, Any]) -> str:
-    """Log odds with their range."""
-    return f"{fixed(row['ln_bayes'], 1)} ({fixed(row['ln_bayes_low'], 1)} to {fixed(row['ln_bayes_high'], 1)})"

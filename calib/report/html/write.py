@@ -10,7 +10,18 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from calib.errors import InputError
-from calib.report.html import calibrated, compared, effects, explained, fails, influence, measured, provenance, verified
+from calib.report.html import (
+    advised,
+    calibrated,
+    compared,
+    effects,
+    explained,
+    fails,
+    influence,
+    measured,
+    provenance,
+    verified,
+)
 from calib.report.html.answers import Answers
 from calib.report.html.look import as_json, plain_json
 from calib.report.html.page import Plot, Section, Shapes
@@ -27,7 +38,7 @@ STORY = (
     explained.strained,
     effects.section,
     explained.verdict,
-    verified.next_measurement,
+    advised.section,
     verified.errors,
     explained.tried,
     provenance.assumptions,

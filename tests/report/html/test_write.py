@@ -297,6 +297,10 @@ def test_what_was_added_is_told_by_parameter_and_by_mode(everything, text, read)
     for row in rows:
         assert (row[1] == "added") == found["added"][row[0]] == (row[0] == "guy") == (row[3] == "–")
         assert number(row[5]) == pytest.approx(found["after"][row[0]], rel=6e-4)
+    moved = found[(found["after"] - found["before"]).abs() > 2 * found["before_std"]].index
+    (words,) = [w for w in read.text.split("standard deviations: ") if w.startswith(f"{moved[0]} ")]
+    words = words[: words.index("). ")]
+    assert [w.split()[0] for w in words.split("; ")] == list(moved) and "guy" not in words
     modes = pd.read_csv(everything / "added_modes.csv")
     ((head, *rows),) = (t for name, t in read.tables.items() if name.startswith("Every measured mode: nothing fitted"))
     assert [r[1] for r in rows] == ["withheld" if held else "fitted" for held in modes["withheld"]]
