@@ -309,6 +309,7 @@ def test_what_was_added_is_told_by_parameter_and_by_mode(everything, text, read)
         np.testing.assert_allclose(cells, 100 * modes[f"error_{stage}"], atol=0.00501)
     top = " ".join(Reader(text[: text.index("<section")]).text.split())
     assert "With it the model fits better and predicts better what no fit has seen." in top
+    assert "0.03 % (noise allows 0.16 %)" in top  # the scatter of each frequency is 0.2 %: 0.2 sqrt(2/pi)
     rms = pd.read_csv(everything / "added_errors.csv").set_index(["group", "stage"])["rms"]
     told = [f"{rms['withheld_modes', stage]:.2f}" for stage in ("before", "after")]
     assert f"error in withheld modes {told[0]} → {told[1]} σ" in top
