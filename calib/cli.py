@@ -302,16 +302,16 @@ def _add(
     Returns the extended study and where its answers are; None when nothing is named.
     """
     console.head(study, "extend")
-    names = addition.to_add(found)
-    if not names:
+    named = addition.to_add(found)
+    if named is None:
         console.say(addition.write_nothing_added(found, folder).sentence)
         return None
-    written = extension.extend_among(study, names, folder.path)
+    written = extension.extend_among(study, named.names, folder.path)
     console.tell_extension(written)
     extended = _load(written.file, root, workers, quick)
     own = places.results_of(extended, root, quick)
     after = _fit(extended, own, root, workers, quick)
-    answer = addition.write_added(study, calibrated, written.effects, extended, after, folder, quick)
+    answer = addition.write_added(study, calibrated, named, extended, after, folder, quick)
     if not quick:
         write_versions(extended, root)
     console.head(study, "before and after")

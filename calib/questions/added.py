@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from calib.effect import Effect
-from calib.missing.findings import Findings
+from calib.missing.findings import Findings, Trial
 from calib.questions.calibrate import Calibration
 from calib.questions.record import write_record
 from calib.results import Results
@@ -30,6 +30,8 @@ TWO_SIDED = 1.96
 """Standard deviations on either side that hold 95 %."""
 LEAST = 0.98
 """Ratio of two errors up to which one has fallen."""
+UNSETTLED = 2.0
+"""Standard deviations between a strength as calibrated and as explained from which one of them has not settled."""
 WITHIN = 0.05
 """Chance of a right model from which an error is that of noise."""
 
@@ -63,10 +65,9 @@ class Added:
     modes: pd.DataFrame
 
 
-def to_add(found: Findings) -> tuple[str, ...]:
-    """Names of the effects that a verdict names without a rival; none for every other verdict."""
-    named = found.verdict in ("effect", "two_effects") and found.chosen is not None
-    return found.chosen.names if named and found.chosen is not None else ()
+def to_add(found: Findings) -> Trial | None:
+    """The explanation that a verdict names without a rival; None for every other verdict."""
+    return found.chosen if found.verdict in ("effect", "two_effects") else None
 
 
 def write_nothing_added(found: Findings, results: Results) -> Added:
@@ -87,7 +88,7 @@ def write_nothing_added(found: Findings, results: Results) -> Added:
 def write_added(
     study: Study,
     before: Calibration,
-    effects: Sequence[Effect],
+    found: Trial,
     extended: Study,
     after: Calibration,
     results: Results,
@@ -100,8 +101,8 @@ def write_added(
     study : Study
     before : Calibration
         Of its model.
-    effects : sequence of Effect
-        What was added.
+    found : Trial
+        The explanation: what was added, as it was fitted there.
     extended : Study
         The study with them.
     after : Calibration
@@ -111,12 +112,14 @@ def write_added(
     quick : bool
         Whether both were small searches for a first look.
     """
+    effects = found.effects
     errors = _errors(before, after)
     parameters = _parameters(extended, effects, before, after)
     strengths = [_strength(effect, extended, after) for effect in effects]
     told = "" if errors.empty else f"With {'it' if len(effects) == 1 else 'them'} {conclusion(errors)}."
-    words = _sentence(strengths, errors, told) + (" Both are quick looks: ask the whole to be sure." if quick else "")
-    answer = Added(tuple(effects), words, told, errors, parameters, _modes(before, after))
+    words = [_sentence(strengths, errors, told), *_unsettled(strengths, found)]
+    words += ["Both are quick looks: ask the whole to be sure."] if quick else []
+    answer = Added(effects, " ".join(words), told, errors, parameters, _modes(before, after))
     results.write_table("added_errors", errors)
     results.write_table("added_parameters", parameters)
     if len(answer.modes):
@@ -191,6 +194,23 @@ def _sentence(strengths: Sequence[Mapping[str, Any]], errors: pd.DataFrame, told
         f"Added: {named}. {told_of} Rms error in units of the scatter, before -> after "
         f"(what a right model would show): {told}."
     )
+
+
+def _unsettled(strengths: Sequence[Mapping[str, Any]], found: Trial) -> list[str]:
+    """Says so when a search has ended elsewhere than the explanation, which has fitted the same model."""
+    state = found.state
+    std = dict(zip(state.names, np.sqrt(np.diag(state.covariance)), strict=True))
+    fitted = {effect.name: effect.strength.name for effect in found.effects}
+    out = []
+    for s in strengths:
+        name = fitted[s["name"]]
+        if abs(s["value"] - state.values[name]) > UNSETTLED * std.get(name, math.inf):
+            there = _with_interval({**s, "value": state.values[name], "low": math.nan})
+            out.append(
+                f"The explanation's own fit has {there} of {s['name']}: this calibration ended elsewhere, give its "
+                "search more generations or cases."
+            )
+    return out
 
 
 def _with_interval(strength: Mapping[str, Any]) -> str:

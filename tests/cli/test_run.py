@@ -145,6 +145,24 @@ def test_two_effects_are_added_together(here, write_study, asked, edit):
     assert "With them the model fits better" in added["sentence"]
 
 
+def test_a_calibration_that_ends_elsewhere_than_the_explanation_says_so(within, monkeypatch):
+    assert "ended elsewhere" not in json.loads((FOLDER / "added.json").read_text())["sentence"]
+    calibrate = calibration.calibrate
+
+    def astray(study, *given, **more):
+        """As a search that stays where the rope is too stiff."""
+        text = study.file.read_text()
+        if "guy" in study.search_space.free_names and "limits = [20000" not in text:
+            study.file.write_text(f"{text}\n[parameters.guy]\nlimits = [20000, 1e5]\nvalue = 3e4\n")
+            study = Study.load(study.file)
+        return calibrate(study, *given, **more)
+
+    monkeypatch.setattr(calibration, "calibrate", astray)
+    assert cli.answer(RUN) == 0
+    told = json.loads((FOLDER / "added.json").read_text())["sentence"]
+    assert "The explanation's own fit has 8.99e+03 N/m of guy: this calibration ended elsewhere" in told
+
+
 def test_where_nothing_is_missing_the_run_says_so_and_ends(here, write_study, asked, edit):
     out = quick(here, write_study, asked, edit, {})
     words = "Nothing is missing that these data could show, so nothing is added and the story ends here."

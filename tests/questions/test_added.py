@@ -58,11 +58,11 @@ def found(verdict, *names, credible=()):
 
 
 def test_only_what_is_named_without_a_rival_is_added():
-    assert to_add(found("effect", "guy")) == ("guy",)
-    assert to_add(found("two_effects", "guy", "lamp")) == ("guy", "lamp")
+    assert to_add(found("effect", "guy")).names == ("guy",)
+    assert to_add(found("two_effects", "guy", "lamp")).names == ("guy", "lamp")
     for verdict in ("indistinguishable", "partial", "none_explains"):
-        assert to_add(found(verdict, "guy")) == ()
-    assert to_add(found("nothing_detectable")) == () == to_add(found("noise_underestimated"))
+        assert to_add(found(verdict, "guy")) is None
+    assert to_add(found("nothing_detectable")) is None and to_add(found("noise_underestimated")) is None
 
 
 @pytest.mark.parametrize(

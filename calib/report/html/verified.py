@@ -52,8 +52,8 @@ def _added(answers: Answers) -> list[Block]:
     """What the effects bring that were added to the model, which was calibrated once more."""
     name = " + ".join(answers.added_names)
     note = (
-        "Both models were calibrated alike. The verdict quotes strengths and errors of the explanation's own fits, "
-        f"which may differ from these in the last digits. The extended study lies in {answers.added['study']}."
+        "Both models were calibrated alike; the verdict quotes strengths and errors of the explanation's own fits, "
+        f"which are least squares alone. The extended study lies in {answers.added['study']}."
     )
     out: list[Block] = [Words(note)]
     table = answers.table("added_errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
