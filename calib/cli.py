@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from threadpoolctl import threadpool_limits
 
 from calib import __version__, console, interrupt, progress
 from calib.errors import InputError
@@ -364,7 +365,8 @@ def answer(arguments: list[str]) -> int:
     Bad input is one sentence and code 2, an interrupt 130; an unexpected failure leaves its traceback in a log, code 1.
     """
     try:
-        app(args=arguments, prog_name="calib", standalone_mode=True)
+        with threadpool_limits(1):  # the matrices are small: several threads of one product wait for each other
+            app(args=arguments, prog_name="calib", standalone_mode=True)
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
         if code == interrupt.CODE:

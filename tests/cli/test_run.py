@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from calib import cli
 from calib.questions import calibrate as calibration
@@ -195,3 +196,12 @@ def test_a_model_without_matrices_is_run_to_the_end_too(here, asked):
     strength = truth["strength"][truth["effect"]]
     assert effect["name"] == truth["effect"] and effect["low"] < strength < effect["high"]
     assert not Path("results/five_mass_chain/quick/added_modes.csv").exists()
+
+
+def test_a_command_computes_on_one_thread(here, monkeypatch):
+    seen = []
+    monkeypatch.setattr(cli, "write_example", lambda folder: seen.append(threadpool_info()) or [])
+    with threadpool_limits(2):
+        assert cli.answer(["new", "mast"]) == 0
+        assert {pool["num_threads"] for pool in threadpool_info()} == {2}
+    assert seen[0] and {pool["num_threads"] for pool in seen[0]} == {1}
