@@ -20,6 +20,7 @@ import argparse
 import json
 import multiprocessing
 import time
+import traceback
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import islice
@@ -85,7 +86,7 @@ def lines(file: Path) -> Iterator[dict[str, Any]]:
 def rows(world: World, wanted: list[tuple[Scenario, int]], workers: int) -> Iterator[dict[str, Any]]:
     """Answers as they come."""
     if workers == 1:
-        yield from (world.run(s, k) for s, k in wanted)
+        yield from (_made(world, s, k) for s, k in wanted)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, _begin, (world.subject, world.folder, world.code)) as pool:
@@ -103,7 +104,17 @@ def _begin(subject: Subject, folder: Path, code: str) -> None:
 
 def _run(scenario: Scenario, number: int) -> dict[str, Any]:
     assert _world is not None
-    return _world.run(scenario, number)
+    return _made(_world, scenario, number)
+
+
+def _made(world: World, scenario: Scenario, number: int) -> dict[str, Any]:
+    """One run; whatever breaks in it is a row with its traceback, and no reason to lose the others."""
+    try:
+        return world.run(scenario, number)
+    except Exception as fault:
+        row = {"code": world.code, "scenario": scenario.name, "number": number, "group": scenario.group}
+        told = {"error": f"{type(fault).__name__}: {fault}", "traceback": traceback.format_exc()}
+        return row | {"verdict": "failed", "outcome": "failed"} | told
 
 
 if __name__ == "__main__":
