@@ -307,7 +307,8 @@ def _add(
     if named is None:
         console.say(addition.write_nothing_added(found, folder).sentence)
         return None
-    written = extension.extend_among(study, named.names, folder.path)
+    begin_at = {n: v for n, v in named.state.values.items() if n in named.state.question.space.free_names}
+    written = extension.extend_among(study, named.names, folder.path, begin_at)
     console.tell_extension(written)
     extended = _load(written.file, root, workers, quick)
     own = places.results_of(extended, root, quick)

@@ -99,7 +99,20 @@ def search_space(
         chosen = space.widen(wide).keep(names)
     except InputError as fault:
         raise InputError(fault.problem, place=place("selection"), remedy=fault.remedy) from None
+    for name, value in settings.calibration.begin_at.items():
+        _require_inside(chosen, name, value, place("calibration", "begin_at", name))
     return _feasible(chosen, "search limits", place)
+
+
+def _require_inside(space: ParameterSpace, name: str, value: float, place: str) -> None:
+    if name not in space.free_names:
+        raise InputError(f"begin_at names {name!r}, which is not selected", place=place, remedy="select it")
+    lower, upper = space[name].lower, space[name].upper
+    if not lower <= value <= upper:
+        raise InputError(
+            f"begin_at has {name} = {value:g}, outside its search limits {lower:g} to {upper:g}", place=place,
+            remedy="name a value within them",
+        )  # fmt: skip
 
 
 def _feasible(space: ParameterSpace, label: str, place: Place) -> ParameterSpace:

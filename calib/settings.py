@@ -121,7 +121,10 @@ class ReductionSettings(_Section):
 
 
 class CalibrationSettings(_Section):
-    """``[calibration]``."""
+    """``[calibration]``.
+
+    ``begin_at`` names values of parameters from which least squares begins too, beside where a search ended.
+    """
 
     method: Literal["genetic", "gauss-newton"] = "genetic"
     polish: bool = True
@@ -135,6 +138,7 @@ class CalibrationSettings(_Section):
     mutation: Share = 0.15
     sigma_start: float = Field(default=0.10, gt=0, le=1)
     sigma_end: float = Field(default=0.01, gt=0, le=1)
+    begin_at: dict[str, float] = Field(default_factory=dict)
     cases: tuple[CaseSettings, ...] = Field(min_length=1)
 
     @field_validator("cases")

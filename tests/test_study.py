@@ -103,6 +103,13 @@ BAD = [
     ("window reversed", ("freq_window = [0.5, 100.0]", "freq_window = [100.0, 0.5]"), "freq_window", "Hz"),
     ("twin cases", ('"A2", seed = 2', '"A1", seed = 2'), "two cases are named 'A1'", ""),
     ("no cases", ('{ name = "A1", seed = 1 },\n    { name = "A2", seed = 2 },', ""), "calibration.cases", ""),
+    (
+        "begin outside",
+        ("[calibration]", "[calibration]\nbegin_at = { E = 900.0 }"),
+        "outside its search limits",
+        "E = 900",
+    ),
+    ("begin unselected", ("[calibration]", "[calibration]\nbegin_at = { h = 1.0 }"), "'h', which is not selected", ""),
     ("wrong type", ("population = 30", 'population = "many"'), "calibration.population", "many"),
     ("both weights zero", ("weight_freq = 1.0", "weight_freq = 0.0"), "weights", ""),
     ("std without repeats", ('std_of = "mean"', 'std_of = "repeat"'), "repeats", ""),

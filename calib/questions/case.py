@@ -123,8 +123,14 @@ class CaseFinder:
         """The residual at full order."""
         return RecordedResidual(self.study.problem, self.ledger)
 
+    @property
+    def known(self) -> tuple[dict[str, float], ...]:
+        """Where the study says that least squares begins too."""
+        given = self.study.settings.calibration.begin_at
+        return (self.study.search_space.complete(given),) if given else ()
+
     def by_search(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
-        """Genetic algorithm, then least squares from its best point unless the study does without."""
+        """Genetic algorithm, then least squares from its best point and from `known`, where the study wants them."""
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
         reduction = reduction_of(study, self.home)
@@ -143,7 +149,7 @@ class CaseFinder:
                         progress=partial(self.progress, case.name), certify=certify,
                     )  # fmt: skip
                     if study.settings.calibration.polish:
-                        judgement = self.polished(reduction, [search.values], POLISH_REFITS)
+                        judgement = self.polished(reduction, [search.values, *self.known], POLISH_REFITS)
                     else:
                         judgement = judged(study, self.exact, search.values)
                     yield _reported(study, objective, search, search, judgement)
@@ -160,7 +166,7 @@ class CaseFinder:
         count = min(given, QUICK_STARTS) if self.quick else given
         for case in cases:
             started = time.perf_counter()
-            starts = [space.complete(x) for x in sample(space, count, case.seed).points]
+            starts = [*self.known, *(space.complete(x) for x in sample(space, count, case.seed).points)][:count]
             steps = _Steps(case.name, count, self.progress)
             with _told(study):
                 judgement = self.polished(reduction, starts, REFITS, steps)

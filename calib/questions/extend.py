@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import tomlkit
@@ -74,15 +75,20 @@ def extend(study: Study, names: Sequence[str], folder: Path) -> Extension:
     return extension
 
 
-def extend_among(study: Study, names: Sequence[str], results: Path) -> Extension:
+def extend_among(
+    study: Study, names: Sequence[str], results: Path, begin_at: Mapping[str, float] = MappingProxyType({})
+) -> Extension:
     """Write the same into a folder of results, whatever an earlier run has written there.
+
+    Its least squares begin at given values too, such as those of an explanation, which has fitted the same model; not
+    where the selection is left to a sensitivity analysis, which may not select them.
 
     Paths that lead out of the study become absolute, so that the folder may be moved. One that is there and says the
     same stays as it is; another is kept beside it, its name ending in `EARLIER`, in place of an older one.
     """
     folder = _place_among(study, results)
     new = folder.parent.resolve() / folder.name
-    with _written(study, _candidates(study, names), folder, new, _anywhere) as (draft, extension):
+    with _written(study, _candidates(study, names), folder, new, _anywhere, begin_at) as (draft, extension):
         if not new.is_dir() or _content(new) != _content(draft):
             with _draft_of(new, folder) as old:
                 earlier = new.with_name(new.name + EARLIER)
@@ -137,14 +143,19 @@ def _anywhere(goal: Path, new: Path) -> str:
 
 @contextlib.contextmanager
 def _written(
-    study: Study, effects: tuple[Effect, ...], folder: Path, new: Path, leading: Leading
+    study: Study,
+    effects: tuple[Effect, ...],
+    folder: Path,
+    new: Path,
+    leading: Leading,
+    begin_at: Mapping[str, float] = MappingProxyType({}),
 ) -> Iterator[tuple[Path, Extension]]:
     """The new study as a draft beside its place, checked; gone afterwards unless it was put there."""
     source = study.file.resolve()
     old = source.parent
     free = tuple(p.name for effect in effects for p in effect.parameters if p.distribution != "fixed")
     selected = () if isinstance(study.settings.selection, str) else free
-    text, moved = _extended_text(study, effects, selected, source, new, leading)
+    text, moved = _extended_text(study, effects, selected, source, new, leading, begin_at)
     with _draft_of(new, folder) as draft:
         try:
             shutil.copytree(old, draft, ignore=_left_behind(old, draft), dirs_exist_ok=True)
@@ -254,7 +265,13 @@ def _check(target: Path, folder: Path, adopted: Mapping[str, float]) -> None:
 
 
 def _extended_text(
-    study: Study, effects: Sequence[Effect], selected: Sequence[str], source: Path, new: Path, leading: Leading
+    study: Study,
+    effects: Sequence[Effect],
+    selected: Sequence[str],
+    source: Path,
+    new: Path,
+    leading: Leading,
+    begin_at: Mapping[str, float],
 ) -> tuple[str, tuple[tuple[str, str], ...]]:
     """The new study file, its comments and order kept, and the paths that had to change."""
     try:
@@ -265,6 +282,8 @@ def _extended_text(
     document["title"] = " + ".join([study.settings.title, *names])
     for name in selected:
         document["selection"].append(name)
+    if selected and begin_at:
+        document["calibration"]["begin_at"] = dict(begin_at)
     moved = tuple(_move_paths(document, source.parent, new, leading))
     fresh: dict[str, Any] = {}
     if "with_effects" in document:

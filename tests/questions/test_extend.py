@@ -323,6 +323,15 @@ def test_a_study_among_results_can_be_moved(rig):
     assert found_among(old, Path("results/rig")) is None
 
 
+def test_least_squares_of_a_study_among_results_begin_at_what_is_known(rig):
+    Path("results").mkdir()
+    study = Study.load(rig)
+    space = study.search_space
+    known = {space.free_names[0]: space.lower[0], "top_cables": 0.1}
+    made = extend_among(study, ["top_cables"], Path("results"), known)
+    assert Study.load(made.file).settings.calibration.begin_at == known
+
+
 def test_the_same_study_among_results_stays_and_another_is_kept_aside(rig):
     Path("results").mkdir()
     study, written = Study.load(rig), Path("results/rig_extended")
