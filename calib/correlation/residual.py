@@ -15,6 +15,8 @@ from calib.correlation.scatter import USUAL, Floors, Scatter, scatter_of
 from calib.mac import is_real
 from calib.structure.derivatives import ModeDerivatives, mode_derivatives
 
+_BESIDE = 1e-6
+"""How far from 0 a derivative by a parameter under a root is taken, over its limit."""
 _LEAST_RATIO = 1e-6
 """Damping ratios of the model below this count as this, so that their logarithm stays finite."""
 
@@ -153,8 +155,20 @@ class ModalResidual:
         of the sum of squares is exact. Rows of unpaired modes, and shape rows of modes without a derivative (see
         `calib.structure.derivatives`), are 0.
         """
-        found = self.problem.compare(values)
+        found = self.problem.compare(self.regular(values, names))
         return self.slope_of(found, names, self.derivatives(found, names))
+
+    def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+        """Where derivatives by the named parameters are taken: beside 0 for one that stands under a root.
+
+        Modes have a derivative there, which the matrices have not.
+        """
+        model, out = self.problem.model, self.problem.space.complete(values)
+        for name in names:
+            if name in model.roots and out[name] == 0:
+                p = model.space[name]
+                out[name] = _BESIDE * (p.upper if p.upper > 0 else p.lower)
+        return out
 
     def freq_jacobian(
         self, values: Mapping[str, float], names: Sequence[str], every: bool = False
@@ -177,7 +191,7 @@ class ModalResidual:
         jacobian : ndarray (n_modes, n_params)
             Of ``ln natural_freq``, per one of each parameter's own unit.
         """
-        found = self.problem.compare(values)
+        found = self.problem.compare(self.regular(values, names))
         index = found.pairing.model_index
         owner = {int(index[i]): self.problem.measured.names[i] for i in found.pairing.paired}
         chosen = list(range(found.modes.n_modes)) if every else [int(index[i]) for i in found.pairing.paired]

@@ -48,7 +48,7 @@ class ModalQuestion:
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params)."""
-        found = self.at(values)
+        found = self.at(self.inner.regular(values, names))
         return self.inner.slope_of(found, names, self.inner.derivatives(found, names))
 
     def at(self, values: Mapping[str, float]) -> Comparison:

@@ -192,6 +192,13 @@ class AffineMatrix:
             picks=tuple(picks),
         )
 
+    @cached_property
+    def roots(self) -> frozenset[str]:
+        """Parameters that stand under a root: their derivative is infinite where they are 0."""
+        coefficients = [*(t.coefficient for t in self.terms), *(t.coefficient for t in self.selected)]
+        powers = [p for c in coefficients if isinstance(c, Monomial) for p in c.powers]
+        return frozenset(name for name, power in powers if 0 < power < 1)
+
     @property
     def is_zero(self) -> bool:
         """Whether there is no term at all."""

@@ -182,6 +182,11 @@ class ModalModel(Protocol):
         """Whether modes are complex."""
         ...
 
+    @property
+    def roots(self) -> frozenset[str]:
+        """Parameters whose matrices have no derivative where they are 0."""
+        ...
+
     def matrices(self, values: Mapping[str, float]) -> tuple[Matrix, Matrix, Matrix]:
         """K, C, M, each (n_dof, n_dof), sparse or dense."""
         ...
@@ -269,6 +274,11 @@ class StructuralModel:
         for name in sorted(self.clusters):
             digest.update(name.encode() + np.ascontiguousarray(self.clusters[name], dtype=np.int64).tobytes())
         return digest.hexdigest()[:16]
+
+    @property
+    def roots(self) -> frozenset[str]:
+        """Parameters whose matrices have no derivative where they are 0."""
+        return self.stiffness.roots | self.damping.roots | self.mass.roots
 
     def matrices(self, values: Mapping[str, float]) -> tuple[sp.csc_array, sp.csc_array, sp.csc_array]:
         """K, C, M at named values, each in its parameter's unit; parameters left out take their adopted value."""

@@ -114,6 +114,11 @@ class ReducedModel:
         """Whether modes are complex."""
         return self.model.is_damped
 
+    @property
+    def roots(self) -> frozenset[str]:
+        """Those of the full model."""
+        return self.model.roots
+
     @cached_property
     def fingerprint(self) -> str:
         """Hash over the full model and the basis."""

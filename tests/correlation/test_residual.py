@@ -8,7 +8,11 @@ import pytest
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual, Row
 from calib.correlation.scatter import Floors, scatter_of
+from calib.effect import Effect
 from calib.errors import InputError
+from calib.space import Parameter
+from calib.structure.attach import maxwell_branches
+from calib.structure.extend import extend
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0, "mass": 11.0}
 AWAY = {"k_along": 50.0, "k_across": 9.4, "c_end": 900.0, "mass": 10.5}
@@ -45,6 +49,25 @@ def test_rows_and_a_perfect_model(build, twin):
     ratio = modes.paired(modes.modes.damping_ratio) / measured.damping_ratio
     np.testing.assert_allclose(away[4:8] * residual.scatter.damping, -np.log(ratio))
     np.testing.assert_array_equal(residual.kinds == "shape", np.arange(residual.n_rows) >= 8)
+
+
+def test_what_stands_under_a_root_has_a_slope_where_it_is_nothing(build, twin):
+    """A Maxwell branch: its coupling grows with the root of its stiffness, the modes with the stiffness itself."""
+    model = build()
+    row = np.eye(model.n_dof)[3] - np.eye(model.n_dof)[9]
+    strength, corner = Parameter("k", 0.0, 0.0, 5.0, "kN/m", prior_sd=1.0), Parameter("f", 2.0, 0.5, 9.0, "Hz")
+    branch = Effect(
+        "k", "k", "", "", strength, lambda m: maxwell_branches([row], "k", "f"), (corner,), ({"k": 1.0, "f": 2.0},)
+    )
+    problem = ModalProblem(extend(model, [branch]), twin(model, TRUTH), mode_count=9)
+    residual = ModalResidual(problem)
+    assert problem.model.roots == {"k"} and residual.regular(AWAY, ["mass"]) == problem.space.complete(AWAY)
+    slope = residual.jacobian(AWAY, ["k", "mass"])
+    at, beside = (residual.residual({**AWAY, "k": k}) for k in (0.0, 1e-3))
+    assert slope[:, 0] @ at == pytest.approx((beside @ beside - at @ at) / 2e-3, rel=5e-3)  # that is exact
+    np.testing.assert_allclose(slope[:, 1], residual.jacobian(AWAY, ["mass"])[:, 0], rtol=1e-3, atol=1e-2)
+    assert np.abs(slope[:, 0]).max() > 1.0
+    assert np.isfinite(residual.freq_jacobian(AWAY, ["k"])[2]).all()
 
 
 @pytest.mark.parametrize("damped", [True, False])
