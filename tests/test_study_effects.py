@@ -156,7 +156,8 @@ def test_a_library_alone_changes_no_answer_and_no_fingerprint(rig, sums):
 
 def test_explain_has_the_documented_defaults():
     explain = Study.load(RIG).settings.explain
-    assert explain.model_dump() == {"alpha": 0.01, "refits": 6, "merge": 0.98, "finer_options": {}, "seed": 1}
+    documented = {"alpha": 0.01, "refits": 6, "merge": 0.98, "finer_options": {}, "draws": 10, "seed": 1}
+    assert explain.model_dump() == documented
 
 
 # -- models with effects -----------------------------------------------------------------------------------------------

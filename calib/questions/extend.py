@@ -283,7 +283,9 @@ def _extended_text(
     for name in selected:
         document["selection"].append(name)
     if selected and begin_at:
-        document["calibration"]["begin_at"] = dict(begin_at)
+        known = tomlkit.inline_table()
+        known.update(begin_at)
+        document["calibration"]["begin_at"] = known
     moved = tuple(_move_paths(document, source.parent, new, leading))
     fresh: dict[str, Any] = {}
     if "with_effects" in document:

@@ -17,7 +17,8 @@ from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = {
-    "study", "synthetic", "verdict", "sentence", "notes", "p_family", "p_fit", "credible_set", "effects", "chosen",
+    "study", "synthetic", "verdict", "sentence", "sentences", "notes", "p_family", "p_fit", "credible_set", "effects",
+    "chosen",
     "adequacy_p_family", "adequacy_p_fit",
     "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations",
     "evaluations_intervals", "evaluations_advice", "errors", "seconds",
