@@ -16,7 +16,11 @@ from calib.mac import is_real
 from calib.structure.derivatives import ModeDerivatives, mode_derivatives
 
 _BESIDE = 1e-6
-"""How far from 0 a derivative by a parameter under a root is taken, over its limit."""
+"""How far from 0 a derivative by a parameter under a root is taken, over its limit.
+
+Modes depend smoothly on the parameter itself: so near they have the slope they have at 0, within some 1e-6. Their
+derivative is a difference of terms that grow as 1/root, here a thousandfold, which leaves twelve digits of it.
+"""
 _LEAST_RATIO = 1e-6
 """Damping ratios of the model below this count as this, so that their logarithm stays finite."""
 

@@ -188,11 +188,11 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     errors, more_notes, figures = side.errors({**before, **after}, found.noise_scale)
     errors = errors[["group", "stage", "rows", "rms", "expected", "p", "unpaired"]]
     progress("what to measure next")
-    told = side.hypotheses.evaluations
+    examined = side.hypotheses.evaluations
     next_table, advice = _next(side, found, effects)
     # What the decision took is one thing, what is told about it another.
     advised = side.hypotheses.evaluations
-    figures |= {"evaluations_intervals": told - found.evaluations, "evaluations_advice": advised - told}
+    figures |= {"evaluations_intervals": examined - found.evaluations, "evaluations_advice": advised - examined}
     progress("what the discretisation alone would look like")
     budget = side.budget(found)
     notes = [*([] if budget is None else [budget.sentence]), *side.notes(), *more_notes]

@@ -70,7 +70,7 @@ def extend(study: Study, names: Sequence[str], folder: Path) -> Extension:
     """
     effects = _candidates(study, names)
     new = _free_place(study.file.resolve().parent, folder)
-    with _written(study, effects, folder, new, _beside) as (draft, extension):
+    with _written(study, effects, folder, new, _beside, {}) as (draft, extension):
         _put(draft, new, folder)
     return extension
 
@@ -148,7 +148,7 @@ def _written(
     folder: Path,
     new: Path,
     leading: Leading,
-    begin_at: Mapping[str, float] = MappingProxyType({}),
+    begin_at: Mapping[str, float],
 ) -> Iterator[tuple[Path, Extension]]:
     """The new study as a draft beside its place, checked; gone afterwards unless it was put there."""
     source = study.file.resolve()

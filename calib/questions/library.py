@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.questions.hypotheses import ModalHypotheses
-from calib.questions.reduction import reduction_of, training, worthwhile
+from calib.questions.reduction import Wanted, reduction_of, training, worthwhile
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.structure.atoms import Atom, atoms
@@ -22,7 +19,6 @@ from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
-from calib.structure.training import train_basis
 from calib.structure.variants import Variants
 from calib.study import Study
 
@@ -43,9 +39,6 @@ def modal_hypotheses(
     basis = None
     if worthwhile(study):
         progress("reduced basis for the effects")
-        reduction = study.settings.reduction
-        freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
-        wanted = Wanted(problem.mode_count, freq_max, reduction.tolerance, reduction.seed)
 
         def search_basis() -> Basis:
             found = reduction_of(study, results)  # a search has trained it, or will need it
@@ -53,23 +46,10 @@ def modal_hypotheses(
             return found.basis
 
         with training(study):
-            basis = kept_basis(model, study.search_space, effects, plain, wanted, results.path, search_basis)
+            space, wanted = study.search_space, Wanted.of(study)
+            basis = kept_basis(model, space, effects, plain, wanted, results.path, search_basis)
     variants = Variants(model, effects, plain, basis)
     return ModalHypotheses(problem, variants, study.search_space, Floors()), local
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a basis must represent, and how well; see `calib.structure.training.train_basis`."""
-
-    count: int
-    freq_max: float
-    tolerance: float
-    seed: int
-
-    def trained(self, model: StructuralModel, space: ParameterSpace) -> Basis:
-        """A basis of the model alone."""
-        return train_basis(model, space, self.count, seed=self.seed, freq_max=self.freq_max, tolerance=self.tolerance)
 
 
 def kept_basis(

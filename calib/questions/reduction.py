@@ -15,6 +15,7 @@ from calib.evaluate import Evaluator
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.results import Results
+from calib.space import ParameterSpace
 from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
@@ -24,9 +25,46 @@ from calib.study import Study
 WORTHWHILE_DOFS = 300
 """A model with fewer degrees of freedom is fast enough at full order."""
 
-
 FIRST_ORDER = 10.0
 """MAC with measured shapes errs to first order where frequencies err to second: it is allowed that much more."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a basis must represent, and how well; see `calib.structure.training.train_basis`.
+
+    Attributes
+    ----------
+    count : int
+        How many of the lowest modes.
+    freq_max : float
+        Modes above it need not be represented, Hz.
+    tolerance : float
+        Relative error of an eigenvalue.
+    seed : int
+    """
+
+    count: int
+    freq_max: float
+    tolerance: float
+    seed: int
+
+    @classmethod
+    def of(cls, study: Study) -> Wanted:
+        """What a study with modes asks for."""
+        settings, problem = study.settings.reduction, study.problem
+        assert isinstance(problem, ModalProblem)
+        freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
+        return cls(problem.mode_count, freq_max, settings.tolerance, settings.seed)
+
+    @classmethod
+    def had(cls, basis: Basis) -> Wanted:
+        """What a basis was trained for."""
+        return cls(basis.count, basis.freq_max, basis.tolerance, basis.seed)
+
+    def trained(self, model: StructuralModel, space: ParameterSpace) -> Basis:
+        """A basis of the model alone; EvaluationError when it cannot be solved somewhere in the space."""
+        return train_basis(model, space, self.count, seed=self.seed, freq_max=self.freq_max, tolerance=self.tolerance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,24 +133,22 @@ class Reduction:
 
 def reduction_of(study: Study, home: Results) -> Reduction | None:
     """Train a basis for a study's search, or load the one trained before; None where full order is fast enough."""
-    settings, problem = study.settings.reduction, study.problem
+    problem = study.problem
     if not worthwhile(study):
         return None
     assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
-    freq_max = problem.freq_window[1] if problem.freq_window else np.inf
-    path = _file(home, 1)
-    if path.exists():
-        basis = _loaded(path)
-        wanted = (problem.model.fingerprint, problem.mode_count, freq_max, settings.tolerance, settings.seed)
-        found = (basis.model_fingerprint, basis.count, basis.freq_max, basis.tolerance, basis.seed) if basis else None
-        if basis is not None and found == wanted and basis.covers(study.search_space):
-            return _reduced(problem, basis, path, settings.tolerance)
+    wanted, path = Wanted.of(study), _file(home, 1)
+    basis = _loaded(path) if path.exists() else None
+    if basis is not None and _serves(basis, problem.model, study.search_space, wanted):
+        return _reduced(problem, basis, path, wanted.tolerance)
     with training(study):
-        basis = train_basis(
-            problem.model, study.search_space, problem.mode_count, seed=settings.seed, freq_max=freq_max,
-            tolerance=settings.tolerance,
-        )  # fmt: skip
-    return _on(problem, basis, home, settings.tolerance)
+        basis = wanted.trained(problem.model, study.search_space)
+    return _on(problem, basis, home, wanted.tolerance)
+
+
+def _serves(basis: Basis, model: StructuralModel, space: ParameterSpace, wanted: Wanted) -> bool:
+    own = basis.model_fingerprint == model.fingerprint
+    return own and Wanted.had(basis) == wanted and basis.covers(space)
 
 
 @contextlib.contextmanager

@@ -73,7 +73,10 @@ class ReducedModel:
         return ReducedModel, (self.model, self.basis, self.inner)
 
     def extended(self, effects: Sequence[Effect]) -> ReducedModel:
-        """The model with effects; degrees of freedom that they add stand for themselves in the basis."""
+        """The model with effects; degrees of freedom that they add stand for themselves in the basis.
+
+        InputError when an effect cannot be added, see `calib.structure.extend.extend`.
+        """
         model = extend(self.model, effects)
         return ReducedModel(model, self.basis.carried(model.space, model.n_dof), self)
 

@@ -41,8 +41,9 @@ from calib.missing.option import Option
 from calib.missing.refits import DEFAULT, Refits
 from calib.missing.rivals import sharpness
 from calib.questions.hypotheses import ModalHypotheses
-from calib.questions.library import Wanted, kept_basis
+from calib.questions.library import kept_basis
 from calib.questions.prospects import modal_prospects
+from calib.questions.reduction import Wanted
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import parameter
 from calib.structure.atoms import atoms

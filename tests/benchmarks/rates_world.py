@@ -31,7 +31,8 @@ from calib.missing.explain import explain
 from calib.missing.findings import Findings
 from calib.missing.profile import profile_interval
 from calib.questions.hypotheses import ModalHypotheses
-from calib.questions.library import Wanted, kept_basis
+from calib.questions.library import kept_basis
+from calib.questions.reduction import Wanted
 from calib.space import ParameterSpace
 from calib.structure.atoms import atoms
 from calib.structure.basis import Basis
@@ -163,12 +164,9 @@ class World:
         local: Sequence[Effect],
         count: int | None = None,
     ) -> Basis:
-        folder, settings = self.folder / name, self.study.settings
+        folder, wanted = self.folder / name, Wanted.of(self.study)
         folder.mkdir(parents=True, exist_ok=True)
-        pairing, reduction = settings.pairing, settings.reduction
-        assert pairing.mode_count is not None and pairing.freq_window is not None
-        wanted = Wanted(count or pairing.mode_count, pairing.freq_window[1], reduction.tolerance, reduction.seed)
-        return kept_basis(model, space, effects, local, wanted, folder)
+        return kept_basis(model, space, effects, local, replace(wanted, count=count or wanted.count), folder)
 
     # -- one measurement -----------------------------------------------------------------------------------------------
 
