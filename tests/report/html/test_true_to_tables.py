@@ -112,3 +112,14 @@ def test_what_cannot_be_seen_is_grey(folder, blocks):
     assert [table.rows[k][1] for k in table.grey] == ["lamp"] and "cannot be seen" in table.rows[table.grey[0]][-1]
     axis = blocks(folder, Plot)["ranked-effects"].figure.layout.yaxis
     assert [t for t in axis.ticktext if "color" in t] == ['<span style="color:#767676">Lamp near the top</span>']
+
+
+def test_a_group_of_data_that_one_stage_lacks_has_a_dash(folder, blocks):
+    errors = pd.read_csv(folder / "added_errors.csv")
+    lost = (errors["group"] == "withheld_sensors") & (errors["stage"] == "after")
+    errors[~lost].to_csv(folder / "added_errors.csv", index=False)
+    rows = {
+        row[0]: row for row in blocks(folder, Table)["Errors before and after adding guy, calibrated both times"].rows
+    }
+    (own,) = (row for label, row in rows.items() if "withheld sensors" in label)
+    assert lost.sum() == 1 and own[3] == "–" and own[2] != "–"
