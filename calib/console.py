@@ -31,7 +31,9 @@ _out = Console(highlight=False, markup=False, soft_wrap=True, width=None if sys.
 _err = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
 
 WORST_SHOWN = 8
+"""Rows of where a model fails, which the table beside it tells whole."""
 ASSUMPTIONS_SHOWN = 60
+"""Assumed values; a longer list, such as the vehicle's of 88, is better read in its file."""
 
 
 def say(text: str = "") -> None:
@@ -113,8 +115,12 @@ def tell_sensitivity(study: Study, answer: Sensitivity, folder: Results) -> None
 def tell_screening(answer: Screening, folder: Results) -> None:
     """Elementary effects or variance shares."""
     size = "mu_star" if answer.method == "morris" else "ST"
-    largest = answer.table.loc[answer.table.groupby("parameter", sort=False)[size].idxmax()]
-    rows = [(r["parameter"], f"{r[size]:.3g}", r["response"]) for r in largest.to_dict("records")]
+    names = answer.table["parameter"].drop_duplicates()
+    known = answer.table.dropna(subset=[size]).sort_values(size, ascending=False, kind="stable")
+    largest = known.drop_duplicates("parameter").set_index("parameter")
+    found = [(n, largest.loc[n, size], largest.loc[n, "response"]) for n in names if n in largest.index]
+    rows = [(str(n), f"{value:.3g}", str(response)) for n, value, response in found]
+    rows += [(str(n), "", "no response: too few are known, or none changes") for n in names if n not in largest.index]
     say(f"{_count(answer.points, 'point')}. {answer.note}".rstrip())
     _table(("parameter", f"largest {size}", "on"), rows)
     say(f"All of them are in {folder.path / (answer.method + '.csv')}.")

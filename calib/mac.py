@@ -50,18 +50,6 @@ def mac(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.where(sums.x_is_real, as_real, hermitian)
 
 
-def auto_mac(x: np.ndarray) -> np.ndarray:
-    """Hermitian MAC of a set of shapes with itself, (n_modes, n_modes); off the diagonal 0 means well told apart.
-
-    Parameters
-    ----------
-    x : ndarray (n_sensors, n_modes)
-        Real or complex; NaN marks a sensor not measured.
-    """
-    sums = _PairSums.of(x, x)
-    return _ratio(np.abs(sums.xhy) ** 2, sums.xhx * sums.yhy)
-
-
 def macx(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """MACX ``(|x^H y| + |x^T y|)^2 / ((x^H x + |x^T x|)(y^H y + |y^T y|))`` of every pair of columns.
 

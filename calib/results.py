@@ -51,11 +51,11 @@ class Results:
         return Results(path)
 
     def write_table(self, name: str, table: pd.DataFrame, index: bool = False) -> Path:
-        """Write ``name.csv``; floats keep ten digits."""
+        """Write ``name.csv``; floats keep ten digits. InputError when it cannot be written."""
         return self._write(f"{name}.csv", table.to_csv(index=index, float_format="%.10g"))
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
-        """Write ``name.json``; missing numbers become null."""
+        """Write ``name.json``; missing numbers become null. InputError when it cannot be written."""
         return self._write(f"{name}.json", json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
 
     def has(self, name: str) -> bool:
@@ -63,9 +63,16 @@ class Results:
         return (self.path / name).exists()
 
     def remove(self, *names: str) -> None:
-        """Delete results that would no longer be true."""
+        """Delete results that would no longer be true; InputError when one cannot be deleted."""
         for name in names:
-            (self.path / name).unlink(missing_ok=True)
+            try:
+                (self.path / name).unlink(missing_ok=True)
+            except OSError as fault:
+                raise InputError(
+                    f"it is no longer true and cannot be deleted ({fault.strerror})",
+                    place=self.path / name,
+                    remedy=_REMEDY,
+                ) from None
 
     def _write(self, name: str, text: str) -> Path:
         target, draft = self.path / name, self.path / f".{name}.{os.getpid()}{DRAFT}"

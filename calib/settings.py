@@ -102,7 +102,6 @@ class SensitivitySettings(_Section):
 
     samples: int = Field(default=500, ge=3)
     seed: int = Field(default=1, ge=0)
-    blank_below: Share = 0.25
 
 
 class CaseSettings(_Section):

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InputError
-from calib.mac import align, auto_mac, comac, is_real, mac, macx, most_real, noise_mac
+from calib.mac import align, comac, is_real, mac, macx, most_real, noise_mac
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -78,15 +78,6 @@ def test_real_shapes_give_the_textbook_value_and_zero_shapes_give_zero():
     assert mac(np.zeros((3, 1)), np.ones((3, 2))).tolist() == [[0.0, 0.0]]
     assert mac(np.full((3, 1), np.nan), np.ones((3, 1)))[0, 0] == 0.0
     assert mac(np.ones((3, 1)), np.zeros((3, 1)))[0, 0] == 0.0
-
-
-def test_auto_mac_is_symmetric_even_for_a_mix_of_real_and_complex():
-    x = random_shapes(5)
-    x[:, 0] = x[:, 0].real
-    found = auto_mac(x)
-    np.testing.assert_allclose(found, found.T)
-    np.testing.assert_allclose(np.diag(found), 1.0)
-    assert found[0, 1] == pytest.approx(direct(x[:, 0], x[:, 1]))
 
 
 def test_shapes_of_other_sizes_or_infinite_are_refused():

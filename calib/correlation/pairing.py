@@ -24,18 +24,12 @@ class Pairing:
     margin : ndarray (n_measured,)
         EMAC of the pair minus the best EMAC of that measured mode with any other model mode; small or negative marks a
         pairing in doubt. NaN for an unpaired mode or without shapes.
-    method : str
-        How the modes were paired, naming the user's own choices.
-    n_model : int
-        Number of model modes offered.
     """
 
     model_index: np.ndarray
     mac: np.ndarray
     emac: np.ndarray
     margin: np.ndarray
-    method: str
-    n_model: int
 
     @property
     def paired(self) -> np.ndarray:
@@ -46,11 +40,6 @@ class Pairing:
     def unpaired_measured(self) -> np.ndarray:
         """Indices of the measured modes without a model mode."""
         return np.flatnonzero(self.model_index < 0)
-
-    @property
-    def unpaired_model(self) -> np.ndarray:
-        """Indices of the model modes without a measured mode."""
-        return np.setdiff1d(np.arange(self.n_model), self.model_index)
 
 
 def pair_by_shape(
@@ -104,7 +93,7 @@ def pair_by_shape(
         rivals[index[i]] = False
         pair_mac[i], pair_emac[i] = mac[i, index[i]], emac[i, index[i]]
         margin[i] = pair_emac[i] - np.max(emac[i, rivals], initial=0.0)
-    return Pairing(index, pair_mac, pair_emac, margin, _label("EMAC", override), n_model)
+    return Pairing(index, pair_mac, pair_emac, margin)
 
 
 def pair_by_order(
@@ -118,7 +107,7 @@ def pair_by_order(
     """Pair modes by ascending frequency, for a measurement without shapes.
 
     Nothing can tell whether the k-th measured mode is the k-th of the model: a mode missed by the measurement shifts
-    all that follow. The method of the result says so, and MAC, EMAC and margin are NaN.
+    all that follow. MAC, EMAC and margin are NaN.
 
     Parameters
     ----------
@@ -131,9 +120,8 @@ def pair_by_order(
     override : mapping from str to int, optional
         The user's choice, as in `pair_by_shape`; the others follow in order.
     """
-    n_measured, n_model = len(freq_measured), len(freq_model)
-    forced = _forced(override, names, n_model)
-    index = np.full(n_measured, -1)
+    forced = _forced(override, names, len(freq_model))
+    index = np.full(len(freq_measured), -1)
     for i, j in forced.items():
         index[i] = j
     inside = in_window(freq_model, window)
@@ -141,9 +129,8 @@ def pair_by_order(
     columns = [j for j in np.argsort(freq_model, kind="stable").tolist() if inside[j] and j not in forced.values()]
     for i, j in zip(rows, columns, strict=False):
         index[i] = j
-    nothing = np.full(n_measured, np.nan)
-    label = _label("order (no shapes measured)", override)
-    return Pairing(index, nothing, nothing.copy(), nothing.copy(), label, n_model)
+    nothing = np.full(len(index), np.nan)
+    return Pairing(index, nothing, nothing.copy(), nothing.copy())
 
 
 def in_window(freq: np.ndarray, window: tuple[float, float] | None) -> np.ndarray:
@@ -178,9 +165,3 @@ def _forced(override: Mapping[str, int] | None, names: Sequence[str], n_model: i
             raise InputError(f"model mode {number} is chosen for two measured modes", place="pairing")
         out[order.index(name)] = int(number) - 1
     return out
-
-
-def _label(method: str, override: Mapping[str, int] | None) -> str:
-    if not override:
-        return method
-    return f"{method}; user's choice: " + ", ".join(f"{name} = {number}" for name, number in override.items())

@@ -102,11 +102,6 @@ class ModalProblem:
         return self.model.space
 
     @property
-    def response_names(self) -> tuple[str, ...]:
-        """Names of all responses, measured mode by measured mode."""
-        return tuple(f"{kind}_{mode}" for mode in self.measured.names for kind in RESPONSES)
-
-    @property
     def fingerprint(self) -> str:
         """Hash that changes whenever the responses at the same complete set of named values could."""
         digest = hashlib.sha256(_DEFINITION.encode())
@@ -126,7 +121,7 @@ class ModalProblem:
         return replace(self, model=ReducedModel(self.model, basis))
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Flat responses at named values, in the order of `response_names`.
+        """Flat responses at named values, measured mode by measured mode.
 
         Frequencies in Hz. NaN for an unpaired mode, and for MAC, EMAC and margin without measured shapes.
 
@@ -226,11 +221,6 @@ class FunctionProblem:
                     place="targets",
                     remedy="give a positive one or none",
                 )
-
-    @property
-    def response_names(self) -> tuple[str, ...]:
-        """Names of the targets."""
-        return tuple(self.targets)
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """Responses at named values; what is left out takes its adopted value.

@@ -57,13 +57,11 @@ class Scatter:
         Relative.
     shape : ndarray (n_sensors, n_modes)
         Of real and imaginary part each, in the scale of the measured shapes.
-    pooled : bool
     """
 
     freq: np.ndarray
     damping: np.ndarray
     shape: np.ndarray
-    pooled: bool
 
 
 def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | None = None) -> Scatter:
@@ -95,7 +93,6 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
         freq=_whole(freq, floors.unknown_freq, floors.freq, pooled, 1.0),
         damping=_whole(damping, floors.unknown_damping, floors.damping, pooled, 1.0),
         shape=_whole(shape, floors.unknown_shape, floors.shape, pooled, lost),
-        pooled=pooled,
     )
 
 

@@ -9,6 +9,7 @@ from scipy.special import ndtri
 from calib.missing.state import State
 
 _TRIES = 200
+"""Draws of one point, after which the limits are taken to leave nearly nothing of the posterior."""
 
 
 def drawn(state: State, count: int, seed: int) -> tuple[dict[str, float], ...]:

@@ -28,8 +28,8 @@ WORDS = {
 COLUMNS = ("group", "stage", "rows", "rms", "expected", "p", "unpaired")
 TWO_SIDED = 1.96
 """Standard deviations on either side that hold 95 %."""
-LEAST = 0.98
-"""Ratio of two errors up to which one has fallen."""
+FALLEN = 0.98
+"""Ratio of two errors under which the second has fallen; less hardly shows in the two decimals they are told with."""
 UNSETTLED = 2.0
 """Standard deviations between a strength as calibrated and as explained from which one of them has not settled."""
 WITHIN = 0.05
@@ -231,7 +231,7 @@ def conclusion(errors: pd.DataFrame) -> str:
         ``group, stage, rms, expected, p`` of the stages ``before`` and ``after``.
     """
     table = by_group(errors).set_index("group")
-    fell = table["rms_after"] < LEAST * table["rms_before"]
+    fell = table["rms_after"] < FALLEN * table["rms_before"]
     quiet = ~fell & (table["p_before"] > WITHIN) & (table["p_after"] > WITHIN)
     unseen = [group for group in UNSEEN if group in table.index] or ["left_out"]
     better = [WORDS[g] for g in unseen if fell[g]]

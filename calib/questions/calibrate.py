@@ -46,7 +46,6 @@ class Calibration:
         Whether the cases agree on one solution.
     search_agreement : Agreement or None
         The same of the genetic searches before least squares, which know no priors; None without either.
-    method : {"genetic", "gauss-newton"}
     modes : DataFrame or None
         ``modes.csv``; None for plain responses.
     errors : DataFrame or None
@@ -60,7 +59,6 @@ class Calibration:
     verdicts: pd.DataFrame
     agreement: Agreement
     search_agreement: Agreement | None
-    method: Method
     modes: pd.DataFrame | None = None
     errors: pd.DataFrame | None = None
 
@@ -158,7 +156,7 @@ def calibrate(
         errors = errors_at(study, best.judgement.values)
         results.write_table("data_errors", errors)
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
-    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, chosen, modes, errors)
+    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors)
     seeds = {**{case.name: case.seed for case in cases}, "reduction": study.settings.reduction.seed}
     write_record(study, results, "calibrate", seeds, answer.sentences, quick)
     results.write_json("summary", summary)

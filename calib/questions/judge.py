@@ -19,7 +19,7 @@ from calib.study import Problem, Study
 from calib.updating.differences import DifferencedResponses
 from calib.updating.gauss_newton import FitResult
 from calib.updating.identify import Identification, identify, prediction_interval
-from calib.updating.verdicts import WholeNumber, parameter_verdicts, whole_number, within_scatter
+from calib.updating.verdicts import parameter_verdicts, whole_number_std, within_scatter
 from calib.updating.whole_numbers import MixedResult, fit_mixed
 
 FitProgress = Callable[[int, int, float], None]
@@ -107,8 +107,8 @@ class Judgement:
     freedom, scatter_freedom : float
         Degrees of freedom of the residual, and those behind the scatter that whitened it.
     identification : Identification
-    whole : mapping from str to WholeNumber
-        What the fits say about whole-number parameters; empty without fits.
+    whole : mapping from str to float
+        Standard deviations of whole-number parameters; empty without fits.
     predictions : DataFrame
         ``mode, natural_freq, std, lower, upper``.
     fit : FitResult or None
@@ -120,7 +120,7 @@ class Judgement:
     freedom: float
     scatter_freedom: float
     identification: Identification
-    whole: Mapping[str, WholeNumber]
+    whole: Mapping[str, float]
     predictions: pd.DataFrame
     fit: FitResult | None
 
@@ -148,7 +148,7 @@ def fitted(
     starts: Sequence[Mapping[str, float]],
     refits: int,
     progress: FitProgress = lambda start, fits, misfit: None,
-    whole: Mapping[str, WholeNumber] | None = None,
+    whole: Mapping[str, float] | None = None,
 ) -> Judgement:
     """The best least-squares fit from several starts, with the study's limits, constraints and priors.
 
@@ -159,7 +159,7 @@ def fitted(
     found: MixedResult = fit_mixed(residual, space, starts, refits=refits, progress=progress)
     if whole is None:
         profiles = {p.name: (p, found.profile(p.name)) for p in space.free if p.integer}
-        whole = {name: whole_number(*profile, p.value, p.prior_width) for name, (p, profile) in profiles.items()}
+        whole = {name: whole_number_std(*profile, p.value, p.prior_width) for name, (p, profile) in profiles.items()}
     return _judged(study, residual, found.best.values, found.best, whole)
 
 
@@ -173,7 +173,7 @@ def _judged(
     residual: RecordedResidual,
     values: dict[str, float],
     fit: FitResult | None,
-    whole: Mapping[str, WholeNumber],
+    whole: Mapping[str, float],
 ) -> Judgement:
     space = study.search_space
     names = tuple(p.name for p in space.free if not p.integer)

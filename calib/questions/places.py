@@ -16,6 +16,7 @@ QUICK = "quick"
 """Sub-folder of results made with ``--quick``."""
 
 QUICK_SAMPLES, QUICK_POPULATION, QUICK_GENERATIONS = 60, 20, 15
+"""Sizes of a first look: enough to see whether a study works and what it would tell, too few to rely on."""
 
 LEDGER = "ledger.sqlite"
 
@@ -53,7 +54,20 @@ def is_modal(study: Study) -> bool:
 def open_evaluator(
     study: Study, workers: int | None, count: int, problem: Problem | None = None, basis: Path | None = None
 ) -> Evaluator:
-    """An evaluator for a study, or for its reduced problem; workers are only started when they pay for their start."""
+    """An evaluator for a study, or for its reduced problem; workers are only started when they pay for their start.
+
+    Parameters
+    ----------
+    study : Study
+    workers : int or None
+        Processes; None takes all cores where one process would take longer than a pool pays for, else one.
+    count : int
+        Evaluations that are foreseen.
+    problem : Problem, optional
+        Default that of the study.
+    basis : Path, optional
+        File of the basis that ``problem`` is reduced to, for the workers to read.
+    """
     asked = problem or study.problem
     chosen = workers
     if chosen is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from calib.correlation.scatter import Scatter
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
-from calib.missing.advice import Prospects, View
+from calib.missing.advice import WITHHELD, Prospects, View
 from calib.missing.draws import drawn
 from calib.missing.findings import Trial
 from calib.missing.option import Option
@@ -35,7 +35,12 @@ NEAR = 0.1
 OVERDAMPED = 0.9
 """Damping ratio from which a mode is not identified in a test."""
 ALIKE = 0.6
-"""MAC with the mode of the fit from which a mode is taken for the same."""
+"""MAC with the mode of the fit from which a mode is taken for the same.
+
+Where two modes mix in equal parts it is 0.5, and no test would give either its name. The blind measurements of
+``studies/blind_twin.py`` name a mode by the computed shapes from the same MAC on (``LEAST_MAC``): the advice counts on
+no mode that such a test would not find.
+"""
 BENCH = 0.03
 """Standard deviation of a parameter, over its value, after a test of that part by itself."""
 
@@ -54,7 +59,8 @@ def modal_prospects(
 
     The modes of the fitted model stand in for measured ones, at the measured sensors and at places spread over the
     structure, with the scatter of the measurement. Every point is laid over these: a mode that leaves the window there,
-    is overdamped or looks like no mode of the fit brings nothing there.
+    is overdamped or looks like no mode of the fit brings nothing there. Where the model cannot be solved at any of
+    them there is nothing to advise, and no option.
 
     Parameters
     ----------
@@ -75,8 +81,7 @@ def modal_prospects(
     """
     imagined = _Imagined(hypotheses, believed[0].state, withheld or {})
     labels = imagined.question(believed[0].names).inner.rows
-    modes, sensors = set(imagined.modes), {s.name for s in imagined.sensors}
-    measured = np.array([row.mode in modes and (not row.sensor or row.sensor in sensors) for row in labels])
+    measured = _rows_of(labels, imagined.modes, {s.name for s in imagined.sensors})
     seeds = np.random.default_rng(seed).integers(2**31, size=len(believed))
     points = [drawn(trial.state, draws, int(s)) for trial, s in zip(believed, seeds, strict=True)]
     rivals = None
@@ -88,7 +93,7 @@ def modal_prospects(
     for trial, own, share in zip(believed, points, shares, strict=True):
         seen = [imagined.view(trial, values, effects, found, scale, share) for values in own]
         views += [view for view in seen if view is not None]
-    options = _options(hypotheses, believed[0].state, imagined, labels, views, rivals)
+    options = _options(hypotheses, believed[0].state, imagined, labels, views, rivals) if views else []
     return Prospects(tuple(e.name for e in effects), measured, tuple(options), tuple(views), rivals)
 
 
@@ -101,22 +106,20 @@ def _options(
     rivals: Rivals | None,
 ) -> list[Option]:
     known = {s.name for s in imagined.sensors}
-    measured = set(imagined.modes)
+    here = _rows_of(labels, imagined.modes, known)
     out = [Option("twice the repeats", "repeats", scale=1 / math.sqrt(2))]
     for mode in imagined.more:
-        own = np.array([row.mode == mode and (not row.sensor or row.sensor in known) for row in labels])
-        out.append(Option(f"{mode}", "mode", rows=own))
+        out.append(Option(mode, "mode", rows=_rows_of(labels, {mode}, known)))
     of_sensor: dict[str, np.ndarray] = {}
     for name in imagined.extra:
-        of_sensor[name] = np.array([row.sensor == name and row.mode in measured for row in labels])
+        of_sensor[name] = np.array([row.sensor == name and row.mode in imagined.modes for row in labels])
     if of_sensor:
-        here = np.array([row.mode in measured and (not row.sensor or row.sensor in known) for row in labels])
         chosen: dict[tuple[str, ...], None] = {}
         if rivals is not None:
             apart = {name: rivals.difference(Option(name, "sensor", rows=rows)) for name, rows in of_sensor.items()}
             chosen.setdefault(_largest(apart))
         gains = [_gains_of_sensors(view, here, of_sensor) for view in views]
-        for k in range(views[0].columns.shape[1] if views else 0):
+        for k in range(views[0].columns.shape[1]):
             chosen.setdefault(_largest({n: sum(float(g[n][k]) for g in gains) for n in of_sensor}))
         for several in chosen:
             places = ", ".join(imagined.extra[name] for name in several)
@@ -128,6 +131,11 @@ def _options(
             label = f"{p.description or name} ({name}) tested by itself to {100 * BENCH:.0f} %"
             out.append(Option(label, "bench", prior_sd={name: BENCH * abs(p.value)}))
     return out
+
+
+def _rows_of(labels: Sequence[Row], modes: Collection[str], sensors: Collection[str]) -> np.ndarray:
+    """Rows of some modes that some sensors see, with frequencies and damping, which need none, (n_rows,)."""
+    return np.array([row.mode in modes and (not row.sensor or row.sensor in sensors) for row in labels])
 
 
 def _largest(gains: Mapping[str, float]) -> tuple[str, ...]:
@@ -205,7 +213,7 @@ class _Imagined:
         freq, window = self.found.modes.natural_freq, problem.freq_window or (0.0, np.inf)
         free = [j for j in range(len(freq)) if j not in self.columns and window[0] <= freq[j] <= window[1]]
         further = [j for j in free if self.found.modes.damping_ratio[j] < OVERDAMPED][:MORE_MODES]
-        self.more = [_mode_in_words(float(freq[j]), withheld) for j in further]
+        self.more = _modes_in_words(freq[further].tolist(), withheld)
         self.columns += further
         self.places = self._places() if measured.has_shapes else ()
         self.extra = {s.name: _in_words(s) for s in self.places}
@@ -282,15 +290,14 @@ class _Imagined:
         scale: float,
         share: float,
     ) -> View | None:
-        """Slopes and fingerprints at a point; None where the model cannot be solved."""
+        """Slopes and fingerprints at a point; None where the model cannot be solved there or beside it."""
         question, names = self.question(trial.names), trial.state.names
-        try:
-            seen = self.identified(question, values)
-        except EvaluationError:
-            return None
         points = {e.name: found.points[found.best(e.name)] for e in effects if e.name not in trial.names}
         plain = [name for name, point in points.items() if not point]
-        slope = -question.jacobian(values, [*names, *plain])
+        try:
+            seen, slope = self.identified(question, values), -question.jacobian(values, [*names, *plain])
+        except EvaluationError:
+            return None
         here, columns = question.residual(values), []
         for effect in effects:
             if effect.name in trial.names or effect.name in plain:
@@ -334,9 +341,19 @@ class _Imagined:
         )  # fmt: skip
 
 
-def _mode_in_words(freq: float, withheld: Mapping[str, float]) -> str:
-    near = [name for name, own in withheld.items() if abs(own / freq - 1) < NEAR]
-    return f"mode {near[0]}, withheld so far" if len(near) == 1 else f"the mode computed at {freq:.3g} Hz"
+def _modes_in_words(freqs: Sequence[float], withheld: Mapping[str, float]) -> list[str]:
+    """What each computed mode is called, no two alike: a withheld one by its name, where it can be no other."""
+    closest = {
+        name: min(range(len(freqs)), key=lambda k: abs(own / freqs[k] - 1), default=-1)
+        for name, own in withheld.items()
+    }
+    words = []
+    for k, freq in enumerate(freqs):
+        near = [name for name, own in withheld.items() if abs(own / freq - 1) < NEAR]
+        known = len(near) == 1 and closest[near[0]] == k
+        words.append(f"mode {near[0]}{WITHHELD}" if known else f"the mode computed at {freq:.3g} Hz")
+    same = {w: words.count(w) for w in words}
+    return [w if same[w] == 1 else f"{w} ({words[: k + 1].count(w)} of {same[w]})" for k, w in enumerate(words)]
 
 
 def _in_words(sensor: Sensor) -> str:

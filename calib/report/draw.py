@@ -101,8 +101,9 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
     path = folder / "influence.csv"
     if path.exists():
         own = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
-        share = "root of the share of variance (–)"
-        add("influence", "influence of each parameter alone", lambda: _owner(draw_sensitivity(own, None, 0.1, share)))
+        root = "root of the share of variance (–)"
+        # The root of a hundredth of the variance: parameters that bring less stay blank.
+        add("influence", "influence of each parameter alone", lambda: _owner(draw_sensitivity(own, None, 0.1, root)))
     path = folder / "input_correlation.csv"
     if path.exists():
         inputs = _square(path)

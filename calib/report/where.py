@@ -151,6 +151,8 @@ def sensor_misfit_figure(table: pd.DataFrame, rest: np.ndarray, *, stage: str = 
     ----------
     table : DataFrame
         As for `draw_sensor_misfit`.
+    rest : ndarray (n, 2, 3)
+        Lines of the mesh, in metres.
     stage : str
         The rows to draw.
     """
@@ -253,6 +255,8 @@ def atom_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     ----------
     table : DataFrame
         As for `draw_atoms`, and a column ``gamma`` (share of the fingerprint that calibration cannot absorb).
+    rest : ndarray (n, 2, 3)
+        Lines of the mesh, in metres.
     """
     kinds = [k for k in (*ATOM_KINDS, *sorted(set(table["kind"]) - {*ATOM_KINDS})) if (table["kind"] == k).any()]
     kinds = kinds or [ATOM_KINDS[0]]

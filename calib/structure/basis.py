@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -110,12 +109,6 @@ class Basis:
             if not (low[p.name] - slack <= ends[0] and ends[1] <= high[p.name] + slack):
                 return False
         return True
-
-    def within(self, values: Mapping[str, float]) -> bool:
-        """Whether a complete set of values lies within the limits that the basis was trained within."""
-        point = np.array([values[name] for name in self.names])
-        slack = 1e-9 * np.maximum(np.abs(self.lower), np.abs(self.upper))
-        return bool(np.all((point >= self.lower - slack) & (point <= self.upper + slack)))
 
     def carried(self, space: ParameterSpace, n_dof: int) -> Basis:
         """The same for an extension of the model, whose own degrees of freedom and parameters come first.

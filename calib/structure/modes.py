@@ -18,16 +18,14 @@ class ExcludedRoot:
     Attributes
     ----------
     kind : {"zero", "spin", "overdamped"}
-        Rigid-body or mechanism, rotation of a part about its own axis, or real root of an overdamped pair.
+        Rigid-body motion or mechanism, rotation of a part about its own axis, or real root of an overdamped pair, which
+        decays without oscillation.
     eigenvalue : complex
         lambda in rad/s.
-    description : str
-        Where it lives, in words.
     """
 
     kind: RootKind
     eigenvalue: complex
-    description: str = ""
 
 
 @dataclass(frozen=True)

@@ -83,10 +83,7 @@ def damped_modes(
         _zero_root(complex(root), shape, turning)
         for root, shape in zip(roots[zero], displacement(zero).T if len(zero) else (), strict=True)
     ]
-    excluded += [
-        ExcludedRoot("overdamped", complex(root), f"decays without oscillation at {-root:.4g} 1/s")
-        for root in roots[real].real
-    ]
+    excluded += [ExcludedRoot("overdamped", complex(root)) for root in roots[real].real]
     found = np.flatnonzero(vibrates(roots, shift))
     order = found[np.argsort(np.abs(roots[found]), kind="stable")[:count]]
     roots, shapes = roots[order], displacement(order)
@@ -108,5 +105,4 @@ def _size(root: ExcludedRoot) -> float:
 def _zero_root(root: complex, shape: np.ndarray, turning: TurningShare) -> ExcludedRoot:
     """A zero root: spin when its kinetic energy lies in rotations alone, else a rigid-body motion or mechanism."""
     kind: RootKind = "spin" if turning(shape) > 0.99 else "zero"
-    words = "rotation of a part about its own axis" if kind == "spin" else "rigid-body motion or mechanism"
-    return ExcludedRoot(kind, root, words)
+    return ExcludedRoot(kind, root)

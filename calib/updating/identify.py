@@ -126,9 +126,6 @@ class Identification:
         ``direction, signal, data_share, seen, parameters, words``; orthogonal combinations of parameters in units of
         their prior standard deviations, least visible first. ``signal`` is the change of the whitened residual by one
         such unit.
-    participation : DataFrame
-        Share of every parameter (columns) in every direction (rows, in the same order), with signs; each row has
-        length 1.
     common_scale : float
         Signal of all parameters together by 10 % of their values, over the scatter; NaN without values. Near 0, the
         data see ratios only, such as those of stiffnesses to masses.
@@ -138,7 +135,6 @@ class Identification:
     parameters: pd.DataFrame
     confounded: pd.DataFrame
     directions: pd.DataFrame
-    participation: pd.DataFrame
     common_scale: float
 
     @property
@@ -193,7 +189,8 @@ def identify(
     space : ParameterSpace
         For ranges and prior widths.
     names : sequence of str
-        Parameters of the columns, whole numbers left out: a derivative says nothing about them (see `whole_number`).
+        Parameters of the columns, whole numbers left out: a derivative says nothing about them (see
+        `whole_number_std`).
     jacobian : ndarray (n_rows, n_params)
         Of the whitened residual at the optimum, per one of each parameter's own unit.
     prior_sd : ndarray (n_params,), optional
@@ -222,13 +219,11 @@ def identify(
         }
     )
     reach = np.where(np.isfinite(s), s, span / math.sqrt(12.0))
-    directions, participation = _directions(chosen, np.atleast_2d(jacobian) * reach)
+    directions = _directions(chosen, np.atleast_2d(jacobian) * reach)
     scale = math.nan
     if values is not None:
         scale = float(np.linalg.norm(np.atleast_2d(jacobian) @ (0.1 * np.array([values[n] for n in chosen]))))
-    return Identification(
-        found, parameters, _confounded(found, identified, threshold), directions, participation, scale
-    )  # fmt: skip
+    return Identification(found, parameters, _confounded(found, identified, threshold), directions, scale)
 
 
 def _confounded(found: Posterior, identified: np.ndarray, threshold: float) -> pd.DataFrame:
@@ -248,11 +243,10 @@ def _confounded(found: Posterior, identified: np.ndarray, threshold: float) -> p
     return pd.DataFrame(rows, columns=["parameter_a", "parameter_b", "correlation", "words"])
 
 
-def _directions(names: tuple[str, ...], scaled: np.ndarray) -> tuple[pd.DataFrame, pd.DataFrame]:
+def _directions(names: tuple[str, ...], scaled: np.ndarray) -> pd.DataFrame:
     n = len(names)
     _, singular, vt = np.linalg.svd(np.vstack([scaled, np.zeros((n, n))]), full_matrices=False)
     rows: list[tuple[int, float, float, bool, str, str]] = []
-    parts = []
     for k in reversed(range(n)):
         part = vt[k] * np.sign(vt[k][np.argmax(np.abs(vt[k]))])
         order = np.argsort(-np.abs(part), kind="stable")
@@ -263,9 +257,8 @@ def _directions(names: tuple[str, ...], scaled: np.ndarray) -> tuple[pd.DataFram
         words += f": {signal:.2g} times the scatter for one prior standard deviation."
         share = signal**2 / (1 + signal**2)
         rows.append((len(rows) + 1, signal, share, seen, ", ".join(name for name, _ in named), words))
-        parts.append(part)
     columns = ["direction", "signal", "data_share", "seen", "parameters", "words"]
-    return pd.DataFrame(rows, columns=columns), pd.DataFrame(np.array(parts), columns=list(names))
+    return pd.DataFrame(rows, columns=columns)
 
 
 def prediction_interval(

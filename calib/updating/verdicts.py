@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -16,26 +15,8 @@ from calib.updating.cases import AT_BOUND, STABLE
 from calib.updating.identify import IDENTIFIED, Identification
 
 
-@dataclass(frozen=True)
-class WholeNumber:
-    """What the misfit over neighbouring values says about a whole-number parameter.
-
-    Attributes
-    ----------
-    best : float
-    std : float
-        Of the distribution over the values tried.
-    probability : float
-        Of the best one.
-    """
-
-    best: float
-    std: float
-    probability: float
-
-
-def whole_number(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> WholeNumber:
-    """Distribution of a whole number from the lowest misfit at each value.
+def whole_number_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> float:
+    """Standard deviation of a whole number from the lowest misfit at each value.
 
     ``p(n) ~ exp(-misfit(n)/2 - ((n - centre)/sd)^2/2)``: the misfit is a sum of squares in units of the scatter, lowest
     over all other parameters (profile likelihood). A parabola through the neighbours, the usual way for continuous
@@ -60,8 +41,7 @@ def whole_number(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, 
     weight = np.exp(-0.5 * (np.where(np.isfinite(total), total, np.inf) - np.nanmin(total)))
     weight /= weight.sum()
     mean = float(weight @ numbers)
-    std = math.sqrt(max(float(weight @ (numbers - mean) ** 2), 0.0))
-    return WholeNumber(float(numbers[np.argmax(weight)]), std, float(weight.max()))
+    return math.sqrt(max(float(weight @ (numbers - mean) ** 2), 0.0))
 
 
 def within_scatter(misfit: float, freedom: float, scatter_freedom: float = math.inf) -> bool:
@@ -80,7 +60,7 @@ def parameter_verdicts(
     values: Mapping[str, float],
     found: Identification,
     spread: Mapping[str, float] | None = None,
-    whole: Mapping[str, WholeNumber] | None = None,
+    whole: Mapping[str, float] | None = None,
     misfit: float | None = None,
     freedom: float | None = None,
     scatter_freedom: float = math.inf,
@@ -96,7 +76,7 @@ def parameter_verdicts(
     spread : mapping, optional
         Largest difference between cases over the range, from several searches or starts.
     whole : mapping, optional
-        What the misfit says about whole-number parameters; without it they are not judged.
+        Standard deviations of whole-number parameters, see `whole_number_std`; without it they are not judged.
     misfit, freedom : float, optional
         Sum of squares of the whitened residual and its degrees of freedom; see `within_scatter`.
     scatter_freedom : float
@@ -124,7 +104,7 @@ def parameter_verdicts(
         if p.name in stds:
             std = stds[p.name]
         elif whole is not None and p.name in whole:
-            std = whole[p.name].std
+            std = whole[p.name]
         if not math.isnan(std):
             identified = std / (p.upper - p.lower) <= IDENTIFIED
         others = [] if identified else found.confounded_with(p.name)

@@ -21,7 +21,7 @@ from calib.missing.advice import (
 )
 from calib.missing.option import Option
 from calib.missing.rivals import Odds
-from calib.questions.prospects import _mode_in_words
+from calib.questions.prospects import _modes_in_words
 
 P, M, MORE = 3, 4, 6
 TWICE = Option("twice the repeats", "repeats", scale=1 / math.sqrt(2))
@@ -316,5 +316,13 @@ def test_so_it_is_where_a_pair_is_told_apart():
 
 
 def test_withheld_modes_are_known_by_the_end_of_their_name():
-    assert _mode_in_words(10.1, {"4BT": 10.0}) == f"mode 4BT{WITHHELD}"
-    assert WITHHELD not in _mode_in_words(20.0, {"4BT": 10.0})
+    assert _modes_in_words([10.1], {"4BT": 10.0}) == [f"mode 4BT{WITHHELD}"]
+    assert WITHHELD not in _modes_in_words([20.0], {"4BT": 10.0})[0]
+
+
+def test_no_two_modes_are_called_the_same():
+    computed = "the mode computed at"
+    assert _modes_in_words([9.8, 10.1], {"4BT": 10.0}) == [f"{computed} 9.8 Hz", f"mode 4BT{WITHHELD}"]
+    alike = [f"{computed} 22 Hz (1 of 2)", f"{computed} 22 Hz (2 of 2)"]
+    assert _modes_in_words([22.01, 22.02, 30.0], {}) == [*alike, f"{computed} 30 Hz"]
+    assert _modes_in_words([], {"4BT": 10.0}) == []

@@ -72,6 +72,40 @@ def chain_folder(tmp_path: Path) -> Path:
     return Path(shutil.copytree(CHAIN, tmp_path / "chain", ignore=shutil.ignore_patterns("__pycache__", "results")))
 
 
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder that paths are relative to."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def rig(here: Path) -> Path:
+    """A copy of the four-storey rig's study with a library of two effects."""
+    shutil.copytree(ROOT / "studies/four_storey_rig", "rig", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "tests/template/rig_effects.py", "rig/effects.py")
+    file = Path("rig/study.toml")
+    file.write_text('effects = "effects.py:library"\n' + file.read_text("utf-8"), "utf-8")
+    return Path("rig")
+
+
+@pytest.fixture
+def sums(here: Path) -> Path:
+    """A study of the sum of two numbers, whose file has comments and a list of several lines."""
+    return Path(shutil.copytree(ROOT / "tests/template/sums", "sums", ignore=shutil.ignore_patterns("__pycache__")))
+
+
+@pytest.fixture(scope="session")
+def tree() -> Callable[[str | Path], dict[str, bytes]]:
+    """Every file of a folder, but for what Python compiled."""
+
+    def read(folder: str | Path) -> dict[str, bytes]:
+        files = [p for p in Path(folder).rglob("*") if p.is_file() and "__pycache__" not in p.parts]
+        return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+    return read
+
+
 @pytest.fixture(scope="session")
 def twin_maker() -> ModuleType:
     """The generator of the blind studies."""

@@ -9,122 +9,30 @@ import pytest
 
 from calib import cli
 from calib.errors import InputError
-from calib.questions.extend import EARLIER, extend, extend_among, found_among
+from calib.questions.extend import extend
 from calib.study import Study
-
-RIG = Path(__file__).resolve().parents[2] / "studies/four_storey_rig"
-
-RIG_EFFECTS = """\
-import numpy as np
-import scipy.sparse as sp
-from calib.effect import Effect
-from calib.space import Parameter
-from calib.structure.affine import Term, parameter
-from calib.structure.extend import Addition
-
-def mass_at(storey, name):
-    return lambda model: Addition(mass=(Term(name, sp.csr_array(np.diag(np.eye(4)[storey])), parameter(name)),))
-
-def library():
-    return tuple(
-        Effect(name, f"cables on storey {storey + 1}", "Weighed without cables.", "Cables.",
-               Parameter(name, 0.0, 0.0, 0.1, "kg", prior_sd=0.02), mass_at(storey, name))
-        for storey, name in ((1, "low_cables"), (3, "top_cables"))
-    )
-"""
-
-SUMS = """\
-from calib.effect import Effect
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
-
-def build():
-    space = ParameterSpace((Parameter("a", 1.0, 0.0, 3.0), Parameter("b", 1.0, 0.0, 3.0)))
-    return FunctionModel("sums", space, lambda v: {"s": v["a"] + v["b"]})
-
-def bent(model):
-    return lambda v: {"s": model.function(v)["s"] + v["bend"] * v["bend_at"] * v["bend_scale"]}
-
-def library():
-    strength = Parameter("bend", 0.0, -1.0, 1.0, prior_sd=0.5)
-    more = (Parameter("bend_at", 1.0, 0.0, 2.0), Parameter("bend_scale", 2.0, 2.0, 2.0, distribution="fixed"))
-    grid = ({"bend": 0.1, "bend_at": 1.0, "bend_scale": 2.0},)
-    return (Effect("bend", "a bend", "It is straight.", "Bends.", strength, bent, nuisance=more, grid=grid),)
-"""
-
-SUMS_STUDY = """\
-title = 'sums'   # of two numbers
-model = "model.py:build"
-selection = [
-    "a",   # the first
-    "b"    # the second
-]
-effects = "model.py:library"
-
-# What was measured.
-[measurement]
-responses = "data/measured.csv"
-[calibration]
-population = 20
-generations = 5
-cases = [{ name = "F1", seed = 1 }]   # one will do
-"""
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
-def rig(here):
-    shutil.copytree(RIG, here / "rig", ignore=shutil.ignore_patterns("__pycache__"))
-    (here / "rig/effects.py").write_text(RIG_EFFECTS)
-    file = here / "rig/study.toml"
-    file.write_text('effects = "effects.py:library"\n' + file.read_text("utf-8"), "utf-8")
-    return Path("rig")
-
-
-@pytest.fixture
-def sums(here):
-    Path("sums/data").mkdir(parents=True)
-    Path("sums/model.py").write_text(SUMS)
-    Path("sums/data/measured.csv").write_text("response,value,std\ns,3.0,0.01\n")
-    Path("sums/study.toml").write_text(SUMS_STUDY)
-    return Path("sums")
 
 
 def settings(folder: str | Path) -> dict:
     return tomllib.loads(Path(folder, "study.toml").read_text("utf-8"))
 
 
-def tree(folder: str | Path) -> dict[str, bytes]:
-    """Every file, but for what Python compiled."""
-    files = [p for p in Path(folder).rglob("*") if p.is_file() and "__pycache__" not in p.parts]
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
-
-
-def edit(folder: Path, *changes: tuple[str, str]) -> None:
-    file = folder / "study.toml"
-    text = file.read_text("utf-8")
-    for old, new in changes:
-        assert old in text, old
-        text = text.replace(old, new, 1)
-    file.write_text(text, "utf-8")
-
-
-def refusal(study: Path, effect: str, folder: str | Path) -> str:
+@pytest.fixture
+def refusal(tree):
     """What is said; nothing may have been written."""
-    before = {p for p in Path().iterdir()}
-    old = tree(study)
-    with pytest.raises(InputError) as caught:
-        extend(Study.load(study), [effect], Path(folder))
-    assert {p for p in Path().iterdir()} == before and tree(study) == old
-    return str(caught.value)
+
+    def said(study: Path, effect: str, folder: str | Path) -> str:
+        before = {p for p in Path().iterdir()}
+        old = tree(study)
+        with pytest.raises(InputError) as caught:
+            extend(Study.load(study), [effect], Path(folder))
+        assert {p for p in Path().iterdir()} == before and tree(study) == old
+        return str(caught.value)
+
+    return said
 
 
-def test_the_new_study_is_the_old_one_with_the_effect(rig):
+def test_the_new_study_is_the_old_one_with_the_effect(rig, tree):
     before = tree(rig)
     made = extend(Study.load(rig), ["top_cables"], Path("new"))
     new, old = Study.load(Path("new")), Study.load(rig)
@@ -167,7 +75,7 @@ def test_several_effects_are_added_at_once(rig):
 
 def test_comments_and_order_of_the_study_file_stay(sums):
     extend(Study.load(sums), ["bend"], Path("new"))
-    expected = SUMS_STUDY.replace("title = 'sums'", 'title = "sums + bend"')
+    expected = Path(sums, "study.toml").read_text().replace("title = 'sums'", 'title = "sums + bend"')
     expected = expected.replace('"b"    # the second\n', '"b",    # the second\n    "bend",\n    "bend_at"\n')
     expected = expected.replace(':library"\n', ':library"\nwith_effects = ["bend"]\nextended_from = "../sums"\n')
     said = Path("new/study.toml").read_text()
@@ -181,16 +89,17 @@ def test_a_fixed_parameter_of_an_effect_is_not_selected(sums):
     assert new.problem.evaluate({"bend": 0.5, "bend_at": 2.0}) == {"s": 4.0}
 
 
-def test_a_selection_left_to_the_sensitivity_stays_so(sums):
-    selection = SUMS_STUDY[SUMS_STUDY.index("selection") : SUMS_STUDY.index("effects")]
-    edit(sums, (selection, 'selection = "from sensitivity"\n'))
+def test_a_selection_left_to_the_sensitivity_stays_so(sums, edited):
+    text = Path(sums, "study.toml").read_text()
+    selection = text[text.index("selection") : text.index("effects")]
+    edited(sums, selection, 'selection = "from sensitivity"\n')
     made = extend(Study.load(sums), ["bend"], Path("new"))
     assert made.selected == () and settings("new")["selection"] == "from sensitivity"
     assert "bend" in Study.load(Path("new")).search_space.free_names
 
 
 def test_line_ends_and_names_of_the_old_file_stay(sums):
-    text = SUMS_STUDY.replace("of two numbers", "é").replace("\n", "\r\n")
+    text = Path(sums, "study.toml").read_text().replace("of two numbers", "é").replace("\n", "\r\n")
     Path("sums/other.toml").write_bytes(text.encode())
     made = extend(Study.load(Path("sums/other.toml")), ["bend"], Path("new"))
     assert made.file == Path("new/other.toml")
@@ -222,11 +131,12 @@ def test_results_caches_and_hidden_files_are_left_behind(sums, monkeypatch):
     }
 
 
-def test_paths_that_lead_out_of_the_study_lead_to_the_same_files(rig):
+def test_paths_that_lead_out_of_the_study_lead_to_the_same_files(rig, edited):
     Path("shared/code").mkdir(parents=True)
     shutil.move("rig/measured.csv", "shared/measured.csv")
     shutil.move("rig/effects.py", "shared/code/effects.py")
-    edit(rig, ('"measured.csv"', '"../shared/measured.csv"'), ('"effects.py:', '"../rig/../shared/code/effects.py:'))
+    edited(rig, '"measured.csv"', '"../shared/measured.csv"')
+    edited(rig, '"effects.py:', '"../rig/../shared/code/effects.py:')
     Path("deep").mkdir()
     made = extend(Study.load(rig), ["top_cables"], Path("deep/new"))
     assert settings("deep/new")["measurement"]["files"] == ["../../shared/measured.csv"]
@@ -239,17 +149,17 @@ def test_paths_that_lead_out_of_the_study_lead_to_the_same_files(rig):
     assert new.measured.fingerprint == old.measured.fingerprint
 
 
-def test_data_in_what_is_not_copied_are_read_where_they_are(sums):
+def test_data_in_what_is_not_copied_are_read_where_they_are(sums, edited):
     Path("sums/results").mkdir()
     shutil.move("sums/data/measured.csv", "sums/results/measured.csv")
-    edit(sums, ("data/measured.csv", "results/measured.csv"))
+    edited(sums, "data/measured.csv", "results/measured.csv")
     extend(Study.load(sums), ["bend"], Path("new"))
     assert settings("new")["measurement"]["responses"] == "../sums/results/measured.csv"
     assert Study.load(Path("new")).targets == {"s": (3.0, 0.01)}
 
 
-def test_absolute_paths_and_links_keep_their_meaning(sums, here):
-    edit(sums, ('"data/measured.csv"', f'"{here}/sums/data/measured.csv"'))
+def test_absolute_paths_and_links_keep_their_meaning(sums, here, edited):
+    edited(sums, '"data/measured.csv"', f'"{here}/sums/data/measured.csv"')
     Path("elsewhere").write_text("notes")
     os.symlink("../elsewhere", "sums/notes.txt")
     extend(Study.load(sums), ["bend"], Path("new"))
@@ -257,12 +167,12 @@ def test_absolute_paths_and_links_keep_their_meaning(sums, here):
     assert Path("new/notes.txt").read_text() == "notes" and not Path("new/notes.txt").is_symlink()
 
 
-def test_a_link_to_a_folder_around_the_study_is_refused(sums):
+def test_a_link_to_a_folder_around_the_study_is_refused(sums, refusal):
     os.symlink("..", "sums/up")
     assert "leads to a folder around the study" in refusal(sums, "bend", "new")
 
 
-def test_what_cannot_be_is_refused_in_one_sentence(sums, rig):
+def test_what_cannot_be_is_refused_in_one_sentence(sums, rig, edited, refusal):
     assert "unknown effect 'top_cable' (did you mean 'top_cables'?)" in refusal(rig, "top_cable", "new")
     assert "effects are low_cables, top_cables" in refusal(rig, "qqq", "new")
     Path("taken").mkdir()
@@ -274,13 +184,16 @@ def test_what_cannot_be_is_refused_in_one_sentence(sums, rig):
     extend(Study.load(rig), ["top_cables"], Path("new"))
     said = refusal(Path("new"), "top_cables", "newer")
     assert "is in the model already; the effects it lacks are low_cables" in said
-    edit(sums, ('effects = "model.py:library"\n', ""))
+    edited(sums, 'effects = "model.py:library"\n', "")
     assert "names no library of effects" in refusal(sums, "bend", "newer")
 
 
-def test_a_study_that_would_not_load_is_not_put_in_place(sums):
-    text = SUMS.replace("def build():", "from pathlib import Path\ndef build():").replace(
-        "    space = P", "    (Path(__file__).parent / '.secret').read_text()\n    space = P", 1
+def test_a_study_that_would_not_load_is_not_put_in_place(sums, refusal):
+    text = (
+        Path("sums/model.py")
+        .read_text()
+        .replace("def build():", "from pathlib import Path\ndef build():")
+        .replace("    space = P", "    (Path(__file__).parent / '.secret').read_text()\n    space = P", 1)
     )
     Path("sums/model.py").write_text(text)
     Path("sums/.secret").write_text("x")
@@ -302,89 +215,6 @@ def test_nothing_half_written_stays(sums, monkeypatch, what, fault):
     if isinstance(fault, OSError):
         assert "No space left" in str(caught.value)
     assert {p.name for p in Path().iterdir()} == {"sums"}
-
-
-# -- among results -----------------------------------------------------------------------------------------------------
-
-
-def test_a_study_among_results_can_be_moved(rig):
-    Path("shared").mkdir()
-    shutil.move("rig/measured.csv", "shared/measured.csv")
-    edit(rig, ('"measured.csv"', '"../shared/measured.csv"'))
-    Path("results/rig").mkdir(parents=True)
-    made = extend_among(Study.load(rig), ["top_cables"], Path("results/rig"))
-    assert made.file == Path("results/rig/rig_extended/study.toml")
-    assert found_among(Study.load(rig), Path("results/rig")) == made.file
-    Path("far/away").mkdir(parents=True)
-    shutil.move("results/rig/rig_extended", "far/away/mine")
-    new, old = Study.load(Path("far/away/mine")), Study.load(rig)
-    assert new.measured.fingerprint == old.measured.fingerprint
-    assert Path(new.settings.extended_from).resolve() == rig.resolve()
-    assert found_among(old, Path("results/rig")) is None
-
-
-def test_least_squares_of_a_study_among_results_begin_at_what_is_known(rig):
-    Path("results").mkdir()
-    study = Study.load(rig)
-    space = study.search_space
-    known = {space.free_names[0]: space.lower[0], "top_cables": 0.1}
-    made = extend_among(study, ["top_cables"], Path("results"), known)
-    assert Study.load(made.file).settings.calibration.begin_at == known
-
-
-def test_the_same_study_among_results_stays_and_another_is_kept_aside(rig):
-    Path("results").mkdir()
-    study, written = Study.load(rig), Path("results/rig_extended")
-
-    def there():
-        return {p.name for p in Path("results").iterdir()}
-
-    extend_among(study, ["top_cables"], Path("results"))
-    Path(written, "results").mkdir()
-    Path(written, "results/answer.csv").write_text("what the user asked of it")
-    first = tree(written)
-    extend_among(study, ["top_cables"], Path("results"))
-    assert tree(written) == first and there() == {"rig_extended"}
-    (written / "notes.txt").write_text("changed by the user")
-    changed = tree(written)
-    extend_among(study, ["low_cables"], Path("results"))
-    assert Study.load(written).settings.with_effects == ("low_cables",) and "notes.txt" not in tree(written)
-    assert tree(f"results/rig_extended{EARLIER}") == changed and there() == {"rig_extended", f"rig_extended{EARLIER}"}
-    extend_among(study, ["top_cables"], Path("results"))
-    assert Study.load(Path(f"results/rig_extended{EARLIER}")).settings.with_effects == ("low_cables",)
-    assert there() == {"rig_extended", f"rig_extended{EARLIER}"}
-
-
-@pytest.mark.parametrize("place", ["sums/results/sums", "sums/answers/sums"])
-def test_results_within_the_study_are_no_part_of_the_new_one(sums, place):
-    Path(place).mkdir(parents=True)
-    Path(place, "summary.json").write_text("{}")
-    made = extend_among(Study.load(sums), ["bend"], Path(place))
-    assert set(tree(made.file.parent)) == {"study.toml", "model.py", "data/measured.csv"}
-    assert extend_among(Study.load(sums), ["bend"], Path(place)).file == made.file
-    assert len(list(Path(place).iterdir())) == 2
-
-
-@pytest.mark.parametrize("call", [1, 2])
-def test_a_stop_while_replacing_leaves_a_whole_study_or_none(sums, monkeypatch, call):
-    Path("results").mkdir()
-    extend_among(Study.load(sums), ["bend"], Path("results"))
-    edit(Path("sums"), ("'sums'", "'other'"))
-    rename, calls = Path.rename, []
-
-    def stopped(self, target):
-        calls.append(target)
-        if len(calls) == call:
-            raise KeyboardInterrupt
-        return rename(self, target)
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(Path, "rename", stopped)
-        extend_among(Study.load(sums), ["bend"], Path("results"))
-    for folder in Path("results").iterdir():
-        assert not folder.name.startswith(".") and Study.load(folder).settings.with_effects == ("bend",)
-    extend_among(Study.load(sums), ["bend"], Path("results"))
-    assert Study.load(Path("results/sums_extended")).settings.title == "other + bend"
 
 
 def test_the_command_says_what_to_do_next_and_that_works(sums, capsys):

@@ -7,13 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.errors import EvaluationError
 from calib.measurement.modal import Sensor
 from calib.missing.advice import advise
 from calib.missing.evidence import ln_evidence
 from calib.missing.findings import Trial
 from calib.missing.score import scores
 from calib.missing.state import State, fitted
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions import prospects as prospects_module
+from calib.questions.hypotheses import ModalHypotheses, ModalQuestion
 from calib.questions.library import modal_hypotheses
 from calib.questions.prospects import BENCH, MORE_MODES, modal_prospects
 from calib.results import Results
@@ -228,6 +230,25 @@ def test_a_mode_far_from_a_withheld_one_or_near_two_is_told_by_its_frequency(wor
     withheld = {name: f * freq / 40.0 for name, f in withheld.items()}
     names = [o.name for o in option_of(prospects_of(hypotheses, state, withheld), "mode")]
     assert all(n.startswith("the mode computed at ") for n in names)
+
+
+def test_two_modes_near_a_withheld_one_are_two_options(world, monkeypatch):
+    study, hypotheses, state = world
+    freq = study.measured.natural_freq[study.measured.names.index("B3x")]
+    monkeypatch.setattr(prospects_module, "NEAR", 100.0)
+    names = [o.name for o in option_of(prospects_of(hypotheses, state, {"B3x": freq}), "mode")]
+    assert len(set(names)) == MORE_MODES and names.count("mode B3x, withheld so far") == 1
+
+
+def test_nothing_is_advised_where_the_model_cannot_be_solved(world, monkeypatch):
+    def fails(self, values, names):
+        raise EvaluationError("beside the point")
+
+    _, hypotheses, state = world
+    found, trial = scores(state, hypotheses.effects, {}), Trial((), state, 0.0, "")
+    monkeypatch.setattr(ModalQuestion, "jacobian", fails)
+    prospects = modal_prospects(hypotheses, [trial], hypotheses.effects, found, 1.0)
+    assert prospects.views == () and advise(prospects).empty
 
 
 # -- effects with a grid -----------------------------------------------------------------------------------------------

@@ -177,7 +177,6 @@ def test_an_overdamped_oscillator_is_no_mode():
     assert [r.kind for r in modes.excluded] == ["overdamped", "overdamped"]
     expected = -omega * (ratio + np.array([-1, 1]) * np.sqrt(ratio**2 - 1))
     np.testing.assert_allclose([r.eigenvalue for r in modes.excluded], expected, rtol=1e-9)
-    assert "decays without oscillation" in modes.excluded[0].description
 
 
 @pytest.mark.parametrize("omega", [2.0, 7.0, 40.0, 700.0])
@@ -210,7 +209,6 @@ def test_rigid_body_motion_is_named_and_does_not_count(n, damped):
     np.testing.assert_allclose(modes.natural_freq, truth, rtol=2e-2 if damped else 1e-8)
     zeros = [r for r in modes.excluded if r.kind == "zero"]
     assert len(zeros) == (2 if damped else 1)
-    assert all("rigid-body" in r.description for r in zeros)
     assert all(abs(r.eigenvalue) < 1e-3 * 2 * np.pi * truth[0] for r in zeros)
 
 
@@ -226,7 +224,6 @@ def test_a_part_that_turns_freely_is_named_spin(n, damped):
     modes = solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 4, rotational=turning)
     assert modes.n_modes == 4 and modes.natural_freq[0] > 0.5
     assert {r.kind for r in modes.excluded} == {"spin"}
-    assert "axis" in modes.excluded[0].description
     unnamed = solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 4)
     assert {r.kind for r in unnamed.excluded} == {"zero"}
     np.testing.assert_array_equal(unnamed.natural_freq, modes.natural_freq)

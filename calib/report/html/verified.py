@@ -157,7 +157,9 @@ def _error_table(table: pd.DataFrame, caption: str) -> Table:
 
 def _both_table(table: pd.DataFrame, caption: str) -> Table:
     """One row a group of data, both stages side by side."""
-    before, after = (table[table["stage"] == stage].set_index("group") for stage in ("before", "after"))
+    groups = _groups(table)
+    # A group that one stage does not have, such as modes without a partner there, is told with a dash.
+    before, after = (table[table["stage"] == s].set_index("group").reindex(groups) for s in ("before", "after"))
     rows = tuple(
         (
             GROUPS.get(group, group),
@@ -165,7 +167,7 @@ def _both_table(table: pd.DataFrame, caption: str) -> Table:
             *(fixed(stage[number][group], 2) for number in ("rms", "expected") for stage in (before, after)),
             *(chance(stage["p"][group]) for stage in (before, after)),
         )
-        for group in _groups(table)
+        for group in groups
     )
     columns = ("rms before, σ", "after, σ", "right model before, σ", "after, σ", "p before", "after")
     return Table(caption, ("data", "numbers", *columns), rows)

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import shutil
+from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
@@ -10,10 +11,63 @@ import pytest
 from calib import cli
 from calib.loading import module_of
 from calib.report.html.answers import Answers
+from calib.report.html.write import page, sections
 
 ROOT = Path(__file__).resolve().parents[3]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
 TITLE = "A mast that may lack something"
+
+
+class Reader(HTMLParser):
+    """Elements with their attributes, the words of the page, tables by caption, and contents of scripts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements, self.words, self.tables, self.scripts, self.styles = [], [], {}, [], []
+        self._open, self._caption, self._rows = [], "", []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in ("meta", "br", "img", "link", "input"):
+            self._open.append(tag)
+        if tag == "table":
+            self._caption, self._rows = "", []
+        elif tag == "tr":
+            self._rows.append([])
+        elif tag in ("td", "th"):
+            self._rows[-1].append("")
+        elif tag == "script":
+            self.scripts.append((dict(attrs).get("type", ""), []))
+
+    def handle_endtag(self, tag):
+        while self._open and self._open.pop() != tag:
+            pass
+        if tag == "table":
+            self.tables[self._caption] = self._rows
+
+    def handle_data(self, data):
+        if "script" in self._open:
+            self.scripts[-1][1].append(data)
+        elif "style" in self._open:
+            self.styles.append(data)
+        else:
+            self.words.append(data)
+            if self._open and self._open[-1] == "caption":
+                self._caption += data
+            if self._open and self._open[-1] in ("td", "th"):
+                self._rows[-1][-1] += data
+
+    @staticmethod
+    def number(cell):
+        return float(cell.replace("−", "-").replace("×", ""))
+
+    def named(self, tag):
+        return [attributes for name, attributes in self.elements if name == tag]
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
 
 
 def ask(folder, *questions):
@@ -54,3 +108,30 @@ def folder(everything, tmp_path):
 @pytest.fixture
 def answers(everything):
     return Answers(everything, TITLE, True)
+
+
+@pytest.fixture(scope="session")
+def reader():
+    """Takes a page apart."""
+    return Reader
+
+
+@pytest.fixture(scope="session")
+def text(everything):
+    return page(Answers(everything, TITLE, True))
+
+
+@pytest.fixture(scope="session")
+def read(text):
+    return Reader(text)
+
+
+@pytest.fixture(scope="session")
+def blocks():
+    """The tables of a page by their captions, or its figures by their names."""
+
+    def of_kind(folder, kind):
+        found = [b for s in sections(Answers(folder, TITLE, True)) for b in s.blocks if isinstance(b, kind)]
+        return {getattr(b, "name", getattr(b, "caption", "")): b for b in found}
+
+    return of_kind
