@@ -25,7 +25,7 @@ UNTESTED = "not tested: the model fails with it"
 EFFECT_COLUMNS = (
     "name", "title", "unit", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "plausible", "largest", "visible",
     "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "posterior", "heldout_gain", "refitted", "credible",
-    "implausible", "confounded_with", "stands_for",
+    "implausible", "confounded_with", "stands_for", "lacks", "look_for",
 )  # fmt: skip
 
 
@@ -71,6 +71,7 @@ def effects_table(
             "heldout_gain": gains.get(e.name, math.nan), "refitted": trial is not None,
             "credible": e.name in found.credible, "implausible": "" if trial is None else trial.implausible,
             "confounded_with": ", ".join(confounded_with(found, e.name)), "stands_for": ", ".join(group.names[1:]),
+            "lacks": e.lacks, "look_for": e.look_for,
         }  # fmt: skip
         factors = {"ln_bayes": 1.0, "ln_bayes_third": 1 / 3, "ln_bayes_triple": 3.0}
         if trial is None:
@@ -101,6 +102,7 @@ def _members(row: dict[str, object], group: Group) -> list[dict[str, object]]:
         {
             **row, **unknown, "name": e.name, "title": e.title, "unit": e.strength.unit, "plausible": e.plausible,
             "largest": max(abs(e.strength.lower), e.strength.upper), "refitted": False, "stands_for": "",
+            "lacks": e.lacks, "look_for": e.look_for,
             "confounded_with": ", ".join(n for n in group.names if n != e.name),
         }
         for e in group.others
@@ -112,6 +114,7 @@ def _untested(e: Effect) -> dict[str, object]:
     row: dict[str, object] = dict.fromkeys(EFFECT_COLUMNS, math.nan)
     row |= {"name": e.name, "title": e.title, "unit": e.strength.unit, "plausible": e.plausible}
     row |= {"largest": max(abs(e.strength.lower), e.strength.upper), "implausible": UNTESTED}
+    row |= {"lacks": e.lacks, "look_for": e.look_for}
     return row | {"visible": False, "refitted": False, "credible": False, "confounded_with": "", "stands_for": ""}
 
 

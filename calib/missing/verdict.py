@@ -106,7 +106,10 @@ def _titled(effects: pd.DataFrame, name: str, alike: bool = True) -> str:
 
 def _look_for(found: Findings) -> list[str]:
     chosen = found.chosen.effects if found.chosen is not None else ()
-    return ["Look for: " + " ".join(e.look_for for e in chosen)]
+    return [
+        "As it is, the model says: " + " ".join(e.lacks for e in chosen),
+        "Look for: " + " ".join(e.look_for for e in chosen),
+    ]
 
 
 def _effects(found: Findings) -> tuple[Effect, ...]:
@@ -138,11 +141,13 @@ def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
     rows = effects[effects["name"].isin(found.credible)].sort_values("ln_bayes", ascending=False)
     odds = math.exp(float(rows["ln_bayes"].iloc[0] - rows["ln_bayes"].iloc[1]))
     named = "; or ".join(f"{_titled(effects, n, alike=False)}, {_strength(effects, n)}" for n in rows["name"])
+    credible = [e for n in rows["name"] for e in _effects(found) if e.name == n]
     return [
         f"Something is missing: {_family(found)}.",
         f"These data cannot tell between: {named}. The odds of the first against the second are {rounded(odds)}:1.",
         _clean(found),
-        "Look for: " + " Or: ".join(e.look_for for n in rows["name"] for e in _effects(found) if e.name == n),
+        "As it is, the model says: " + " ".join(e.lacks for e in credible),
+        "Look for: " + " Or: ".join(e.look_for for e in credible),
     ]
 
 

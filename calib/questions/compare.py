@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
@@ -37,6 +37,8 @@ class Answer:
         None for plain responses.
     findings : tuple of SensorFinding
         Suspicious sensors.
+    chosen : mapping from str to int
+        Measured modes that the user has paired, with the number of their model mode.
     """
 
     table: pd.DataFrame
@@ -45,6 +47,7 @@ class Answer:
     noise_mac: float
     comparison: Comparison | None
     findings: tuple[SensorFinding, ...] = ()
+    chosen: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -59,6 +62,9 @@ class Answer:
             out.append(f"Roots of the model that are no vibration and are never paired: {parts}.")
         if not found.measured.has_shapes:
             out.append("No mode shapes were measured: modes are paired by the order of their frequencies.")
+        if self.chosen:
+            told = ", ".join(f"{mode} with model mode {number}" for mode, number in self.chosen.items())
+            out.append(f"Paired as the study says and not as computed: {told}.")
         return (*out, "Where it fails: " + found.sentence())
 
 
@@ -81,6 +87,7 @@ def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
         noise_mac=_mean(pd.Series(comparison.noise_mac())),
         comparison=comparison,
         findings=findings,
+        chosen=study.problem.override,
     )
 
 

@@ -23,7 +23,7 @@ def dressed(toy):
     """Effects as an engineer would call them, with units."""
     effects = tuple(
         replace(
-            e, title=f"Title of {e.name}", look_for=f"Look at {e.name}.",
+            e, title=f"Title of {e.name}", lacks=f"No {e.name}.", look_for=f"Look at {e.name}.",
             strength=replace(e.strength, unit=UNITS.get(e.name, "kg")),
         )
         for e in toy.effects
@@ -180,7 +180,7 @@ def test_one_effect_is_named_with_strength_interval_and_where_to_look(cases):
     assert text.startswith("Something is missing: ")
     strength = f"{row['phi']:.3g} kN/m (95 %: 1.25 to 1.88 kN/m)"
     assert f"Best explanation: Title of E2 (E2), {strength}; posterior {100 * row['posterior']:.0f} % within" in text
-    assert "Look for: Look at E2." in text and text.count("Title") == 1
+    assert "As it is, the model says: No E2. Look for: Look at E2." in text and text.count("Title") == 1
     after = found.chosen_check
     assert f"no effect or local change stands out (p = {after.p_family:.2g}); the fit as a whole has p = " in text
     assert f"p = {after.p_fit:.2g}." in text and "poor" not in text

@@ -49,7 +49,7 @@ def effects_table(answers: Answers) -> pd.DataFrame | None:
         ["name", "title"],
         NUMBERS,
         flags=["visible", "refitted", "credible"],
-        blank=["unit", "implausible", "confounded_with", "stands_for"],
+        blank=["unit", "implausible", "confounded_with", "stands_for", "lacks", "look_for"],
         unbounded=["phi_min"],
         unique="name",
     )
@@ -74,6 +74,7 @@ def section(answers: Answers) -> Section | None:
         Terms(TERMS),
         _effect_plot(table),
         _effect_rows(table),
+        *_physics(table),
         *_confounding(answers),
         *_local_changes(answers),
     ]
@@ -187,6 +188,16 @@ def _effect_rows(table: pd.DataFrame) -> Table:
             grey.append(k)
     heads = ("effect", "name", "z", "ln Bayes", "posterior", "γ", "strength (95 %)", "smallest visible", "remark")
     return Table("Every effect of the library, ranked", heads, tuple(rows), (1, 8), tuple(grey))
+
+
+def _physics(table: pd.DataFrame) -> list[Table]:
+    """What each effect is about, for who has to go and look; an earlier version of the tool did not write it."""
+    if not (table["lacks"] + table["look_for"]).astype(bool).any():
+        return []
+    rows = tuple((str(r["title"]), str(r["lacks"]), str(r["look_for"])) for r in table.to_dict("records"))
+    grey = tuple(k for k, visible in enumerate(table["visible"]) if not flag(visible))
+    heads = ("effect", "what the model does without it", "what to look for")
+    return [Table("What each effect is about", heads, rows, (1, 2), grey)]
 
 
 def _confounding(answers: Answers) -> list[Plot]:

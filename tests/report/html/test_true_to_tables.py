@@ -42,6 +42,8 @@ def test_effects_errors_and_trials_are_those_of_the_tables(everything, read, rea
     for row in rows:
         assert reader.number(row[head.index("z")]) == pytest.approx(effects["z"][row[1]], abs=0.0501)
         assert reader.number(row[head.index("ln Bayes")]) == pytest.approx(effects["ln_bayes"][row[1]], abs=0.0501)
+    about = {r[0]: tuple(r[1:]) for r in read.tables["What each effect is about"][1:]}
+    assert about == {r["title"]: (r["lacks"], r["look_for"]) for r in effects.to_dict("records")}
     errors = pd.read_csv(everything / "added_errors.csv")
     rows = read.tables["Errors before and after adding guy, calibrated both times"][1:]
     for k, stage in enumerate(("before", "after")):
