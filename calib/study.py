@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -177,6 +178,11 @@ class EvaluationSource:
 def study_file(path: Path) -> Path:
     """The TOML file of a study that is named by its folder or by that file."""
     return path if path.suffix == ".toml" else path / "study.toml"
+
+
+def typed(path: Path) -> str:
+    """How a study or another path is typed on a command line: the folder of a study, quoted where a shell needs it."""
+    return shlex.quote(str(path.parent if path.name == "study.toml" else path))
 
 
 @dataclass(frozen=True)

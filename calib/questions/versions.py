@@ -9,7 +9,7 @@ import pandas as pd
 
 from calib.results import Results
 from calib.settings import read_settings
-from calib.study import Study
+from calib.study import Study, typed
 
 COLUMNS = ("version", "study", "effects", "group", "rms", "expected")
 MOST = 50
@@ -53,7 +53,7 @@ def write_versions(study: Study, root: Path) -> Versions:
         file = (older if older.suffix == ".toml" else older / "study.toml").resolve()
         if not file.is_file():
             newer = chain[-1][0]
-            notes.append(f"{newer} was extended from {_called(file)}, which is gone: versions before {newer} are lost.")
+            notes.append(f"{newer} was extended from {typed(file)}, which is gone: versions before {newer} are lost.")
             break
         settings = read_settings(file)
         chain.append((file.parent.name, settings.with_effects, file))
@@ -63,7 +63,7 @@ def write_versions(study: Study, root: Path) -> Versions:
     for number, (name, effects, origin) in enumerate(reversed(chain), start=1):
         errors = _errors(Results(root / name))
         if errors is None:
-            command = f"calib explain {_called(origin)} --results {root}"
+            command = f"calib explain {typed(origin)} --results {typed(root)}"
             notes.append(f"Version {number} ({name}) has no errors under {root}: run '{command}'.")
         else:
             parts.append(errors.assign(version=number, study=name, effects=" + ".join(effects)))
@@ -72,11 +72,6 @@ def write_versions(study: Study, root: Path) -> Versions:
     table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
     Results.at(root, study.name).write_table("versions", table)
     return Versions(table, tuple(notes))
-
-
-def _called(file: Path) -> Path:
-    """How a study is called on the command line."""
-    return file.parent if file.name == "study.toml" else file
 
 
 def _errors(results: Results) -> pd.DataFrame | None:

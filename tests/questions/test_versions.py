@@ -8,7 +8,7 @@ import pytest
 from calib.questions.extend import extend
 from calib.questions.versions import COLUMNS, MOST, write_versions
 from calib.results import Results
-from calib.study import Study
+from calib.study import Study, typed
 
 GROUPS = ("fit", "left_out", "withheld_sensors")
 
@@ -126,3 +126,11 @@ def test_an_ancestor_may_be_a_study_file_of_another_name(mast, tmp_path):
     (root / "mast/data_errors.csv").unlink()
     (note,) = write_versions(new, root).notes
     assert f"calib explain {folder / 'second.toml'} --results" in note
+
+
+def test_a_command_to_type_names_a_study_by_its_folder_and_quotes_it():
+    assert typed(Path("studies/bogie/study.toml")) == "studies/bogie"
+    assert (
+        typed(Path("my studies/mast/study.toml")) == "'my studies/mast'"
+        and typed(Path("rig/other.toml")) == "rig/other.toml"
+    )
