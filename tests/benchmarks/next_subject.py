@@ -71,13 +71,9 @@ CASES = {
     ),
     "vehicle": Case(
         VEHICLE,
-        {"body_damping": (0.2, 0.4), "soft_seats": (0.6, 1.2)},
+        {"body_damping": (0.15, 0.3), "soft_seats": (0.65, 1.0)},
         ("6C", "2B_anti"),
-        # Of the car's 24 directions one along each sole bar and the ends of the left one are left.
-        tuple(
-            f"{node}{d}"
-            for nodes, d in (((202, 203, 205, 206, 209, 210, 212, 213), "y"), (range(215, 225), "z"))
-            for node in nodes
-        ),
+        # All that look sideways: the car is measured upright only.
+        tuple(f"{node}z" for node in range(215, 225)),
     ),
 }
