@@ -31,8 +31,9 @@ from typing import Any
 
 import numpy as np
 from next_subject import CASES, Case
-from next_twin import REPEATS, Bench, Twin
+from next_twin import REPEATS, Twin
 from rates_subject import ROOT
+from rates_world import World
 
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import Sensor
@@ -159,11 +160,11 @@ def main() -> None:
     case = replace(case, **{key: tuple(names) for key, names in left_out.items() if names is not None})
     folder = given.folder or ROOT / "results" / f"next_{given.of}"
     folder.mkdir(parents=True, exist_ok=True)
-    file, bench = folder / "runs.jsonl", Bench(case, folder)
+    file, world = folder / "runs.jsonl", World(case.subject, folder, "", case.added)
     rows = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
     done = {r["number"] for r in rows}
     with file.open("a", encoding="utf-8") as out:
-        for twin in (Twin(bench, number) for number in range(given.runs) if number not in done):
+        for twin in (Twin(world, case, number) for number in range(given.runs) if number not in done):
             try:
                 row = run(twin)
             except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:

@@ -1,7 +1,4 @@
-"""One structure of which as much can be measured as is asked for; what was measured once stays as it was.
-
-Only two points of it are asked for in a run, so that it is solved at full order: to train a basis would take longer.
-"""
+"""One structure of which as much can be measured as is asked for; what was measured once stays as it was."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from next_subject import Case
@@ -19,34 +15,8 @@ from rates_world import World
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.questions.hypotheses import ModalHypotheses
 from calib.space import ParameterSpace
-from calib.structure.variants import Variants
 
 REPEATS = 5
-
-
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """Model, finer mesh and library of a case, made once.
-
-    Attributes
-    ----------
-    case : Case
-    folder : Path
-        Where the reduced basis of the model is kept.
-    """
-
-    case: Case
-    folder: Path
-
-    @cached_property
-    def world(self) -> World:
-        """That of the rates, with a library that has both effects."""
-        return World(self.case.subject, self.folder, "", self.case.added)
-
-    @cached_property
-    def fine(self) -> Variants:
-        """The finer mesh with either of the two."""
-        return Variants(self.world.specimen.fine, tuple(self.world.effects[name] for name in self.case.rivals), ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,22 +25,15 @@ class Twin:
 
     Attributes
     ----------
-    bench : Bench
+    world : World
+        With a library that has both.
+    case : Case
     number : int
     """
 
-    bench: Bench
+    world: World
+    case: Case
     number: int
-
-    @property
-    def case(self) -> Case:
-        """Of the bench."""
-        return self.bench.case
-
-    @property
-    def world(self) -> World:
-        """Of the bench."""
-        return self.bench.world
 
     @property
     def hidden(self) -> str:
@@ -89,9 +52,9 @@ class Twin:
     def measured(self, extra: Sequence[Sensor] = (), repeats: int = REPEATS) -> MeasuredModes:
         """All modes that can be told apart at all sensors and at further ones."""
         spec, blind, own = self.world.specimen, self.world.maker.blind, (self.hidden,)
-        known, twin, model = len(spec.layout), blind.twin, self.bench.fine.with_effects(own)
+        known, twin, model = len(spec.layout), blind.twin, self.world.twin.with_effects(own)
         displaced = twin.moved(spec.layout, np.random.default_rng([8, self.number]))
-        found = model.modes(self.values, len(spec.modes) + blind.MORE + self.bench.fine.added(own))
+        found = model.modes(self.values, len(spec.modes) + blind.MORE + self.world.twin.added(own))
         rows = model.sensor_rows((*displaced, *extra))
         names, modes, _ = spec.identified(found, rows[:known] @ found.shapes)
         index = [int(np.flatnonzero(found.natural_freq == f)[0]) for f in modes.natural_freq]
