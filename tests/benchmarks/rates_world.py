@@ -80,11 +80,14 @@ class World:
     folder : Path
         Where reduced bases are kept.
     code : str
+    added : tuple of Effect
+        What the library has beside the study's effects.
     """
 
     subject: Subject
     folder: Path
     code: str
+    added: tuple[Effect, ...] = ()
 
     @cached_property
     def maker(self) -> Any:
@@ -113,10 +116,15 @@ class World:
         """Free are the parameters of the search."""
         return self.model.space
 
+    @property
+    def library(self) -> tuple[Effect, ...]:
+        """What the model may lack."""
+        return (*self.study.candidates, *self.added)
+
     @cached_property
     def effects(self) -> dict[str, Effect]:
         """Every effect by name, those outside the library too."""
-        return {e.name: e for e in (*self.study.candidates, *self.specimen.outside)}
+        return {e.name: e for e in (*self.library, *self.specimen.outside)}
 
     def settle(self) -> None:
         """Everything that takes long."""
@@ -130,7 +138,7 @@ class World:
         held = self.study.settings.withheld.sensors
         used = [s for s in self.specimen.layout if s.name not in held]
         local = tuple(a.effect for a in atoms(self.model, used, self.space.values, 10.0))
-        own = self.study.candidates
+        own = self.library
         many = (*own, *fifty_effects(self.model, 50 - len(own)))
         basis = self._basis("own", self.model, self.space, own, local)
         # Those that lengthen the library scale a few parts; the basis holds what each part does.
@@ -174,7 +182,7 @@ class World:
         """Draw a truth and measure it five times; the seed is the scenario's name and the number alone."""
         rng = np.random.default_rng([*scenario.name.encode(), number])
         values = self.specimen.draw(rng)
-        hidden = tuple(self.effects[name] for name in scenario.hidden(rng, self.study.candidates))
+        hidden = tuple(self.effects[name] for name in scenario.hidden(rng, self.library))
         for effect in hidden:
             values |= self.maker.blind.draw_effect(effect, scenario.strength, rng)
         names, modes, shapes = self._solved(hidden, values, rng)
