@@ -6,6 +6,8 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
+# Processes that share the fast tests; those of one file stay together, and so do their fixtures.
+TEST_WORKERS ?= 2
 STUDIES := studies/four_storey_rig studies/bogie
 ONE_BLAS_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
@@ -40,7 +42,7 @@ run: $(VENV)/.installed
 	@echo; echo 'Figures and reports:'; find results \( -name '*.png' -o -name report.html \) -newer $(VENV)/.run-begun | sort
 
 test: $(VENV)/.installed-dev
-	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)
 
 test-slow: $(VENV)/.installed-dev
 	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
