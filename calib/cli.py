@@ -165,9 +165,7 @@ def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     loaded = _load(study, results)
     if not places.answers_of(loaded, results):
         home = results / loaded.name
-        raise InputError(
-            "there are no results to draw", place=home, remedy=f"ask first, such as: calib run {typed(study)}"
-        )
+        raise InputError("there are no results to draw", place=home, remedy=f"ask first: calib run {typed(study)}")
     _draw_anew(loaded, results)
 
 
