@@ -29,7 +29,7 @@ from calib.report.draw import draw_all
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.results import Results
-from calib.study import Study, typed
+from calib.study import Study, shell_argument
 
 app = typer.Typer(
     name="calib",
@@ -76,7 +76,7 @@ def new(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder 
     """Write an annotated example study with its own model and data."""
     for path in write_example(folder):
         console.say(str(path))
-    console.say(f"Run it with: calib run {typed(folder)}")
+    console.say(f"Run it with: calib run {shell_argument(folder)}")
 
 
 @app.command()
@@ -156,7 +156,7 @@ def extend(
     """Write a new study whose model has one effect more, or several; the old one stays as it is."""
     written = extension.extend(_load(study, results), effects, into)
     console.tell_extension(written)
-    console.say(f"Calibrate it with: calib calibrate {typed(written.file)}")
+    console.say(f"Calibrate it with: calib calibrate {shell_argument(written.file)}")
 
 
 @app.command()
@@ -164,8 +164,8 @@ def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     """Tell all earlier answers in report.html, one file that opens anywhere, and draw every figure anew."""
     loaded = _load(study, results)
     if not places.answers_of(loaded, results):
-        home = results / loaded.name
-        raise InputError("there are no results to draw", place=home, remedy=f"ask first: calib run {typed(study)}")
+        remedy = f"ask first: calib run {shell_argument(study)}"
+        raise InputError("there are no results to draw", place=results / loaded.name, remedy=remedy)
     _draw_anew(loaded, results)
 
 

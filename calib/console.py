@@ -22,7 +22,7 @@ from calib.questions.places import is_modal
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
-from calib.study import Study, typed
+from calib.study import Study, shell_argument
 
 WIDTH = 120
 """Columns of output that goes to no terminal."""
@@ -249,7 +249,7 @@ def tell_what_to_add(study: Study, found: Findings) -> None:
     if found.names_something and found.chosen is not None:
         names = found.chosen.names if found.verdict == "two_effects" else found.credible[:1]
         them = "them" if len(names) > 1 else "it"
-        say(f"Add {them} with: calib extend {typed(study.file)} {' '.join(names)} --into FOLDER")
+        say(f"Add {them} with: calib extend {shell_argument(study.file)} {' '.join(names)} --into FOLDER")
 
 
 def tell_versions(versions: Versions) -> None:

@@ -180,8 +180,8 @@ def study_file(path: Path) -> Path:
     return path if path.suffix == ".toml" else path / "study.toml"
 
 
-def typed(path: Path) -> str:
-    """How a study or another path is typed on a command line: the folder of a study, quoted where a shell needs it."""
+def shell_argument(path: Path) -> str:
+    """A study or another path as an argument to type: a study by its folder, quoted where a shell needs it."""
     return shlex.quote(str(path.parent if path.name == "study.toml" else path))
 
 

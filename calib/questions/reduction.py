@@ -58,7 +58,7 @@ class Wanted:
         return cls(problem.mode_count, freq_max, settings.tolerance, settings.seed)
 
     @classmethod
-    def had(cls, basis: Basis) -> Wanted:
+    def of_basis(cls, basis: Basis) -> Wanted:
         """What a basis was trained for."""
         return cls(basis.count, basis.freq_max, basis.tolerance, basis.seed)
 
@@ -148,7 +148,7 @@ def reduction_of(study: Study, home: Results) -> Reduction | None:
 
 def _serves(basis: Basis, model: StructuralModel, space: ParameterSpace, wanted: Wanted) -> bool:
     own = basis.model_fingerprint == model.fingerprint
-    return own and Wanted.had(basis) == wanted and basis.covers(space)
+    return own and Wanted.of_basis(basis) == wanted and basis.covers(space)
 
 
 @contextlib.contextmanager

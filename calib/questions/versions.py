@@ -9,7 +9,7 @@ import pandas as pd
 
 from calib.results import Results
 from calib.settings import read_settings
-from calib.study import Study, typed
+from calib.study import Study, shell_argument
 
 COLUMNS = ("version", "study", "effects", "group", "rms", "expected")
 MOST = 50
@@ -53,7 +53,9 @@ def write_versions(study: Study, root: Path) -> Versions:
         file = (older if older.suffix == ".toml" else older / "study.toml").resolve()
         if not file.is_file():
             newer = chain[-1][0]
-            notes.append(f"{newer} was extended from {typed(file)}, which is gone: versions before {newer} are lost.")
+            notes.append(
+                f"{newer} was extended from {shell_argument(file)}, which is gone: versions before {newer} are lost."
+            )
             break
         settings = read_settings(file)
         chain.append((file.parent.name, settings.with_effects, file))
@@ -63,7 +65,7 @@ def write_versions(study: Study, root: Path) -> Versions:
     for number, (name, effects, origin) in enumerate(reversed(chain), start=1):
         errors = _errors(Results(root / name))
         if errors is None:
-            command = f"calib explain {typed(origin)} --results {typed(root)}"
+            command = f"calib explain {shell_argument(origin)} --results {shell_argument(root)}"
             notes.append(f"Version {number} ({name}) has no errors under {root}: run '{command}'.")
         else:
             parts.append(errors.assign(version=number, study=name, effects=" + ".join(effects)))

@@ -85,7 +85,11 @@ def run(twin: Twin) -> dict[str, Any]:
 
 
 def refitted(found: Findings, hypotheses: ModalHypotheses, names: Sequence[str]) -> list[Trial]:
-    """Fits with each of the two effects to the end, in the order of the names."""
+    """Fits with each of the two effects to the end, in the order of the names.
+
+    One that the decision did not fit begins at a third of its plausible size, well inside its range: at 0 an effect
+    with nuisance parameters has no slope.
+    """
     fits = Refits(hypotheses, replace(DEFAULT, budget=math.inf), found.noise_scale, lambda words: None)
     known = {t.names[0]: t.state.values for t in found.singles}
     plausible = {e.name: e.plausible for e in hypotheses.effects}

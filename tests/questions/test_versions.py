@@ -8,7 +8,7 @@ import pytest
 from calib.questions.extend import extend
 from calib.questions.versions import COLUMNS, MOST, write_versions
 from calib.results import Results
-from calib.study import Study, typed
+from calib.study import Study, shell_argument
 
 GROUPS = ("fit", "left_out", "withheld_sensors")
 
@@ -129,8 +129,8 @@ def test_an_ancestor_may_be_a_study_file_of_another_name(mast, tmp_path):
 
 
 def test_a_command_to_type_names_a_study_by_its_folder_and_quotes_it():
-    assert typed(Path("studies/bogie/study.toml")) == "studies/bogie"
+    assert shell_argument(Path("studies/bogie/study.toml")) == "studies/bogie"
     assert (
-        typed(Path("my studies/mast/study.toml")) == "'my studies/mast'"
-        and typed(Path("rig/other.toml")) == "rig/other.toml"
+        shell_argument(Path("my studies/mast/study.toml")) == "'my studies/mast'"
+        and shell_argument(Path("rig/other.toml")) == "rig/other.toml"
     )
