@@ -13,6 +13,7 @@ def main() -> None:
     try:
         from calib.cli import main as command
     except KeyboardInterrupt:
+        interrupt.answered()
         sys.stderr.write(f"calib: {interrupt.WORDS}\n")
         sys.exit(interrupt.CODE)
     command()

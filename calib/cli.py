@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-import traceback
-from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
@@ -366,8 +364,11 @@ def answer(arguments: list[str]) -> int:
     Bad input is one sentence and code 2, an interrupt 130; an unexpected failure leaves its traceback in a log, code 1.
     """
     try:
-        with threadpool_limits(1):  # the matrices are small: several threads of one product wait for each other
-            app(args=arguments, prog_name="calib", standalone_mode=True)
+        try:
+            with threadpool_limits(1):  # the matrices are small: several threads of one product wait for each other
+                app(args=arguments, prog_name="calib")
+        finally:
+            interrupt.answered()
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
         if code == interrupt.CODE:
@@ -377,22 +378,9 @@ def answer(arguments: list[str]) -> int:
         console.complain(str(fault))
         return 2
     except Exception as fault:
-        _log_unexpected(fault, arguments)
+        console.complain_of_unexpected(fault, arguments)
         return 1
     return 0
-
-
-def _log_unexpected(fault: Exception, arguments: list[str]) -> None:
-    log = Path.cwd() / "calib-error.log"
-    stamp = datetime.now(UTC).isoformat(timespec="seconds")
-    text = f"{stamp} calib {__version__}: {' '.join(arguments)}\n{traceback.format_exc()}\n"
-    try:
-        with log.open("a", encoding="utf-8") as stream:
-            stream.write(text)
-    except OSError:
-        console.complain(text)
-    else:
-        console.complain(f"unexpected {type(fault).__name__}: {fault}; the details are in {log}")
 
 
 if __name__ == "__main__":

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import sys
+import traceback
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from calib import __version__
 from calib.missing.findings import Findings
 from calib.missing.verdict import rounded
 from calib.questions.added import WORDS, Added, by_group
@@ -44,6 +47,20 @@ def say(text: str = "") -> None:
 def complain(text: str) -> None:
     """One line on the error stream."""
     _err.print(f"calib: {text}")
+
+
+def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:
+    """One line for what should not happen; its traceback goes to a log in the current directory."""
+    log = Path.cwd() / "calib-error.log"
+    stamp = datetime.now(UTC).isoformat(timespec="seconds")
+    text = f"{stamp} calib {__version__}: {' '.join(arguments)}\n{traceback.format_exc()}\n"
+    try:
+        with log.open("a", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError:
+        complain(text)
+    else:
+        complain(f"unexpected {type(fault).__name__}: {fault}; the details are in {log}")
 
 
 def head(study: Study, verb: str) -> None:

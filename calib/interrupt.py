@@ -1,9 +1,14 @@
-"""The keyboard's interrupt, once: a hand that presses twice must not break into the leaving it has asked for."""
+"""The keyboard's interrupt, once: a hand that presses twice must not break into the leaving it has asked for.
+
+And once for certain: what Python raises for it is lost where compiled code asks a Python function and clears whatever
+that raises (NumPy does while it makes an array of strings), and the command would go on as if nobody had pressed.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from types import FrameType
 
@@ -12,24 +17,69 @@ CODE = 130
 WORDS = "interrupted; the same command again completes it"
 PATIENCE = 5.0
 """Seconds a command has for leaving; an interrupt after them ends the process where it stands."""
+LOOK = 0.1
+"""Seconds between two looks at whether an interrupt that was raised is still on its way."""
 
 
-def once() -> None:
-    """From here to the end of the process the first interrupt raises KeyboardInterrupt, and later ones are the same.
+class _Press:
+    """What becomes of an interrupt between its coming and the answer to it."""
 
-    A leaving that takes longer than `PATIENCE` is ended by the next interrupt; worker processes end with this one.
-    Where interrupts are already handled in another way, or ignored, nothing changes.
-    """
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        return
-    first: list[float] = []
+    def __init__(self) -> None:
+        self.begin()
 
-    def handle(number: int, frame: FrameType | None) -> None:
-        if not first:
-            first.append(time.monotonic())
+    def begin(self) -> None:
+        self.raised_at: float | None = None
+        self.answered = False
+
+    def interrupt(self, number: int, frame: FrameType | None) -> None:
+        if not self.answered and (self.raised_at is None or _lost()):
+            self.raised_at = time.monotonic()
+            if hasattr(signal, "setitimer"):
+                signal.setitimer(signal.ITIMER_REAL, LOOK, LOOK)
             raise KeyboardInterrupt
-        if time.monotonic() - first[0] > PATIENCE:
+        if self.raised_at is not None and time.monotonic() - self.raised_at > PATIENCE:
             os.write(2, f"calib: {WORDS}\n".encode())
             os._exit(CODE)
 
-    signal.signal(signal.SIGINT, handle)
+    def look(self, number: int, frame: FrameType | None) -> None:
+        if not self.answered and _lost():
+            signal.raise_signal(signal.SIGINT)  # not raised here: where interrupts are held back, it waits
+
+    def answer(self) -> None:
+        self.answered = True
+        if self.raised_at is not None and hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+_press = _Press()
+
+
+def once() -> None:
+    """From here to `answered` the first interrupt raises KeyboardInterrupt, and later ones are the same.
+
+    It is raised again where something has swallowed it: that is, where neither it nor anything raised because of it is
+    being handled. A leaving that takes longer than `PATIENCE` is ended by the next interrupt; worker processes end with
+    this one. Where interrupts are already handled in another way, or ignored, nothing changes.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return
+    _press.begin()
+    signal.signal(signal.SIGINT, _press.interrupt)
+    if hasattr(signal, "SIGALRM"):
+        signal.signal(signal.SIGALRM, _press.look)
+
+
+def answered() -> None:
+    """The command is over, in whichever way: nothing is raised any more while the process ends."""
+    _press.answer()
+
+
+def _lost() -> bool:
+    """Whether nothing that is being handled at this moment comes from an interrupt."""
+    error, seen = sys.exc_info()[1], set()
+    while error is not None and id(error) not in seen:
+        if isinstance(error, KeyboardInterrupt):
+            return False
+        seen.add(id(error))
+        error = error.__context__
+    return True

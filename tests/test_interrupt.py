@@ -27,17 +27,17 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background
 interrupt.PATIENCE = {patience}
 interrupt.once()
 try:
-    hand()
-    say("nothing was raised")
+{work}
 except KeyboardInterrupt:
     say("leaving")
-{then}
+{leaving}
 """
 
 
-def child(patience, *then):
-    """Exit code, output and complaints of a process that is interrupted, and of what it does while leaving."""
-    script = CHILD.format(patience=patience, then="\n".join(then))
+def child(patience, *leaving, work=("hand()", "say('nothing was raised')")):
+    """Exit code, output and complaints of a process that is interrupted at work, and of what it does while leaving."""
+    work, leaving = ("\n".join("    " + line for line in lines) for lines in (work, leaving))
+    script = CHILD.format(patience=patience, work=work, leaving=leaving)
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     run = subprocess.run(
         [sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=60, check=False
@@ -81,3 +81,35 @@ def test_a_leaving_that_takes_too_long_is_ended_by_the_next_interrupt():
 
 def test_nothing_but_an_interrupt_ends_a_leaving_that_takes_long():
     assert child(0.1, "time.sleep(0.2)", "say('left in order')") == (0, "leaving\nleft in order\n", "")
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="the system has no timer that interrupts")
+def test_an_interrupt_that_is_swallowed_is_raised_again():
+    work = (
+        "import sys",
+        "sys.unraisablehook = lambda given: say('swallowed')",
+        "class Deaf:",
+        "    def __del__(self):",  # what this raises cannot reach anybody
+        "        hand()",
+        "Deaf()",
+        "say('going on')",
+        "time.sleep(20.0)",
+        "say('nobody noticed')",
+    )
+    wait = "time.sleep(4 * interrupt.LOOK)"
+    code, out, err = child(60.0, wait, "say('in order')", "interrupt.answered()", wait, "hand()", work=work)
+    assert (code, out, err) == (0, "swallowed\ngoing on\nleaving\nin order\n", "")
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="the system has no timer that interrupts")
+def test_an_interrupt_that_became_another_error_is_on_its_way():
+    code, out, err = child(
+        60.0,
+        "try:",
+        "    raise SystemExit(7) from None",
+        "finally:",
+        "    time.sleep(4 * interrupt.LOOK)",
+        "    say('in order')",
+        "    interrupt.answered()",
+    )
+    assert (code, out, err) == (7, "leaving\nin order\n", "")
