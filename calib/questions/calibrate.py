@@ -70,6 +70,8 @@ class Calibration:
         out = [*judgement.identification.sentences()]
         if whole:
             out.append(f"Whole numbers, judged by how much worse their neighbours fit: {whole}.")
+        if not judgement.complete:
+            out.append("Not all neighbours of these whole numbers were tried: another combination may fit better.")
         out.append(judgement.sentence)
         if self.search_agreement is None:
             out.append(self.agreement.sentence)

@@ -189,7 +189,7 @@ class CaseFinder:
         if reduction is None:
             return fitted(self.study, self.exact, starts, refits, progress)
         near = fitted(self.study, RecordedResidual(reduction.problem, self.ledger), starts, refits, progress)
-        return fitted(self.study, self.exact, [near.values], 1, whole=near.whole)
+        return fitted(self.study, self.exact, [near.values], 1, before=near)
 
 
 def _as_it_is(outcome: Outcome) -> Outcome:

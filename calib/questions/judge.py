@@ -109,6 +109,8 @@ class Judgement:
     identification : Identification
     whole : mapping from str to float
         Standard deviations of whole-number parameters; empty without fits.
+    complete : bool
+        Whether the fit tried all neighbours of its whole numbers.
     predictions : DataFrame
         ``mode, natural_freq, std, lower, upper``.
     fit : FitResult or None
@@ -121,6 +123,7 @@ class Judgement:
     scatter_freedom: float
     identification: Identification
     whole: Mapping[str, float]
+    complete: bool
     predictions: pd.DataFrame
     fit: FitResult | None
 
@@ -148,24 +151,25 @@ def fitted(
     starts: Sequence[Mapping[str, float]],
     refits: int,
     progress: FitProgress = lambda start, fits, misfit: None,
-    whole: Mapping[str, float] | None = None,
+    before: Judgement | None = None,
 ) -> Judgement:
     """The best least-squares fit from several starts, with the study's limits, constraints and priors.
 
-    ``refits`` bounds the combinations of whole-number parameters tried from every start; ``whole`` is what an earlier
-    fit found about them, for a last one that tries no more of them.
+    ``refits`` bounds the combinations of whole-number parameters tried from every start; ``before`` is an earlier fit
+    that tried them, for a last one that tries no more.
     """
     space = study.search_space
     found: MixedResult = fit_mixed(residual, space, starts, refits=refits, progress=progress)
-    if whole is None:
-        profiles = {p.name: (p, found.profile(p.name)) for p in space.free if p.integer}
-        whole = {name: whole_number_std(*profile, p.value, p.prior_width) for name, (p, profile) in profiles.items()}
-    return _judged(study, residual, found.best.values, found.best, whole)
+    if before is not None:
+        return _judged(study, residual, found.best.values, found.best, before.whole, before.complete)
+    profiles = {p.name: (p, found.profile(p.name)) for p in space.free if p.integer}
+    whole = {name: whole_number_std(*profile, p.value, p.prior_width) for name, (p, profile) in profiles.items()}
+    return _judged(study, residual, found.best.values, found.best, whole, found.complete)
 
 
 def judged(study: Study, residual: RecordedResidual, values: Mapping[str, float]) -> Judgement:
     """What the data say about the parameters at given values, nothing fitted."""
-    return _judged(study, residual, dict(values), None, {})
+    return _judged(study, residual, dict(values), None, {}, True)
 
 
 def _judged(
@@ -174,6 +178,7 @@ def _judged(
     values: dict[str, float],
     fit: FitResult | None,
     whole: Mapping[str, float],
+    complete: bool,
 ) -> Judgement:
     space = study.search_space
     names = tuple(p.name for p in space.free if not p.integer)
@@ -187,5 +192,6 @@ def _judged(
     predictions = residual.predictions(values, names, identification.posterior.covariance)
     freedom = residual.degrees_of_freedom(len(space.free))
     return Judgement(
-        values, float(vector @ vector), freedom, residual.scatter_freedom, identification, whole, predictions, fit
-    )
+        values=values, misfit=float(vector @ vector), freedom=freedom, scatter_freedom=residual.scatter_freedom,
+        identification=identification, whole=whole, complete=complete, predictions=predictions, fit=fit,
+    )  # fmt: skip

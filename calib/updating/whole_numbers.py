@@ -35,6 +35,12 @@ class MixedResult:
     combinations: pd.DataFrame
     exhausted: tuple[int, ...]
 
+    @property
+    def complete(self) -> bool:
+        """Whether all neighbours of the best whole numbers were tried."""
+        best = int(self.combinations["misfit"].to_numpy().argmin())
+        return int(self.combinations["start"].to_numpy()[best]) not in self.exhausted
+
     def profile(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Whole numbers tried and the lowest misfit of each, the other whole numbers being free, both (n,)."""
         lowest = self.combinations.groupby(name)["misfit"].min()

@@ -42,6 +42,7 @@ def main() -> None:
     arguments.add_argument("what", choices=("run", "report"))
     arguments.add_argument("--of", choices=tuple(SUBJECTS), default="bogie", help="what is measured (default bogie)")
     arguments.add_argument("--runs", type=int, default=300, help="how many runs of the plan (default 300)")
+    arguments.add_argument("--skip", type=int, default=0, help="leave out so many runs at the beginning of the plan")
     arguments.add_argument("--workers", type=int, default=2)
     arguments.add_argument("--only", help="run only scenarios whose name begins so")
     arguments.add_argument("--folder", type=Path, help="where runs and bases are kept (default results/rates_...)")
@@ -60,7 +61,7 @@ def main() -> None:
     chosen = (
         (s, k) for s, k in plan(subject, world.study.candidates) if not given.only or s.name.startswith(given.only)
     )
-    wanted = [(s, k) for s, k in islice(chosen, given.runs) if (s.name, k) not in done]
+    wanted = [(s, k) for s, k in islice(chosen, given.skip, given.skip + given.runs) if (s.name, k) not in done]
     print(f"code {world.code}: {len(wanted)} of {given.runs} runs to make", flush=True)
     started = time.perf_counter()
     with file.open("a", encoding="utf-8") as out:

@@ -271,6 +271,7 @@ def test_two_whole_numbers_that_only_move_together():
 def test_refits_are_bounded_and_told():
     found = fit_mixed(Stations(), STATIONS, refits=4)
     assert len(found.combinations) == 4 and found.exhausted == (0,)
+    assert not found.complete and fit_mixed(Stations(), STATIONS).complete
 
 
 def test_in_fit_whole_numbers_stay():
