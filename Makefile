@@ -6,8 +6,9 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
-# Processes that share the fast tests; those of one file stay together, and so do their fixtures.
+# Processes that share the tests; those of one folder stay together, and so do their fixtures.
 TEST_WORKERS ?= 2
+TOGETHER := -n $(TEST_WORKERS) --dist loadgroup
 STUDIES := studies/four_storey_rig studies/bogie
 ONE_BLAS_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
@@ -42,10 +43,10 @@ run: $(VENV)/.installed
 	@echo; echo 'Figures and reports:'; find results \( -name '*.png' -o -name report.html \) -newer $(VENV)/.run-begun | sort
 
 test: $(VENV)/.installed-dev
-	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)
+	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest $(TOGETHER) $(PYTEST_ARGS)
 
 test-slow: $(VENV)/.installed-dev
-	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest -m slow $(TOGETHER) $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -1,6 +1,7 @@
 """What every test needs before numerical libraries are imported, and the independent codes some compare with."""
 
 import os
+from pathlib import Path
 from types import ModuleType
 
 # Small matrices are slower on several BLAS threads, and sums then depend on how many there are.
@@ -15,6 +16,14 @@ from hypothesis import settings
 # A busy machine makes any deadline fail; a submitted change must not fail by the luck of one draw.
 settings.register_profile("calib", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("calib")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give the tests of one folder to one process, so that what they share is made once."""
+    here = Path(__file__).parent
+    for item in items:
+        group = item.path.parent if item.path.parent != here else item.path
+        item.add_marker(pytest.mark.xdist_group(str(group.relative_to(here))))
 
 
 @pytest.fixture(scope="session")

@@ -235,9 +235,10 @@ class Frame:
         follow = np.eye(12)
         elements = np.flatnonzero(self.member_of == self.member_of[e])
         member = self.members[self.member_of[e]]
-        k = beam.stiffness(member.section, length)
-        for where, released in self._releases(member, len(elements)):
-            if e in elements[where]:
+        hinges = [released for where, released in self._releases(member, len(elements)) if e in elements[where]]
+        if hinges:
+            k = beam.stiffness(member.section, length)
+            for released in hinges:
                 t = beam.released_motion(k, released)
                 k = beam.congruent(k, t)
                 follow = follow @ t[0]

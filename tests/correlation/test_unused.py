@@ -52,7 +52,7 @@ def row(table, group):
 # -- noise alone -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("damped", [True, False])
+@pytest.mark.parametrize("damped", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_noise_alone_gives_the_expected_error_and_uniform_chances(build, twin, damped):
     names = NAMES if damped else ("k_along", "k_across", "mass")
     held = {"modes": ("M2", "M5"), "sensors": ("1x", "1y", "2x", "3y", "4x", "4y", "5x", "6x", "6y")}
@@ -84,7 +84,7 @@ def test_noise_alone_gives_the_expected_error_and_uniform_chances(build, twin, d
     assert row(table, "withheld_sensors")["expected"].mean() > 1.1
 
 
-@pytest.mark.parametrize("damped", [True, False])
+@pytest.mark.parametrize("damped", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_derivative_and_factor_spread_of_predicted_rows(build, twin, damped):
     model, data = measured(build, twin, damped, noise=0.0)
     fitted, whole = split(model, data)

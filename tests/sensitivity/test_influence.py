@@ -52,7 +52,7 @@ def test_an_even_influence_of_a_whole_number_parameter_is_found_where_correlatio
     assert found == 100 and missed >= 95
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.5])
+@pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 def test_inert_parameters_bound_to_an_active_one_are_not_found(draw, noise):
     """Per response the promise is 5 % of the tables; steep, even and product responses included."""
     false, active, tied = {}, {}, 0
