@@ -16,7 +16,7 @@ from typing import Protocol
 
 from threadpoolctl import threadpool_limits
 
-from calib import worker
+from calib import interrupt, worker
 from calib.errors import InputError
 from calib.outcome import TOOK_TOO_LONG, WORKER_DIED, Function, Outcome, attempt
 from calib.worker import Source
@@ -186,7 +186,7 @@ class Evaluator:
             self._board = worker.Board(context, self.workers)
             self._pool = ProcessPoolExecutor(self.workers, context, worker.start, (self.source, self._board))
         # Processes are started on demand, while a task is handed over.
-        with worker.environment():
+        with interrupt.held(), worker.environment():
             return self._pool.submit(task, number, dict(values))
 
     def _stop(self, at_once: bool) -> None:

@@ -6,10 +6,13 @@ that raises (NumPy does while it makes an array of strings), and the command wou
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
 import signal
 import sys
 import time
+from collections.abc import Iterator
 from types import FrameType
 
 CODE = 130
@@ -29,25 +32,37 @@ class _Press:
 
     def begin(self) -> None:
         self.raised_at: float | None = None
-        self.answered = False
+        self.answered = self.watching = self.held = self.waiting = False
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
-        if not self.answered and (self.raised_at is None or _lost()):
+        if self.held:
+            self.waiting = True
+            return
+        since = math.inf if self.raised_at is None else time.monotonic() - self.raised_at
+        if not self.answered and since > LOOK and _lost():
             self.raised_at = time.monotonic()
-            if hasattr(signal, "setitimer"):
-                signal.setitimer(signal.ITIMER_REAL, LOOK, LOOK)
+            self.watch()
             raise KeyboardInterrupt
-        if self.raised_at is not None and time.monotonic() - self.raised_at > PATIENCE:
+        if PATIENCE < since < math.inf:
             os.write(2, f"calib: {WORDS}\n".encode())
             os._exit(CODE)
 
+    def watch(self) -> None:
+        if not hasattr(signal, "setitimer"):
+            return
+        if signal.getsignal(signal.SIGALRM) is signal.SIG_DFL:
+            signal.signal(signal.SIGALRM, self.look)
+        if signal.getsignal(signal.SIGALRM) == self.look:  # and not the alarm of somebody's model
+            self.watching = True
+            signal.setitimer(signal.ITIMER_REAL, LOOK, LOOK)
+
     def look(self, number: int, frame: FrameType | None) -> None:
         if not self.answered and _lost():
-            signal.raise_signal(signal.SIGINT)  # not raised here: where interrupts are held back, it waits
+            signal.raise_signal(signal.SIGINT)
 
     def answer(self) -> None:
         self.answered = True
-        if self.raised_at is not None and hasattr(signal, "setitimer"):
+        if self.watching:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
@@ -65,8 +80,22 @@ def once() -> None:
         return
     _press.begin()
     signal.signal(signal.SIGINT, _press.interrupt)
-    if hasattr(signal, "SIGALRM"):
-        signal.signal(signal.SIGALRM, _press.look)
+
+
+@contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Something that must not be left half done: an interrupt that comes meanwhile is raised at its end.
+
+    Blocking the signal is not enough, because another thread of the process may take it.
+    """
+    _press.held = True
+    try:
+        yield
+    finally:
+        _press.held = False
+        if _press.waiting:
+            _press.waiting = False
+            signal.raise_signal(signal.SIGINT)
 
 
 def answered() -> None:

@@ -113,3 +113,8 @@ def test_an_interrupt_that_became_another_error_is_on_its_way():
         "    interrupt.answered()",
     )
     assert (code, out, err) == (7, "leaving\nin order\n", "")
+
+
+def test_an_interrupt_waits_for_what_must_not_be_left_half_done():
+    work = ("with interrupt.held():", "    hand(2)", "    say('whole')", "say('nobody noticed')")
+    assert child(60.0, "say('in order')", work=work) == (0, "whole\nleaving\nin order\n", "")
