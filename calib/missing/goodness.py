@@ -83,13 +83,15 @@ def noise_scale(modes: pd.DataFrame) -> float:
 
     What a model lacks spoils a few modes; a scatter that is stated too small spoils all of them alike. The factor is 1
     when the modes differ by more than chance once it is taken out, and NaN without shapes of at least 4 modes. The
-    median of chi-square variates lies 1.5 % below their mean.
+    median of chi-square variates lies 1.5 % below their mean; it is as uncertain as the mean of 2/pi times as many, so
+    that the ratio of a mode to it is about an F variate.
     """
     shapes = modes[(modes["kind"] == "shape") & (modes["freedom"] >= 5)]
     if len(shapes) < 4:
         return float("nan")
     chi2, freedom = shapes["chi2"].to_numpy(dtype=float), shapes["freedom"].to_numpy(dtype=float)
     square = float(np.median(chi2 / freedom) / 0.985)
-    tail = 2 * np.minimum(stats.chi2.sf(chi2 / square, freedom), stats.chi2.cdf(chi2 / square, freedom))
+    ratio = stats.f(freedom, 2 / np.pi * freedom.sum())
+    tail = 2 * np.minimum(ratio.sf(chi2 / freedom / square), ratio.cdf(chi2 / freedom / square))
     alike = float(tail.min()) * len(shapes) > _ALIKE
     return float(np.sqrt(square)) if alike or square < 1 else 1.0

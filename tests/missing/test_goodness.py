@@ -136,6 +136,14 @@ def test_the_common_factor_of_the_scatter(toy, noise):
     assert np.std(found) < 0.06 * noise
 
 
+@pytest.mark.parametrize(("modes", "freedom"), [(5, 60), (8, 20), (10, 62)])
+def test_modes_that_share_a_factor_seldom_look_different(modes, freedom):
+    rng = np.random.default_rng(11)
+    table = pd.DataFrame({"kind": "shape", "freedom": float(freedom), "chi2": np.nan}, index=range(modes))
+    found = [noise_scale(table.assign(chi2=4.0 * rng.chisquare(freedom, modes))) for _ in range(3000)]
+    assert 0.001 < np.mean(np.array(found) == 1.0) < 0.01
+
+
 def test_one_spoiled_mode_does_not_raise_the_factor(toy):
     toy = toy(modes=9, sensors=30).drawn(np.random.default_rng(8))
     state = toy.calibrated()
