@@ -133,7 +133,7 @@ def test_unknown_masses_are_reported_as_not_separable(tmp_path, capsys):
     assert not pd.read_csv(folder / "parameters.csv")["identified"].any()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_bogie_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
     """GB1-GB4 whole, four times 7,500 individuals, and least squares after each."""
     assert cli.answer(["run", str(ROOT / "studies/bogie"), "--results", str(tmp_path)]) == 0
