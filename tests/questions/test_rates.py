@@ -126,6 +126,6 @@ def test_the_first_runs_of_the_plan_keep_the_required_rates(bench, world):
     assert not [row for row in rows if row["outcome"] == "failed"]
     for rate in bench["rates_table"].rates(rows):
         if rate.n:
-            # Nearly twenty criteria are judged, some by a single run, which may be the hundredth that is allowed to fail.
+            # Nearly twenty criteria are judged, some by a single run: it may be the one in a hundred that is allowed.
             assert bench["rates_table"].chance_of(rate) > 0.005, rate
     assert sum(bench["rates_table"].wrong(row) for row in rows) <= 2
