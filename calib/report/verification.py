@@ -259,7 +259,7 @@ def _error_words(rms: float, p: float) -> str:
     if np.isnan(rms):
         return ""
     chance = "" if np.isnan(p) else "\np < 0.001" if p < 1e-3 else f"\np = {p:.2g}"
-    return f"{rms:#.3g}{chance}"
+    return f"{rms:.2f}{chance}" if rms < 10 else f"{rms:.3g}{chance}"
 
 
 def _option_handles(rows: pd.DataFrame) -> list[Artist]:

@@ -42,7 +42,7 @@ def test_bars_are_the_errors_of_the_groups_there_are(errors):
     assert labels(ax.get_xticklabels()) == ["used in the fit", "withheld sensors"]
     np.testing.assert_array_equal([b.get_height() for b in bars(ax, "before")], [4.0, 2.0])
     np.testing.assert_array_equal([b.get_height() for b in bars(ax, "after")], [0.9, 1.0])
-    assert labels(ax.texts) == ["4\np < 0.001", "2\np < 0.001", "0.9", "1\np = 0.4"]
+    assert labels(ax.texts) == ["4.00\np < 0.001", "2.00\np < 0.001", "0.90", "1.00\np = 0.4"]
     assert ax.get_yscale() == "linear" and ax.get_ylim()[0] == 0.0
 
 
