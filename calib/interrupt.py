@@ -7,7 +7,6 @@ that raises (NumPy does while it makes an array of strings), and the command wou
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import signal
 import sys
@@ -38,12 +37,12 @@ class _Press:
         if self.held:
             self.waiting = True
             return
-        since = math.inf if self.raised_at is None else time.monotonic() - self.raised_at
-        if not self.answered and since > LOOK and _lost():
+        since = None if self.raised_at is None else time.monotonic() - self.raised_at
+        if not self.answered and (since is None or (since > LOOK and _lost())):
             self.raised_at = time.monotonic()
             self.watch()
             raise KeyboardInterrupt
-        if PATIENCE < since < math.inf:
+        if since is not None and since > PATIENCE:
             os.write(2, f"calib: {WORDS}\n".encode())
             os._exit(CODE)
 
