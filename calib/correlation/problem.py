@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.correlation.compare import Comparison
 from calib.correlation.energy import emac
-from calib.correlation.pairing import check_override, in_window, pair_by_order, pair_by_shape
+from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
@@ -152,31 +152,62 @@ class ModalProblem:
             raise EvaluationError(
                 f"the model {self.model.name} has only {modes.n_modes} vibration modes, {self.mode_count} were asked"
             )
-        names, shape = self.measured.names, (self.measured.n_modes, modes.n_modes)
         sensor_shapes = self.sensor_rows @ modes.shapes
         if self.measured.has_shapes:
-            mac_matrix = mac(self.measured.shapes, sensor_shapes)
-            emac_matrix = emac(mac_matrix, self._shares(complete, modes))
-            pairing = pair_by_shape(
-                mac_matrix,
-                emac_matrix,
-                names,
-                threshold=self.threshold,
-                candidates=in_window(modes.natural_freq, self.freq_window),
-                override=self.override,
-            )
+            shares = self.energy_shares(complete, modes)
+            pairing, mac_matrix, emac_matrix = self.pair(self.measured.shapes, sensor_shapes, shares, modes)
         else:
+            shape = (self.measured.n_modes, modes.n_modes)
             mac_matrix, emac_matrix = np.full(shape, np.nan), np.full(shape, np.nan)
             pairing = pair_by_order(
                 self.measured.natural_freq,
                 modes.natural_freq,
-                names,
+                self.measured.names,
                 window=self.freq_window,
                 override=self.override,
             )
         return Comparison(self.model, self.measured, complete, modes, pairing, mac_matrix, emac_matrix, sensor_shapes)
 
-    def _shares(self, values: Mapping[str, float], modes: Modes) -> np.ndarray:
+    def pair(
+        self,
+        shapes: np.ndarray,
+        sensor_shapes: np.ndarray,
+        shares: np.ndarray,
+        modes: Modes,
+        threshold: float | None = None,
+    ) -> tuple[Pairing, np.ndarray, np.ndarray]:
+        """Partners of measured shapes among modes of the model.
+
+        Parameters
+        ----------
+        shapes : ndarray (n_sensors, n_measured)
+            Of the measured modes; NaN where not measured.
+        sensor_shapes : ndarray (n_sensors, n_model)
+            Of the model.
+        shares : ndarray (n_measured, n_model)
+            From `energy_shares`.
+        modes : Modes
+        threshold : float, optional
+            Instead of the problem's own.
+
+        Returns
+        -------
+        pairing : Pairing
+        mac, emac : ndarray (n_measured, n_model)
+        """
+        mac_matrix = mac(shapes, sensor_shapes)
+        emac_matrix = emac(mac_matrix, shares)
+        pairing = pair_by_shape(
+            mac_matrix,
+            emac_matrix,
+            self.measured.names,
+            threshold=self.threshold if threshold is None else threshold,
+            candidates=in_window(modes.natural_freq, self.freq_window),
+            override=self.override,
+        )
+        return pairing, mac_matrix, emac_matrix
+
+    def energy_shares(self, values: Mapping[str, float], modes: Modes) -> np.ndarray:
         """Share of every model mode's strain energy that counts for every measured mode, (n_measured, n_modes)."""
         named = tuple(dict.fromkeys(name for clusters in self.mode_clusters.values() for name in clusters))
         shares = self.model.energy_shares(values, modes.shapes, named)

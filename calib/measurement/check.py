@@ -158,14 +158,16 @@ class _Shapes:
 
     def after(self, operations: Sequence[Operation]) -> _Shapes:
         """Shapes with corrections made; no sensor takes part in two of them."""
-        a, seen = self.a.copy(), self.seen.copy()
-        for rows in operations:
-            if len(rows) == 1:
-                a[rows[0]] = -a[rows[0]]
-            else:
-                pair, turned = list(rows), list(rows[::-1])
-                a[pair], seen[pair] = a[turned], seen[turned]
-        return _Shapes(a, self.b, seen)
+        exchanged = [rows for rows in operations if len(rows) > 1]
+        return _Shapes(corrected(self.a, operations), self.b, corrected(self.seen, exchanged))
+
+
+def corrected(shapes: np.ndarray, operations: Sequence[Operation]) -> np.ndarray:
+    """Shapes (n_sensors, n_modes) with rows turned round or exchanged; no row takes part in two corrections."""
+    out = shapes.copy()
+    for rows in operations:
+        out[list(rows)] = -out[list(rows)] if len(rows) == 1 else out[list(rows[::-1])]
+    return out
 
 
 def _mac(product: np.ndarray, size_a: np.ndarray, size_b: np.ndarray) -> np.ndarray:
@@ -176,19 +178,27 @@ def _mac(product: np.ndarray, size_a: np.ndarray, size_b: np.ndarray) -> np.ndar
 def _dead(a: np.ndarray, b: np.ndarray, seen: np.ndarray) -> tuple[list[int], list[str]]:
     """Rows that do not move, or show one and the same value, while the model's do; columns scaled to a modulus of 1."""
     rows, kinds = [], []
+    for k, kind in silent_rows(a, seen).items():
+        motion = np.abs(b[k, seen[k]])
+        if motion.max() > DEAD_MODEL and (kind == "zero" or np.ptp(motion) > DEAD_MODEL):
+            rows.append(k)
+            kinds.append(kind)
+    return rows, kinds
+
+
+def silent_rows(a: np.ndarray, seen: np.ndarray) -> dict[int, str]:
+    """Rows that are ``zero`` or ``constant`` in all modes, as no moving sensor is; columns scaled to a modulus of 1."""
+    out = {}
     for k in range(len(a)):
-        mine, theirs = a[k, seen[k]], b[k, seen[k]]
-        if len(mine) < 2 or np.abs(theirs).max() <= DEAD_MODEL:
+        mine = a[k, seen[k]]
+        if len(mine) < 2:
             continue
         if np.abs(mine).max() < DEAD_MEASURED:
-            rows.append(k)
-            kinds.append("zero")
+            out[k] = "zero"
         # two equal values are a coincidence, and the point to which shapes are scaled is 1 in every mode
         elif len(mine) > 2 and np.abs(mine[0]) < 0.999 and np.abs(mine - mine[0]).max() < 1e-9 * np.abs(mine[0]):
-            if np.ptp(np.abs(theirs)) > DEAD_MODEL:
-                rows.append(k)
-                kinds.append("constant")
-    return rows, kinds
+            out[k] = "constant"
+    return out
 
 
 def _search(start: _Shapes) -> list[Operation]:
@@ -266,19 +276,28 @@ def _evidence(without: _Shapes, corrected: _Shapes) -> tuple[float, bool]:
     """Log-likelihood ratio of one correction, the others being made, and whether it stands."""
     n_sensors = len(corrected.a)
     gain = corrected.mac - without.mac
-    spread, spread_without = (max(1.0 - s.mean_mac, RESIDUAL_LEAST) for s in (corrected, without))
-    # every mode has lost one degree of freedom to its factor
-    evidence = (n_sensors - 1) * len(gain) / 2 * math.log(spread_without / spread)
-    elsewhere = (n_sensors - 1) * (gain.sum() - gain.max()) / (2 * spread)
-    hypotheses = n_sensors * (n_sensors + 1) / 2
+    evidence = log_likelihood_ratio(n_sensors, len(gain), without.mean_mac, corrected.mean_mac)
+    elsewhere = (n_sensors - 1) * (gain.sum() - gain.max()) / (2 * max(1.0 - corrected.mean_mac, RESIDUAL_LEAST))
     lost, won = -gain[gain < 0].sum(), gain[gain > 0].sum()
     stands = (
-        evidence >= EVIDENCE_LEAST + math.log(hypotheses)
+        evidence >= evidence_asked(n_sensors)
         and elsewhere >= EVIDENCE_ELSEWHERE
         and lost <= AGAINST_MOST * won
         and corrected.mean_mac - without.mean_mac >= GAIN_LEAST
     )
     return evidence, bool(stands)
+
+
+def log_likelihood_ratio(n_sensors: int, n_modes: int, without: float, corrected: float) -> float:
+    """Evidence for a correction, from the mean MAC without and with it; see `check_sensors`."""
+    spread, spread_without = (max(1.0 - m, RESIDUAL_LEAST) for m in (corrected, without))
+    # every mode has lost one degree of freedom to its factor
+    return (n_sensors - 1) * n_modes / 2 * math.log(spread_without / spread)
+
+
+def evidence_asked(n_sensors: int) -> float:
+    """Log-likelihood ratio that one correction needs, the number of hypotheses counted in."""
+    return EVIDENCE_LEAST + math.log(n_sensors * (n_sensors + 1) / 2)
 
 
 def _sentence(before: _Shapes, after: _Shapes, rows: Operation, names: tuple[str, ...]) -> str:

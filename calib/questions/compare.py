@@ -11,8 +11,9 @@ import pandas as pd
 from calib.correlation.compare import Comparison
 from calib.correlation.mesh import elements_table, points_table
 from calib.correlation.problem import FunctionProblem
+from calib.correlation.sensors import suspicious_sensors
 from calib.errors import EvaluationError, InputError
-from calib.measurement.check import SensorFinding, check_sensors
+from calib.measurement.check import SensorFinding
 from calib.outcome import attempt
 from calib.questions.record import write_record
 from calib.results import Results
@@ -74,19 +75,13 @@ def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
         return _plain_answer(study.problem, values)
     comparison = study.problem.compare(values)
     table = comparison.comparison_table()
-    paired = comparison.pairing.paired
-    findings: tuple[SensorFinding, ...] = ()
-    if comparison.measured.has_shapes:
-        model_shapes = comparison.sensor_shapes[:, comparison.pairing.model_index[paired]]
-        names = [s.name for s in comparison.measured.sensors]
-        findings = check_sensors(comparison.measured.shapes[:, paired], model_shapes, names)
     return Answer(
         table=table,
         mean_freq_error=_mean(table["freq_error"].abs()),
         mean_mac=_mean(table["mac"]),
         noise_mac=_mean(pd.Series(comparison.noise_mac())),
         comparison=comparison,
-        findings=findings,
+        findings=suspicious_sensors(study.problem, comparison),
         chosen=study.problem.override,
     )
 

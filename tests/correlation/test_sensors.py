@@ -1,0 +1,111 @@
+"""Sensors that break the very pairs by which they would be found."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.correlation.problem import ModalProblem
+from calib.correlation.sensors import suspicious_sensors
+from calib.example import write_example
+from calib.measurement.modal import MeasuredModes, Sensor
+from calib.study import Study
+
+STUDIES = Path(__file__).resolve().parents[2] / "studies"
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """The problem of the example that ``calib new`` writes, at its nominal values."""
+    folder = tmp_path_factory.mktemp("example") / "mast"
+    write_example(folder)
+    study = Study.load(folder)
+    return study.problem, study.model.space.values
+
+
+def found_with(example, change):
+    """Pairing and findings when the measured shapes are changed."""
+    problem, values = example
+    names = [s.name for s in problem.measured.sensors]
+    shapes = change(problem.measured.shapes.copy(), names)
+    changed = replace(problem, measured=replace(problem.measured, shapes=shapes))
+    found = changed.compare(values)
+    return found.pairing, [(f.kind, set(f.sensors)) for f in suspicious_sensors(changed, found)]
+
+
+def turned(*sensors):
+    def change(shapes, names):
+        shapes[[names.index(s) for s in sensors]] *= -1
+        return shapes
+
+    return change
+
+
+def test_the_example_as_it_is_accuses_nobody(example):
+    pairing, findings = found_with(example, turned())
+    assert not len(pairing.unpaired_measured) and findings == []
+
+
+@pytest.mark.parametrize("sensor", ["2x", "2z", "3x", "4x", "4z"])
+def test_a_turned_sensor_is_named_though_it_breaks_a_pair(example, sensor):
+    assert found_with(example, turned(sensor))[1] == [("flipped", {sensor})]
+
+
+def test_the_pair_of_the_second_mode_is_indeed_broken(example):
+    assert found_with(example, turned("2x"))[0].unpaired_measured.tolist() == [2]
+
+
+def test_exchanged_sensors_are_named_though_they_exchange_partners(example):
+    def exchanged(shapes, names):
+        a, b = names.index("1x"), names.index("4x")
+        shapes[[a, b]] = shapes[[b, a]]
+        return shapes
+
+    pairing, findings = found_with(example, exchanged)
+    assert pairing.model_index.tolist() == [3, 0, 1, 2] and findings == [("swapped", {"1x", "4x"})]
+
+
+def test_a_dead_and_a_turned_sensor_are_both_named(example):
+    def change(shapes, names):
+        shapes[names.index("3x")] = 0.0
+        return turned("2x")(shapes, names)
+
+    pairing, findings = found_with(example, change)
+    assert len(pairing.unpaired_measured)
+    assert findings == [("dead", {"3x"}), ("flipped", {"2x"})]
+
+
+def test_a_mode_that_the_model_lacks_accuses_nobody(example):
+    """An unpaired mode whose shape the model does not have is the model's affair."""
+    rng = np.random.default_rng(3)
+
+    def foreign(shapes, names):
+        shapes[:, 2] = rng.normal(size=len(names))
+        return shapes
+
+    for _ in range(40):
+        assert found_with(example, foreign)[1] == []
+
+
+@pytest.mark.parametrize("name", ["bogie", "hidden_bogie"])
+def test_the_shipped_measurements_accuse_nobody(name):
+    study = Study.load(STUDIES / name)
+    found = study.problem.compare(study.model.space.values)
+    assert suspicious_sensors(study.problem, found) == ()
+
+
+def test_shapes_that_have_nothing_in_common_accuse_hardly_anyone(build):
+    model, rng, accused = build(), np.random.default_rng(4), 0
+    sensors = tuple(Sensor(k + 1, d, (float(k), 0.0, 0.0)) for k in range(3) for d in "xy")
+    freq = model.modes(model.space.values, 5).natural_freq
+    nothing = np.full(5, np.nan)
+    for _ in range(100):
+        shapes = rng.normal(size=(6, 5)).astype(complex)
+        shapes /= np.abs(shapes).max(axis=0)
+        measured = MeasuredModes(
+            ("a", "b", "c", "d", "e"), freq, freq, nothing, nothing, nothing, sensors, shapes, np.full((6, 5), np.nan)
+        )
+        problem = ModalProblem(model, measured, mode_count=8)
+        accused += bool(suspicious_sensors(problem, problem.compare(model.space.values)))
+    assert accused <= 1
