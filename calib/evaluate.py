@@ -8,7 +8,7 @@ import multiprocessing
 import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
@@ -21,6 +21,13 @@ from calib.errors import InputError
 from calib.outcome import TOOK_TOO_LONG, WORKER_DIED, Function, Outcome, attempt
 from calib.worker import Source
 
+Arrived = Callable[[Outcome], None]
+"""Told every outcome as soon as it is there, in whatever order that is."""
+
+
+def _unheard(outcome: Outcome) -> None:
+    pass
+
 
 class BatchEvaluator(Protocol):
     """Anything that evaluates batches; `Evaluator` is the one used outside tests."""
@@ -30,8 +37,8 @@ class BatchEvaluator(Protocol):
         """Worker processes; 1 evaluates in this process."""
         ...
 
-    def evaluate(self, points: Sequence[Mapping[str, float]]) -> list[Outcome]:
-        """Outcomes in the order of the points."""
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = _unheard) -> list[Outcome]:
+        """Outcomes in the order of the points, each also told to ``arrived`` as soon as it is there."""
         ...
 
 
@@ -84,13 +91,15 @@ class Evaluator:
         """End the worker processes."""
         self._stop(at_once=False)
 
-    def evaluate(self, points: Sequence[Mapping[str, float]]) -> list[Outcome]:
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = _unheard) -> list[Outcome]:
         """Evaluate a batch.
 
         Parameters
         ----------
         points : sequence of mapping
             Named values.
+        arrived : callable
+            Told every outcome as soon as it is there, so that a stop loses no more than what is under way.
 
         Returns
         -------
@@ -107,46 +116,58 @@ class Evaluator:
         if not points:
             return []
         if self.workers == 1:
-            return self._serial(points)
+            return self._serial(points, arrived)
         try:
-            return self._parallel(points)
+            return self._parallel(points, arrived)
         except BaseException:  # also the keyboard's: no process may stay behind
             self._stop(at_once=True)
             raise
 
     # -- in this process -----------------------------------------------------------------------------------------------
 
-    def _serial(self, points: Sequence[Mapping[str, float]]) -> list[Outcome]:
+    def _serial(self, points: Sequence[Mapping[str, float]], arrived: Arrived) -> list[Outcome]:
         if self._function is None:
             self._function = self.source()
+        outcomes = []
         # Sums of multi-threaded libraries depend on the number of threads.
         with threadpool_limits(1):
-            return [attempt(self._function, values) for values in points]
+            for values in points:
+                outcomes.append(attempt(self._function, values))
+                arrived(outcomes[-1])
+        return outcomes
 
     # -- in worker processes -------------------------------------------------------------------------------------------
 
-    def _parallel(self, points: Sequence[Mapping[str, float]]) -> list[Outcome]:
+    def _parallel(self, points: Sequence[Mapping[str, float]], arrived: Arrived) -> list[Outcome]:
         outcomes: list[Outcome | None] = [None] * len(points)
-        while self._round(points, outcomes):
+        while self._round(points, outcomes, arrived):
             pass
-        return [self._alone(v) if o is None else o for v, o in zip(points, outcomes, strict=True)]
+        return [self._alone(v, arrived) if o is None else o for v, o in zip(points, outcomes, strict=True)]
 
-    def _round(self, points: Sequence[Mapping[str, float]], outcomes: list[Outcome | None]) -> bool:
+    def _round(self, points: Sequence[Mapping[str, float]], outcomes: list[Outcome | None], arrived: Arrived) -> bool:
         """Fill in the missing outcomes; True when that was cut short by a point that took too long."""
-        futures: dict[int, Future[Outcome | Exception]] = {}
+        numbers: dict[Future[Outcome | Exception], int] = {}
         late: dict[int, float] = {}
+
+        def known(k: int, outcome: Outcome) -> None:
+            outcomes[k] = outcome
+            arrived(outcome)
+
         with contextlib.suppress(BrokenProcessPool):
             for k in [k for k, outcome in enumerate(outcomes) if outcome is None]:
-                futures[k] = self._submit(worker.work, k, points[k])
-        for k, future in futures.items():
-            while not late and not wait_for([future], timeout=self._patience()).done:
-                late = self._late()
-                if late:
-                    self._stop(at_once=True)
-            with contextlib.suppress(BrokenProcessPool, CancelledError):
-                outcomes[k] = _opened(future.result())
+                numbers[self._submit(worker.work, k, points[k])] = k
+        waiting = set(numbers)
+        while waiting:
+            done, waiting = wait_for(waiting, timeout=self._patience(), return_when=FIRST_COMPLETED)
+            late = self._late() if waiting else {}
+            if late:
+                self._stop(at_once=True)  # by which the others are over, too
+                done, waiting = done | waiting, set()
+            for future in sorted(done, key=numbers.__getitem__):
+                with contextlib.suppress(BrokenProcessPool, CancelledError):
+                    known(numbers[future], _opened(future.result()))
         for k in [k for k in late if outcomes[k] is None]:
-            outcomes[k] = _failed(points[k], f"{TOOK_TOO_LONG} {self.time_limit:g} s", late[k])
+            known(k, _failed(points[k], f"{TOOK_TOO_LONG} {self.time_limit:g} s", late[k]))
         if not late and any(outcome is None for outcome in outcomes):
             self._stop(at_once=True)
         return bool(late)
@@ -158,7 +179,7 @@ class Evaluator:
     def _late(self) -> dict[int, float]:
         return {} if self._board is None or self.time_limit is None else self._board.late(self.time_limit)
 
-    def _alone(self, values: Mapping[str, float]) -> Outcome:
+    def _alone(self, values: Mapping[str, float], arrived: Arrived) -> Outcome:
         """Evaluate one point with nothing else under way, so that a dying process is this point's doing."""
         if self._pool is None:
             try:
@@ -170,9 +191,12 @@ class Evaluator:
                     remedy="use one worker to see why; a script of your own must guard its main part",
                 ) from None
         started = time.perf_counter()
-        outcome: list[Outcome | None] = [None]
-        self._round([values], outcome)
-        return outcome[0] or _failed(values, WORKER_DIED, time.perf_counter() - started)
+        outcomes: list[Outcome | None] = [None]
+        self._round([values], outcomes, arrived)
+        if (outcome := outcomes[0]) is None:
+            outcome = _failed(values, WORKER_DIED, time.perf_counter() - started)
+            arrived(outcome)
+        return outcome
 
     def _submit(
         self,

@@ -227,7 +227,9 @@ class Ledger:
     def evaluate(
         self, fingerprint: str, points: Sequence[Mapping[str, float]], evaluator: BatchEvaluator
     ) -> list[Outcome]:
-        """Outcomes of a batch in the order of the points; what is not known is evaluated as one batch and added.
+        """Outcomes of a batch in the order of the points; what is not known is evaluated as one batch.
+
+        Each outcome is added as soon as it is there: a stop, however rude, loses no more than what is under way.
 
         A failure is not tried again, with one exception: where a worker process died or memory ran out, the point is
         tried once more each time the ledger is opened, if worker processes are used (in this process such a point could
@@ -239,8 +241,7 @@ class Ledger:
             known = {k: o for k, o in known.items() if not o.transient or (fingerprint, k) in self._tried}
         new = {key: values for key, values in zip(keys, points, strict=True) if key not in known}
         if new:
-            outcomes = evaluator.evaluate(list(new.values()))
-            self.append(fingerprint, outcomes)
+            outcomes = evaluator.evaluate(list(new.values()), lambda outcome: self.append(fingerprint, [outcome]))
             known |= dict(zip(new, outcomes, strict=True))
         return [known[key] for key in keys]
 

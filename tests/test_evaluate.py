@@ -173,6 +173,27 @@ def test_workers_change_nothing(source, monkeypatch):
     assert [o.status for o in serial[13:]] == ["failed", "failed", "failed", "ok"]
 
 
+@pytest.mark.parametrize(("workers", "xs"), [(1, (0.1, -1, -5, 0.3)), (2, (0.1, -6, -4, 0.2, -1, 0.3))])
+def test_every_outcome_is_told_once(source, workers, xs):
+    told = []
+    with Evaluator(source(), workers, time_limit=2.0) as evaluator:
+        outcomes = evaluator.evaluate(points(*xs), told.append)
+    assert sorted(told, key=lambda o: o.values["x"]) == sorted(outcomes, key=lambda o: o.values["x"])
+    assert [o.values["x"] for o in outcomes] == list(xs)
+
+
+def test_an_outcome_is_told_before_the_next_one_is_asked():
+    asked, told = [], []
+
+    def function(values):
+        assert len(told) == len(asked)
+        asked.append(values["x"])
+        return {"y": 0.0}
+
+    with Evaluator(lambda: function) as evaluator:
+        assert {o.status for o in evaluator.evaluate(points(1, 2, 3), told.append)} == {"ok"}
+
+
 def test_workers_inherit_one_thread_and_the_environment_is_restored(source, monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     monkeypatch.delenv("BLIS_NUM_THREADS", raising=False)

@@ -34,9 +34,12 @@ class Counting:
     def __init__(self, workers=1, **answers):
         self.workers, self.answers, self.batches = workers, answers, []
 
-    def evaluate(self, points):
+    def evaluate(self, points, arrived=lambda outcome: None):
         self.batches.append([p["x"] for p in points])
-        return [self.answers.get(f"x{p['x']:g}", ok(**p)) for p in points]
+        outcomes = [self.answers.get(f"x{p['x']:g}", ok(**p)) for p in points]
+        for outcome in outcomes[::-1]:  # they arrive in whatever order
+            arrived(outcome)
+        return outcomes
 
 
 # -- evaluations -------------------------------------------------------------------------------------------------------

@@ -139,3 +139,45 @@ def test_two_runs_at_once_on_one_ledger(mast, runner, left, whole):
     runs = [runner.fork("calibrate", "mast", "--workers", "1") for _ in range(2)]
     assert [run.wait() for run in runs] == [0, 0], [run.err for run in runs]
     assert left(FOLDER) == whole[0]
+
+
+SLOWLY = """
+import time
+from pathlib import Path
+
+def answer(values):
+    time.sleep(0.1)
+    with Path("answered").open("a") as stream:
+        stream.write("one\\n")
+    return {"y": values["a"] + values["b"], "z": values["a"]}
+"""
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_stop_loses_only_what_is_under_way(plain, runner, rows, sign, workers):
+    plain(SLOWLY)
+    log, ledger = Path("answered"), Path("results/plain/ledger.sqlite")
+
+    def answered() -> int:
+        return len(log.read_text().split()) if log.exists() else 0
+
+    run = runner.fork("sensitivity", "plain", "--workers", str(workers), "--quick")
+    run.until(lambda: answered() >= 7)
+    before = answered()  # what was answered by now has come home when the next ones are under way
+    run.until(lambda: answered() >= before + workers)
+    run.send(sign, everybody=sign == signal.SIGINT)
+    run.wait()
+    assert run.code == (130 if sign == signal.SIGINT else -sign)
+    assert len(rows(ledger)[0]) >= before
+    assert run.nobody_left()
+    kept, asked = len(rows(ledger)[0]), answered()
+    again = runner.fork("sensitivity", "plain", "--workers", "2", "--quick")
+    assert again.wait() == 0, again.err
+    found = rows(ledger)[0]
+    assert answered() - asked <= len(found) - kept + 2  # and two at most to see whether the model is the same
+    once = runner.fork("sensitivity", "plain", "--workers", "1", "--quick", "--results", "whole")
+    assert once.wait() == 0, once.err
+    folders = Path("results/plain/quick"), Path("whole/plain/quick")
+    tables = [{p.name: p.read_bytes() for p in folder.glob("*.csv")} for folder in folders]
+    assert tables[0] == tables[1]

@@ -45,11 +45,16 @@ class Serial:
     def __init__(self, function: Callable[[Mapping[str, float]], Mapping[str, float]] = model, pause: float = 0.0):
         self.function, self.pause, self.points, self.batches = function, pause, [], 0
 
-    def evaluate(self, points: Sequence[Mapping[str, float]]) -> list[Outcome]:
+    def evaluate(
+        self, points: Sequence[Mapping[str, float]], arrived: Callable[[Outcome], None] = lambda outcome: None
+    ) -> list[Outcome]:
         self.points += [dict(p) for p in points]
         self.batches += 1
         time.sleep(self.pause)
-        return [attempt(self.function, p) for p in points]
+        outcomes = [attempt(self.function, p) for p in points]
+        for outcome in outcomes:
+            arrived(outcome)
+        return outcomes
 
 
 @dataclass(frozen=True)

@@ -140,9 +140,12 @@ def test_a_failure_of_the_machine_is_mended_by_the_next_run(tmp_path, uninterrup
     class Unlucky(search.evaluator):
         workers = 2
 
-        def evaluate(self, points):
+        def evaluate(self, points, arrived):
             given = super().evaluate(points)
-            return [Outcome(o.values, "failed", {}, WORKER_DIED) if k == 3 else o for k, o in enumerate(given)]
+            told = [Outcome(o.values, "failed", {}, WORKER_DIED) if k == 3 else o for k, o in enumerate(given)]
+            for outcome in told:
+                arrived(outcome)
+            return told
 
     path = tmp_path / "ledger.sqlite"
     unlucky = search_all(search, path, Unlucky())
