@@ -22,6 +22,7 @@ from calib.questions.compare import Answer
 from calib.questions.explain import Explanation
 from calib.questions.extend import Extension
 from calib.questions.places import is_modal
+from calib.questions.record import assumptions_table
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
@@ -101,7 +102,7 @@ def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
             for r in worst.to_dict("records")
         ]
         _table(("kind", "what", "value", "in units of scatter", "verdict"), rows)
-    assumed = pd.read_csv(folder.path / "assumptions.csv", keep_default_na=False)
+    assumed = assumptions_table(study)
     if len(assumed):
         where = folder.path / "assumptions.csv"
         say(f"\nAssumed, not published ({_count(len(assumed), 'item')}; the reasons are in {where}):")

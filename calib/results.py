@@ -16,6 +16,7 @@ from typing import Any
 import pandas as pd
 
 from calib.errors import InputError
+from calib.table import guarded_table
 
 _REMEDY = "choose another place with --results DIR, or free the folder"
 DRAFT = ".part"
@@ -51,8 +52,8 @@ class Results:
         return Results(path)
 
     def write_table(self, name: str, table: pd.DataFrame, index: bool = False) -> Path:
-        """Write ``name.csv``; floats keep ten digits. InputError when it cannot be written."""
-        return self._write(f"{name}.csv", table.to_csv(index=index, float_format="%.10g"))
+        """Write ``name.csv`` for `calib.table.read_table`; floats keep ten digits. InputError when it cannot be."""
+        return self._write(f"{name}.csv", guarded_table(table).to_csv(index=index, float_format="%.10g"))
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
         """Write ``name.json``; missing numbers become null. InputError when it cannot be written."""

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-
-import pandas as pd
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.effect import Effect
@@ -17,6 +14,7 @@ from calib.errors import InputError
 from calib.function import FunctionModel
 from calib.limits import search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, with_effects
+from calib.measurement.csv_format import read_responses_csv
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_measurement
 from calib.settings import StudySettings, line_of, read_settings
@@ -247,7 +245,7 @@ class _Reader:
                 f"the model {model.name!r} is compared with measured {words}", place=self.place("measurement")
             )
         if given.responses:
-            return None, read_targets(self._path(given.responses, "measurement", "responses"))
+            return None, read_responses_csv(self._path(given.responses, "measurement", "responses"))
         measured = read_measurement(
             [self._path(f, "measurement", "files") for f in given.files],
             shape_files=[self._path(f, "measurement", "shapes") for f in given.shapes],
@@ -326,32 +324,3 @@ class _Reader:
         where = fault.place if fault.place and fault.place.startswith("sensor") else None
         place = f"{self.file}, {where}" if where else self.place("pairing")
         return InputError(fault.problem, place=place, remedy=fault.remedy)
-
-
-def read_targets(path: Path) -> dict[str, tuple[float, float | None]]:
-    """Measured plain responses from a CSV with the columns ``response, value, std`` (std may be empty)."""
-    try:
-        table = pd.read_csv(path, comment="#", skipinitialspace=True)
-    except (ValueError, UnicodeDecodeError, OSError) as fault:
-        raise InputError(f"it is not a readable CSV table ({fault})", place=path) from None
-    unknown = [c for c in table.columns if c not in ("response", "value", "std")]
-    if unknown or not {"response", "value"} <= set(table.columns):
-        raise InputError(
-            f"its columns are {', '.join(map(str, table.columns))}", place=path, remedy="use response, value, std"
-        )
-    if table.empty:
-        raise InputError("it holds no response", place=path)
-    out: dict[str, tuple[float, float | None]] = {}
-    for row in table.to_dict("records"):
-        name = str(row["response"])
-        try:
-            value = float(row["value"])
-            std = float(row.get("std", math.nan))
-        except (TypeError, ValueError):
-            raise InputError(f"response {name!r} has an entry that is no number", place=path) from None
-        if not math.isfinite(value) or (math.isfinite(std) and std < 0) or name in out:
-            raise InputError(
-                f"response {name!r} is repeated, not finite or has a negative std", place=path, remedy="mend its row"
-            )
-        out[name] = (value, std if math.isfinite(std) else None)
-    return out

@@ -1,12 +1,9 @@
-"""Modes, shapes and sensor places from CSV tables, read strictly: mistakes are refused by line and column."""
+"""Modes, shapes, sensor places and plain responses from CSV tables; mistakes are refused by line and column."""
 
 from __future__ import annotations
 
-import csv
 import math
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,134 +11,14 @@ import numpy as np
 from calib.errors import InputError
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.repeats import Repeat, ShapeSet
+from calib.table import Row, read_rows
 
 FREQ_LIMIT = 1e12
 """Hz; a larger frequency is damage, not a vibration."""
 VALUE_LIMIT = 1e100
-"""Modulus; larger shape entries are damage and would overflow when squared."""
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_INTEGER = re.compile(r"\d{1,10}", re.ASCII)
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of a table.
-
-    Attributes
-    ----------
-    path : Path
-    line : int
-        Counted from 1.
-    cells : mapping from column to text
-        Stripped; columns that the file does not have are absent.
-    """
-
-    path: Path
-    line: int
-    cells: Mapping[str, str]
-
-    def error(self, column: str, problem: str, remedy: str | None = None) -> InputError:
-        """An InputError that names file, line and column."""
-        return InputError(problem, place=f"{self.path}, line {self.line}, column {column}", remedy=remedy)
-
-    def text(self, column: str) -> str:
-        """Text that must not be empty."""
-        if not self.cells[column]:
-            raise self.error(column, "it is empty", "give a value")
-        return self.cells[column]
-
-    def number(self, column: str) -> float:
-        """A finite number that must be there."""
-        text = self.text(column)
-        if not _NUMBER.fullmatch(text):
-            raise self.error(column, f"{text!r} is not a number", "write it like 12.5 or 1.25e1")
-        value = float(text)
-        if not math.isfinite(value):
-            raise self.error(column, f"{text!r} is not finite", "correct it")
-        return value
-
-    def optional(self, column: str) -> float:
-        """A finite number, or NaN when the column or the entry is empty."""
-        return self.number(column) if self.cells.get(column) else math.nan
-
-    def node(self) -> int:
-        """The node label, a whole number from 0."""
-        text = self.text("node")
-        if not _INTEGER.fullmatch(text):
-            raise self.error("node", f"{text!r} is not a node label", "write a whole number of at most 10 digits")
-        return int(text)
-
-
-def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> list[Row]:
-    """Rows of a comma-separated table with a header line; lines that start with # and blank lines are skipped.
-
-    Raises InputError for a file that cannot be read, is no UTF-8 text, has a wrong column, or holds no row.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as err:
-        raise InputError(f"it cannot be read ({err.strerror})", place=path, remedy="check the path") from None
-    header: list[str] | None = None
-    rows = []
-    for number, raw in enumerate(data.removeprefix(b"\xef\xbb\xbf").splitlines(), start=1):
-        cells = _cells(path, number, raw)
-        if cells is None:
-            continue
-        if header is None:
-            header = cells
-            _check_header(path, number, header, required, optional)
-            continue
-        if len(cells) != len(header):
-            raise InputError(
-                f"it has {len(cells)} entries, but the header has {len(header)} columns",
-                place=f"{path}, line {number}, column {header[min(len(cells), len(header) - 1)]}",
-                remedy="give every line one entry a column",
-            )
-        rows.append(Row(path, number, dict(zip(header, cells, strict=True))))
-    if header is None:
-        raise InputError("it is empty", place=path, remedy=f"start it with the header {', '.join(required)}")
-    if not rows:
-        raise InputError("it holds a header but no rows", place=path, remedy="add one line a mode, sensor or node")
-    return rows
-
-
-def _cells(path: Path, number: int, raw: bytes) -> list[str] | None:
-    """Stripped entries of one line; None for a comment or blank line."""
-    place = f"{path}, line {number}"
-    try:
-        text = raw.decode("utf-8")
-    except UnicodeDecodeError as err:
-        raise InputError(
-            f"byte {err.start + 1} is not UTF-8 text", place=place, remedy="save the table as UTF-8 CSV"
-        ) from None
-    bad = next((k for k, c in enumerate(text) if not c.isprintable() and c != "\t"), None)
-    if bad is not None:
-        raise InputError(
-            f"character {bad + 1} is not printable: this is no text", place=place, remedy="save the table as UTF-8 CSV"
-        )
-    if not text.strip() or text.lstrip().startswith("#"):
-        return None
-    try:
-        # one line at a time, so that a forgotten quote cannot swallow the lines after it
-        return [cell.strip() for cell in next(csv.reader([text], strict=True, skipinitialspace=True))]
-    except csv.Error as err:
-        raise InputError(f"it is no comma-separated line ({err})", place=place, remedy="check its quotes") from None
-
-
-def _check_header(path: Path, line: int, header: list[str], required: Sequence[str], optional: Sequence[str]) -> None:
-    allowed = (*required, *optional)
-    for name in header:
-        if name not in allowed:
-            raise InputError(
-                f"unknown column {name[:60]!r}",
-                place=f"{path}, line {line}, column {header.index(name) + 1}",
-                remedy=f"the columns are {', '.join(allowed)}, separated by commas",
-            )
-        if header.count(name) > 1:
-            raise InputError(f"column {name!r} appears twice", place=f"{path}, line {line}", remedy="remove one")
-    for name in required:
-        if name not in header:
-            raise InputError(f"column {name!r} is missing", place=f"{path}, line {line}", remedy="add it")
+"""Modulus; larger shape entries and responses are damage and would overflow when squared."""
+FINEST = 1e-12
+"""Share of a value below which no measurement's standard deviation can be."""
 
 
 def read_modes_csv(path: Path) -> Repeat:
@@ -158,7 +35,7 @@ def read_modes_csv(path: Path) -> Repeat:
     """
     names: list[str] = []
     values = []
-    for row in read_table(path, ("mode", "freq", "freq_kind"), ("freq_std", "damping", "damping_std")):
+    for row in read_rows(path, ("mode", "freq", "freq_kind"), ("freq_std", "damping", "damping_std")):
         name = row.text("mode")
         if name in names:
             raise row.error("mode", f"mode {name!r} appears twice", "give every mode one line")
@@ -173,14 +50,7 @@ def read_modes_csv(path: Path) -> Repeat:
                 f"damping ratio {damping:g} is outside [0, 1)",
                 "give it as a ratio (0.01 for one percent), or leave it empty",
             )
-        deviations = []
-        for column in ("freq_std", "damping_std"):
-            std = row.optional(column)
-            if not (math.isnan(std) or 0 < std < FREQ_LIMIT):
-                raise row.error(
-                    column, f"standard deviation {std:g} is not positive", "give a positive one, or leave it empty"
-                )
-            deviations.append(std)
+        deviations = [_deviation(row, "freq_std", freq, freq), _deviation(row, "damping_std", damping, 1.0)]
         factor = 1.0
         if kind == "damped" and not math.isnan(damping):
             factor = 1.0 / math.sqrt(1.0 - damping**2)
@@ -189,6 +59,19 @@ def read_modes_csv(path: Path) -> Repeat:
     table = np.array(values)
     freqs, freq_stds, dampings, damping_stds = table.T.copy()
     return Repeat(str(path), tuple(names), True, freqs, freq_stds, dampings, damping_stds)
+
+
+def _deviation(row: Row, column: str, value: float, most: float) -> float:
+    """A standard deviation between what no measurement reaches and what is no measurement; NaN where none is given."""
+    std = row.optional(column)
+    least = 0.0 if math.isnan(value) else FINEST * abs(value)
+    if math.isnan(std) or (0 < std < most and std >= least):
+        return std
+    problem = f"standard deviation {std:g} of the value {value:g} is outside [{least:g}, {most:g})"
+    remedy = "give a positive one, or leave it empty"
+    if column == "freq_std" and std >= most:
+        remedy = "check whether freq and freq_std are exchanged; both are in Hz"
+    raise row.error(column, problem, remedy)
 
 
 def parse_direction(text: str) -> tuple[str, int] | None:
@@ -217,7 +100,7 @@ def read_shapes_csv(path: Path, names: Sequence[str]) -> ShapeSet:
     column = {name: k for k, name in enumerate(names)}
     where: dict[tuple[int, str], int] = {}
     entries: dict[tuple[int, int], tuple[complex, float]] = {}
-    for row in read_table(path, ("mode", "node", "direction", "re"), ("im", "std")):
+    for row in read_rows(path, ("mode", "node", "direction", "re"), ("im", "std")):
         mode, node = row.text("mode"), row.node()
         if mode not in column:
             raise row.error("mode", f"unknown mode {mode!r}", f"the modes are {', '.join(names)}")
@@ -239,8 +122,8 @@ def read_shapes_csv(path: Path, names: Sequence[str]) -> ShapeSet:
         if max(abs(value.real), abs(value.imag)) > VALUE_LIMIT:
             raise row.error("re", f"a shape entry above {VALUE_LIMIT:g} is not plausible", "correct it")
         std = row.optional("std")
-        if not (math.isnan(std) or 0 <= std <= VALUE_LIMIT):
-            raise row.error("std", f"standard deviation {std:g} is negative or too large", "correct or empty it")
+        if not (math.isnan(std) or std == 0 or 1 / VALUE_LIMIT < std <= VALUE_LIMIT):
+            raise row.error("std", f"standard deviation {std:g} is negative, too small or too large", "correct it")
         entries[key] = (value, std)
     shapes = np.full((len(where), len(names)), complex(np.nan, np.nan))
     std_table = np.full(shapes.shape, np.nan)
@@ -267,9 +150,36 @@ def read_sensor_table(path: Path) -> dict[int, tuple[tuple[float, float, float],
         With file, line and column, for anything that is no such table, and nodes given twice.
     """
     places: dict[int, tuple[tuple[float, float, float], str | None]] = {}
-    for row in read_table(path, ("node", "x", "y", "z"), ("on",)):
+    for row in read_rows(path, ("node", "x", "y", "z"), ("on",)):
         node = row.node()
         if node in places:
             raise row.error("node", f"node {node} is given twice", "remove one of the lines")
         places[node] = ((row.number("x"), row.number("y"), row.number("z")), row.cells.get("on") or None)
     return places
+
+
+def read_responses_csv(path: Path) -> dict[str, tuple[float, float | None]]:
+    """Plain responses from a table ``response, value, std``; ``std`` may be absent or empty (unknown).
+
+    Returns
+    -------
+    dict
+        ``{response: (value, standard deviation or None)}``, each in the response's own unit.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, for anything that is no such table, and responses given twice.
+    """
+    found: dict[str, tuple[float, float | None]] = {}
+    for row in read_rows(path, ("response", "value"), ("std",)):
+        name, value = row.text("response"), row.number("value")
+        if name in found:
+            raise row.error("response", f"response {name!r} is given twice", "remove one of the lines")
+        if abs(value) > VALUE_LIMIT:
+            raise row.error("value", f"a response above {VALUE_LIMIT:g} is not plausible", "correct it")
+        std = _deviation(row, "std", value, VALUE_LIMIT)
+        if 0 < std < 1 / VALUE_LIMIT:
+            raise row.error("std", f"standard deviation {std:g} is too small", "correct it, or leave it empty")
+        found[name] = (value, None if math.isnan(std) else std)
+    return found

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-import pandas as pd
-
 from calib.errors import InputError
+from calib.named_values import read_json
 from calib.questions.calibrate import fingerprint
 from calib.questions.places import QUICK
 from calib.questions.sensitivity import selected_by_measures
 from calib.results import Results
 from calib.settings import read_settings
-from calib.study import Study, study_file
+from calib.space import ParameterSpace
+from calib.study import Study, shell_argument, study_file
+from calib.table import read_table
+
+_ROUNDING = 1e-9
+"""Share of a limit by which a value may lie beyond it, since tables keep ten digits."""
 
 
 def in_order(path: Path) -> tuple[Path, ...]:
@@ -62,13 +64,39 @@ def values_found(study: Study, root: Path, quick: bool = False) -> Found | None:
 
 
 def _values(study: Study, folder: Results, home: Results) -> Found | None:
-    try:
-        summary = json.loads((folder.path / "summary.json").read_text("utf-8"))
-        table = pd.read_csv(folder.path / "parameters.csv")
-        if summary["fingerprint"] != fingerprint(selected_by_measures(study, home)):
-            return None
-        best = table[table["case"] == summary["best_case"]].set_index("parameter")[["value", "std"]].astype(float)
-        known = best["std"][np.isfinite(best["std"])]
-        return Found(study.search_space.complete(best["value"].to_dict()), known.to_dict())
-    except (InputError, OSError, ValueError, KeyError):
+    """What a folder holds; None where the answer is missing or of another state, InputError where it is damaged."""
+    if not (folder.has("summary.json") and folder.has("parameters.csv")):
         return None
+    if isinstance(study.settings.selection, str) and not home.has("selection.csv"):
+        return None
+    remedy = f"run 'calib calibrate {shell_argument(study.file)}' again"
+    summary = read_json(folder.path / "summary.json", {"fingerprint": str, "best_case": str}, remedy=remedy)
+    chosen = selected_by_measures(study, home)
+    if summary.get("fingerprint") != fingerprint(chosen):
+        return None
+    return _of_best_case(folder.path / "parameters.csv", str(summary.get("best_case")), chosen.search_space, remedy)
+
+
+def _of_best_case(path: Path, case: str, space: ParameterSpace, remedy: str) -> Found:
+    """Values and standard deviations of one case, every free parameter once and within its limits."""
+    table = read_table(path, ["case", "parameter"], ["value", "std"], complete=["value"], unique=("case", "parameter"))
+    best = table[table["case"] == case]
+    found = dict(zip(best["parameter"], best["value"], strict=True))
+    if differing := sorted(set(found) ^ set(space.free_names)):
+        there = "has no row" if differing[0] in space.free_names else "is none of the study's"
+        raise InputError(f"parameter {differing[0]!r} of case {case!r} {there}", place=path, remedy=remedy)
+    for name, value in found.items():
+        parameter = space[name]
+        slack = _ROUNDING * max(abs(parameter.lower), abs(parameter.upper))
+        if not parameter.lower - slack <= value <= parameter.upper + slack:
+            raise InputError(
+                f"{name} = {value:g} is outside its limits [{parameter.lower:g}, {parameter.upper:g}]",
+                place=path, remedy=remedy,
+            )  # fmt: skip
+        if parameter.integer and value != round(value):
+            raise InputError(f"{name} = {value:g} is no whole number", place=path, remedy=remedy)
+        found[name] = min(max(value, parameter.lower), parameter.upper)
+    known = best[best["std"].notna()]
+    if (known["std"] < 0).any():
+        raise InputError("a standard deviation is negative", place=path, remedy=remedy)
+    return Found(space.complete(found), dict(zip(known["parameter"], known["std"], strict=True)))

@@ -21,7 +21,8 @@ from calib.sensitivity.sampling import sample
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
-from calib.study import Study
+from calib.study import Study, shell_argument
+from calib.table import read_table
 
 SampleProgress = Callable[[int, int], None]
 
@@ -111,10 +112,17 @@ def selected_by_measures(study: Study, home: Results) -> Study:
         raise InputError(
             "the study selects its parameters from the sensitivity analysis, which was not made yet",
             place=study.file,
-            remedy=f"run 'calib sensitivity {study.file.parent}' first",
+            remedy=f"run 'calib sensitivity {shell_argument(study.file)}' first",
         )
-    table = pd.read_csv(path)
-    names = tuple(table.loc[table["selected"].astype(bool), "parameter"])
+    table = read_table(path, ["parameter"], flags=["selected"], complete=["selected"], unique="parameter")
+    sampled = study.sensitivity_space.free_names
+    if differing := sorted(set(sampled) ^ set(table["parameter"])):
+        raise InputError(
+            f"it does not judge the free parameters of the study: {differing[0]!r} is in one of them only",
+            place=path,
+            remedy=f"run 'calib sensitivity {shell_argument(study.file)}' again",
+        )
+    names = tuple(table["parameter"][table["selected"].astype(bool)])
     if not names:
         raise InputError(
             "the sensitivity analysis selected no parameter", place=path, remedy="name them in 'selection'"

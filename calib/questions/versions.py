@@ -10,6 +10,7 @@ import pandas as pd
 from calib.results import Results
 from calib.settings import read_settings
 from calib.study import Study, shell_argument
+from calib.table import read_table
 
 COLUMNS = ("version", "study", "effects", "group", "rms", "expected")
 MOST = 50
@@ -77,9 +78,11 @@ def write_versions(study: Study, root: Path) -> Versions:
 
 
 def _errors(results: Results) -> pd.DataFrame | None:
+    numbers = ["rms", "expected"]
     if results.has("data_errors.csv"):
-        return pd.read_csv(results.path / "data_errors.csv")
+        return read_table(results.path / "data_errors.csv", ["group"], numbers, unique="group", may_be_empty=True)
     if results.has("errors.csv"):
-        table = pd.read_csv(results.path / "errors.csv")
+        both = ["group", "stage"]
+        table = read_table(results.path / "errors.csv", both, numbers, unique=both, may_be_empty=True)
         return table[table["stage"] == "before"]
     return None

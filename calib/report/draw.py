@@ -23,9 +23,9 @@ from calib.report.modes import model_modes_figure, pages
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.style import add_heading, save, style
-from calib.report.tables import read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import atom_map_figure, sensor_misfit_figure
+from calib.table import read_table
 
 _STAGES = ("before", "after")
 _OF_MODEL = {"initial": "before any calibration", "before": "before calibration", "after": "after calibration"}

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.errors import InputError
 from calib.report.scene import PLACE, plot_coordinates, view_directions
-from calib.report.tables import read_table
+from calib.table import read_table
 
 FACE, BORDER, LINE = 0, 1, 2
 

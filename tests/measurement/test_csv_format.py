@@ -2,7 +2,13 @@ import numpy as np
 import pytest
 
 from calib.errors import InputError
-from calib.measurement.csv_format import parse_direction, read_modes_csv, read_sensor_table, read_shapes_csv
+from calib.measurement.csv_format import (
+    parse_direction,
+    read_modes_csv,
+    read_responses_csv,
+    read_sensor_table,
+    read_shapes_csv,
+)
 
 HEAD = "mode,freq,freq_kind,freq_std,damping,damping_std\n"
 
@@ -44,12 +50,16 @@ def test_columns_of_deviations_and_damping_may_be_absent(tmp_path):
         (HEAD + "a,,natural,,,\n", "line 2, column freq: it is empty"),
         (HEAD + "a,1,angular,,,\n", "line 2, column freq_kind"),
         (HEAD + "a,1,natural,0,,\n", "line 2, column freq_std"),
+        (HEAD + "a,0.05,natural,12.5,,\n", "line 2, column freq_std"),
+        (HEAD + "a,1,natural,1e-300,,\n", "line 2, column freq_std"),
+        (HEAD + "a,1,natural,1e300,,\n", "line 2, column freq_std"),
+        (HEAD + "a,1,natural,,0.01,1e300\n", "line 2, column damping_std"),
         (HEAD + "a,1,natural,,,\n# c\na,2,natural,,,\n", "line 4, column mode: mode 'a' appears twice"),
         (HEAD + "a,1,natural\n", "line 2, column freq_std: it has 3 entries"),
         (HEAD + 'a,"1,natural,,,\n', "line 2"),
         ("mode,freq\na,1\n", "column 'freq_kind' is missing"),
         (HEAD.replace("\n", ",colour\n") + "a,1,natural,,,,red\n", "unknown column 'colour'"),
-        (HEAD.replace(",", ";") + "a;1;natural;;;\n", "separated by commas"),
+        (HEAD.replace(",", "|") + "a|1|natural|||\n", "column 'mode' is missing"),
         ("mode,freq,freq_kind,freq\na,1,natural,1\n", "column 'freq' appears twice"),
         (HEAD.encode() + b"a,1,natural,,\xff,\n", "line 2: byte 14 is not UTF-8"),
         (b"\x89PNG\r\n\x1a\n\x00\x00", "line 1"),
@@ -106,3 +116,50 @@ def test_the_sensor_table_gives_places_and_parts(tmp_path):
     assert read_sensor_table(path) == {1: ((0.0, 1.5, -2.0), "girder"), 2: ((1.0, 1.0, 1.0), None)}
     with pytest.raises(InputError, match="line 3, column node: node 1 is given twice"):
         read_sensor_table(write(tmp_path, "node,x,y,z\n1,0,0,0\n1,0,0,1\n"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "response,value,std\np,1.5,0.1\nq,-2,\n",
+        "\ufeffresponse;value;std\r\np;1,5;0,1\r\nq;-2;\r\n;;\r\n",
+        "sep=;\nresponse;value;std\n# a; b\np;1,5;,1\nq;-2,;\n",
+        'std\tvalue\tresponse\n0.1\t1.5\t"p"\n\t-2\tq\n',
+        "response,value,std,,\np,1.5,0.1,,\nq,-2,,,\n",
+    ],
+)
+def test_plain_responses_as_spreadsheets_save_them(tmp_path, text):
+    assert read_responses_csv(write(tmp_path, text)) == {"p": (1.5, 0.1), "q": (-2.0, None)}
+
+
+@pytest.mark.parametrize(
+    ("lines", "where"),
+    [
+        ("p,1_000,0.1\n", "line 2, column value"),
+        ("p,inf,0.1\n", "line 2, column value"),
+        ("p,nan,\n", "line 2, column value"),
+        ("p,1e300,\n", "line 2, column value"),
+        ("p,1.5,inf\n", "line 2, column std"),
+        ("p,1.5,nan\n", "line 2, column std"),
+        ("p,1.5,0\n", "line 2, column std"),
+        ("p,1.5,1e-300\n", "line 2, column std"),
+        ("p,1.5,1e300\n", "line 2, column std"),
+        ("p,0,1e-300\n", "line 2, column std"),
+        ("p,1.5\n", "line 2, column std: it has 2 entries"),
+        ("p,1,5,0,1\n", "line 2, column std: it has 5 entries"),
+        ("p,1,0.1\np,2,0.1\n", "line 3, column response"),
+        (",1,0.1\n", "line 2, column response"),
+        ("p;1.234;0,1\n", "line 2"),
+        ("", "no rows"),
+    ],
+)
+def test_a_mistake_in_the_responses_is_named(tmp_path, lines, where):
+    path = write(tmp_path, "response,value,std\n" + lines)
+    with pytest.raises(InputError) as caught:
+        read_responses_csv(path)
+    assert str(path) in str(caught.value) and where in str(caught.value)
+
+
+def test_decimal_commas_and_points_are_not_mixed(tmp_path):
+    with pytest.raises(InputError, match="line 3, column value"):
+        read_responses_csv(write(tmp_path, "response;value\np;1,5\nq;1.234\n"))

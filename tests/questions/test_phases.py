@@ -1,6 +1,7 @@
 """A study that takes over what an earlier one has found."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -199,10 +200,45 @@ def test_a_circle_is_told(phases, capsys):
     assert "takes values over from itself" in capsys.readouterr().err
 
 
-def test_a_damaged_answer_is_made_anew(phases, capsys):
+def test_an_answer_that_is_gone_is_made_anew(phases, capsys):
     assert cli.answer(["compare", "two"]) == 0
-    Path("results/one/summary.json").write_text("{")
+    shutil.rmtree("results/one")
     capsys.readouterr()
     assert cli.answer(["compare", "two"]) == 0 and "One comes first" in capsys.readouterr().out
-    shutil.rmtree("results/one")
-    assert cli.answer(["compare", "two"]) == 0 and "One comes first" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("file", "damage"),
+    [
+        ("summary.json", lambda text: "{"),
+        ("summary.json", lambda text: text.replace('"A1"', "7", 1)),
+        ("parameters.csv", lambda text: "".join(text.splitlines(keepends=True)[:-1])),
+        ("parameters.csv", lambda text: text + text.splitlines(keepends=True)[-1]),
+        ("parameters.csv", lambda text: text.replace("A1,b", "A2,b")),
+        ("parameters.csv", lambda text: text.replace("A1,b", "A1,d")),
+        ("parameters.csv", lambda text: re.sub(r"A1,b,[^,]+", "A1,b,7.0", text)),
+        ("parameters.csv", lambda text: re.sub(r"A1,b,[^,]+", "A1,b,", text)),
+        ("parameters.csv", lambda text: re.sub(r"A1,b,[^,]+", "A1,b,1_2", text)),
+        ("parameters.csv", lambda text: text.replace("value", "worth")),
+    ],
+)
+def test_a_damaged_answer_is_refused_and_left_as_it_is(phases, capsys, file, damage):
+    assert cli.answer(["calibrate", "one"]) == 0
+    path = Path("results/one", file)
+    damaged = damage(path.read_text())
+    assert damaged != path.read_text()
+    path.write_text(damaged)
+    capsys.readouterr()
+    assert cli.answer(["compare", "two"]) == 2
+    told = capsys.readouterr()
+    assert file in told.err and told.err.count("\n") == 1 and path.read_text() == damaged
+
+
+def test_a_spreadsheet_may_have_saved_what_was_found(phases, capsys):
+    assert cli.answer(["calibrate", "one"]) == 0
+    before = values_found(Study.load(Path("one")), Path("results"))
+    path = Path("results/one/parameters.csv")
+    path.write_bytes(
+        b"\xef\xbb\xbf" + path.read_bytes().replace(b",", b";").replace(b".", b",").replace(b"\n", b"\r\n")
+    )
+    assert values_found(Study.load(Path("one")), Path("results")) == before

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from calib.errors import InputError
-from calib.report.tables import read_table
+from calib.table import read_table
 
 STAGES = ("before", "after")
 

@@ -1,0 +1,378 @@
+"""Tables in CSV, read strictly: whatever is damaged or in doubt is refused with its file, line and column.
+
+Spreadsheets may have written them: with a byte-order mark, with semicolons or tabs between the entries, with decimal
+commas where the separator is no comma, and with ``WAHR`` or ``VRAI`` for true. A text that a spreadsheet would run as a
+formula stands behind an apostrophe in the file (OWASP, "CSV injection") and without it everywhere else.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from calib.errors import InputError
+
+SEPARATORS = (",", ";", "\t")
+FLAGS: Mapping[str, bool] = {
+    **dict.fromkeys(("true", "1", "wahr", "vrai", "vero", "verdadero", "verdadeiro", "waar", "sant", "sand"), True),
+    **dict.fromkeys(("false", "0", "falsch", "faux", "falso", "onwaar", "falskt", "falsk"), False),
+}
+"""What stands for true and false, in small letters; spreadsheets translate it."""
+AGAIN = "run the study again to write it anew"
+"""Remedy for a damaged table that calib has written itself."""
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
+_INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
+_INTEGER = re.compile(r"\d{1,10}", re.ASCII)
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_BREAKS = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029]+")
+_RUN = re.compile(r"'*[=+\-@\t\r].", re.DOTALL)
+_GUARDED = re.compile(r"''*[=+\-@\t\r].", re.DOTALL)
+_HINT = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table.
+
+    Attributes
+    ----------
+    path : Path
+    line : int
+        Counted from 1.
+    cells : mapping from column to text
+        Stripped; columns that the file does not have are absent.
+    comma : bool
+        Whether numbers are written with a decimal comma.
+    """
+
+    path: Path
+    line: int
+    cells: Mapping[str, str]
+    comma: bool = False
+
+    def error(self, column: str, problem: str, remedy: str | None = None) -> InputError:
+        """An InputError that names file, line and column."""
+        return InputError(problem, place=f"{self.path}, line {self.line}, column {column}", remedy=remedy)
+
+    def text(self, column: str) -> str:
+        """Text that must not be empty."""
+        if not self.cells[column]:
+            raise self.error(column, "it is empty", "give a value")
+        return self.cells[column]
+
+    def number(self, column: str) -> float:
+        """A finite number that must be there."""
+        text = self.text(column)
+        value = number_of(text, self.comma)
+        if value is None or math.isnan(value):
+            raise self.error(column, f"{shortened(text)} is not a number", "write it like 12.5 or 1.25e1")
+        if math.isinf(value):
+            raise self.error(column, f"{shortened(text)} is not finite", "correct it")
+        return value
+
+    def optional(self, column: str) -> float:
+        """A finite number, or NaN when the column or the entry is empty."""
+        return self.number(column) if self.cells.get(column) else math.nan
+
+    def node(self) -> int:
+        """The node label, a whole number from 0."""
+        text = self.text("node")
+        if not _INTEGER.fullmatch(text):
+            raise self.error(
+                "node", f"{shortened(text)} is not a node label", "write a whole number, 10 digits or less"
+            )
+        return int(text)
+
+
+def read_rows(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> list[Row]:
+    """Rows of a table that the user has written; lines that start with # and blank lines are skipped.
+
+    Raises InputError for a file that cannot be read, is no UTF-8 text, has a wrong column, or holds no row.
+    """
+    sheet = _read(path, required, comments=True)
+    allowed = (*required, *optional)
+    for name in sheet.header:
+        if name not in allowed:
+            raise InputError(
+                f"unknown column {name[:60]!r}",
+                place=f"{path}, line {sheet.top}, column {sheet.header.index(name) + 1}",
+                remedy=f"the columns are {', '.join(allowed)}, separated by commas or semicolons",
+            )
+    if not sheet.cells:
+        raise InputError("it holds a header but no rows", place=path, remedy="add one line a mode, sensor or node")
+    return [
+        Row(path, line, dict(zip(sheet.header, cells, strict=True)), sheet.comma)
+        for line, cells in zip(sheet.lines, sheet.cells, strict=True)
+    ]
+
+
+def read_table(
+    path: Path,
+    text: Sequence[str],
+    numbers: Sequence[str] = (),
+    *,
+    complete: Sequence[str] = (),
+    unbounded: Sequence[str] = (),
+    flags: Sequence[str] = (),
+    if_there: Sequence[str] = (),
+    blank: Sequence[str] = (),
+    others_are_numbers: bool = False,
+    unique: str | Sequence[str] = (),
+    may_be_empty: bool = False,
+) -> pd.DataFrame:
+    """Read a table that calib has written and check the columns that are asked for; other columns are left out.
+
+    Parameters
+    ----------
+    path : Path
+    text, numbers, flags : sequence of str
+        Columns of words, of numbers (empty or nan where unknown) and of true or false (None where unknown).
+    complete : sequence of str
+        Those of `numbers` and `flags` that must not be unknown.
+    unbounded : sequence of str
+        Those of `numbers` that may be infinite.
+    if_there : sequence of str
+        Further columns of numbers that a table may have.
+    blank : sequence of str
+        Columns of words that may be empty, or missing altogether.
+    others_are_numbers : bool
+        Whether every other column is kept and holds numbers.
+    unique : str or sequence of str
+        Column, or columns together, in which no entry may occur twice.
+    may_be_empty : bool
+        Whether a table without rows is right.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the line and the column.
+    """
+    wanted = [*text, *numbers, *flags]
+    sheet = _read(path, wanted, comments=False, remedy=AGAIN)
+    header = sheet.header
+    if not sheet.cells and not may_be_empty:
+        raise InputError("the table has no rows", place=path, remedy=AGAIN)
+    wanted += [column for column in if_there if column in header]
+    others = [c for c in header if c not in [*wanted, *blank]] if others_are_numbers else []
+    if others_are_numbers and not others and sheet.cells:
+        raise InputError(f"there is no column beside {', '.join(text)}", place=path)
+    columns = dict(zip(header, map(list, zip(*sheet.cells, strict=True)), strict=True)) if sheet.cells else {}
+    out: dict[str, pd.Series] = {}
+    for column in [*blank, *wanted, *others]:
+        cells = columns.get(column, [""] * len(sheet.cells))
+        if column in blank:
+            out[column] = pd.Series(["" if cell == "nan" else cell for cell in cells], dtype=str)
+        elif column in text:
+            _require(sheet, column, [bool(cell) for cell in cells], cells, "a name")
+            out[column] = pd.Series(cells, dtype=str)
+        elif column in flags:
+            known = [None if _unknown(cell) else FLAGS.get(cell.lower()) for cell in cells]
+            fine = [
+                k is not None or (_unknown(c) and column not in complete) for k, c in zip(known, cells, strict=True)
+            ]
+            _require(sheet, column, fine, cells, "True or False")
+            out[column] = pd.Series(known, dtype=object)
+        else:
+            found = [math.nan if _unknown(cell) else number_of(cell, sheet.comma) for cell in cells]
+            fine = [
+                v is not None
+                and not (math.isnan(v) and column in complete)
+                and not (math.isinf(v) and column not in unbounded)
+                for v in found
+            ]
+            _require(sheet, column, fine, cells, "a number")
+            out[column] = pd.Series(found, dtype=float)
+    _require_unique(sheet, (unique,) if isinstance(unique, str) else tuple(unique))
+    return pd.DataFrame(out)
+
+
+def number_of(text: str, comma: bool = False) -> float | None:
+    """The number that a text is, perhaps infinite; None for anything else, such as ``1_000``, ``0x1`` or ``nan``."""
+    if comma:
+        if not (_COMMA_NUMBER.fullmatch(text) or (_NUMBER.fullmatch(text) and "." not in text)):
+            return float(text) if _INFINITE.fullmatch(text) else None
+        return float(text.replace(",", "."))
+    return float(text) if _NUMBER.fullmatch(text) or _INFINITE.fullmatch(text) else None
+
+
+def shortened(text: str) -> str:
+    """A text in quotes, of at most 60 characters."""
+    return repr(text if len(text) <= 60 else text[:57] + "...")
+
+
+# -- texts that a spreadsheet would run --------------------------------------------------------------------------------
+
+
+def guarded(text: str) -> str:
+    """A text as it stands in a table: on one line, and behind an apostrophe where a spreadsheet would run it."""
+    line = _BREAKS.sub(" ", text)
+    return f"'{line}" if _RUN.match(line) and number_of(line) is None else line
+
+
+def unguarded(cell: str) -> str:
+    """The text that `guarded` has written."""
+    return cell[1:] if _GUARDED.match(cell) else cell
+
+
+def guarded_table(table: pd.DataFrame) -> pd.DataFrame:
+    """A table whose texts, names of columns and rows included, are `guarded`; numbers stay numbers."""
+
+    def cell(value: object) -> object:
+        return guarded(value) if isinstance(value, str) else value
+
+    words = [c for c, kind in table.dtypes.items() if not pd.api.types.is_numeric_dtype(kind)]
+    out = table.assign(**{str(c): table[c].astype(object).map(cell) for c in words}) if words else table
+    return out.rename(columns=cell, index=cell)
+
+
+# -- lines and cells ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """Header and cells of a file, the lines they stand on, and whether its numbers have decimal commas."""
+
+    path: Path
+    header: list[str]
+    top: int
+    cells: list[list[str]]
+    lines: list[int]
+    comma: bool
+
+
+def _read(path: Path, required: Sequence[str], comments: bool, remedy: str | None = None) -> _Sheet:
+    """Split a file into cells; every line has one a column, and every required column is there once."""
+    lines = _lines(path)
+    separator, header, top = None, None, 0
+    cells: list[list[str]] = []
+    numbers: list[int] = []
+    for number, line in enumerate(lines, start=1):
+        bare = line.strip()
+        if not bare or (comments and bare.startswith("#")):
+            continue
+        if header is None:
+            if separator is None and (hint := _HINT.fullmatch(bare)) and hint.group(1) in SEPARATORS:
+                separator = hint.group(1)
+                continue
+            separator = separator or _separator(line, required)
+            header, top = _without_empty_end(_cells(path, number, line, separator), 1), number
+            _check_header(path, number, header, required, remedy)
+            continue
+        found = _cells(path, number, line, separator or ",")
+        if not any(found) or (comments and found[0].startswith("#")):
+            continue
+        found = _without_empty_end(found, len(header))  # spreadsheets fill lines up to the longest one
+        if len(found) != len(header):
+            raise InputError(
+                f"it has {len(found)} entries, but the header has {len(header)} columns",
+                place=f"{path}, line {number}, column {header[min(len(found), len(header) - 1)]}",
+                remedy="give every line one entry a column; decimal commas need semicolons between the entries",
+            )
+        cells.append(found)
+        numbers.append(number)
+    if header is None:
+        raise InputError("it is empty", place=path, remedy=remedy or f"start it with the header {', '.join(required)}")
+    comma = separator != "," and any(_COMMA_NUMBER.fullmatch(cell) for row in cells for cell in row)
+    return _Sheet(path, header, top, cells, numbers, comma)
+
+
+def _lines(path: Path) -> list[str]:
+    """Lines of a UTF-8 file without control characters."""
+    try:
+        data = path.read_bytes()
+    except OSError as err:
+        raise InputError(f"it cannot be read ({err.strerror})", place=path, remedy="check the path") from None
+    lines = []
+    for number, raw in enumerate(data.removeprefix(b"\xef\xbb\xbf").splitlines(), start=1):
+        place = f"{path}, line {number}"
+        try:
+            line = raw.decode("utf-8")
+        except UnicodeDecodeError as err:
+            raise InputError(
+                f"byte {err.start + 1} is not UTF-8 text", place=place, remedy="save the table as UTF-8 CSV"
+            ) from None
+        if bad := _CONTROL.search(line):
+            raise InputError(
+                f"character {bad.start() + 1} is not printable: this is no text",
+                place=place,
+                remedy="save the table as UTF-8 CSV",
+            )
+        lines.append(line)
+    return lines
+
+
+def _separator(line: str, required: Sequence[str]) -> str:
+    """What stands between the names of a header: that by which most of the required ones are found."""
+
+    def found(separator: str) -> int:
+        return sum(name in [cell.strip().strip('"') for cell in line.split(separator)] for name in required)
+
+    return max(SEPARATORS, key=lambda separator: (found(separator), separator == ","))
+
+
+def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:
+    """Stripped entries of one line."""
+    if '"' not in line:
+        return [unguarded(cell.strip()) for cell in line.split(separator)]
+    try:
+        # one line at a time, so that a forgotten quote cannot swallow the lines after it
+        found = next(csv.reader([line], strict=True, skipinitialspace=True, delimiter=separator))
+    except (csv.Error, StopIteration) as err:
+        raise InputError(
+            f"its entries cannot be told apart ({err})", place=f"{path}, line {number}", remedy="check its quotes"
+        ) from None
+    return [unguarded(cell.strip()) for cell in found]
+
+
+def _without_empty_end(cells: list[str], least: int) -> list[str]:
+    end = len(cells)
+    while end > least and not cells[end - 1]:
+        end -= 1
+    return cells[:end]
+
+
+def _check_header(path: Path, line: int, header: list[str], required: Sequence[str], remedy: str | None) -> None:
+    place = f"{path}, line {line}"
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(f"column {name[:60]!r} appears twice", place=place, remedy="remove one")
+    for name in required:
+        if name not in header:
+            raise InputError(f"column {name!r} is missing", place=place, remedy=remedy or "add it")
+
+
+def _unknown(cell: str) -> bool:
+    return cell.lower() in ("", "nan")
+
+
+def _require(sheet: _Sheet, column: str, fine: Sequence[bool], cells: Sequence[str], expected: str) -> None:
+    if not all(fine):
+        row = fine.index(False)
+        raise InputError(
+            f"column {column!r} holds {shortened(cells[row])}, which is not {expected}",
+            place=f"{sheet.path}, line {sheet.lines[row]}",
+            remedy=AGAIN,
+        )
+
+
+def _require_unique(sheet: _Sheet, columns: Sequence[str]) -> None:
+    if not columns:
+        return
+    where = [sheet.header.index(column) for column in columns]
+    seen: set[tuple[str, ...]] = set()
+    for line, cells in zip(sheet.lines, sheet.cells, strict=True):
+        key = tuple(cells[k] for k in where)
+        if key in seen:
+            raise InputError(
+                f"column {', '.join(columns)!r} holds {', '.join(map(shortened, key))} twice",
+                place=f"{sheet.path}, line {line}",
+                remedy=AGAIN,
+            )
+        seen.add(key)

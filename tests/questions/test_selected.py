@@ -1,0 +1,83 @@
+"""Which parameters are searched is read back from a table that the user may have opened and saved."""
+
+from pathlib import Path
+
+import pytest
+
+from calib import cli
+from calib.errors import InputError
+from calib.questions.sensitivity import selected_by_measures
+from calib.results import Results
+from calib.study import Study
+
+MODEL = """
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+SPACE = ParameterSpace(tuple(Parameter(name, 2.0, 1.0, 3.0) for name in "abc"))
+
+def model():
+    return FunctionModel("plain", SPACE, lambda v: {"p": v["a"] + v["b"], "q": v["a"] - v["b"], "r": v["c"]})
+"""
+STUDY = """
+title = "Plain"
+model = "model.py:model"
+selection = "from sensitivity"
+[measurement]
+responses = "measured.csv"
+[sensitivity]
+samples = 20
+[calibration]
+method = "gauss-newton"
+starts = 1
+cases = [{ name = "A1", seed = 1 }]
+"""
+
+
+@pytest.fixture
+def selected(tmp_path, monkeypatch):
+    """Writes ``selection.csv`` and tells which parameters are then searched."""
+    monkeypatch.chdir(tmp_path)
+    folder = Path("plain")
+    folder.mkdir()
+    (folder / "model.py").write_text(MODEL)
+    (folder / "measured.csv").write_text("response,value,std\np,3.5,0.01\nq,1.1,0.01\nr,1.5,0.01\n")
+    (folder / "study.toml").write_text(STUDY)
+    assert cli.answer(["sensitivity", "plain", "--workers", "1"]) == 0
+    home = Results(Path("results/plain"))
+    study = Study.load(folder)
+    columns = (home.path / "selection.csv").read_text().splitlines()[0].split(",")
+
+    def of(flags, names="abc", change=lambda text: text):
+        rows = [
+            ",".join({"parameter": n, "selected": f}.get(column, "") for column in columns)
+            for n, f in zip(names, flags, strict=True)
+        ]
+        (home.path / "selection.csv").write_text(change("\n".join([",".join(columns), *rows, ""])))
+        return selected_by_measures(study, home).search_space.free_names
+
+    return of
+
+
+@pytest.mark.parametrize(("yes", "no"), [("WAHR", "FALSCH"), ("TRUE", "FALSE"), ("vrai", "faux"), ("1", "0")])
+def test_a_spreadsheet_selects_what_its_user_meant(selected, yes, no):
+    semicolons = lambda text: "\ufeff" + text.replace(",", ";").replace("\n", "\r\n")  # noqa: E731
+    assert selected([no, yes, no], change=semicolons) == ("b",)
+    assert selected([yes, no, yes]) == ("a", "c")
+
+
+@pytest.mark.parametrize(
+    ("flags", "names"),
+    [
+        (["True", "", "True"], "abc"),
+        (["True", "perhaps", "True"], "abc"),
+        (["True", "2", "True"], "abc"),
+        (["True", "False"], "ab"),
+        (["True", "False", "True"], "abb"),
+        (["True", "False", "True"], "abd"),
+        (["False", "False", "False"], "abc"),
+    ],
+)
+def test_a_selection_in_doubt_is_refused(selected, flags, names):
+    with pytest.raises(InputError, match=r"selection\.csv"):
+        selected(flags, names)

@@ -1,0 +1,107 @@
+"""One strict reader for every table: what is read is what was meant, and all else is refused by line."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.errors import InputError
+from calib.results import Results
+from calib.table import FLAGS, guarded, number_of, read_table, unguarded
+
+
+def write(folder, text, name="table.csv"):
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+@pytest.mark.parametrize("text", ["1", "-1", "+1.5", ".5", "1.", "1e3", "-1.5E-3"])
+def test_numbers(text):
+    assert number_of(text) == float(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "1_000", "0x1", "1,5", "1.234,5", "1 000", "1\u00a0000", "\uff11\uff12", "nan", "one", "1e", "--1", "1.2.3"],
+)
+def test_what_is_no_number(text):
+    assert number_of(text) is None
+
+
+def test_decimal_commas():
+    assert number_of("-1,5e3", comma=True) == -1500.0 and number_of("12", comma=True) == 12.0
+    assert number_of("1.234", comma=True) is None and number_of("1.234,5", comma=True) is None
+    assert np.isinf(number_of("inf", comma=True))
+
+
+@pytest.mark.parametrize(("yes", "no"), [("True", "False"), ("WAHR", "FALSCH"), ("VRAI", "FAUX"), ("1", "0")])
+def test_true_and_false_of_spreadsheets(tmp_path, yes, no):
+    path = write(tmp_path, f"\ufeffparameter;selected\r\na;{yes}\r\nb;{no}\r\nc;\r\n")
+    table = read_table(path, ["parameter"], flags=["selected"])
+    assert table["selected"].tolist() == [True, False, None]
+    with pytest.raises(InputError, match="line 4"):
+        read_table(path, ["parameter"], flags=["selected"], complete=["selected"])
+
+
+def test_no_word_is_true_and_false():
+    assert all(word == word.lower() for word in FLAGS) and set(FLAGS.values()) == {True, False}
+
+
+@pytest.mark.parametrize("row", ["a,maybe", "a,2", "a,", ",True", "a", "a,True,1"])
+def test_a_flag_or_name_in_doubt_is_refused(tmp_path, row):
+    path = write(tmp_path, f"parameter,selected\nz,True\n{row}\n")
+    with pytest.raises(InputError, match="line 3"):
+        read_table(path, ["parameter"], flags=["selected"], complete=["selected"])
+
+
+def test_rows_that_must_not_be_repeated(tmp_path):
+    path = write(tmp_path, "case,parameter,value\nA,k,1\nB,k,2\nA,k,3\n")
+    assert len(read_table(path, ["case", "parameter"], ["value"])) == 3
+    with pytest.raises(InputError, match="line 4"):
+        read_table(path, ["case", "parameter"], ["value"], unique=("case", "parameter"))
+    with pytest.raises(InputError, match="line 3"):
+        read_table(path, ["case", "parameter"], ["value"], unique="parameter")
+
+
+def test_a_name_may_begin_like_a_comment(tmp_path):
+    path = write(tmp_path, "mode,value\n#1,2\n")
+    assert read_table(path, ["mode"], ["value"])["mode"].tolist() == ["#1"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["=1+1", "+1+cmd|' /C calc'!A0", "-2+3", "@SUM(A1)", "'=1+1", "''@x", "'x", "-1.5", "-", "=", "", "a=b", "+5 %"],
+)
+def test_a_text_that_a_spreadsheet_would_run_is_guarded_and_read_back(tmp_path, text):
+    cell = guarded(text)
+    assert cell[:1] not in tuple("=+-@\t\r") or len(cell) < 2 or number_of(cell) is not None
+    assert unguarded(cell) == text
+
+
+@given(st.text(alphabet=st.sampled_from("=+-@'ab1. ,;\"\u00e9\u6865"), max_size=8).map(str.strip))
+def test_every_text_comes_back_through_a_table(tmp_path_factory, text):
+    folder = tmp_path_factory.mktemp("table")
+    name = text or "empty"
+    table = pd.DataFrame({"parameter": [name, f"{name}_"], "note": [text, ""], f"{name}/": [1.5, -2.5]})
+    path = Results(folder).write_table("t", table)
+    read = read_table(path, ["parameter"], blank=["note"], others_are_numbers=True)
+    assert read["parameter"].tolist() == [name, f"{name}_"]
+    assert read["note"].tolist() == ["" if text == "nan" else text, ""]
+    assert read[f"{name}/"].tolist() == [1.5, -2.5]
+
+
+def test_the_index_and_the_header_are_guarded_too_and_numbers_are_not(tmp_path):
+    table = pd.DataFrame({"=A1": [-1.0]}, index=pd.Index(["@b"], name="parameter"))
+    path = Results(tmp_path).write_table("t", table, index=True)
+    assert path.read_text() == "parameter,'=A1\n'@b,-1\n"
+    assert read_table(path, ["parameter"], others_are_numbers=True).to_dict("list") == {
+        "parameter": ["@b"],
+        "=A1": [-1.0],
+    }
+
+
+def test_a_text_of_several_lines_stays_one_cell(tmp_path):
+    path = Results(tmp_path).write_table("t", pd.DataFrame({"item": ["a"], "reason": ["one\r\ntwo\tthree"]}))
+    assert read_table(path, ["item", "reason"])["reason"].tolist() == ["one two\tthree"]
