@@ -238,7 +238,9 @@ def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None
     _table(heads, rows, left=("remark",))
     found = answer.findings
     counts = len(answer.tables["atoms"]), len(answer.tables["tried"])
-    tests = f"{_count(len(found.groups), 'effect')} and {_count(counts[0], 'local change')} tested"
+    tests = (
+        f"{_count(sum(len(g.names) for g in found.groups), 'effect')} and {_count(counts[0], 'local change')} tested"
+    )
     work = f"{_count(counts[1], 'model')} fitted, {_count(found.evaluations, 'model evaluation')}"
     say(f"\n{tests}, {work}, {answer.seconds:.0f} s.")
     say("z is a score and no probability; ln Bayes is against the base model, for the plausible size of each effect.")

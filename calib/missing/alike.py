@@ -1,54 +1,69 @@
-"""Candidates that no such data can tell apart are tested as one."""
+"""Candidates that these data cannot tell apart count as one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from calib.effect import Effect
+from calib.missing.evidence import CREDIBLE, expected_ln_bayes
 from calib.missing.score import Scores, correlation
 
 
 @dataclass(frozen=True)
 class Group:
-    """Effects with the same fingerprint, once the parameters have absorbed what they can.
+    """Effects that the signal at hand does not tell apart, once the parameters have absorbed what they can.
 
     Attributes
     ----------
     effect : Effect
-        The one that is tested and named.
+        The one of the largest score.
     others : tuple of Effect
-        Those that it stands for.
+        Those that look the same.
     """
 
     effect: Effect
     others: tuple[Effect, ...] = ()
 
     @property
+    def effects(self) -> tuple[Effect, ...]:
+        """All of them, the one of the largest score first."""
+        return (self.effect, *self.others)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """All of them."""
-        return (self.effect.name, *(e.name for e in self.others))
+        return tuple(e.name for e in self.effects)
 
 
 def grouped(effects: Sequence[Effect], found: Scores, threshold: float) -> tuple[Group, ...]:
-    """Join effects whose fingerprints correlate beyond a threshold; the first of them in the library stands for all.
+    """Join effects whose fingerprints correlate beyond a threshold and that the signal at hand does not tell apart.
 
-    A negative correlation joins only effects whose strength may have either sign: otherwise the sign tells them apart.
-    Effects that depend on nuisance parameters are never joined, since their fingerprint is no single direction.
+    With the larger score ``z`` of two effects and the correlation ``rho`` of their fingerprints the log Bayes factor to
+    expect between them is ``z^2 (1 - rho^2)/2``; below `CREDIBLE` (odds of 20:1) they are joined. However alike they
+    are, a signal that is strong enough tells them apart. A negative correlation joins only effects whose strength may
+    have either sign: otherwise the sign tells them apart. Effects that depend on nuisance parameters are never joined,
+    since their fingerprint is no single direction.
+
+    The effect of the largest score leads its group, of equal ones the first by name: the order of the library joins
+    nothing. Groups are told in that order.
     """
     usable = [e for e in effects if not e.nuisance]
     columns = [found.best(e.name) for e in usable]
-    alike = correlation(found, columns)
+    alike, strength = correlation(found, columns), np.abs(found.z[columns])
     taken: dict[str, str] = {}
-    for a, first in enumerate(usable):
-        if first.name in taken:
-            continue
-        for b in range(a + 1, len(usable)):
-            other = usable[b]
-            rho = float(alike[a, b])
-            same = rho > threshold or (rho < -threshold and first.signed and other.signed)
-            if same and other.name not in taken:
-                taken[other.name] = first.name
+    leaders: list[int] = []
+    for k in sorted(range(len(usable)), key=lambda k: (-strength[k], usable[k].name)):
+        for a in leaders:
+            rho = float(alike[a, k])
+            same = rho > threshold or (rho < -threshold and usable[a].signed and usable[k].signed)
+            if same and expected_ln_bayes(float(strength[a]), rho) < CREDIBLE:
+                taken[usable[k].name] = usable[a].name
+                break
+        else:
+            leaders.append(k)
     return tuple(
         Group(e, tuple(o for o in effects if taken.get(o.name) == e.name)) for e in effects if e.name not in taken
     )

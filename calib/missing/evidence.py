@@ -81,13 +81,27 @@ def rescaled(ln_bayes: float, strength: float, std: float, prior_sd: float, fact
     return float(ln_bayes + ln(factor * prior_sd) - ln(prior_sd))
 
 
-def posterior(ln_bayes: np.ndarray) -> tuple[float, np.ndarray]:
+def expected_ln_bayes(score: float, rho: float) -> float:
+    """Log Bayes factor to expect between an effect of an expected score and one of correlated fingerprint."""
+    return 0.5 * score**2 * (1 - rho**2)
+
+
+def posterior(ln_bayes: np.ndarray, shares: np.ndarray | None = None) -> tuple[float, np.ndarray]:
     """Probability of the base model and of each effect within the library.
 
-    Half of the prior belongs to the base model, the other half is shared by all effects, so that a longer library does
-    not raise false alarms (multiplicity; Scott and Berger 2010).
+    Half of the prior belongs to the base model, the other half is shared by all groups of effects that look the same,
+    and within a group by its effects, so that a longer library does not raise false alarms (multiplicity; Scott and
+    Berger 2010).
+
+    Parameters
+    ----------
+    ln_bayes : ndarray (m,)
+    shares : ndarray (m,), optional
+        One over the size of each effect's group; by default each is by itself.
     """
-    weights = np.concatenate([[np.log(0.5)], ln_bayes + np.log(0.5 / max(len(ln_bayes), 1))])
+    shares = np.ones(len(ln_bayes)) if shares is None else shares
+    prior = 0.5 * shares / max(float(shares.sum()), 1.0)
+    weights = np.concatenate([[np.log(0.5)], ln_bayes + np.log(prior)])
     weights = np.exp(weights - weights.max())
     weights /= weights.sum()
     return float(weights[0]), weights[1:]

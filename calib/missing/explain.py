@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
-from calib.missing.alike import grouped
+from calib.missing.alike import Group, grouped
 from calib.missing.evidence import CREDIBLE, at_lower
 from calib.missing.findings import Check, Findings, Trial
 from calib.missing.goodness import goodness, noise_scale, overall
@@ -81,13 +81,15 @@ class _Decision:
         start = starts.get(()) or nearest_whole(question, question.space.values)
         base = fits.trial((), start, whole=0 if fits.spent(EARLY) else 1)
         fits.progress("testing whether anything is missing")
-        named = fits.scores(base, hypotheses.effects)
-        able = [e for e in hypotheses.effects if e.name in named.owners]
+        # By name: neither draws nor ties nor what a budget leaves out may depend on the order of the library.
+        able = sorted(hypotheses.effects, key=lambda e: e.name)
+        named = fits.scores(base, able)
+        able = [e for e in able if e.name in named.owners]
         if not able:
             raise EvaluationError("the model cannot be solved with any of the effects")
-        groups = grouped(able, named, fits.settings.merge)
-        candidates = tuple(g.effect for g in groups)
-        check = self.check(base, named.only([e.name for e in candidates]))
+        library = [e for e in hypotheses.effects if e in able]
+        groups = grouped(library, named, fits.settings.merge)
+        check = self.check(base, named)
         plain = Findings(
             verdict="nothing_detectable", base=base, base_check=check, groups=groups, trials=(), atom=None,
             chosen=None, chosen_check=None, credible=(), noise_scale=fits.scale,
@@ -95,14 +97,14 @@ class _Decision:
         )  # fmt: skip
         if check.passes(alpha):
             return plain
-        singles = fits.singles(base, candidates, check.named, starts)
+        singles = fits.singles(base, groups, check.named, starts)
         atom = fits.best_atom(base, check.atoms, check.named, singles)
         # One of many local changes fits best by chance; against a named effect it pays for their number.
         rival = -math.inf
         if atom is not None:
-            rival = atom.ln_evidence - math.log(max(len(hypotheses.atoms) / len(candidates), 1.0))
-        needed = max(base.ln_evidence + math.log(len(candidates)) + CREDIBLE, rival)
-        best, best_check = self.best(singles, candidates)
+            rival = atom.ln_evidence - math.log(max(len(hypotheses.atoms) / len(groups), 1.0))
+        needed = max(base.ln_evidence + math.log(len(groups)) + CREDIBLE, rival)
+        best, best_check = self.best(singles, able)
         plain = replace(plain, trials=tuple(singles), atom=atom, measured_scale=self.scale(base, best, atom))
         if plain.measured_scale > GUARD and not starts and self.promised_scale(best, best_check.named) > GUARD:
             return self.done(plain, "none_explains", best, best_check)
@@ -111,23 +113,24 @@ class _Decision:
         moved = None if fits.spent(LATE) else fits.moved(best)
         if moved is not None:
             singles = sorted([moved, *(t for t in singles if t is not best)], key=lambda t: -t.ln_evidence)
-            best, best_check = self.best(singles, candidates)
+            best, best_check = self.best(singles, able)
             if self.accepted(best, best_check, needed):
                 return self.named(plain, singles, best, best_check)
-        pairs = fits.pairs(best, best_check.named, singles, candidates)
+        pairs = fits.pairs(best, best_check.named, singles, able)
         again = fits.alone(singles, pairs)
         if again is not singles:
             singles = again
-            best, best_check = self.best(singles, candidates)
+            best, best_check = self.best(singles, able)
             if self.accepted(best, best_check, needed):
                 return self.named(plain, singles, best, best_check)
         plain = replace(plain, trials=(*singles, *pairs), measured_scale=self.scale(base, best, atom, *pairs[:1]))
-        second = 2 * CREDIBLE + math.log(max(len(candidates) - 1, 1))
-        pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival))
-        if pair is not None:
-            pair_check = self.check(pair, self.beside(pair, candidates))
+        second = 2 * CREDIBLE + math.log(max(len(groups) - 1, 1))
+        pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival), groups)
+        if pair:
+            pair_check = self.check(pair[0], self.beside(pair[0], able))
             if pair_check.adequate(alpha):
-                return self.done(plain, "two_effects", pair, pair_check, pair.names)
+                credible = dict.fromkeys(name for t in pair for name in t.names)
+                return self.done(plain, "two_effects", pair[0], pair_check, tuple(credible))
         partial = best.ln_evidence > needed and not best.implausible and best_check.p_family <= alpha
         return self.done(plain, "partial" if partial else "none_explains", best, best_check)
 
@@ -138,12 +141,14 @@ class _Decision:
     def named(self, found: Findings, singles: Sequence[Trial], best: Trial, check: Check) -> Findings:
         """One effect, or several that explain about as well and that a careful reader would believe."""
         lowest = singles[0].ln_evidence - CREDIBLE
-        alike = {group.effect.name: group.names for group in found.groups}
+        fitted = {t.names[0] for t in singles}
+        alike = {group.effect.name: tuple(e.name for e in group.others) for group in found.groups}
         credible = tuple(
             name
             for t in singles
             if t.ln_evidence > lowest and not t.implausible
-            for name in alike[t.names[0]]  # what has the same fingerprint explains as well
+            # What looks the same and was not fitted explains as well.
+            for name in (t.names[0], *(n for n in alike.get(t.names[0], ()) if n not in fitted))
         )
         found = replace(found, trials=tuple(singles))
         return self.done(found, "effect" if len(credible) == 1 else "indistinguishable", best, check, credible)
@@ -163,14 +168,18 @@ class _Decision:
         best = near[0] if near else singles[0]
         return best, self.check(best, self.beside(best, candidates))
 
-    def pair(self, pairs: Sequence[Trial], needed: float) -> Trial | None:
-        """The pair of effects that may be named: well supported, believable, and none other nearly as good."""
+    def pair(self, pairs: Sequence[Trial], needed: float, groups: Sequence[Group]) -> tuple[Trial, ...]:
+        """The pair of effects that may be named, with those that look the same; empty when there is none.
+
+        It is well supported, believable, and no other one is nearly as good.
+        """
         believable = [t for t in pairs if not t.implausible and not any(at_lower(t.state, e) for e in t.effects)]
         if not believable or believable[0].ln_evidence <= needed:
-            return None
-        if any(t.ln_evidence > believable[0].ln_evidence - CREDIBLE for t in believable[1:]):
-            return None
-        return believable[0]
+            return ()
+        leader = {name: g.effect.name for g in groups for name in g.names}
+        near = [t for t in believable if t.ln_evidence > believable[0].ln_evidence - CREDIBLE]
+        looks = {frozenset(leader[name] for name in t.names) for t in near}
+        return tuple(near) if len(looks) == 1 else ()
 
     # -- tests ---------------------------------------------------------------------------------------------------------
 

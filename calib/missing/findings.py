@@ -88,7 +88,7 @@ class Findings:
         Without effects.
     base_check : Check
     groups : tuple of Group
-        Candidates, those that no such data can tell apart taken together.
+        Candidates, those that the signal at hand does not tell apart taken together.
     trials : tuple of Trial
         Every effect and pair that was fitted, best first among the single ones, then pairs.
     atom : Trial or None
@@ -97,7 +97,7 @@ class Findings:
         The explanation: one effect or two; the best attempt when none explains.
     chosen_check : Check or None
     credible : tuple of str
-        Effects that explain about as well as the best.
+        Effects that explain about as well as the best; of two, with those that look the same as either.
     noise_scale : float
         Factor on the scatter that was used: 1 unless it was found understated.
     measured_scale : float

@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
+from calib.missing.alike import Group, grouped
 from calib.missing.evidence import CREDIBLE, at_lower, ln_bayes_linear, ln_evidence
 from calib.missing.findings import Trial
 from calib.missing.hypotheses import Hypotheses, Question, Scaled
@@ -53,7 +54,7 @@ class Settings:
     refits : int
         Effects that are fitted, best first.
     merge : float
-        Correlation of fingerprints from which two effects are one group.
+        Correlation of fingerprints from which two effects are one group, unless the signal tells them apart.
     seed : int
         Of the draws behind family-wise probabilities.
     budget : float
@@ -125,15 +126,16 @@ class Refits:
     def singles(
         self,
         base: Trial,
-        candidates: Sequence[Effect],
+        groups: Sequence[Group],
         named: Scores,
         starts: dict[tuple[str, ...], dict[str, float]],
     ) -> list[Trial]:
-        """The most promising effects, fitted; best first."""
+        """The most promising effects, fitted, and those that look the same as what fits well; best first."""
         plausible = np.array([self._by_name[n].plausible for n in named.owners])
         promise = ln_bayes_linear(named.strength, named.size, plausible)
-        by_effect = {e.name: max(promise[k] for k, n in enumerate(named.owners) if n == e.name) for e in candidates}
-        order = sorted(by_effect, key=lambda n: -by_effect[n])[: self.settings.refits]
+        leading = [g.effect.name for g in groups]
+        by_effect = {name: max(promise[k] for k, n in enumerate(named.owners) if n == name) for name in leading}
+        order = sorted(by_effect, key=lambda n: (-by_effect[n], n))[: self.settings.refits]
         out: list[Trial] = []
         for name in order:
             if len(out) > 1 and self.spent(EARLY):
@@ -141,13 +143,20 @@ class Refits:
             reached = max((t.ln_evidence - base.ln_evidence for t in out), default=0.0)
             if reached > _FAR and by_effect[name] < reached / 4 and (name,) not in starts:
                 continue  # it promises next to nothing of what another one has done already
-            self.progress(f"fitting {self._by_name[name].title}")
-            known = [starts[(name,)]] if (name,) in starts else None
-            found = self.best_of((name,), known or self.starts(base.state, named, name))
+            found = self._single(base, named, name, starts)
             if found is not None:
                 out.append(found)
         if not out:
             raise EvaluationError("no effect could be fitted")
+        out.sort(key=lambda t: -t.ln_evidence)
+        reached = out[0].ln_evidence - base.ln_evidence
+        near = max(_CLOSE, _NEARLY * reached)
+        alike = {g.effect.name: g.others for g in groups}
+        for one in tuple(out):
+            close = out[0].ln_evidence - one.ln_evidence < near
+            for rival in alike[one.names[0]] if close and not self.spent() else ():
+                found = self._single(base, named, rival.name, starts)
+                out += [] if found is None else [found]
         out.sort(key=lambda t: -t.ln_evidence)
         # Places of whole-number parameters may have followed what was missing: the best are allowed to move them back.
         reached = out[0].ln_evidence - base.ln_evidence
@@ -157,6 +166,14 @@ class Refits:
             if close and not self.spent(EARLY if k else 1.0):
                 out[k] = self.trial(one.names, one.state.values, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
+
+    def _single(
+        self, base: Trial, named: Scores, name: str, starts: dict[tuple[str, ...], dict[str, float]]
+    ) -> Trial | None:
+        """One effect, fitted from where it was fitted before, or one step from the base model."""
+        self.progress(f"fitting {self._by_name[name].title}")
+        known = [starts[(name,)]] if (name,) in starts else None
+        return self.best_of((name,), known or self.starts(base.state, named, name))
 
     def best_of(self, names: tuple[str, ...], starts: Sequence[dict[str, float]]) -> Trial | None:
         """The best fit from some starts; None when no start can be evaluated."""
@@ -218,7 +235,7 @@ class Refits:
             places = [] if self.spent(LATE) else neighbours(first.state)
             views = [(place, beside.at(place)) for place in (first.state, *places)]
             left = {n: self._left(views, n) for n in dict.fromkeys(beside.owners)}
-            for name in sorted(left, key=lambda n: left[n][0])[:count]:
+            for name in self._first_of(left, views, candidates, count):
                 _, place, there = left[name]
                 start = self.starts(place, there, name)[0]
                 wanted.setdefault(frozenset((first.names[0], name)), []).append(start)
@@ -226,7 +243,7 @@ class Refits:
         for key, starts in wanted.items():
             if self.spent():
                 break
-            names = tuple(e.name for e in candidates if e.name in key)
+            names = tuple(sorted(key))
             self.progress("fitting " + " with ".join(self._by_name[n].title for n in names))
             pair = self.best_of(names, starts[:1])
             if len(starts) > 1 and (pair is None or pair.implausible):
@@ -242,6 +259,19 @@ class Refits:
         if out and not self.spent():
             out[0] = self.trial(out[0].names, out[0].state.values)
         return sorted(out, key=lambda t: -t.ln_evidence)
+
+    def _first_of(
+        self,
+        left: Mapping[str, tuple[float, State, Scores]],
+        views: Sequence[tuple[State, Scores]],
+        candidates: Sequence[Effect],
+        count: int,
+    ) -> list[str]:
+        """The effects that promise to leave least, each with all that look the same beside the first effect."""
+        able = [e for e in candidates if e.name in left]
+        groups = {g.effect.name: g.names for g in grouped(able, views[0][1], self.settings.merge)}
+        order = sorted(groups, key=lambda n: (min(left[m][0] for m in groups[n]), n))[:count]
+        return [name for leader in order for name in groups[leader]]
 
     @staticmethod
     def _left(views: Sequence[tuple[State, Scores]], name: str) -> tuple[float, State, Scores]:

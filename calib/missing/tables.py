@@ -11,7 +11,7 @@ import pandas as pd
 
 from calib.effect import Effect
 from calib.missing.alike import Group
-from calib.missing.evidence import CREDIBLE, ln_bayes_linear, posterior, rescaled
+from calib.missing.evidence import CREDIBLE, expected_ln_bayes, ln_bayes_linear, posterior, rescaled
 from calib.missing.findings import Findings, Trial
 from calib.missing.plausible import strain
 from calib.missing.score import DETECTABLE, correlation
@@ -56,9 +56,10 @@ def effects_table(
     singles = {t.names[0]: t for t in found.singles if t.state.misfit <= found.base.state.misfit}
     if found.verdict == "two_effects" and found.chosen is not None:
         singles |= dict.fromkeys(found.chosen.names, found.chosen)
-    rows: list[tuple[Group, dict[str, object]]] = []
-    for group in found.groups:
-        e = group.effect
+    rows: list[dict[str, object]] = []
+    first: dict[str, object] = {}
+    shares = []
+    for group, e in [(one, e) for one in found.groups for e in one.effects]:
         if e.name in lacking:
             continue
         k = named.best(e.name)
@@ -70,7 +71,8 @@ def effects_table(
             "largest": max(abs(e.strength.lower), e.strength.upper), "visible": size <= e.plausible,
             "heldout_gain": gains.get(e.name, math.nan), "refitted": trial is not None,
             "credible": e.name in found.credible, "implausible": "" if trial is None else trial.implausible,
-            "confounded_with": ", ".join(confounded_with(found, e.name)), "stands_for": ", ".join(group.names[1:]),
+            "confounded_with": ", ".join(confounded_with(found, e.name)),
+            "stands_for": ", ".join(_stands_for(group, singles)) if e is group.effect else "",
             "lacks": e.lacks, "look_for": e.look_for,
         }  # fmt: skip
         factors = {"ln_bayes": 1.0, "ln_bayes_third": 1 / 3, "ln_bayes_triple": 3.0}
@@ -86,27 +88,22 @@ def effects_table(
             row |= {"phi": phi, "phi_low": max(low, p.lower), "phi_high": min(high, p.upper)}
             for column, factor in factors.items():
                 row[column] = rescaled(found.ln_bayes(trial), phi, std, e.plausible, factor)
-        rows.append((group, row))
-    chances = posterior(np.array([row["ln_bayes"] for _, row in rows], dtype=float))[1]
-    for (group, row), chance in zip(rows, chances, strict=True):
-        row["posterior"] = chance / len(group.names)  # what has the same fingerprint shares it
-    every = [one for group, row in rows for one in (row, *_members(row, group))]
-    table = pd.DataFrame([*every, *map(_untested, untested)], columns=list(EFFECT_COLUMNS))
+        leader = singles.get(group.effect.name)
+        if trial is None and leader is not None:  # what the data say of it they say of all that look the same
+            row |= {column: first[column] for column in (*factors, "implausible")}
+        first = row if e is group.effect else first
+        rows.append(row)
+        shares.append(1 / len(group.names))
+    chances = posterior(np.array([row["ln_bayes"] for row in rows], dtype=float), np.array(shares))[1]
+    for row, chance in zip(rows, chances, strict=True):
+        row["posterior"] = chance
+    table = pd.DataFrame([*rows, *map(_untested, untested)], columns=list(EFFECT_COLUMNS))
     return table.sort_values(["refitted", "ln_bayes"], ascending=False, kind="stable", ignore_index=True)
 
 
-def _members(row: dict[str, object], group: Group) -> list[dict[str, object]]:
-    """Rows of the effects that look the same: what the data say of the first they say of them, but for strengths."""
-    unknown = dict.fromkeys(("phi", "phi_low", "phi_high", "phi_min", "heldout_gain"), math.nan)
-    return [
-        {
-            **row, **unknown, "name": e.name, "title": e.title, "unit": e.strength.unit, "plausible": e.plausible,
-            "largest": max(abs(e.strength.lower), e.strength.upper), "refitted": False, "stands_for": "",
-            "lacks": e.lacks, "look_for": e.look_for,
-            "confounded_with": ", ".join(n for n in group.names if n != e.name),
-        }
-        for e in group.others
-    ]  # fmt: skip
+def _stands_for(group: Group, fitted: Mapping[str, Trial]) -> list[str]:
+    """Effects that look the same as the first one and were not fitted by themselves."""
+    return [e.name for e in group.others if e.name not in fitted]
 
 
 def _untested(e: Effect) -> dict[str, object]:
@@ -127,7 +124,7 @@ def strength_of(trial: Trial, name: str) -> tuple[float, float]:
 def confounded_with(found: Findings, name: str) -> list[str]:
     """Effects whose fingerprints are alike beyond `ALIKE`, or that at its fitted strength odds of 20:1 cannot tell."""
     named = found.base_check.named
-    names = [g.effect.name for g in found.groups]
+    names = _names(found)
     columns = [named.best(n) for n in names]
     rho = correlation(named, columns)[names.index(name)]
     trial = next((t for t in found.singles if t.names == (name,)), None)
@@ -141,15 +138,15 @@ def confounded_with(found: Findings, name: str) -> list[str]:
     return out
 
 
-def expected_ln_bayes(score: float, rho: float) -> float:
-    """Log Bayes factor to expect between an effect of an expected score and one of correlated fingerprint."""
-    return 0.5 * score**2 * (1 - rho**2)
+def _names(found: Findings) -> list[str]:
+    """All effects that were tested, joined ones beside each other."""
+    return [name for group in found.groups for name in group.names]
 
 
 def confounding_table(found: Findings) -> pd.DataFrame:
     """Correlation of fingerprints after projection; first column ``effect``, then one column an effect."""
     named = found.base_check.named
-    names = [g.effect.name for g in found.groups]
+    names = _names(found)
     matrix = correlation(named, [named.best(n) for n in names])
     table = pd.DataFrame(matrix, columns=names)
     table.insert(0, "effect", names)

@@ -65,7 +65,8 @@ def _p(p: float) -> str:
 def _family(found: Findings) -> str:
     check = found.base_check
     local = f"{len(set(check.atoms.owners))} local changes"
-    counts = f"{len(found.groups)} effect{'s' * (len(found.groups) != 1)} and {local}"
+    tested = sum(len(g.names) for g in found.groups)
+    counts = f"{tested} effect{'s' * (tested != 1)} and {local}"
     return (
         f"with the model complete the chance of such scores is {_chance(check.p_family)} (family-wise over {counts}) "
         f"and of such a misfit as a whole {_chance(check.p_fit)}"
@@ -98,10 +99,17 @@ def _strength(effects: pd.DataFrame, name: str) -> str:
     return f"{row['phi']:.3g}{unit} (95 %: {row['phi_low']:.3g} to {row['phi_high']:.3g}{unit})"
 
 
-def _titled(effects: pd.DataFrame, name: str, alike: bool = True) -> str:
+def _titled(effects: pd.DataFrame, name: str, alike: str | None = None) -> str:
     row = effects[effects["name"] == name].iloc[0]
-    others = f", or what looks the same here: {row['stands_for']}" if alike and row["stands_for"] else ""
+    same = str(row["stands_for"]) if alike is None else alike
+    others = f", or what looks the same here: {same}" if same else ""
     return f"{row['title']} ({name}{others})"
+
+
+def _others_alike(found: Findings, name: str) -> str:
+    """Credible effects that look the same as one of a pair."""
+    own = {n for g in found.groups if name in g.names for n in g.names} - {name}
+    return ", ".join(n for n in found.credible if n in own)
 
 
 def _look_for(found: Findings) -> list[str]:
@@ -113,7 +121,7 @@ def _look_for(found: Findings) -> list[str]:
 
 
 def _effects(found: Findings) -> tuple[Effect, ...]:
-    return tuple(e for g in found.groups for e in (g.effect, *g.others))
+    return tuple(e for g in found.groups for e in g.effects)
 
 
 def _clean(found: Findings) -> str:
@@ -140,7 +148,7 @@ def _effect(found: Findings, effects: pd.DataFrame) -> list[str]:
 def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
     rows = effects[effects["name"].isin(found.credible)].sort_values("ln_bayes", ascending=False)
     odds = math.exp(float(rows["ln_bayes"].iloc[0] - rows["ln_bayes"].iloc[1]))
-    named = "; or ".join(f"{_titled(effects, n, alike=False)}, {_strength(effects, n)}" for n in rows["name"])
+    named = "; or ".join(f"{_titled(effects, n, '')}, {_strength(effects, n)}" for n in rows["name"])
     credible = [e for n in rows["name"] for e in _effects(found) if e.name == n]
     return [
         f"Something is missing: {_family(found)}.",
@@ -155,11 +163,12 @@ def _two(found: Findings, effects: pd.DataFrame) -> list[str]:
     assert found.chosen is not None
     values: Mapping[str, float] = found.chosen.state.values
     told = []
+    alike = {e.name: _others_alike(found, e.name) for e in found.chosen.effects}
     for e in found.chosen.effects:
         k = found.chosen.state.names.index(e.name)
         std = float(found.chosen.state.covariance[k, k]) ** 0.5
         unit = "" if e.strength.unit == "-" else f" {e.strength.unit}"
-        told.append(f"{_titled(effects, e.name)}, {values[e.name]:.3g} +- {1.96 * std:.2g}{unit} (95 %)")
+        told.append(f"{_titled(effects, e.name, alike[e.name])}, {values[e.name]:.3g} +- {1.96 * std:.2g}{unit} (95 %)")
     return [
         f"Two effects are missing: {_family(found)}, and no single effect leaves nothing organised.",
         "Best explanation: " + " together with ".join(told) + ".",

@@ -67,17 +67,23 @@ class Added:
 
 def to_add(found: Findings) -> Trial | None:
     """The explanation that a verdict names without a rival; None for every other verdict."""
-    return found.chosen if found.verdict in ("effect", "two_effects") else None
+    if found.verdict not in ("effect", "two_effects") or found.chosen is None:
+        return None
+    return found.chosen if set(found.credible) == set(found.chosen.names) else None
 
 
 def write_nothing_added(found: Findings, results: Results) -> Added:
     """Tell why nothing is added, and write it."""
+    untold = (
+        f"These data cannot tell between {' and '.join(found.credible)}, so none of them is "
+        "added: look at the structure, or measure what would tell them apart."
+    )
     reasons = {
         "nothing_detectable": "Nothing is missing that these data could show, so nothing is added and the story ends "
         "here.",
         "noise_underestimated": "The scatter of the measurement has to be mended first, so nothing is added.",
-        "indistinguishable": f"These data cannot tell between {' and '.join(found.credible)}, so none of them is "
-        "added: look at the structure, or measure what would tell them apart.",
+        "indistinguishable": untold,
+        "two_effects": untold,
         "partial": "What was tried explains a part only and may stand in for something else, so nothing is added.",
         "none_explains": "No effect of the library explains what is missing, so nothing is added.",
     }

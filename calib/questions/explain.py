@@ -226,7 +226,7 @@ def _untested(side: Side, found: Findings) -> list[Effect]:
 def _visible(side: Side, found: Findings) -> dict[str, float]:
     """Smallest visible strengths of effects that show at no plausible one to first order, asked of the model itself."""
     state, out = found.base.state, {}
-    for effect in (group.effect for group in found.groups):
+    for effect in (e for group in found.groups for e in group.effects):
         if not effect.nuisance and smallest_visible(found.base_check.named, effect.name) > effect.plausible:
             inner = side.hypotheses.question((effect.name,))
             question = inner if found.noise_scale == 1.0 else Scaled(inner, found.noise_scale)

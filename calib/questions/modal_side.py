@@ -102,7 +102,7 @@ class ModalSide:
         held, whole = set(self.study.settings.withheld.modes), self.study.whole
         withheld = {} if whole is None else dict(zip(whole.names, whole.natural_freq.tolist(), strict=True))
         withheld = {name: freq for name, freq in withheld.items() if name in held}
-        candidates = [g.effect for g in found.groups]
+        candidates = [e for g in found.groups for e in g.effects]
         named = found.base_check.named
         own = self.study.settings.explain
         return modal_prospects(

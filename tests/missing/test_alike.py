@@ -45,10 +45,26 @@ def test_only_beyond_the_threshold(apart):
     assert len(grouped(apart.effects, found(apart), 0.98)) == 4
 
 
-def test_the_first_of_the_library_stands_for_all(apart):
+def test_the_largest_score_leads_whatever_the_order(apart):
     toy = mixed(mixed(apart, "E3", "E1", 0.995), "E0", "E1", 0.995, seed=2)
-    assert names(grouped(toy.effects, found(toy), 0.98)) == {"E0": ("E1", "E3"), "E2": ()}
-    assert names(grouped(toy.effects[::-1], found(toy), 0.98)) == {"E3": ("E1", "E0"), "E2": ()}
+    for largest in ("E0", "E1", "E3"):
+        one = replace(toy, data=0.3 * toy.columns[largest])
+        at = found(one)
+        others = {"E0", "E1", "E3"} - {largest}
+        for effects in (one.effects, one.effects[::-1]):
+            groups = names(grouped(effects, at, 0.98))
+            assert {k: set(v) for k, v in groups.items()} == {largest: others, "E2": set()}
+    assert list(names(grouped(toy.effects, found(toy), 0.98))) == ["E0", "E2"]  # no score at all: by name
+
+
+@pytest.mark.parametrize(("score", "joined"), [(0.0, True), (10.0, True), (13.0, False), (60.0, False)])
+def test_a_strong_signal_tells_apart_what_is_very_alike(apart, score, joined):
+    """Beyond odds of 20:1 to expect: z sqrt(1 - 0.98) > sqrt(6), or z > 12.3 at a correlation of 0.98."""
+    toy = mixed(apart, "E2", "E0", 0.9801)
+    toy = replace(toy, data=score * toy.columns["E0"] / np.linalg.norm(toy.columns["E0"]))
+    at = found(toy)
+    assert abs(at.z[at.best("E0")]) == pytest.approx(score, rel=1e-6, abs=1e-9)
+    assert (names(grouped(toy.effects, at, 0.98)).get("E0") == ("E2",)) == joined
 
 
 def test_one_between_two_goes_with_the_first(apart):

@@ -100,9 +100,9 @@ def test_effects_of_one_fingerprint_are_one(toy):
     toy = toy().alike("E4", "E2", 0.995)
     found = toy.explained({"E4": 1.0}, 8)
     for f in found:
-        assert {g.effect.name: g.names for g in f.groups}["E2"] == ("E2", "E4") and len(f.groups) == 4
-        assert f.chosen.names[0] == "E2" and f.verdict != "effect"
-    assert Counter(f.credible for f in found)[("E2", "E4")] >= 6
+        assert {"E2", "E4"} in [set(g.names) for g in f.groups] and len(f.groups) == 4
+        assert f.chosen.names[0] in ("E2", "E4") and f.verdict != "effect"
+    assert Counter(frozenset(f.credible) for f in found)[frozenset(("E2", "E4"))] >= 6
     apart = explain(toy.drawn(np.random.default_rng(1), {"E4": 1.0}), Settings(merge=0.999))
     assert len(apart.groups) == 5 and set(apart.credible) == {"E2", "E4"} and apart.verdict == "indistinguishable"
 

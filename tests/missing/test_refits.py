@@ -68,7 +68,7 @@ def test_a_pair_of_which_one_has_vanished_is_never_named(toy):
         decision = _Decision(Refits(one, DEFAULT, 1.0, lambda words: None))
         for pair in (replace(t, implausible="") for t in found.trials if len(t.effects) == 2):
             gone = min(pair.state.values[name] for name in pair.names) < 1e-5
-            assert decision.pair([pair], -np.inf) is (None if gone else pair)
+            assert decision.pair([pair], -np.inf, found.groups) == (() if gone else (pair,))
             vanished, named = vanished + gone, named + (not gone)
     assert vanished >= 3 and named >= 3
 

@@ -175,19 +175,35 @@ def test_probabilities_within_the_library_leave_half_of_the_prior_to_the_base_mo
         table = table_of(found)
         stands = {name: g.effect.name for g in found.groups for name in g.names}
         first = table[table["name"].isin(stands.values())].set_index("name")
-        weights = np.exp(first["ln_bayes"].astype(float)) / len(first)
-        shares = table.groupby(table["name"].map(stands))["posterior"].sum()
-        assert shares.to_dict() == pytest.approx((weights / (1 + weights.sum())).to_dict())
+        own = table.set_index("name")
+        size = pd.Series({name: len(g.names) for g in found.groups for name in g.names})
+        weights = np.exp(own["ln_bayes"].astype(float)) / len(first) / size[own.index]
+        assert own["posterior"].to_dict() == pytest.approx((weights / (1 + weights.sum())).to_dict())
     assert table_of(nothing[1])["posterior"].sum() < 0.5
 
 
 def test_merged_effects_are_told_beside_the_one_that_stands_for_them(one):
     table = table_of(one[1]).set_index("name")
     first, other = table.loc["E2"], table.loc["E4"]
-    assert first["stands_for"] == "E4" and (table.drop("E2")["stands_for"] == "").all()
+    assert first["refitted"] and first["stands_for"] == "E4" and (table.drop("E2")["stands_for"] == "").all()
     assert other["confounded_with"] == "E2" and other["ln_bayes"] == first["ln_bayes"]
     assert other["posterior"] == first["posterior"] and not other["refitted"] and np.isnan(other["phi"])
     assert other["credible"] == first["credible"] and list(table.index).index("E4") > list(table.index).index("E2")
+    assert other["z"] != first["z"] and other["phi_min"] != first["phi_min"]  # these are its own
+
+
+def test_joined_effects_that_were_fitted_tell_what_they_are(toy):
+    made = toy(effects=5).alike("E4", "E2", 0.995)
+    _, found = found_in(made, {"E2": 1.3})
+    table = table_of(found).set_index("name")
+    assert {"E2", "E4"} in [set(g.names) for g in found.groups]
+    both = table.loc[["E2", "E4"]]
+    assert both["refitted"].all() and both["phi"].notna().all() and (table["stands_for"] == "").all()
+    for name in ("E2", "E4"):
+        (own,) = [t for t in found.singles if t.names == (name,)]
+        assert table.loc[name, "ln_bayes"] == pytest.approx(found.ln_bayes(own))
+    odds = both["posterior"].iloc[0] / both["posterior"].iloc[1]
+    assert odds == pytest.approx(math.exp(both["ln_bayes"].iloc[0] - both["ln_bayes"].iloc[1]))
 
 
 def test_an_effect_that_was_not_tested_has_a_row_that_says_so(one):
@@ -226,7 +242,7 @@ def test_what_cannot_be_believed_is_said_in_its_row(toy):
 def test_the_correlation_of_fingerprints_is_that_after_projection(one):
     toy, found = one
     table = confounding_table(found).set_index("effect")
-    assert list(table.index) == list(table.columns) == [g.effect.name for g in found.groups]
+    assert list(table.index) == list(table.columns) == [name for g in found.groups for name in g.names]
     matrix = table.to_numpy()
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
     np.testing.assert_allclose(np.diag(matrix), 1.0)

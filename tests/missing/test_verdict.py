@@ -310,16 +310,29 @@ def test_effects_that_look_exactly_the_same_are_named_along(toy):
     merged = dressed(toy(effects=5).alike("E4", "E2", 0.995))
     found = first(merged, {"E2": 1.5}, "indistinguishable")
     text = told(found)
-    assert set(found.credible) == {"E2", "E4"} and "The odds of the first against the second are 1:1." in text
-    assert "Title of E2 (E2), " in text and "or Title of E4 (E4), whose fingerprint is that of E2." in text
-    assert "Look at E2. Or: Look at E4." in text
+    assert set(found.credible) == {"E2", "E4"}
+    first_of, second_of = (t.names[0] for t in found.singles[:2])
+    odds = math.exp(found.singles[0].ln_evidence - found.singles[1].ln_evidence)
+    assert f"The odds of the first against the second are {float(f'{odds:.2g}'):g}:1." in text
+    assert "Title of E2 (E2), " in text and "Title of E4 (E4), " in text and "whose fingerprint" not in text
+    assert f"Look at {first_of}. Or: Look at {second_of}." in text
+
+
+def test_one_that_looks_the_same_and_was_not_fitted_is_named_along(toy):
+    merged = dressed(toy(effects=5).alike("E4", "E2", 0.995))
+    found = first(merged, {"E2": 1.5}, "indistinguishable")
+    one, other = (t.names[0] for t in found.singles[:2])
+    alone = replace(found, trials=tuple(t for t in found.trials if t.names != (other,)))
+    assert f"or Title of {other} ({other}), whose fingerprint is that of {one}." in told(alone)
 
 
 def test_merged_effects_are_named_along_in_a_pair(toy):
     merged = dressed(toy(effects=5).alike("E4", "E2", 0.995))
     found = first(merged, {"E2": 1.5, "E0": 1.5}, "two_effects")
-    assert set(found.chosen.names) == {"E0", "E2"}
-    assert "looks the same here: E4" in told(found)
+    assert set(found.credible) == {"E0", "E2", "E4"}
+    named, other = ("E2", "E4") if "E2" in found.chosen.names else ("E4", "E2")
+    assert set(found.chosen.names) == {"E0", named}
+    assert f"Title of {named} ({named}, or what looks the same here: {other})" in told(found)
 
 
 def test_what_cannot_be_seen_is_told_with_the_smallest_strength_that_could(cases):

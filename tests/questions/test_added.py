@@ -62,6 +62,7 @@ def test_only_what_is_named_without_a_rival_is_added():
     assert to_add(found("two_effects", "guy", "lamp")).names == ("guy", "lamp")
     for verdict in ("indistinguishable", "partial", "none_explains"):
         assert to_add(found(verdict, "guy")) is None
+    assert to_add(found("two_effects", "guy", "lamp", credible=("guy", "lamp", "ice"))) is None  # ice looks as one does
     assert to_add(found("nothing_detectable")) is None and to_add(found("noise_underestimated")) is None
 
 
@@ -71,6 +72,7 @@ def test_only_what_is_named_without_a_rival_is_added():
         ("nothing_detectable", "Nothing is missing that these data could show"),
         ("noise_underestimated", "scatter of the measurement has to be mended"),
         ("indistinguishable", "cannot tell between guy and lamp, so none of them is added"),
+        ("two_effects", "cannot tell between guy and lamp, so none of them is added"),
         ("partial", "explains a part only"),
         ("none_explains", "No effect of the library explains"),
     ],
