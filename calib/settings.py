@@ -160,7 +160,7 @@ class ExplainSettings(_Section):
     refits : int
         Most promising effects that are calibrated with the whole model.
     merge : float
-        Correlation from which on effects of the same sign count as one.
+        Correlation from which on effects count as one, unless the signal at hand tells them apart.
     finer_options : dict
         Model options of a finer discretisation.
     draws : int
