@@ -28,6 +28,7 @@ from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.results import Results
 from calib.study import Study, shell_argument
+from calib.written import kept
 
 app = typer.Typer(
     name="calib",
@@ -154,7 +155,9 @@ def extend(
     """Write a new study whose model has one effect more, or several; the old one stays as it is."""
     written = extension.extend(_load(study, results), effects, into)
     console.tell_extension(written)
-    console.say(f"Calibrate it with: calib calibrate {shell_argument(written.file)}")
+    root = places.root_for(written.file, results)
+    place = "" if root == DEFAULT_RESULTS else f" --results {shell_argument(root)}"
+    console.say(f"Calibrate it with: calib calibrate {shell_argument(written.file)}{place}")
 
 
 @app.command()
@@ -347,6 +350,7 @@ def _draw(study: Study, folder: Results, whole_report: bool = False) -> None:
     console.tell_figures(figures)
     if written is not None:
         console.tell_report(written)
+    console.tell_kept(kept(folder.path))
 
 
 # -- leaving -----------------------------------------------------------------------------------------------------------

@@ -293,6 +293,12 @@ def tell_figures(paths: Sequence[Path]) -> None:
             say(f"  {path}")
 
 
+def tell_kept(paths: Sequence[Path]) -> None:
+    """Files that were in the way of results and that calib did not write."""
+    for path in paths:
+        say(f"\nKept under another name, since calib did not write it or it was changed since: {path}")
+
+
 def tell_report(path: Path) -> None:
     """Where the report is."""
     say(f"\nThe whole story, in one file that opens offline: {path}")

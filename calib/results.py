@@ -5,22 +5,26 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from calib import written
 from calib.errors import InputError
 from calib.table import guarded_table
 
 _REMEDY = "choose another place with --results DIR, or free the folder"
-DRAFT = ".part"
-"""End of the name of every file or folder, figures too, that is being written."""
+_MOVE = "move what is there away, or choose another place with --results DIR"
+OWNER = "owner.json"
+"""Names the study that a folder of results belongs to."""
+_DRAFTS = re.compile(rf"^\.(probe-.*|calib-extend-.*|.+\.\d+){re.escape(written.DRAFT)}$")
 _ABANDONED = 600.0
 """Seconds after which nobody is writing a draft any more."""
 
@@ -29,27 +33,61 @@ _ABANDONED = 600.0
 class Results:
     """One folder of results.
 
+    What is written takes the place of what calib wrote there before; anything else is kept, see `calib.written`.
+
     Attributes
     ----------
     path : Path
+    of : (Path, Path) or None
+        Folder of all results of a study and the study's file, which the first thing that is written lets it belong to.
     """
 
     path: Path
+    of: tuple[Path, Path] | None = field(default=None, compare=False)
 
     @staticmethod
     def at(root: Path, study_name: str, part: str = "") -> Results:
-        """Open (and make) ``root/study_name/part``; InputError when it cannot be written."""
-        path = root / study_name / part if part else root / study_name
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            _clear_drafts(path)
-            with tempfile.NamedTemporaryFile(dir=path, prefix=".probe-", suffix=DRAFT):
-                pass
-        except OSError as fault:
-            raise InputError(
-                f"results cannot be written there ({fault.strerror})", place=path, remedy=_REMEDY
-            ) from None
+        """Open (and make) ``root/study_name/part``.
+
+        InputError when it cannot be written, holds a study, or holds files and no log of what calib has written.
+        """
+        home = root / study_name
+        for path in (home, home / part) if part else (home,):
+            _refuse_foreign(path)
+        for path in (home, home / part) if part else (home,):
+            try:
+                path.mkdir(parents=True, exist_ok=True)
+                _clear_drafts(path)
+                with tempfile.NamedTemporaryFile(dir=path, prefix=".probe-", suffix=written.DRAFT):
+                    pass
+            except OSError as fault:
+                raise InputError(
+                    f"results cannot be written there ({fault.strerror})", place=path, remedy=_REMEDY
+                ) from None
         return Results(path)
+
+    def claim(self) -> None:
+        """Let the folder be calib's and, where it is known, the study's; InputError when it cannot be written."""
+        if self.of is not None and not owner(self.of[0]):
+            home, own = self.of[0].resolve(), self.of[1].resolve()
+            leading = Path(os.path.relpath(own, home)).as_posix() if own.drive == home.drive else ""
+            Results(self.of[0]).write_json("owner", {"study": own.as_posix(), "from_here": leading})
+
+    def check_owner(self, study_file: Path) -> None:
+        """InputError when the folder, or one that holds it, belongs to another study."""
+        if owner(self.path.resolve().parent):
+            raise InputError("it lies within the results of a study", place=self.path, remedy=_MOVE)
+        if not self.belongs_to(study_file):
+            raise InputError(
+                f"these are results of another study, {owner(self.path)[0]}",
+                place=self.path,
+                remedy=f"choose another place with --results DIR; if that study has moved, write its path into {OWNER}",
+            )
+
+    def belongs_to(self, study_file: Path) -> bool:
+        """Whether the folder is that study's; one that names no study is anybody's."""
+        known = owner(self.path)
+        return not known or study_file.resolve() in known
 
     def write_table(self, name: str, table: pd.DataFrame, index: bool = False) -> Path:
         """Write ``name.csv`` for `calib.table.read_table`; floats keep ten digits. InputError when it cannot be."""
@@ -67,7 +105,7 @@ class Results:
         """Delete results that would no longer be true; InputError when one cannot be deleted."""
         for name in names:
             try:
-                (self.path / name).unlink(missing_ok=True)
+                written.remove(self.path / name)
             except OSError as fault:
                 raise InputError(
                     f"it is no longer true and cannot be deleted ({fault.strerror})",
@@ -76,21 +114,53 @@ class Results:
                 ) from None
 
     def _write(self, name: str, text: str) -> Path:
-        target, draft = self.path / name, self.path / f".{name}.{os.getpid()}{DRAFT}"
+        target = self.path / name
+        self.claim()
         try:
-            draft.write_text(text, encoding="utf-8")
-            os.replace(draft, target)
+            with written.replacing(target) as draft:
+                draft.write_text(text, encoding="utf-8")
         except OSError as fault:
             raise InputError(f"it cannot be written ({fault.strerror})", place=target, remedy=_REMEDY) from None
-        finally:  # also when interrupted
-            with contextlib.suppress(OSError):
-                draft.unlink(missing_ok=True)
         return target
+
+
+def owner(folder: Path) -> tuple[Path, ...]:
+    """Study files that a folder of results may belong to: where it was, and in the same place beside it.
+
+    The second finds a study that was moved together with its results. Nothing where the folder names none.
+    """
+    try:
+        told = json.loads((folder / OWNER).read_text("utf-8"))
+        study, leading = str(told["study"]), str(told["from_here"])
+    except (FileNotFoundError, NotADirectoryError):
+        return ()
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(
+            "it does not tell whose results these are", place=folder / OWNER, remedy="move the folder away"
+        ) from None
+    return (Path(study), *([(folder.resolve() / leading).resolve()] if leading else []))
+
+
+def _refuse_foreign(folder: Path) -> None:
+    """InputError for a folder whose files calib did not write."""
+    if (folder / "study.toml").exists():
+        raise InputError("results would be written over the files of a study", place=folder, remedy=_MOVE)
+    try:
+        there = [p.name for p in sorted(folder.iterdir()) if not p.name.startswith(".") and not p.is_dir()]
+    except OSError:  # there is no such folder, or none that can be read
+        return
+    if there and written.LOG not in there:
+        raise InputError(
+            f"it holds files ({', '.join(there[:3])}{', ...' * (len(there) > 3)}) and no {written.LOG}, "
+            "the list of what calib has written",
+            place=folder,
+            remedy=_MOVE,
+        )
 
 
 def _clear_drafts(folder: Path) -> None:
     """Delete what killed processes left half-written; a process at work needs no draft for that long."""
-    for draft in folder.glob(f".*{DRAFT}"):
+    for draft in filter(lambda path: _DRAFTS.match(path.name), folder.glob(f".*{written.DRAFT}")):
         with contextlib.suppress(OSError):
             if time.time() - draft.stat().st_mtime > _ABANDONED:
                 shutil.rmtree(draft) if draft.is_dir() else draft.unlink()

@@ -93,6 +93,15 @@ class Study:
         """Effects of the library that the model lacks."""
         return tuple(effect for effect in self.library if effect.name not in self.settings.with_effects)
 
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """Every file that the study names, itself included, without links."""
+        given, folder = self.settings, self.file.resolve().parent
+        code = [where for f in (given.model, given.effects or "") if (where := f.rpartition(":")[0]).endswith(".py")]
+        data = given.measurement
+        files = [*code, *data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
+        return (self.file.resolve(), *((folder / file).resolve() for file in dict.fromkeys(files)))
+
     def whole_problem(self) -> ModalProblem | None:
         """The modal problem over everything measured, what is withheld included; None for plain responses.
 

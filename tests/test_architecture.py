@@ -7,7 +7,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
-    {"errors", "interrupt"},
+    {"errors", "interrupt", "written"},
     {"space", "mac", "outcome", "table"},
     {"effect", "measurement", "worker", "named_values"},
     {"structure"},
@@ -29,7 +29,7 @@ FORBIDDEN = {
     "updating": {"structure", "measurement", "correlation", "study", "settings"},
     "sensitivity": {"structure", "measurement", "correlation", "study", "settings"},
     "missing": {"structure", "measurement", "correlation", "study", "settings"},
-    "report": set(RANK) - {"errors", "table", "named_values", "report"},
+    "report": set(RANK) - {"errors", "table", "named_values", "written", "report"},
     "structure": {"correlation", "study", "updating", "sensitivity"},
 }
 

@@ -18,9 +18,9 @@ from tomlkit.exceptions import TOMLKitError
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.loading import pick
-from calib.results import DRAFT
 from calib.settings import line_of
 from calib.study import Study
+from calib.written import DRAFT, free_name, is_own_folder, note_folder
 
 LEFT_BEHIND = ("results", "__pycache__")
 """Folders that are no part of a study; hidden files and folders are none either."""
@@ -84,17 +84,21 @@ def extend_among(
     where the selection is left to a sensitivity analysis, which may not select them.
 
     Paths that lead out of the study become absolute, so that the folder may be moved. One that is there and says the
-    same stays as it is; another is kept beside it, its name ending in `EARLIER`, in place of an older one.
+    same stays as it is; another is replaced as long as it is what was written here, and kept beside it under a name
+    with `EARLIER` at its end when anything in it was changed or added.
     """
     folder = _place_among(study, results)
     new = folder.parent.resolve() / folder.name
     with _written(study, _candidates(study, names), folder, new, _anywhere, begin_at) as (draft, extension):
         if not new.is_dir() or _content(new) != _content(draft):
             with _draft_of(new, folder) as old:
-                earlier = new.with_name(new.name + EARLIER)
-                for there, aside in ((earlier, old / earlier.name), (new, earlier)):
-                    if os.path.lexists(there):
-                        _put(there, aside, folder)
+                aside = old / new.name if is_own_folder(new) else free_name(new, EARLIER)
+                try:
+                    note_folder(draft, new.name)
+                except OSError as fault:
+                    raise _unwritable(fault, folder) from None
+                if os.path.lexists(new):
+                    _put(new, aside, folder)
                 _put(draft, new, folder)
     return extension
 

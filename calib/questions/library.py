@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from calib.correlation.problem import ModalProblem
@@ -21,6 +22,7 @@ from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
 from calib.structure.variants import Variants
 from calib.study import Study
+from calib.written import is_own
 
 
 def modal_hypotheses(
@@ -72,12 +74,11 @@ def kept_basis(
     digest.update(repr(space.parameters).encode())
     path = folder / f"basis_effects_{digest.hexdigest()[:16]}.npz"
     if path.exists():
-        try:
+        with suppress(InputError):
             return Basis.load(path)
-        except InputError:
-            path.unlink(missing_ok=True)
     basis = effect_basis(model, plain() if plain else wanted.trained(model, space), space, effects, local, wanted.seed)
     for old in folder.glob("basis_effects_*.npz"):
-        old.unlink(missing_ok=True)
+        if is_own(old):
+            old.unlink(missing_ok=True)
     basis.save(path)
     return basis

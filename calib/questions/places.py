@@ -6,11 +6,13 @@ import os
 from pathlib import Path
 
 from calib.correlation.problem import ModalProblem
+from calib.errors import InputError
 from calib.evaluate import Evaluator
 from calib.ledger import Ledger
 from calib.outcome import attempt
 from calib.results import Results
-from calib.study import EvaluationSource, Problem, Study
+from calib.study import EvaluationSource, Problem, Study, shell_argument
+from calib.written import LOG
 
 QUICK = "quick"
 """Sub-folder of results made with ``--quick``."""
@@ -30,20 +32,68 @@ def results_of(
     """Where the answers go: a whole run's folder, or a sub-folder for a quick look, a single case or another method."""
     other = method if method and method != study.settings.calibration.method else None
     parts = [part for part in (QUICK * quick, f"case_{only}" if only else "", other or "") if part]
-    return Results.at(root, study.name, "-".join(parts))
+    return _opened(study, root, "-".join(parts))
 
 
 def ledger_of(study: Study, root: Path) -> Ledger:
     """The one ledger of a study, shared by whole, quick and single-case runs."""
-    return Ledger.open(Results.at(root, study.name).path / LEDGER)
+    home = results_of(study, root)
+    home.claim()
+    return Ledger.open(home.path / LEDGER)
 
 
 def answers_of(study: Study, root: Path) -> tuple[Results, ...]:
-    """Every folder with answers of a study: a whole run's, then those of quick looks, single cases and methods."""
+    """Every folder with answers of a study: a whole run's, then those of quick looks, single cases and methods.
+
+    InputError when they are not that study's, or lie where no results may be.
+    """
     home = root / study.name
-    inside = sorted(p for p in home.glob("*") if p.is_dir() and not p.name.startswith("."))
-    answered = [p for p in (home, *inside) if any(p.glob("*.csv")) and not (p / study.file.name).exists()]
-    return tuple(Results(p) for p in answered)
+    inside = sorted(p.parent for p in home.glob(f"*/{LOG}"))  # other folders there are the user's
+    answered = [p for p in (home, *inside) if any(p.glob("*.csv"))]
+    return tuple(_opened(study, root, "" if p is home else p.name) for p in answered)
+
+
+def root_for(study_file: Path, root: Path) -> Path:
+    """Where results of a study may go: the given place, or one within it that is not the study's own folder."""
+    places = (root, root / "answers", *(root / f"answers_{number}" for number in range(2, 100)))
+    own = study_file.resolve().parent
+    return next((place for place in places if not _same(place / own.name, own)), root)
+
+
+def _opened(study: Study, root: Path, part: str) -> Results:
+    """One folder of a study's results; InputError where these would meet what the study reads, or another's results."""
+    home = Results(root / study.name)
+    _refuse_inputs(study, root, home.path, part)
+    home.check_owner(study.file)
+    return Results(Results.at(root, study.name, part).path, (home.path, study.file))
+
+
+def _refuse_inputs(study: Study, root: Path, home: Path, part: str) -> None:
+    own, elsewhere = study.file.resolve().parent, shell_argument(root_for(study.file, root))
+    for folder in (home, home / part):
+        if _same(folder, own):
+            raise InputError(
+                "results would be written over the study's own files",
+                place=folder,
+                remedy=f"choose another place, such as --results {elsewhere}",
+            )
+    place = home.resolve()
+    apart = own.is_relative_to(place)  # a study among the results has a folder of its own
+    for file in study.inputs:
+        if file.is_relative_to(place) and not (apart and file.is_relative_to(own)):
+            raise InputError(
+                f"the study reads {file.name} from the folder that its results would go to",
+                place=home,
+                remedy="move that file, or choose another place with --results DIR",
+            )
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one folder, by whatever links or spelling."""
+    try:
+        return one.samefile(other)
+    except OSError:
+        return one.resolve() == other.resolve()
 
 
 def is_modal(study: Study) -> bool:

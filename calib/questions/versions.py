@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from calib.questions.places import results_of
 from calib.results import Results
 from calib.settings import read_settings
 from calib.study import Study, shell_argument
@@ -64,7 +65,7 @@ def write_versions(study: Study, root: Path) -> Versions:
         return Versions(nothing, tuple(notes))
     parts = []
     for number, (name, effects, origin) in enumerate(reversed(chain), start=1):
-        errors = _errors(Results(root / name))
+        errors = _errors(found) if (found := Results(root / name)).belongs_to(origin) else None
         if errors is None:
             command = f"calib explain {shell_argument(origin)} --results {shell_argument(root)}"
             notes.append(f"Version {number} ({name}) has no errors under {root}: run '{command}'.")
@@ -73,7 +74,7 @@ def write_versions(study: Study, root: Path) -> Versions:
     if not parts:
         return Versions(nothing, tuple(notes))
     table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
-    Results.at(root, study.name).write_table("versions", table)
+    results_of(study, root).write_table("versions", table)
     return Versions(table, tuple(notes))
 
 

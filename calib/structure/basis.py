@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +13,7 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.space import ParameterSpace
+from calib.written import replacing
 
 _FORMAT = "calib reduced basis 1"
 _ARRAYS = ("vectors", "reference", "lower", "upper", "samples", "checks")
@@ -159,20 +159,16 @@ class Basis:
 
     def save(self, path: Path) -> None:
         """Write one ``.npz`` file, whole or not at all."""
-        scratch = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
-            with scratch.open("wb") as file:
+            with replacing(path) as draft, draft.open("wb") as file:
                 np.savez(
                     file,
                     header=np.array(self._header()),
                     digest=np.array(self.digest),
                     **{name: getattr(self, name) for name in _ARRAYS},
                 )
-            os.replace(scratch, path)
         except OSError as fault:
             raise InputError(f"the reduced basis cannot be written ({fault})", place=path) from None
-        finally:
-            scratch.unlink(missing_ok=True)
 
     @staticmethod
     def load(path: Path) -> Basis:

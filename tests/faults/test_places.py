@@ -13,6 +13,7 @@ import pytest
 
 from calib import cli
 from calib.example import write_example
+from calib.results import Results
 from calib.study import Study
 
 FOLDER = Path("results/mast")
@@ -247,7 +248,7 @@ def test_damaged_rows(answered, capsys):
 
 
 def test_a_ledger_of_a_newer_version(mast, capsys):
-    FOLDER.mkdir(parents=True)
+    Results.at(Path("results"), "mast").write_json("answer", {})
     with contextlib.closing(sqlite3.connect(LEDGER)) as database:
         database.execute("CREATE TABLE something_new (x)")
         database.execute("PRAGMA user_version = 99")

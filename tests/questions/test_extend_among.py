@@ -7,6 +7,7 @@ import pytest
 
 from calib.questions.extend import EARLIER, extend_among, found_among
 from calib.study import Study
+from calib.written import LOG
 
 
 def test_a_study_among_results_can_be_moved(rig, edited):
@@ -39,7 +40,7 @@ def test_the_same_study_among_results_stays_and_another_is_kept_aside(rig, tree)
     study, written = Study.load(rig), Path("results/rig_extended")
 
     def there():
-        return {p.name for p in Path("results").iterdir()}
+        return {p.name for p in Path("results").iterdir() if p.is_dir()}
 
     extend_among(study, ["top_cables"], Path("results"))
     Path(written, "results").mkdir()
@@ -53,8 +54,12 @@ def test_the_same_study_among_results_stays_and_another_is_kept_aside(rig, tree)
     assert Study.load(written).settings.with_effects == ("low_cables",) and "notes.txt" not in tree(written)
     assert tree(f"results/rig_extended{EARLIER}") == changed and there() == {"rig_extended", f"rig_extended{EARLIER}"}
     extend_among(study, ["top_cables"], Path("results"))
-    assert Study.load(Path(f"results/rig_extended{EARLIER}")).settings.with_effects == ("low_cables",)
-    assert there() == {"rig_extended", f"rig_extended{EARLIER}"}
+    assert Study.load(written).settings.with_effects == ("top_cables",)
+    assert tree(f"results/rig_extended{EARLIER}") == changed and there() == {"rig_extended", f"rig_extended{EARLIER}"}
+    (written / "model_notes.txt").write_text("changed again")
+    again = tree(written)
+    extend_among(study, ["low_cables"], Path("results"))
+    assert tree(f"results/rig_extended{EARLIER}") == changed and tree(f"results/rig_extended{EARLIER}2") == again
 
 
 @pytest.mark.parametrize("place", ["sums/results/sums", "sums/answers/sums"])
@@ -64,7 +69,7 @@ def test_results_within_the_study_are_no_part_of_the_new_one(sums, place, tree):
     made = extend_among(Study.load(sums), ["bend"], Path(place))
     assert set(tree(made.file.parent)) == {"study.toml", "model.py", "data/measured.csv"}
     assert extend_among(Study.load(sums), ["bend"], Path(place)).file == made.file
-    assert len(list(Path(place).iterdir())) == 2
+    assert {p.name for p in Path(place).iterdir()} == {"summary.json", "sums_extended", LOG}
 
 
 @pytest.mark.parametrize("call", [1, 2])
@@ -83,7 +88,7 @@ def test_a_stop_while_replacing_leaves_a_whole_study_or_none(sums, monkeypatch, 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(Path, "rename", stopped)
         extend_among(Study.load(sums), ["bend"], Path("results"))
-    for folder in Path("results").iterdir():
+    for folder in filter(Path.is_dir, Path("results").iterdir()):
         assert not folder.name.startswith(".") and Study.load(folder).settings.with_effects == ("bend",)
     extend_among(Study.load(sums), ["bend"], Path("results"))
     assert Study.load(Path("results/sums_extended")).settings.title == "other + bend"

@@ -10,7 +10,9 @@ def test_only_answers_count_as_answers(mast, tmp_path):
     study, home = Study.load(mast.write_study(tmp_path / "mast")), tmp_path / "results/mast"
     assert answers_of(study, tmp_path / "results") == ()
     for part in ("quick", "case_A1", "empty", ".hidden"):
-        (home / part).mkdir(parents=True)
+        if part in ("quick", "case_A1"):
+            Results.at(tmp_path / "results", "mast", part).write_json("answer", {})
+        (home / part).mkdir(exist_ok=True)
         if part != "empty":
             (home / part / "parameters.csv").write_text("case,parameter\n")
     written = extend_among(study, ["guy"], home).file.parent

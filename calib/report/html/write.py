@@ -26,7 +26,7 @@ from calib.report.html.answers import Answers
 from calib.report.html.look import as_json, plain_json
 from calib.report.html.page import Plot, Section, Shapes
 from calib.report.html.summary import summary
-from calib.report.style import replacing
+from calib.written import replacing
 
 NAME = "report.html"
 STORY = (

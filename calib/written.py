@@ -1,0 +1,111 @@
+"""What calib has written, told by content: nothing else is ever replaced or deleted.
+
+A folder that calib writes to holds `LOG`, one line a content that was written there, as ``sha256sum`` writes them. A
+file of another content belongs to somebody else, or somebody has changed it: it is kept under another name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+
+LOG = "written.sha256"
+DRAFT = ".part"
+"""End of the name of every file or folder that is being written."""
+KEPT = "_kept"
+"""Ends the name, before the suffix, of a file that was in the way and that calib did not write."""
+
+_LINE = re.compile(r"^([0-9a-f]{64})  (.+)$")
+_KEPT_NAME = re.compile(rf"{KEPT}\d*$")
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary name to write to, which takes the place of ``path`` when all is written.
+
+    A stop in between leaves the old file or none. A file at ``path`` that calib did not write, or that was changed
+    since, keeps its content under a name that ends in `KEPT`. OSError when it cannot be written.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}{DRAFT}")
+    try:
+        yield draft
+        _add(path.parent, _digest(draft), path.name)  # first: a stop here leaves a line too many, never one too few
+        _keep(path)
+        os.replace(draft, path)
+    finally:  # also when interrupted
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
+
+
+def remove(path: Path) -> None:
+    """Delete a file that calib has written; one that it has not is kept under another name. OSError when impossible."""
+    _keep(path)
+    path.unlink(missing_ok=True)
+
+
+def is_own(path: Path) -> bool:
+    """Whether calib has written that file as it is now."""
+    return path.is_file() and not path.is_symlink() and (_digest(path), path.name) in _noted(path.parent)
+
+
+def kept(folder: Path) -> list[Path]:
+    """Files of a folder that were in the way and kept, by name."""
+    return sorted(path for path in folder.glob(f"*{KEPT}*") if _KEPT_NAME.search(path.stem))
+
+
+def note_folder(path: Path, name: str) -> None:
+    """Remember a folder with all that is in it as written by calib, under a name beside it."""
+    _add(path.parent, _digest_of_folder(path), f"{name}/")
+
+
+def is_own_folder(path: Path) -> bool:
+    """Whether calib has written that folder with all that is in it now, and noted it under its name."""
+    return not path.is_symlink() and (_digest_of_folder(path), f"{path.name}/") in _noted(path.parent)
+
+
+def free_name(path: Path, end: str) -> Path:
+    """A path beside ``path`` whose name has that end more, and a number where others have it; nothing is there."""
+    stem, suffix = (path.name, "") if path.is_dir() else (path.stem, path.suffix)
+    names = (path.with_name(f"{stem}{end}{number if number > 1 else ''}{suffix}") for number in count(1))
+    return next(name for name in names if not os.path.lexists(name))
+
+
+def _keep(path: Path) -> None:
+    if os.path.lexists(path) and not path.is_dir() and not is_own(path):
+        path.rename(free_name(path, KEPT))
+
+
+def _add(folder: Path, digest: str, name: str) -> None:
+    """Add a line to the log; one that an earlier stop has torn is ended first."""
+    if (digest, name) in _noted(folder):
+        return
+    log = folder / LOG
+    so_far = log.read_bytes() if log.exists() else b""
+    torn = so_far and not so_far.endswith(b"\n")
+    with log.open("ab") as stream:
+        stream.write(("\n" * bool(torn) + f"{digest}  {name}\n").encode())
+
+
+def _noted(folder: Path) -> set[tuple[str, str]]:
+    try:
+        text = (folder / LOG).read_text("utf-8", errors="replace")
+    except FileNotFoundError:
+        return set()
+    return {(found[1], found[2]) for line in text.splitlines() if (found := _LINE.match(line))}
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _digest_of_folder(folder: Path) -> str:
+    """Hash over the names and contents of all files below, apart from what Python caches there."""
+    files = sorted(p for p in folder.rglob("*") if p.is_file() and "__pycache__" not in p.relative_to(folder).parts)
+    told = "".join(f"{_digest(p)}  {p.relative_to(folder).as_posix()}\n" for p in files)
+    return hashlib.sha256(told.encode("utf-8", errors="surrogateescape")).hexdigest()
