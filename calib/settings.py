@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 import tomllib
 from pathlib import Path
@@ -225,8 +226,8 @@ def read_settings(file: Path) -> StudySettings:
 
 
 def _explain(fault: ValidationError, file: Path, text: str) -> InputError:
-    """The first complaint in one sentence, with its line."""
-    first = fault.errors()[0]
+    """The first complaint in one sentence, with its line; an unknown key comes first, which may be the missing one."""
+    first = min(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
     keys = tuple(first["loc"])
     label = ".".join(str(k) for k in keys) or "the file"
     line = line_of(text, keys)
@@ -235,9 +236,12 @@ def _explain(fault: ValidationError, file: Path, text: str) -> InputError:
     given = repr(first.get("input"))
     given = given if len(given) < 60 else given[:57] + "..."
     if kind == "extra_forbidden":
-        known = ", ".join(_known_keys(keys[:-1]))
+        known = _known_keys(keys[:-1])
+        near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.5)
         return InputError(
-            f"unknown key {label!r}", place=place, remedy=f"the keys known there are {known}" if known else None
+            f"unknown key {label!r}" + (f" (did you mean {near[0]!r}?)" if near else ""),
+            place=place,
+            remedy=f"the keys known there are {', '.join(known)}" if known else None,
         )
     if kind == "missing":
         return InputError(f"{label!r} is missing", place=place, remedy="add it")

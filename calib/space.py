@@ -268,7 +268,7 @@ class ParameterSpace:
                 raise InputError(
                     f"parameter {name!r} is fixed and cannot be selected",
                     place="selection",
-                    remedy="give it limits and distribution = 'uniform'",
+                    remedy=f"set fixed = false under [parameters.{name}], and limits",
                 )
         return self.freeze({p.name: p.value for p in self.free if p.name not in kept})
 

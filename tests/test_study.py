@@ -77,6 +77,8 @@ def test_a_study_edited_while_it_runs_is_refused(example):
 
 BAD = [
     ("unknown key", ("[withheld]", "[withheld]\nmodez = []"), "unknown key 'withheld.modez'", "modes, sensors"),
+    ("key misspelt", ("selection = ", "selektion = "), "unknown key 'selektion'", "'selection'"),
+    ("section misspelt", ("[measurement]", "[messurement]"), "unknown key 'messurement'", "'measurement'"),
     ("unknown parameter", ("[parameters.K_base]", "[parameters.K_bass]"), "unknown parameter 'K_bass'", "K_base"),
     ("limits reversed", ("limits = [0.3, 5.0]", "limits = [5.0, 0.3]"), "not below upper", "K_base"),
     ("search reversed", ("search = [0.2, 8.0]", "search = [8.0, 0.2]"), "not below upper", "K_base"),
@@ -193,4 +195,4 @@ def test_plain_functions_are_models_too(tmp_path):
     assert study.problem.evaluate({"a": 2.0}) == {"s": 3.0, "p": 1.0}
     assert study.targets == {"s": (3.0, 0.01), "p": (1.0, None)}
     (tmp_path / "measured.csv").write_text("response,value,std\ns,x,0.01\n")
-    assert "no number" in complaint(tmp_path)
+    assert "not a number" in complaint(tmp_path)

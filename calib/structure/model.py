@@ -326,7 +326,7 @@ class StructuralModel:
                 raise InputError(
                     "the model suppresses this motion, so it can never agree",
                     place=place,
-                    remedy="leave it out with withheld_sensors",
+                    remedy="take it out of the measured shapes",
                 )
             rows[i] = row
         return rows

@@ -265,7 +265,7 @@ def test_a_ledger_of_a_newer_version(mast, capsys):
     [
         ("value = 2.0", "value = 2.5", ""),  # asks other questions of the same model: this run goes on with its own
         ("mode_count = 6", "mode_count = 7", "changed while it was running"),
-        ('title = "Ex', 'titel = "Ex', "'title' is missing"),
+        ('title = "Ex', 'titel = "Ex', "unknown key 'titel'"),
     ],
 )
 @pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
