@@ -174,6 +174,8 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
         say(sentence)
     say(f"\nAfter calibration (case {best.name}):")
     _print_answer(best.answer)
+    for warning in best.answer.warnings:
+        _out.print(warning, style="yellow")
     before, after = answer.before, best.answer
     label = "frequency error" if is_modal(study) else "error"
     say(f"Mean {label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %.")
@@ -341,6 +343,7 @@ def _print_answer(answer: Answer) -> None:
         rows.append(
             (
                 str(r["mode"]),
+                str(r["model_mode"]) if paired else "",
                 f"{r['natural_freq_measured']:.3f}",
                 f"{r['natural_freq_model']:.3f}" if paired else "not paired",
                 f"{100 * r['freq_error']:+.2f} %" if paired else "",
@@ -348,9 +351,9 @@ def _print_answer(answer: Answer) -> None:
                 *(_number(r[name], 3) for name in ("mac", "emac", "margin")),
             )
         )
-    heads = ("mode", "measured Hz", "model Hz", "error", "damping", "model", "MAC", "EMAC", "margin")
+    heads = ("mode", "model mode", "measured Hz", "model Hz", "error", "damping", "model", "MAC", "EMAC", "margin")
     _table(heads, rows)
-    paired_count = sum(1 for r in rows if r[2] != "not paired")
+    paired_count = sum(1 for r in rows if r[3] != "not paired")
     mean = f"mean error {100 * answer.mean_freq_error:.2f} % over {paired_count} of {_count(len(rows), 'mode')}"
     say(f"Frequencies are natural ones (|lambda|/2pi); {mean}.")
     if not math.isnan(answer.mean_mac):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,9 @@ from calib.structure.modes import Modes
 
 LEVEL = 0.95
 """A single comparison with a perfect model stays within its scatter with this probability."""
+
+FAR_ERROR = 0.3
+"""Frequency error of a pair that is worth a warning, as a fraction."""
 
 _MOTION = ["u", "v", "w"]
 
@@ -67,6 +71,38 @@ class Comparison:
         return self.paired(self.modes.natural_freq) / self.measured.natural_freq - 1.0
 
     @property
+    def far(self) -> tuple[str, ...]:
+        """Measured modes whose frequency error is beyond `FAR_ERROR`: wrong pairs, wrong units or a poor model."""
+        return tuple(self._names(np.flatnonzero(np.abs(np.nan_to_num(self.freq_error)) > FAR_ERROR)))
+
+    @property
+    def crossings(self) -> tuple[tuple[str, str], ...]:
+        """Paired measured modes that are neighbours in ascending frequency, and whose model modes are not in order."""
+        names, index = self.measured.names, self.pairing.model_index
+        return tuple((names[i], names[k]) for i, k in pairwise(self._ascending()) if index[i] > index[k])
+
+    @property
+    def shifts(self) -> tuple[tuple[int, str, int], ...]:
+        """Where the number of the model mode leaves that of the measured mode, both counted from 1 in ascending order.
+
+        Number and name of the measured mode and number of its model mode, for the first pair of every new difference.
+        """
+        freq, index = self.measured.natural_freq, self.pairing.model_index
+        rank = {int(i): k for k, i in enumerate(np.argsort(freq, kind="stable"), start=1)}
+        out, before = [], 0
+        for i in self._ascending():
+            number = int(index[i]) + 1
+            if number - rank[i] != before:
+                out.append((rank[i], self.measured.names[i], number))
+                before = number - rank[i]
+        return tuple(out)
+
+    def _ascending(self) -> list[int]:
+        """Paired measured modes in ascending frequency."""
+        paired = self.pairing.paired
+        return paired[np.argsort(self.measured.natural_freq[paired], kind="stable")].tolist()
+
+    @property
     def factors(self) -> np.ndarray:
         """Complex factor that lays each paired model shape over the measured one, (n_measured,); NaN where unpaired.
 
@@ -99,11 +135,13 @@ class Comparison:
     def comparison_table(self) -> pd.DataFrame:
         """One row a measured mode: frequencies in Hz, damping ratios, MAC and EMAC; NaN where unpaired.
 
-        ``freq_error`` is (natural model - natural measured)/natural measured, a signed fraction.
+        ``model_mode`` is the number of the paired model mode, from 1, and missing where there is none; ``freq_error``
+        is (natural model - natural measured)/natural measured, a signed fraction.
         """
         return pd.DataFrame(
             {
                 "mode": list(self.measured.names),
+                "model_mode": pd.array(self.pairing.model_index + 1, dtype="Int64"),
                 "natural_freq_measured": self.measured.natural_freq,
                 "natural_freq_model": self.paired(self.modes.natural_freq),
                 "damped_freq_measured": self.measured.damped_freq,
@@ -115,7 +153,7 @@ class Comparison:
                 "emac": self.pairing.emac,
                 "margin": self.pairing.margin,
             }
-        )
+        ).assign(model_mode=lambda table: table["model_mode"].where(self.pairing.model_index >= 0))
 
     def mac_table(self) -> pd.DataFrame:
         """MAC of every measured mode (rows, named in column ``mode``) with every model mode, as ``1 (10.83 Hz)``."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from calib.correlation.order import Costs, align_in_order
 from calib.errors import InputError
+
+NEAR, FAR, AGREE = 2.0, 10.0, 1.3
+"""Factors between the frequencies of a pair: up to the first it is as good as any, from the second on it is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +55,13 @@ def pair_by_shape(
     threshold: float = 0.3,
     candidates: np.ndarray | None = None,
     override: Mapping[str, int] | None = None,
+    log_ratio: np.ndarray | None = None,
 ) -> Pairing:
-    """Pair modes one to one so that the sum of their EMAC is largest.
+    """Pair modes one to one so that the sum of their EMAC, weighted by frequency, is largest.
 
     Pairs below the threshold, and model modes without strain energy (EMAC 0), are forbidden beforehand and so cannot
-    take a partner away from another mode.
+    take a partner away from another mode. With few sensors a mode may look like one of a far higher frequency (spatial
+    aliasing): see `frequency_weight`, which forbids such a pair or lets a nearer one win.
 
     Parameters
     ----------
@@ -67,6 +74,8 @@ def pair_by_shape(
         Which model modes may be paired, other than by the user's choice; default all.
     override : mapping from str to int, optional
         The user's choice: measured mode to model mode, counted from 1. Set first, whatever its EMAC.
+    log_ratio : ndarray (n_measured, n_model), optional
+        ln(model/measured) of the natural frequencies; without it frequencies count for nothing.
 
     Raises
     ------
@@ -85,6 +94,11 @@ def pair_by_shape(
     allowed = (block >= threshold) & (block > 0)
     # A forbidden pair is worth nothing, so the best full assignment is the best partial one with such pairs dropped.
     best = linear_sum_assignment(np.where(allowed, block, 0.0), maximize=True)
+    if log_ratio is not None:
+        ratio = log_ratio[np.ix_(rows, columns)]
+        weight = frequency_weight(ratio, ratio[best][allowed[best]])
+        allowed &= weight > 0
+        best = linear_sum_assignment(np.where(allowed, block * weight, 0.0), maximize=True)
     kept = allowed[best]
     index[rows[best[0][kept]]] = columns[best[1][kept]]
     pair_mac, pair_emac, margin = (np.full(n_measured, np.nan) for _ in range(3))
@@ -103,11 +117,13 @@ def pair_by_order(
     *,
     window: tuple[float, float] | None = None,
     override: Mapping[str, int] | None = None,
-) -> Pairing:
+    followed: Mapping[int, int] | None = None,
+    costs: Costs | None = None,
+) -> tuple[Pairing, Costs]:
     """Pair modes by ascending frequency, for a measurement without shapes.
 
-    Nothing can tell whether the k-th measured mode is the k-th of the model: a mode missed by the measurement shifts
-    all that follow. MAC, EMAC and margin are NaN.
+    Gaps on both sides are allowed, see `calib.correlation.order.align_in_order`; still, nothing but frequencies tells
+    which mode is which. MAC, EMAC and margin are NaN.
 
     Parameters
     ----------
@@ -119,18 +135,51 @@ def pair_by_order(
         Model modes outside, in Hz, are no candidates.
     override : mapping from str to int, optional
         The user's choice, as in `pair_by_shape`; the others follow in order.
+    followed : mapping from int to int, optional
+        Measured to model modes, both from 0 (-1 for none), that are known from elsewhere; they rank behind the user's
+        choice.
+    costs : Costs, optional
+        As in `align_in_order`.
     """
     forced = _forced(override, names, len(freq_model))
+    taken = set(forced.values())
+    forced = {**{i: -1 if j in taken else j for i, j in (followed or {}).items()}, **forced}
     index = np.full(len(freq_measured), -1)
     for i, j in forced.items():
         index[i] = j
     inside = in_window(freq_model, window)
-    rows = [i for i in np.argsort(freq_measured, kind="stable").tolist() if i not in forced]
-    columns = [j for j in np.argsort(freq_model, kind="stable").tolist() if inside[j] and j not in forced.values()]
-    for i, j in zip(rows, columns, strict=False):
-        index[i] = j
+    rows = np.array([i for i in range(len(freq_measured)) if i not in forced], dtype=int)
+    columns = np.array([j for j in range(len(freq_model)) if inside[j] and j not in forced.values()], dtype=int)
+    found = align_in_order(np.asarray(freq_measured)[rows], np.asarray(freq_model)[columns], costs)
+    paired = found.partners >= 0
+    index[rows[paired]] = columns[found.partners[paired]]
+    return by_order(index), found.costs
+
+
+def by_order(index: np.ndarray) -> Pairing:
+    """A pairing without shapes: ``index`` (n_measured,) of the model modes, -1 for none."""
     nothing = np.full(len(index), np.nan)
     return Pairing(index, nothing, nothing.copy(), nothing.copy())
+
+
+def frequency_weight(log_ratio: np.ndarray, of_pairs: np.ndarray) -> np.ndarray:
+    """Weight of a pair by its frequencies: 1 up to a factor of `NEAR`, then falling with its logarithm to 0 at `FAR`.
+
+    Parameters
+    ----------
+    log_ratio : ndarray
+        ln(model/measured).
+    of_pairs : ndarray (n_pairs,)
+        That of the pairs which shapes alone would make. Where more than half of at least three agree within `AGREE` on
+        a factor beyond `NEAR`, frequencies are in other units or the whole model is far off, and factors count from
+        there.
+    """
+    common = float(np.median(of_pairs)) if len(of_pairs) >= 3 else 0.0
+    agreeing = np.sum(np.abs(of_pairs - common) <= math.log(AGREE))
+    if abs(common) <= math.log(NEAR) or 2 * agreeing <= len(of_pairs):
+        common = 0.0
+    off = np.abs(log_ratio - common)
+    return np.clip((math.log(FAR) - off) / math.log(FAR / NEAR), 0.0, 1.0)
 
 
 def in_window(freq: np.ndarray, window: tuple[float, float] | None) -> np.ndarray:

@@ -6,11 +6,14 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from calib.correlation.compare import Comparison
 from calib.correlation.energy import emac
+from calib.correlation.follow import Point, follow
+from calib.correlation.order import Costs
 from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
@@ -24,8 +27,11 @@ from calib.structure.reduced import ReducedModel
 RESPONSES = ("natural_freq", "damped_freq", "damping_ratio", "mac", "emac", "margin")
 """Responses of every measured mode; the name of one is such as ``mac_1B``."""
 
-_DEFINITION = "modal responses 1"
+_DEFINITION = "modal responses 2"
 """Part of the fingerprint; to be counted up whenever the same modes would give other responses."""
+
+_LEAST_FREQ = 1e-12
+"""Model frequencies below this, in Hz, count as this, so that their logarithm stays finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +53,9 @@ class ModalProblem:
         Model modes whose natural frequency in Hz lies outside are not paired.
     override : mapping from str to int
         The user's choice of pairs: measured mode to model mode, counted from 1.
+    reference : mapping from str to float
+        Values at which modes without measured shapes are paired by the order of their frequencies; elsewhere the
+        model's modes are followed from there. Parameters left out take their adopted value.
 
     Raises
     ------
@@ -61,6 +70,7 @@ class ModalProblem:
     threshold: float = 0.3
     freq_window: tuple[float, float] | None = None
     override: Mapping[str, int] = field(default_factory=dict)
+    reference: Mapping[str, float] = field(default_factory=dict)
     sensor_rows: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -112,6 +122,8 @@ class ModalProblem:
         window = None if self.freq_window is None else tuple(float(f) for f in self.freq_window)
         override = sorted((mode, int(number)) for mode, number in self.override.items())
         digest.update(repr((clusters, self.mode_count, float(self.threshold), window, override)).encode())
+        if not self.measured.has_shapes:
+            digest.update(repr(sorted({**self.space.values, **self.reference}.items())).encode())
         return digest.hexdigest()[:16]
 
     def reduced(self, basis: Basis) -> ModalProblem:
@@ -159,13 +171,7 @@ class ModalProblem:
         else:
             shape = (self.measured.n_modes, modes.n_modes)
             mac_matrix, emac_matrix = np.full(shape, np.nan), np.full(shape, np.nan)
-            pairing = pair_by_order(
-                self.measured.natural_freq,
-                modes.natural_freq,
-                self.measured.names,
-                window=self.freq_window,
-                override=self.override,
-            )
+            pairing = self._in_order(Point(complete, modes))
         return Comparison(self.model, self.measured, complete, modes, pairing, mac_matrix, emac_matrix, sensor_shapes)
 
     def pair(
@@ -204,8 +210,45 @@ class ModalProblem:
             threshold=self.threshold if threshold is None else threshold,
             candidates=in_window(modes.natural_freq, self.freq_window),
             override=self.override,
+            log_ratio=np.log(np.maximum(modes.natural_freq, _LEAST_FREQ)) - np.log(self.measured.natural_freq)[:, None],
         )
         return pairing, mac_matrix, emac_matrix
+
+    def _in_order(self, here: Point) -> Pairing:
+        """Pairs without shapes: those of the reference point, followed to here."""
+        if self._reference is None:
+            return self._ordered(here.modes)[0]
+        there, pairing, costs = self._reference
+        if here.values == there.values:
+            return pairing
+        chosen = [self.measured.names.index(mode) for mode in self.override]
+        rows = np.setdiff1d(pairing.paired, chosen)
+        reached = follow(self.model, there, here, pairing.model_index[rows])
+        reached = np.where(in_window(here.modes.natural_freq, self.freq_window)[reached], reached, -1)
+        return self._ordered(here.modes, dict(zip(rows.tolist(), reached.tolist(), strict=True)), costs)[0]
+
+    @cached_property
+    def _reference(self) -> tuple[Point, Pairing, Costs] | None:
+        """Where pairs without shapes are made; None where the model cannot be solved there."""
+        values = self.space.complete({n: v for n, v in self.reference.items() if n in self.space.names})
+        try:
+            there = Point(values, self.model.modes(values, self.mode_count))
+        except EvaluationError:
+            return None
+        return None if there.modes.n_modes < self.mode_count else (there, *self._ordered(there.modes))
+
+    def _ordered(
+        self, modes: Modes, followed: Mapping[int, int] | None = None, costs: Costs | None = None
+    ) -> tuple[Pairing, Costs]:
+        return pair_by_order(
+            self.measured.natural_freq,
+            modes.natural_freq,
+            self.measured.names,
+            window=self.freq_window,
+            override=self.override,
+            followed=followed,
+            costs=costs,
+        )
 
     def energy_shares(self, values: Mapping[str, float], modes: Modes) -> np.ndarray:
         """Share of every model mode's strain energy that counts for every measured mode, (n_measured, n_modes)."""

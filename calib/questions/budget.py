@@ -93,7 +93,7 @@ def budget_of(hypotheses: ModalHypotheses, state: State, modes: Modes, sensor_sh
     )
     problem = hypotheses.problem
     clusters = {m: c for m, c in problem.mode_clusters.items() if m in names}
-    imagined = replace(problem, measured=twin, mode_clusters=clusters, override={})
+    imagined = replace(problem, measured=twin, mode_clusters=clusters, override={}, reference=state.values)
     floors = replace(hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)  # they are in the scatter already
     # Priors about the twin's own values: they would pull the fit away from it and look like an error of the mesh.
     space = hypotheses.space

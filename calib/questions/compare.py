@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from calib.correlation.compare import Comparison
+from calib.correlation.compare import FAR_ERROR, Comparison
 from calib.correlation.mesh import elements_table, points_table
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.sensors import suspicious_sensors
@@ -61,12 +61,36 @@ class Answer:
         if kinds:
             parts = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds))
             out.append(f"Roots of the model that are no vibration and are never paired: {parts}.")
+        out += self.warnings
         if not found.measured.has_shapes:
-            out.append("No mode shapes were measured: modes are paired by the order of their frequencies.")
+            out.append(
+                "No mode shapes were measured: modes are paired by ascending frequency, with gaps where one side has a "
+                "mode more, and model modes are followed by their own shapes when parameters move."
+            )
+            error = dict(zip(found.measured.names, np.abs(found.freq_error), strict=True))
+            met = [f"measured {k} ({name}) meets model mode {j} within {_percent(error[name])}"
+                   for k, name, j in found.shifts]  # fmt: skip
+            if met:
+                out.append(f"The numbers differ: {', '.join(met)}.")
+        if found.crossings:
+            met = [f"{a} and {b}" for a, b in found.crossings]
+            out.append(f"The model's modes come in another order than the measured ones: {', '.join(met)} cross.")
         if self.chosen:
             told = ", ".join(f"{mode} with model mode {number}" for mode, number in self.chosen.items())
             out.append(f"Paired as the study says and not as computed: {told}.")
         return (*out, "Where it fails: " + found.sentence())
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes pairs doubtful."""
+        found = self.comparison
+        if found is None or not found.far:
+            return ()
+        error = dict(zip(found.measured.names, found.freq_error, strict=True))
+        told = ", ".join(f"{name} ({100 * error[name]:+.0f} %)" for name in found.far)
+        return (
+            f"More than {100 * FAR_ERROR:.0f} % off in frequency: {told}. Are these pairs, and are the units right?",
+        )
 
 
 def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
@@ -151,6 +175,10 @@ def write_model_modes(results: Results, comparison: Comparison, stage: str) -> N
     modes = comparison.comparison_table().iloc[comparison.pairing.paired][["mode", *names]]
     results.write_table(f"model_modes_{stage}", modes.rename(columns=names))
     results.write_table(f"deflection_{stage}", comparison.deflection_table())
+
+
+def _percent(fraction: float) -> str:
+    return "a percent" if fraction <= 0.01 else f"{100 * fraction:.0f} %"
 
 
 def _mean(values: pd.Series) -> float:

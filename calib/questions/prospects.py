@@ -265,7 +265,14 @@ class _Imagined:
             asked = self.hypotheses.question(effects)
             problem: ModalProblem = asked.inner.problem
             kept = {m: c for m, c in problem.mode_clusters.items() if m in self.modes}
-            imagined = replace(problem, measured=self.measurement, mode_clusters=kept, override={}, threshold=0.05)
+            imagined = replace(
+                problem,
+                measured=self.measurement,
+                mode_clusters=kept,
+                override={},
+                reference=self.found.values,
+                threshold=0.05,
+            )
             floors = replace(self.hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)
             # Scale and phase come from the sensors that are there: what others would see is predicted.
             residual = ModalResidual(imagined, floors, factor_sensors=tuple(s.name for s in self.sensors))

@@ -240,7 +240,7 @@ def study_space(
             for method, pairing in (
                 ("EMAC", pair_by_shape(likely, emac(likely, share), measured.names, **options)),
                 ("MAC", pair_by_shape(likely, likely, measured.names, **options)),
-                ("order", pair_by_order(freq_measured, freq, measured.names, window=problem.freq_window)),
+                ("order", pair_by_order(freq_measured, freq, measured.names, window=problem.freq_window)[0]),
             ):
                 for i, mode in enumerate(measured.names):
                     chosen = pairing.model_index[i]

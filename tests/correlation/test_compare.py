@@ -22,6 +22,7 @@ def test_comparison_table_has_its_columns_and_signed_errors(found):
     table = found.comparison_table()
     assert list(table.columns) == [
         "mode",
+        "model_mode",
         "natural_freq_measured",
         "natural_freq_model",
         "damped_freq_measured",
@@ -43,6 +44,19 @@ def test_comparison_table_has_its_columns_and_signed_errors(found):
     np.testing.assert_allclose(
         table["damped_freq_model"], table["natural_freq_model"] * np.sqrt(1 - table["damping_ratio_model"] ** 2)
     )
+
+
+def test_the_numbers_of_model_modes_their_order_and_far_pairs_are_told(build, twin):
+    model = build()
+    measured = twin(model, TRUTH, order=(2, 0, 1, 4))
+    near = ModalProblem(model, measured, mode_count=6).compare(TRUTH)
+    assert near.comparison_table()["model_mode"].tolist() == [3, 1, 2, 5]
+    assert near.crossings == () and near.far == () and near.shifts == ((4, "M4", 5),)
+    chosen = ModalProblem(model, measured, mode_count=6, override={"M2": 4, "M4": 2}).compare(TRUTH)
+    assert chosen.crossings == (("M2", "M1"), ("M1", "M4"))
+    assert chosen.far == ("M2", "M4")
+    lost = ModalProblem(model, measured, mode_count=6, threshold=1.0).compare(OFF).comparison_table()
+    assert lost["model_mode"].isna().all()
 
 
 def test_mac_table_names_modes_and_model_frequencies(found):

@@ -110,12 +110,38 @@ def test_only_candidates_are_paired_and_rivals():
 
 
 def test_order_pairs_ascending_frequencies_inside_the_window():
-    measured, model = np.array([12.0, 3.0, 7.0]), np.array([1.0, 3.2, 6.0, 11.0, 30.0])
+    measured, model = np.array([12.0, 3.0, 7.0]), np.array([0.1, 3.2, 6.0, 11.0, 30.0])
     names = ["c", "a", "b"]
-    assert pair_by_order(measured, model, names).model_index.tolist() == [2, 0, 1]
-    found = pair_by_order(measured, model, names, window=(2.0, 20.0))
-    assert found.model_index.tolist() == [3, 1, 2]
-    assert np.all(np.isnan(found.emac))
-    assert pair_by_order(measured, model, names, window=(5.0, 20.0)).model_index.tolist() == [-1, 2, 3]
-    chosen = pair_by_order(measured, model, names, override={"a": 3})
-    assert chosen.model_index.tolist() == [1, 2, 0]
+
+    def pairs(**options):
+        return pair_by_order(measured, model, names, **options)[0]
+
+    assert pairs().model_index.tolist() == [3, 1, 2] and np.all(np.isnan(pairs().emac))
+    assert pairs(window=(5.0, 20.0)).model_index.tolist() == [3, -1, 2]
+    assert pairs(override={"a": 3}).model_index.tolist()[1] == 2
+    assert pairs(followed={0: 4, 1: -1}).model_index.tolist() == [4, -1, 2]
+    assert pairs(followed={0: 2}, override={"a": 3}).model_index.tolist()[:2] == [-1, 2]
+
+
+def test_a_pair_of_far_frequencies_gives_way_to_a_nearer_one():
+    """With few sensors a mode a hundred times higher may have the very same shape there."""
+    emac = np.array([[0.90, 0.99, 0.1], [0.1, 0.0, 0.8]])
+    far = np.log([[1.1, 200.0, 4.0], [0.3, 50.0, 1.0]])
+    assert pair(emac).model_index.tolist() == [1, 2]
+    assert pair(emac, log_ratio=far).model_index.tolist() == [0, 2]
+    assert pair(emac[:, 1:], log_ratio=far[:, 1:]).model_index.tolist() == [-1, 1]
+
+
+@given(seeds)
+def test_frequencies_within_a_factor_of_two_change_no_pair(seed):
+    rng = np.random.default_rng(seed)
+    emac = rng.uniform(size=(4, 6))
+    near = rng.uniform(-np.log(2), np.log(2), (4, 6))
+    assert pair(emac, log_ratio=near).model_index.tolist() == pair(emac).model_index.tolist()
+
+
+def test_a_factor_common_to_all_pairs_is_no_reason_against_them():
+    """Frequencies in rad/s, or of a model in other units."""
+    ratio = np.log(np.outer(1 / np.array([3.0, 5.0, 8.0]), 2 * np.pi * np.array([3.1, 4.9, 8.1])))
+    emac = 0.9 * np.eye(3) + 0.35 * np.eye(3, k=1)
+    assert pair(emac, log_ratio=ratio).model_index.tolist() == [0, 1, 2]

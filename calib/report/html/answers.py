@@ -100,7 +100,7 @@ class Answers:
     def compared(self, stage: str) -> pd.DataFrame | None:
         """``comparison_before.csv`` or ``comparison_after.csv`` of a modal study."""
         numbers = [
-            *("natural_freq_measured", "natural_freq_model", "freq_error", "damping_ratio_measured"),
+            *("model_mode", "natural_freq_measured", "natural_freq_model", "freq_error", "damping_ratio_measured"),
             *("damping_ratio_model", "mac", "emac", "margin"),
         ]
         return None if self.plain else self.table(f"comparison_{stage}", ["mode"], numbers, unique="mode")

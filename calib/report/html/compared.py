@@ -50,14 +50,15 @@ def section(answers: Answers) -> Section | None:
 
 
 def mode_table(table: pd.DataFrame, caption: str) -> Table:
-    """One row a mode: frequencies, damping, MAC, EMAC and margin."""
+    """One row a mode: number of its model mode, frequencies, damping, MAC, EMAC and margin."""
     shapes = table["mac"].notna().any()
-    heads = ["mode", "measured, Hz", "model, Hz", "error, %", "damping measured, %", "model, %"]
+    heads = ["mode", "model mode", "measured, Hz", "model, Hz", "error, %", "damping measured, %", "model, %"]
     rows = []
     for r in table.to_dict("records"):
         unpaired = np.isnan(r["natural_freq_model"])
         cells = [
             str(r["mode"]),
+            fixed(r["model_mode"], 0),
             fixed(r["natural_freq_measured"], 3),
             "not paired" if unpaired else fixed(r["natural_freq_model"], 3),
             percent(r["freq_error"], 2, sign=True),

@@ -1,0 +1,80 @@
+"""Without shapes a measured mode keeps its model mode when parameters move."""
+
+import numpy as np
+import pytest
+
+from calib.correlation.follow import Point, follow
+from calib.correlation.problem import ModalProblem
+from calib.mac import mac
+
+COUNT = 7
+
+
+def at(model, **values):
+    complete = model.space.complete(values)
+    return Point(complete, model.modes(complete, COUNT))
+
+
+def in_small_steps(model, start, end, columns, steps=400):
+    """Continuation: the oracle."""
+    for share in np.linspace(0, 1, steps + 1)[1:]:
+        here = at(model, **{n: (1 - share) * start.values[n] + share * v for n, v in end.values.items()})
+        columns = follow(model, start, here, columns, halvings=0)
+        start = here
+    return columns
+
+
+@pytest.mark.parametrize("damped", [False, True])
+def test_modes_that_cross_change_places(build, damped):
+    model = build(damped=damped, grounded=False)  # the two directions know nothing of each other
+    start, end = at(model, c_end=50.0), at(model, c_end=50.0, k_across=29.0)
+    found = follow(model, start, end, np.arange(5))
+    alike = mac(start.modes.shapes, end.modes.shapes)
+    assert found.tolist() == np.argmax(alike[:5], axis=1).tolist() != list(range(5))
+
+
+def test_modes_that_veer_keep_their_places_though_their_shapes_are_exchanged(build):
+    model = build(damped=False)  # the directions are coupled
+    start, end = at(model, k_along=20.0, k_across=16.0), at(model, k_along=20.0, k_across=25.0)
+    columns = np.arange(4)
+    oracle = in_small_steps(model, start, end, columns)
+    assert follow(model, start, end, columns, halvings=0).tolist() != oracle.tolist()
+    assert follow(model, start, end, columns).tolist() == oracle.tolist()
+
+
+def test_a_problem_without_shapes_follows_its_modes(build, twin):
+    model = build(damped=False, grounded=False)
+    measured = twin(model, model.space.complete({"k_across": 12.0}), order=(0, 1, 2, 3), shapes=False)
+    problem = ModalProblem(model, measured, mode_count=COUNT)
+    first = problem.compare(model.space.values)
+    assert first.pairing.model_index.tolist() == [0, 1, 2, 3]
+    there = problem.compare({"k_across": 29.0})
+    alike = mac(first.modes.shapes[:, :4], there.modes.shapes)
+    assert there.pairing.model_index.tolist() == np.argmax(alike, axis=1).tolist() != [0, 1, 2, 3]
+    assert problem.compare(model.space.values).pairing.model_index.tolist() == [0, 1, 2, 3]
+
+
+def test_the_point_where_modes_are_paired_may_be_chosen(build, twin):
+    model = build(damped=False, grounded=False)
+    measured = twin(model, model.space.complete({"k_across": 29.0}), order=(0, 1, 2, 3), shapes=False)
+    problem = ModalProblem(model, measured, mode_count=COUNT, reference={"k_across": 29.0})
+    assert problem.compare({"k_across": 29.0}).pairing.model_index.tolist() == [0, 1, 2, 3]
+    assert problem.compare({}).pairing.model_index.tolist() != [0, 1, 2, 3]
+    assert problem.fingerprint != ModalProblem(model, measured, mode_count=COUNT).fingerprint
+
+
+def test_a_mode_more_in_the_test_or_in_the_model_shifts_no_other(build, twin):
+    model = build(damped=False)
+    truth = model.space.complete({"k_along": 41.0, "k_across": 11.3})
+    lacking = twin(model, truth, order=(0, 2, 3, 4), shapes=False)
+    assert ModalProblem(model, lacking, mode_count=COUNT).compare({}).pairing.model_index.tolist() == [0, 2, 3, 4]
+
+
+def test_the_answer_does_not_depend_on_what_was_asked_before(build, twin):
+    model = build(damped=False, grounded=False)
+    measured = twin(model, model.space.values, order=(0, 1, 2, 3), shapes=False)
+    points = [{"k_across": v} for v in (8.0, 29.0, 15.0)]
+    one = ModalProblem(model, measured, mode_count=COUNT)
+    told = [one.evaluate(p) for p in points]
+    again = [ModalProblem(model, measured, mode_count=COUNT).evaluate(p) for p in reversed(points)]
+    np.testing.assert_equal(told, again[::-1])
