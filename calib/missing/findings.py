@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pandas as pd
 
@@ -82,8 +82,8 @@ class Findings:
     Attributes
     ----------
     verdict : str
-        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``partial``, ``none_explains`` or
-        ``noise_underestimated``.
+        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``unconfirmed`` (what would be named
+        fits, but withheld data contradict it), ``partial``, ``none_explains`` or ``noise_underestimated``.
     base : Trial
         Without effects.
     base_check : Check
@@ -129,6 +129,10 @@ class Findings:
     def names_something(self) -> bool:
         """Whether the verdict names what is missing."""
         return self.verdict in ("effect", "indistinguishable", "two_effects")
+
+    def unconfirmed(self) -> Findings:
+        """The same without a name: what fits is the best attempt."""
+        return replace(self, verdict="unconfirmed", credible=())
 
     @property
     def singles(self) -> tuple[Trial, ...]:

@@ -54,7 +54,7 @@ def effects_table(
     lacking = {e.name for e in untested}
     # A fit that ended worse than without its effect has only missed the way back.
     singles = {t.names[0]: t for t in found.singles if t.state.misfit <= found.base.state.misfit}
-    if found.verdict == "two_effects" and found.chosen is not None:
+    if found.chosen is not None and len(found.chosen.effects) > 1:
         singles |= dict.fromkeys(found.chosen.names, found.chosen)
     rows: list[dict[str, object]] = []
     first: dict[str, object] = {}

@@ -9,10 +9,19 @@ import pandas as pd
 
 from calib.effect import Effect
 from calib.missing.findings import Findings
+from calib.missing.held_out import CONTRADICTED, contradicting
 from calib.missing.tables import UNTESTED
 
 _LEAST = 1 / 4000
 """Probabilities below this are drawn too rarely to be told apart."""
+
+
+GROUPS = {
+    "left_out": "data left out in turn",
+    "withheld_sensors": "withheld sensors",
+    "withheld_modes": "withheld modes",
+}
+"""Data that a fit has not seen, in words."""
 
 
 def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advice: str) -> tuple[str, ...]:
@@ -34,6 +43,7 @@ def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advi
         "effect": _effect,
         "indistinguishable": _indistinguishable,
         "two_effects": _two,
+        "unconfirmed": _unconfirmed,
         "partial": _partial,
         "none_explains": _none,
     }[found.verdict](found, effects)
@@ -41,10 +51,12 @@ def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advi
         parts.append(f"The scatter was taken {found.noise_scale:.2g} times as large as stated.")
     if found.names_something:
         parts += _errors(errors)
+    if found.verdict == "unconfirmed":
+        parts += _contradicted(errors)
     parts += _unseen(effects, found.chosen.names if found.names_something and found.chosen is not None else ())
     if advice and found.verdict != "noise_underestimated":
         parts.append(advice)
-    if found.names_something or found.verdict == "partial":
+    if found.names_something or found.verdict in ("partial", "unconfirmed"):
         parts.append("Explanations outside the library cannot be excluded.")
     return tuple(part for part in parts if part)
 
@@ -177,6 +189,34 @@ def _two(found: Findings, effects: pd.DataFrame) -> list[str]:
     ]
 
 
+def _unconfirmed(found: Findings, effects: pd.DataFrame) -> list[str]:
+    assert found.chosen is not None
+    named = " together with ".join(
+        f"{_titled(effects, e.name)}, {_strength(effects, e.name)}" for e in found.chosen.effects
+    )
+    return [
+        f"What fits is not confirmed by data that no fit has seen: {_family(found)}.",
+        f"Fits, not confirmed: {named}.",
+    ]
+
+
+def _contradicted(errors: pd.DataFrame) -> list[str]:
+    """What the withheld data say of the best attempt."""
+    numbers = {(str(r["group"]), str(r["stage"])): r for r in errors.to_dict("records")}
+    against = contradicting(errors, "attempt")
+    told = []
+    for group in against:
+        before, after = numbers[group, "before"], numbers[group, "attempt"]
+        told.append(
+            f"{GROUPS[group]} {float(before['rms']):.2f} -> {float(after['rms']):.2f} (noise floor "
+            f"{float(after['expected']):.2f}, {_p(float(after['p']))})"
+        )
+    return [
+        f"Error in units of the scatter: {', '.join(told)}. Either it stands in for something else, or these data are "
+        "themselves in error: check them before it is added."
+    ]
+
+
 def _rest(found: Findings) -> str:
     """What an organised misfit points at."""
     atom = found.atom
@@ -225,20 +265,16 @@ def _why_not(found: Findings) -> str:
 
 
 def _errors(errors: pd.DataFrame) -> list[str]:
-    words = {
-        "left_out": "data left out in turn",
-        "withheld_sensors": "withheld sensors",
-        "withheld_modes": "withheld modes",
-    }
     numbers = {(str(r["group"]), str(r["stage"])): r for r in errors.to_dict("records")}
     told, worse = [], []
-    for group, label in words.items():
+    for group, label in GROUPS.items():
         if (group, "before") not in numbers or (group, "after") not in numbers:
             continue
         before, after = float(numbers[group, "before"]["rms"]), float(numbers[group, "after"]["rms"])
         floor = float(numbers[group, "after"]["expected"])
         told.append(f"{label} {before:.2f} -> {after:.2f} (noise floor {floor:.2f})")
-        if after > 1.02 * before:
+        # An error that is larger by chance is none: a right model must hardly ever predict as badly.
+        if after > before and float(numbers[group, "after"]["p"]) < CONTRADICTED:
             worse.append(label)
     if not told:
         return []

@@ -12,19 +12,14 @@ import pandas as pd
 
 from calib.effect import Effect
 from calib.missing.findings import Findings, Trial
+from calib.missing.held_out import UNSEEN, contradicting
+from calib.missing.verdict import GROUPS
 from calib.questions.calibrate import Calibration
 from calib.questions.record import write_record
 from calib.results import Results
 from calib.study import Study
 
-UNSEEN = ("withheld_sensors", "withheld_modes")
-"""Groups of data that no fit has seen."""
-WORDS = {
-    "fit": "used data",
-    "left_out": "data left out in turn",
-    "withheld_sensors": "withheld sensors",
-    "withheld_modes": "withheld modes",
-}
+WORDS = {"fit": "used data", **GROUPS}
 COLUMNS = ("group", "stage", "rows", "rms", "expected", "p", "unpaired")
 TWO_SIDED = 1.96
 """Standard deviations on either side that hold 95 %."""
@@ -78,12 +73,15 @@ def write_nothing_added(found: Findings, results: Results) -> Added:
         f"These data cannot tell between {' and '.join(found.credible)}, so none of them is "
         "added: look at the structure, or measure what would tell them apart."
     )
+    named = " and ".join(() if found.chosen is None else found.chosen.names)
     reasons = {
         "nothing_detectable": "Nothing is missing that these data could show, so nothing is added and the story ends "
         "here.",
         "noise_underestimated": "The scatter of the measurement has to be mended first, so nothing is added.",
         "indistinguishable": untold,
         "two_effects": untold,
+        "unconfirmed": f"What fits, {named}, is not confirmed: withheld data contradict it, so nothing is added. "
+        "'calib extend' adds it all the same.",
         "partial": "What was tried explains a part only and may stand in for something else, so nothing is added.",
         "none_explains": "No effect of the library explains what is missing, so nothing is added.",
     }
@@ -254,7 +252,9 @@ def conclusion(errors: pd.DataFrame) -> str:
         told += f", predicts {' and '.join(better)} better, {' and '.join(same)} no better"
     else:
         told += ", predicts no better"
-    return told + (f"; {' and '.join(noise)} stay within the noise" if noise else "")
+    told += f"; {' and '.join(noise)} stay within the noise" if noise else ""
+    against = [WORDS[g] for g in contradicting(errors, "after")]
+    return told + (f"; not confirmed: {' and '.join(against)} contradict it" if against else "")
 
 
 def by_group(errors: pd.DataFrame) -> pd.DataFrame:

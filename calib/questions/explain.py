@@ -18,6 +18,7 @@ from calib.missing import explain as engine
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
 from calib.missing.advice import Prospects, advice_sentence, advise
 from calib.missing.findings import Findings, Trial
+from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Hypotheses, Scaled
 from calib.missing.left_out import left_out
 from calib.missing.profile import profile_interval
@@ -180,13 +181,10 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     if found.verdict in ("effect", "indistinguishable"):
         by_name = {t.names[0]: t for t in found.singles}
         intervals = {name: profile_interval(by_name[name].state, name) for name in found.credible if name in by_name}
+    progress("withheld data")
+    found, errors, more_notes, figures = _confirmed(side, found)
     untested = _untested(side, found)
     effects = effects_table(found, intervals, _gains(side.hypotheses, found), _visible(side, found), untested)
-    progress("withheld data")
-    last = "after" if found.names_something else "attempt"
-    before, after = {"before": found.base}, {} if found.chosen is None else {last: found.chosen}
-    errors, more_notes, figures = side.errors({**before, **after}, found.noise_scale)
-    errors = errors[["group", "stage", "rows", "rms", "expected", "p", "unpaired"]]
     progress("what to measure next")
     examined = side.hypotheses.evaluations
     next_table, advice = _next(side, found, effects)
@@ -213,6 +211,25 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
         figures["discretisation"] = budget.largest
     seconds = time.perf_counter() - started
     return Explanation(found, words, tuple(notes), effects, errors, tables, figures, seconds)
+
+
+def _confirmed(side: Side, found: Findings) -> tuple[Findings, pd.DataFrame, list[str], dict[str, object]]:
+    """The findings once withheld data have been asked, errors by stage and group, what to note, and figures.
+
+    What would be named is not where withheld data contradict it; of several that cannot be told apart, all of them.
+    """
+    last = "after" if found.names_something else "attempt"
+    stages = {"before": found.base} | ({} if found.chosen is None else {last: found.chosen})
+    errors, notes, figures = side.errors(stages, found.noise_scale)
+    errors = errors[["group", "stage", "rows", "rms", "expected", "p", "unpaired"]]
+    against = found.names_something and bool(contradicting(errors, last))
+    if against and found.verdict == "indistinguishable":
+        rivals = {t.names[0]: t for t in found.singles if t.names[0] in found.credible and t is not found.chosen}
+        others = side.errors(rivals, found.noise_scale)[0] if rivals else errors
+        against = all(contradicting(others, name) for name in rivals)
+    if against:
+        found, errors = found.unconfirmed(), errors.replace({"stage": {last: "attempt"}})
+    return found, errors, notes, figures
 
 
 def _untested(side: Side, found: Findings) -> list[Effect]:

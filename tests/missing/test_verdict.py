@@ -163,6 +163,24 @@ def test_errors_are_told_where_something_is_named(cases, verdict):
     assert ("Error in units of the scatter" in text) == (verdict in ("effect", "indistinguishable", "two_effects"))
 
 
+def test_what_withheld_data_contradict_is_told_with_their_error(cases):
+    found = cases["effect"].unconfirmed()
+    table = errors()
+    after = table["stage"] == "after"
+    table.loc[after & (table["group"] == "withheld_modes"), ["rms", "p"]] = (4.567, 1e-5)
+    table.loc[after, "stage"] = "attempt"
+    text = told(found, some_errors=table)
+    assert "Title of E2 (E2)" in text and "0.97 -> 4.57 (noise floor 1.00, p < 0.0003)" in text
+    assert "posterior" not in text and "withheld sensors" not in text and "nan" not in text
+
+
+@pytest.mark.parametrize(("after", "p", "worse"), [(1.05, 0.3, False), (1.05, 1e-4, True), (0.9, 1e-4, False)])
+def test_a_larger_error_counts_where_it_is_no_chance(cases, after, p, worse):
+    table = errors(withheld_modes=after)
+    table.loc[(table["group"] == "withheld_modes") & (table["stage"] == "after"), "p"] = p
+    assert ("withheld modes got worse" in told(cases["effect"], some_errors=table)) == worse
+
+
 # -- one by one --------------------------------------------------------------------------------------------------------
 
 
@@ -358,12 +376,6 @@ def test_errors_are_those_of_the_table_with_the_noise_floor(cases):
     some = errors()
     some = some[some["group"].isin(["fit", "left_out"])]
     assert "data left out in turn 3.28 -> 1.16 (noise floor 1.19)." in told(cases["effect"], some_errors=some)
-
-
-def test_predictions_that_got_worse_are_told(cases):
-    text = told(cases["effect"], some_errors=errors(withheld_modes=1.2))
-    assert "It fits better but predicts no better: withheld modes got worse." in text
-    assert "got worse" not in told(cases["effect"], some_errors=errors(withheld_modes=0.98))
 
 
 def test_no_gap_is_left_where_nothing_is_said(cases):

@@ -17,7 +17,7 @@ def errors(**groups):
     """Errors before and after of every group, and their p where it is given."""
     rows = []
     for group, (before, after, *p) in groups.items():
-        chances = p or (0.0, 0.0)
+        chances = p or (0.0, 0.01)
         rows += [
             (group, stage, 10, rms, 1.0, c, 0)
             for stage, rms, c in zip(("before", "after"), (before, after), chances, strict=True)
