@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +13,7 @@ import pandas as pd
 from scipy import stats
 
 from calib.correlation.pairing import Pairing
+from calib.correlation.scatter import Scatter, freedom_behind, known_scatter
 from calib.mac import align, comac, is_real, noise_mac
 from calib.measurement.modal import MeasuredModes
 from calib.structure.model import ModalModel
@@ -57,6 +59,11 @@ class Comparison:
     mac: np.ndarray
     emac: np.ndarray
     sensor_shapes: np.ndarray
+
+    @cached_property
+    def scatter(self) -> Scatter:
+        """Standard deviations that everything here is told in, those of the residual; NaN where unknown."""
+        return known_scatter(self.measured)
 
     # -- arrays over the measured modes ------------------------------------------------------------------------------
 
@@ -127,8 +134,8 @@ class Comparison:
         return out
 
     def noise_mac(self) -> np.ndarray:
-        """MAC that a perfect model would reach from the measurement's noise alone, (n_measured,); NaN where unknown."""
-        return noise_mac(self.measured.shapes, self.measured.shape_std)
+        """MAC that a perfect model would reach from the scatter alone, (n_measured,); NaN where unknown."""
+        return noise_mac(self.measured.shapes, self.scatter.shape)
 
     # -- tables ------------------------------------------------------------------------------------------------------
 
@@ -216,14 +223,17 @@ class Comparison:
     # -- where it fails ----------------------------------------------------------------------------------------------
 
     def where_it_fails(self) -> pd.DataFrame:
-        """Every comparison in units of the measured scatter, worst first.
+        """Every comparison in units of the scatter, worst first.
+
+        One standard deviation is that of the residual of a fit, see `calib.correlation.scatter.scatter_of`: of the mean
+        over the repeats, pooled where they are few, with the errors that no number of repeats removes.
 
         Columns ``kind, what, value, in_scatter, verdict``. Unpaired modes lead, comparisons of unknown scatter end the
         table. What ``value`` and ``in_scatter`` are for each kind:
 
-        - frequency: signed frequency error; its size over the standard deviation of the measured frequency.
-        - damping: logarithm of model over measured ratio; its size over the measured relative standard deviation. Left
-          out for an undamped model.
+        - frequency: signed frequency error; the size of ln(model/measured) over the relative standard deviation.
+        - damping: logarithm of model over measured ratio; its size over the relative standard deviation. Left out for
+          an undamped model.
         - shape: MAC; square root of 1 - MAC over what the noise alone would give.
         - sensor: CoMAC; root mean square over the paired modes of the residual after alignment, over its own scatter.
 
@@ -264,17 +274,16 @@ class Comparison:
         words.append(f"The worst is the {worst['kind']} of {worst['what']}, {size}.")
         return " ".join(words)
 
-    def _limit(self, dof: np.ndarray | float) -> np.ndarray:
+    def _limit(self, kind: str, dof: np.ndarray | float) -> np.ndarray:
         """Largest number in units of scatter that a perfect model gives with probability `LEVEL`."""
-        repeats = self.measured.n_repeats
         dof = np.maximum(dof, 1e-9)
-        behind = dof * (repeats - 1) if repeats > 1 else np.full(np.shape(dof), 1e9)
-        return np.sqrt(stats.f.ppf(LEVEL, dof, behind))
+        behind = freedom_behind(self.measured, "shape" if kind == "sensor" else kind, dof)
+        return np.sqrt(stats.f.ppf(LEVEL, dof, np.minimum(behind, 1e9)))
 
     def _rows(
         self, kind: str, what: list[str], value: np.ndarray, in_scatter: np.ndarray, dof: np.ndarray | float = 1.0
     ) -> list[_Row]:
-        limit = np.broadcast_to(self._limit(dof), in_scatter.shape)
+        limit = np.broadcast_to(self._limit(kind, dof), in_scatter.shape)
         verdicts = np.where(np.isnan(in_scatter), UNKNOWN, np.where(in_scatter > limit, BEYOND, WITHIN))
         return [
             (kind, w, float(v), float(s), str(t)) for w, v, s, t in zip(what, value, in_scatter, verdicts, strict=True)
@@ -290,8 +299,8 @@ class Comparison:
     def _frequency_rows(self) -> list[_Row]:
         i = self.pairing.paired
         error = self.freq_error[i]
-        size = np.abs(error) * self.measured.natural_freq[i]
-        return self._rows("frequency", self._names(i), error, _over(size, self.measured.freq_std[i]))
+        size = np.abs(np.log1p(error))
+        return self._rows("frequency", self._names(i), error, _over(size, self.scatter.freq[i]))
 
     def _damping_rows(self) -> list[_Row]:
         i = self.pairing.paired
@@ -300,12 +309,11 @@ class Comparison:
             return []
         measured, model = self.measured.damping_ratio[i], self.paired(self.modes.damping_ratio)[i]
         error = np.log(np.maximum(model, 0.0) / measured, out=np.full(len(i), -np.inf), where=model > 0)
-        relative = self.measured.damping_std[i] / measured
-        return self._rows("damping", self._names(i), error, _over(np.abs(error), relative))
+        return self._rows("damping", self._names(i), error, _over(np.abs(error), self.scatter.damping[i]))
 
     def _shape_rows(self) -> list[_Row]:
         i = self.pairing.paired
-        shapes, std = self.measured.shapes[:, i], self.measured.shape_std[:, i]
+        shapes, std = self.measured.shapes[:, i], self.scatter.shape[:, i]
         variance = np.where(np.isnan(shapes), 0.0, std**2)
         with np.errstate(invalid="ignore", divide="ignore"):
             alike = np.sum(variance, axis=0) ** 2 / np.sum(variance**2, axis=0)  # sensors that share the noise evenly
@@ -315,7 +323,7 @@ class Comparison:
 
     def _sensor_rows(self) -> list[_Row]:
         i = self.pairing.paired
-        shapes, model, std = self.measured.shapes[:, i], self.aligned_shapes[:, i], self.measured.shape_std[:, i]
+        shapes, model, std = self.measured.shapes[:, i], self.aligned_shapes[:, i], self.scatter.shape[:, i]
         real = is_real(shapes)
         turn = np.exp(-0.5j * np.angle(np.nansum(shapes**2, axis=0)))
         residual = (shapes - model) * np.where(real, turn, 1.0)

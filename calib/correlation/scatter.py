@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.errors import InputError
+from calib.mac import is_real
 from calib.measurement.modal import MeasuredModes
 
 POOL_BELOW = 10
@@ -94,6 +95,38 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
         damping=_whole(damping, floors.unknown_damping, floors.damping, pooled, 1.0),
         shape=_whole(shape, floors.unknown_shape, floors.shape, pooled, lost),
     )
+
+
+def known_scatter(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | None = None) -> Scatter:
+    """What `scatter_of` takes, NaN for kinds of which the measurement tells no standard deviation at all."""
+    taken = scatter_of(measured, floors, pool)
+    told = (measured.freq_std, measured.damping_std, measured.shape_std)
+    kinds = (taken.freq, taken.damping, taken.shape)
+    return Scatter(*(k if np.isfinite(s).any() else np.full(k.shape, np.nan) for k, s in zip(kinds, told, strict=True)))
+
+
+def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float = 1.0) -> np.ndarray:
+    """Degrees of freedom of the repeats behind the standard deviations of `scatter_of`; infinite for a single repeat.
+
+    Parameters
+    ----------
+    measured : MeasuredModes
+    kind : {"frequency", "damping", "shape"}
+    own : ndarray or float
+        Those of the comparisons themselves: what is not pooled rests on the repeats of the same numbers only.
+    """
+    repeats = measured.n_repeats
+    if repeats == 1:
+        return np.full(np.shape(own), np.inf)
+    if repeats >= POOL_BELOW:
+        return np.asarray(own, dtype=float) * (repeats - 1)
+    if kind == "shape":
+        known = np.isfinite(measured.shapes) & np.isfinite(measured.shape_std)
+        parts = np.where(is_real(measured.shapes), 1, 2)
+        count = int(np.sum(parts * np.maximum(known.sum(axis=0) - 1, 0)))
+    else:
+        count = int(np.isfinite(measured.freq_std if kind == "frequency" else measured.damping_std).sum())
+    return np.full(np.shape(own), float(max(count, 1) * (repeats - 1)))
 
 
 def _whole(std: np.ndarray, unknown: float, floor: float, pooled: bool, lost: float) -> np.ndarray:
