@@ -1,4 +1,4 @@
-"""Measured modes from universal files (UFF, UNV): datasets 55 with the nodes of 15 or 2411 and the units of 164."""
+"""Measured modes from universal files (UFF, UNV): datasets 55 or 2414, the nodes of 15 or 2411, the units of 164."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from calib.errors import InputError
 from calib.measurement.csv_format import FREQ_LIMIT, VALUE_LIMIT
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.repeats import Repeat, ShapeSet
-from calib.measurement.uff_blocks import USED_KINDS, Block, extract_sets, halves_of_six, read_blocks
+from calib.measurement.uff_2414 import as_dataset_55
+from calib.measurement.uff_blocks import MODAL, USED_KINDS, Block, extract_sets, halves_of_six, read_blocks
 from calib.measurement.uff_write import Point, write_uff
 
 __all__ = ["Point", "UniversalFile", "drop_unmeasured", "read_uff", "write_uff"]
 
-_MODAL = (2, 3, 7)
-"""Analysis types of dataset 55 that are modes: normal, complex of first order, complex of second order."""
 _PER_METRE = {1: 1.0, 2: 1 / 0.3048, 3: 1.0, 4: 1 / 0.3048, 5: 1e3, 6: 1e2, 7: 1 / 0.0254, 8: 1e3}
 """Length factor that belongs to each unit code of dataset 164 (9 is user-defined)."""
+_DAMAGED = -1
 _NAME_LINE = re.compile(r"mode\s+(\S+)", re.IGNORECASE)
 
 
@@ -39,10 +39,13 @@ def read_uff(path: Path) -> UniversalFile:
     """Read one repeat from a universal file.
 
     Modes are the datasets 55 of analysis type 2 (natural frequency in Hz and viscous damping ratio, 0 for unknown), 3
-    and 7 (eigenvalue in rad/s), in the order of the file; of a conjugate pair the half with positive imaginary part is
-    kept. A mode is named by the first ID line that reads ``mode NAME`` (one word) provided every mode carries such a
-    line and the names differ; otherwise modes are numbered from 1. Nodes without a record in a mode count as not
-    measured in it. Zeros are kept here; see `drop_unmeasured`. Lengths, and with them translations, are turned into SI.
+    and 7 (eigenvalue in rad/s), in the order of the file, or the datasets 2414 of these types where the file has no
+    such 55; of a conjugate pair the half with positive imaginary part is kept. Datasets 55 and 2414 that are no modes,
+    such as frequency responses (type 5), are passed over and noted. A mode is named by the first ID line that reads
+    ``mode NAME`` (one word) provided every mode carries such a line, the names differ, and they are not just the
+    numbers from 1 in order, which are places in the file and no names; otherwise modes are numbered from 1. Nodes
+    without a record in a mode count as not measured in it. Zeros are kept here; see `drop_unmeasured`. Lengths, and
+    with them translations, are turned into SI.
 
     Parameters
     ----------
@@ -54,21 +57,60 @@ def read_uff(path: Path) -> UniversalFile:
         For a file that cannot be read, is damaged or truncated, or holds no modes.
     """
     blocks = read_blocks(path)
-    parts = [part for block in blocks if block.kind in USED_KINDS for part in halves_of_six(path, block)]
-    found = sorted({block.kind for block in blocks})
+    notes: list[str] = []
+    used = _with_modes(path, [block for block in blocks if block.kind in USED_KINDS], notes)
+    parts = [part for block in used for part in halves_of_six(path, block)]
     if not any(block.kind == 55 for block in parts):
+        found = ", ".join(str(kind) for kind in sorted({block.kind for block in blocks}))
+        types = sorted({_analysis_type(block) for block in blocks if block.kind == 55})
+        if types:
+            raise InputError(
+                f"its datasets 55 are of analysis type {', '.join(map(str, types))}, which are no modes",
+                place=path,
+                remedy="export normal (2) or complex (3, 7) modes",
+            )
         raise InputError(
-            f"it holds no modes (dataset 55), only datasets {', '.join(map(str, found))}",
+            f"it holds no modes (dataset 55 or 2414), only datasets {found}",
             place=path,
             remedy="export the identified modes as dataset 55",
         )
     sets = extract_sets(path, parts)
-    notes: list[str] = []
     per_metre = _length_factor(path, parts, sets, notes)
     with np.errstate(all="ignore"):  # what overflows is refused as not finite
         points = _points(path, parts, sets, per_metre, notes)
         repeat = _modes(path, parts, sets, per_metre, notes)
     return UniversalFile(replace(repeat, notes=tuple(notes)), points)
+
+
+def _with_modes(path: Path, blocks: Sequence[Block], notes: list[str]) -> list[Block]:
+    """Blocks without the analysis data that are no modes, which are noted, and with the modes as datasets 55."""
+    modes = [block for block in blocks if block.kind == 55 and _analysis_type(block) in MODAL]
+    others: dict[tuple[int, int], int] = {}
+    out = []
+    for block in blocks:
+        kept: Block | None = block
+        if block.kind == 55:
+            kept = block if _analysis_type(block) in (*MODAL, _DAMAGED) else None
+        elif block.kind == 2414:
+            kept = None if modes else as_dataset_55(path, block)
+        if kept is None:
+            key = block.kind, _analysis_type(block)
+            others[key] = others.get(key, 0) + 1
+        else:
+            out.append(kept)
+    for (kind, analysis), count in others.items():
+        what = f"{count} dataset{'s' * (count > 1)} {kind} of analysis type {analysis}"
+        what += " (frequency responses)" if analysis == 5 else ""
+        why = "the modes are those of its datasets 55" if kind == 2414 and modes else "they hold no mode shapes"
+        notes.append(f"{path}: {what} passed over: {why}")
+    return out
+
+
+def _analysis_type(block: Block) -> int:
+    """Analysis type of a dataset 55 or 2414; `_DAMAGED` where it cannot be read."""
+    at = 5 if block.kind == 55 else 8
+    text = block.lines[at][10:20].strip() if len(block.lines) > at else ""
+    return int(text) if text.isdecimal() and text.isascii() else _DAMAGED
 
 
 def _length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[str, Any]], notes: list[str]) -> float:
@@ -149,12 +191,8 @@ def _modes(
     path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[str, Any]], per_metre: float, notes: list[str]
 ) -> Repeat:
     modes: list[_Mode] = []
-    kinds = set()
     for block, data in zip(blocks, sets, strict=True):
         if abs(block.kind) != 55:
-            continue
-        kinds.add(int(data["analysis_type"]))
-        if data["analysis_type"] not in _MODAL:
             continue
         place = f"{path}, line {block.line}"
         values = _values(place, data, per_metre, rotations=block.kind == -55)
@@ -165,15 +203,10 @@ def _modes(
         matches = (_NAME_LINE.fullmatch(str(data[f"id{k}"]).strip()) for k in range(1, 6))
         name = next((match.group(1) for match in matches if match), None)
         modes.append(_Mode(name, freq, damping, eigenvalue, values))
-    if not modes:
-        raise InputError(
-            f"its datasets 55 are of analysis type {', '.join(map(str, sorted(kinds)))}, which are no modes",
-            place=path,
-            remedy="export normal (2) or complex (3, 7) modes",
-        )
     modes = _upper_half(modes)
     given = [mode.name for mode in modes]
-    named = None not in given and len(set(given)) == len(given)
+    counted = [str(k + 1) for k in range(len(given))]
+    named = None not in given and len(set(given)) == len(given) and given != counted
     names = tuple(str(name) for name in given) if named else tuple(str(k + 1) for k in range(len(modes)))
     present = {key for mode in modes for key in mode.values}
     nodes = dict.fromkeys(node for mode in modes for node, _ in mode.values)

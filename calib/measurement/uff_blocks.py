@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import tempfile
 import warnings
 from collections.abc import Sequence
@@ -16,8 +17,17 @@ import pyuff
 from calib.errors import InputError
 
 _MARKER = b"    -1"
-USED_KINDS = (15, 55, 164, 2411)
+USED_KINDS = (15, 55, 164, 2411, 2414)
 """Dataset numbers whose text is kept."""
+MODAL = (2, 3, 7)
+"""Analysis types that are modes: normal, complex of first order, complex of second order."""
+_LINE_END = re.compile(rb"\r\n|\r|\n")
+_BINARY_HEAD = re.compile(rb" {4}58b[ \d]{12}([ \d]{11}\d)([ \d]{11}\d).*")
+"""After byte order and kind of number: the number of text lines, and of bytes, that follow."""
+_CLOSING = re.compile(rb"(?:\r\n|\r|\n)?( {4}-1[ ]*(?:\r|\n|\Z))")
+_FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
+_ID_LINES = {55: range(5), 2414: (1, *range(3, 8))}
+"""Lines of free text in a dataset, from 0."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +42,11 @@ class Block:
 def read_blocks(path: Path) -> list[Block]:
     """Split a universal file into its datasets.
 
-    Raises InputError when it is empty, is no universal file, or a dataset is not closed (a truncated file).
+    The bytes of a binary function (dataset 58b) are passed over by the count in its header line, so that no byte among
+    them is taken for the end of the dataset; where that count is absent or does not lead to a '-1' line, its end is
+    sought like that of any other.
+
+    Raises InputError when the file is empty, is no universal file, or a dataset is not closed (a truncated file).
     """
     try:
         data = path.read_bytes()
@@ -40,21 +54,24 @@ def read_blocks(path: Path) -> list[Block]:
         raise InputError(f"it cannot be read ({err.strerror})", place=path, remedy="check the path") from None
     if not data.strip():
         raise InputError("it is empty", place=path, remedy="export it again")
+    lines = _Lines(data.rstrip(b"\x1a"))
     blocks: list[Block] = []
     begun: list[bytes] | None = None
     start = 0
-    for number, raw in enumerate(data.rstrip(b"\x1a").splitlines(), start=1):
-        line = raw.rstrip()
+    while not lines.ended:
+        line = lines.take().rstrip()
         if line == _MARKER:
             if begun is not None:
                 blocks.append(_block(path, start, begun))
-            begun, start = ([], number) if begun is None else (None, start)
+            begun, start = ([], lines.number) if begun is None else (None, start)
         elif begun is not None:
             begun.append(line)
+            if len(begun) == 1:
+                lines.pass_binary(line)
         elif line:
             raise InputError(
                 "text outside the datasets: this is no universal file, or a '-1' line was lost",
-                place=f"{path}, line {number}",
+                place=f"{path}, line {lines.number}",
                 remedy="export it again",
             )
     if begun is not None:
@@ -66,6 +83,47 @@ def read_blocks(path: Path) -> list[Block]:
     return blocks
 
 
+class _Lines:
+    """Lines of a file one by one, as `bytes.splitlines` cuts them, with what is binary passed over."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._at = 0
+        self.number = 0
+
+    @property
+    def ended(self) -> bool:
+        return self._at >= len(self._data)
+
+    def take(self) -> bytes:
+        """The next line without its end."""
+        found = _LINE_END.search(self._data, self._at)
+        stop, after = (len(self._data),) * 2 if found is None else found.span()
+        line = self._data[self._at : stop]
+        self._at, self.number = after, self.number + 1
+        return line
+
+    def pass_binary(self, head: bytes) -> None:
+        """Go behind the bytes that a header line of dataset 58b announces, if a '-1' line follows there."""
+        found = _BINARY_HEAD.fullmatch(head)
+        if found is None:
+            return
+        at, number = self._at, self.number
+        for _ in range(min(int(found.group(1)), 100)):
+            if self.ended:
+                break
+            self.take()
+        begin = self._at
+        self._at += int(found.group(2))
+        # some writers end the bytes by a line end of its own
+        behind = _CLOSING.match(self._data, min(self._at, len(self._data)))
+        if behind is None:
+            self._at, self.number = at, number
+            return
+        self._at = behind.start(1)
+        self.number += len(self._data[begin : self._at].splitlines())
+
+
 def _block(path: Path, start: int, lines: Sequence[bytes]) -> Block:
     head = lines[0][:6].strip() if lines else b""
     if not head.isdigit() or int(head) == 0:
@@ -74,7 +132,13 @@ def _block(path: Path, start: int, lines: Sequence[bytes]) -> Block:
         )
     kind = int(head)
     # the other datasets are not read, and may be binary
-    return Block(kind, start, tuple(map(_text, lines[1:])) if kind in USED_KINDS else ())
+    if kind not in USED_KINDS:
+        return Block(kind, start, ())
+    free = _ID_LINES.get(kind, ())
+    texts = (_text(raw) for raw in lines[1:])
+    # Fortran's double precision writes 1.0D+03
+    read = (text if k in free else _FORTRAN_EXPONENT.sub("E", text) for k, text in enumerate(texts))
+    return Block(kind, start, tuple(read))
 
 
 def _text(raw: bytes) -> str:

@@ -14,9 +14,8 @@ import pyuff
 from calib.errors import InputError
 from calib.measurement.csv_format import FREQ_LIMIT, VALUE_LIMIT
 from calib.measurement.modal import DIRECTIONS, Sensor
+from calib.measurement.places import Point
 from calib.measurement.uff_blocks import Block, first_line, read_blocks
-
-Point = tuple[float, float, float]
 
 
 def write_uff(

@@ -1,0 +1,106 @@
+"""Places of measured nodes: the same in all repeats, and where two files contradict each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.errors import InputError
+
+Point = tuple[float, float, float]
+
+REPEAT_TOLERANCE = 1e-4
+"""Share of the geometry's size by which a node may move between repeats; universal files carry six digits."""
+TABLE_TOLERANCE = 0.005
+"""The same between a sensor table and the universal files: tapes are read to millimetres."""
+MILLIMETRES = 1000.0
+UNIT_TOLERANCE = 0.02
+"""Relative error of the factor between two sets of places that are one in other units."""
+
+
+@dataclass(frozen=True)
+class Misplaced:
+    """A node whose place in the sensor table contradicts the universal files.
+
+    Attributes
+    ----------
+    node : int
+    table, file : tuple of float
+        Its two places, m; that of the table is used.
+    distance : float
+        Between them, m.
+    """
+
+    node: int
+    table: Point
+    file: Point
+    distance: float
+
+
+def common_points(
+    given: Sequence[tuple[str, Mapping[int, Point]]], table: Mapping[int, object]
+) -> Mapping[int, Point] | None:
+    """Places of the nodes, which must not differ between repeats; None when no file has any.
+
+    Parameters
+    ----------
+    given : sequence of (source, places by node in m)
+    table : mapping from node to anything
+        Nodes whose places the sensor table settles.
+    """
+    common: dict[int, Point] = {}
+    origin: dict[int, str] = {}
+    for source, points in given:
+        for node, point in points.items():
+            common.setdefault(node, point)
+            origin.setdefault(node, source)
+    if not common:
+        return None
+    size = _size(list(common.values()))
+    for source, points in given:
+        for node, point in points.items():
+            moved = max(abs(a - b) for a, b in zip(common[node], point, strict=True))
+            if node not in table and moved > REPEAT_TOLERANCE * size:
+                raise InputError(
+                    f"node {node} is at another place than in {origin[node]}",
+                    place=source,
+                    remedy="correct one of them, or give the node in the sensor table",
+                )
+    return common
+
+
+def contradictions(
+    points: Mapping[int, Point], table: Mapping[int, Point]
+) -> tuple[tuple[Misplaced, ...], float | None]:
+    """Nodes whose places in table and universal files differ, most distant first, and the factor of units behind it.
+
+    Two places differ when they are further apart than `TABLE_TOLERANCE` of the size of the geometry that the universal
+    files span. The factor is 1000 or 1/1000 (table over files) when the table is the same geometry in other units:
+    within 2 % for the median of all coordinates, and all nodes agree once it is taken out.
+    """
+    shared = [node for node in table if node in points]
+    if not shared:
+        return (), None
+    ours = np.array([table[node] for node in shared])
+    theirs = np.array([points[node] for node in shared])
+    tolerance = TABLE_TOLERANCE * _size(list(points.values()))
+    apart = np.linalg.norm(ours - theirs, axis=1)
+    order = [int(k) for k in np.argsort(-apart, kind="stable") if apart[k] > tolerance]
+    misplaced = tuple(Misplaced(shared[k], table[shared[k]], points[shared[k]], float(apart[k])) for k in order)
+    large = np.abs(theirs) > tolerance
+    if not misplaced or not large.any():
+        return misplaced, None
+    ratio = float(np.median(np.abs(ours[large] / theirs[large])))
+    for factor in (MILLIMETRES, 1 / MILLIMETRES):
+        if abs(ratio / factor - 1) < UNIT_TOLERANCE:
+            left = np.linalg.norm(ours / factor - theirs, axis=1)
+            if np.median(left) <= tolerance:
+                return misplaced, factor
+    return misplaced, None
+
+
+def _size(points: Sequence[Point]) -> float:
+    """Largest extent of a set of points, m; 1 where all are one."""
+    return float(np.max(np.ptp(np.array(points), axis=0))) or 1.0
