@@ -22,7 +22,7 @@ from calib.questions.compare import Answer
 from calib.questions.explain import Explanation
 from calib.questions.extend import Extension
 from calib.questions.places import is_modal
-from calib.questions.record import assumptions_table
+from calib.questions.record import assumptions_table, check_repeats
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
@@ -87,6 +87,8 @@ def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
     if study.measured is not None:
         for note in study.measured.notes:
             say(f"Measurement: {note}.")
+    for sentence in check_repeats(study):
+        _out.print(sentence, style="yellow")
     for finding in answer.findings:
         _out.print(f"Check this sensor: {finding.sentence}", style="yellow")
     _print_answer(answer)

@@ -23,7 +23,11 @@ class _Section(BaseModel):
 
 
 class MeasurementSettings(_Section):
-    """``[measurement]``: files, relative to the study's folder."""
+    """``[measurement]``: files, relative to the study's folder.
+
+    ``pooling`` says whether mean and scatter go without what disagrees with the other repeats at a strict level
+    (``"robust"``), or whether it is only named (``"plain"``).
+    """
 
     files: tuple[str, ...] = ()
     shapes: tuple[str, ...] = ()
@@ -32,6 +36,7 @@ class MeasurementSettings(_Section):
     mode_names: tuple[str, ...] | None = None
     repeats: int | None = Field(default=None, ge=1)
     std_of: Literal["mean", "repeat"] = "mean"
+    pooling: Literal["robust", "plain"] = "robust"
     synthetic: bool = False
 
     @model_validator(mode="after")

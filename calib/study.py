@@ -15,6 +15,7 @@ from calib.function import FunctionModel
 from calib.limits import search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, with_effects
 from calib.measurement.csv_format import read_responses_csv
+from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_measurement
 from calib.settings import StudySettings, line_of, read_settings
@@ -81,6 +82,11 @@ class Study:
     def synthetic(self) -> bool:
         """Whether the measurement was made by a computer."""
         return self.settings.measurement.synthetic
+
+    @property
+    def disagreements(self) -> tuple[Disagreement, ...]:
+        """Where one repeat of the measurement disagrees with the others."""
+        return () if self.whole is None else self.whole.disagreements
 
     @property
     def included(self) -> tuple[Effect, ...]:
@@ -262,6 +268,7 @@ class _Reader:
             repeats=given.repeats,
             std_of=given.std_of,
             mode_names=given.mode_names,
+            pooling=given.pooling,
             synthetic=given.synthetic,
         )
         return measured, {}

@@ -70,8 +70,10 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
 
     With 2 to 9 repeats they are pooled: the relative ones of frequency and of damping over the modes, those of shapes
     over all entries (root mean square; for shapes over ``n_sensors - 1`` entries a mode, since a factor was fitted to
-    every repeat). Deviations given by a file of a single repeat, and those of ten or more repeats, are taken one by
-    one. Unknown ones take the pooled value when there is one, else the floors' ``unknown_*``.
+    every repeat). Values over fewer repeats than others weigh by their degrees of freedom, and each takes its share of
+    the pooled scatter by its own number of repeats. Deviations given by a file of a single repeat, and those of ten or
+    more repeats, are taken one by one. Unknown ones take the pooled value when there is one, else the floors'
+    ``unknown_*``.
 
     Parameters
     ----------
@@ -91,9 +93,9 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
     freedom = int(np.maximum(counted.sum(axis=0) - 1, 0).sum()) if measured.n_repeats > 1 else entries
     lost = entries / freedom if freedom else 1.0
     return Scatter(
-        freq=_whole(freq, floors.unknown_freq, floors.freq, pooled, 1.0),
-        damping=_whole(damping, floors.unknown_damping, floors.damping, pooled, 1.0),
-        shape=_whole(shape, floors.unknown_shape, floors.shape, pooled, lost),
+        freq=_whole(freq, measured.counts("freq"), floors.unknown_freq, floors.freq, pooled, 1.0),
+        damping=_whole(damping, measured.counts("damping"), floors.unknown_damping, floors.damping, pooled, 1.0),
+        shape=_whole(shape, measured.counts("shape"), floors.unknown_shape, floors.shape, pooled, lost),
     )
 
 
@@ -124,14 +126,25 @@ def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float =
         known = np.isfinite(measured.shapes) & np.isfinite(measured.shape_std)
         parts = np.where(is_real(measured.shapes), 1, 2)
         count = int(np.sum(parts * np.maximum(known.sum(axis=0) - 1, 0)))
+        behind = measured.counts("shape")[known]
     else:
-        count = int(np.isfinite(measured.freq_std if kind == "frequency" else measured.damping_std).sum())
-    return np.full(np.shape(own), float(max(count, 1) * (repeats - 1)))
+        known = np.isfinite(measured.freq_std if kind == "frequency" else measured.damping_std)
+        count = int(known.sum())
+        behind = measured.counts("freq" if kind == "frequency" else "damping")[known]
+    each = float(np.mean(behind - 1.0)) if behind.size else repeats - 1.0
+    return np.full(np.shape(own), max(count, 1) * max(each, 1.0))
 
 
-def _whole(std: np.ndarray, unknown: float, floor: float, pooled: bool, lost: float) -> np.ndarray:
+def _whole(std: np.ndarray, counts: np.ndarray, unknown: float, floor: float, pooled: bool, lost: float) -> np.ndarray:
     known = np.isfinite(std)
-    common = math.sqrt(float(np.mean(std[known] ** 2)) * lost) if known.any() else unknown
-    taken = np.full(std.shape, common) if pooled else np.where(known, std, common)
+    if known.any():
+        # deviations of means over unlike numbers of repeats become those of one repeat, and back
+        n = np.maximum(counts, 1)
+        freedom = n[known] - 1.0 if np.any(n[known] > 1) else np.ones(int(known.sum()))
+        single = float(np.average(std[known] ** 2 * n[known], weights=freedom))
+        common = np.sqrt(single * lost / n)
+    else:
+        common = np.full(std.shape, unknown)
+    taken = common if pooled else np.where(known, std, common)
     total = np.sqrt(taken**2 + floor**2)
     return np.where(total > 0, total, unknown)

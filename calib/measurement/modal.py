@@ -5,10 +5,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from calib.errors import InputError
+from calib.measurement.disagreements import Disagreement
+from calib.measurement.places import Misplaced
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 """Direction names; index + 1 is the direction code of the universal file format."""
@@ -68,6 +71,14 @@ class MeasuredModes:
         Files it was read from.
     notes : tuple of str
         What a reader must know, such as "damping unknown: damped frequencies taken as natural".
+    freq_count, damping_count : ndarray (n_modes,), int, or None
+        Repeats behind each value where not all of them hold it; None for `n_repeats` everywhere.
+    shape_count : ndarray (n_sensors, n_modes), int, or None
+        Likewise.
+    disagreements : tuple of Disagreement
+        Repeats that disagree with the others at one place.
+    misplaced : tuple of Misplaced
+        Nodes whose places in two files contradict each other.
     """
 
     names: tuple[str, ...]
@@ -83,6 +94,11 @@ class MeasuredModes:
     synthetic: bool = False
     source: str = ""
     notes: tuple[str, ...] = ()
+    freq_count: np.ndarray | None = None
+    damping_count: np.ndarray | None = None
+    shape_count: np.ndarray | None = None
+    disagreements: tuple[Disagreement, ...] = ()
+    misplaced: tuple[Misplaced, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -108,6 +124,12 @@ class MeasuredModes:
         """Whether any mode shape was measured."""
         return len(self.sensors) > 0
 
+    def counts(self, kind: Literal["freq", "damping", "shape"]) -> np.ndarray:
+        """Repeats behind every frequency or damping ratio (n_modes,), or shape entry (n_sensors, n_modes)."""
+        given = {"freq": self.freq_count, "damping": self.damping_count, "shape": self.shape_count}[kind]
+        shape = self.shapes.shape if kind == "shape" else (self.n_modes,)
+        return np.full(shape, self.n_repeats) if given is None else given
+
     @property
     def fingerprint(self) -> str:
         """Hash over everything an evaluation may depend on."""
@@ -117,6 +139,9 @@ class MeasuredModes:
             digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
         digest.update(np.ascontiguousarray(self.shapes, dtype=complex).tobytes())
         digest.update(np.ascontiguousarray(self.shape_std, dtype=float).tobytes())
+        for counts in (self.freq_count, self.damping_count, self.shape_count):
+            if counts is not None:
+                digest.update(np.ascontiguousarray(counts, dtype=np.int64).tobytes())
         return digest.hexdigest()[:16]
 
     def without(self, modes: Iterable[str] = (), sensors: Iterable[str] = ()) -> MeasuredModes:
@@ -144,4 +169,7 @@ class MeasuredModes:
             sensors=tuple(self.sensors[k] for k in j),
             shapes=self.shapes[np.ix_(j, i)],
             shape_std=self.shape_std[np.ix_(j, i)],
+            freq_count=None if self.freq_count is None else self.freq_count[i],
+            damping_count=None if self.damping_count is None else self.damping_count[i],
+            shape_count=None if self.shape_count is None else self.shape_count[np.ix_(j, i)],
         )

@@ -10,13 +10,14 @@ import numpy as np
 
 from calib.errors import InputError
 from calib.measurement.csv_format import read_modes_csv, read_sensor_table, read_shapes_csv
-from calib.measurement.modal import MeasuredModes, Sensor
+from calib.measurement.disagreements import Pooling
+from calib.measurement.modal import MeasuredModes
+from calib.measurement.places import Point, common_points
 from calib.measurement.repeats import Repeat, StdOf, combine_repeats
-from calib.measurement.uff import Point, UniversalFile, drop_unmeasured, read_uff
+from calib.measurement.sensors import place_sensors
+from calib.measurement.uff import drop_unmeasured, read_uff
 
 UFF_SUFFIXES = (".uff", ".unv", ".uf")
-PLACE_TOLERANCE = 1e-4
-"""Share of the geometry's size by which a node may move between repeats; universal files carry six digits."""
 
 
 def read_measurement(
@@ -27,6 +28,7 @@ def read_measurement(
     repeats: int | None = None,
     std_of: StdOf = "mean",
     mode_names: Sequence[str] | None = None,
+    pooling: Pooling = "robust",
     synthetic: bool = False,
 ) -> MeasuredModes:
     """Read measured modes; each file is one repeat.
@@ -46,6 +48,8 @@ def read_measurement(
         What the standard deviations in a single file belong to; ``"repeat"`` ones are divided by ``sqrt(repeats)``.
     mode_names : sequence of str, optional
         Names of the modes in the order of the first file; files that name their modes are still matched by their own.
+    pooling : {"robust", "plain"}
+        Whether what disagrees with the other repeats is left out of mean and scatter, or only named.
     synthetic : bool
         True when no structure was measured.
 
@@ -62,15 +66,16 @@ def read_measurement(
     if is_uff:
         universal = [read_uff(path) for path in paths]
         read = drop_unmeasured([u.repeat for u in universal])
-        points = _common_points(universal, table)
+        points = common_points([(u.repeat.source, u.points) for u in universal], table)
     else:
         read = [read_modes_csv(path) for path in paths]
         # a single shapes file belongs to the mean; it rides on the first repeat
         for k, path in enumerate(shapes):
             read[k] = replace(read[k], shape_set=read_shapes_csv(path, read[k].names))
-    combined = combine_repeats(read, std_of=std_of, count=repeats, mode_names=mode_names)
-    sensors, notes = _sensors(combined.sensors, points, table, paths[0])
+    combined = combine_repeats(read, std_of=std_of, count=repeats, mode_names=mode_names, pooling=pooling)
+    placed = place_sensors(combined.sensors, points, table, paths[0], sensor_table)
     damping = combined.damping_ratio
+    n_repeats = len(read) if len(read) > 1 else (repeats or 1)
     return MeasuredModes(
         names=combined.names,
         natural_freq=combined.natural_freq,
@@ -78,14 +83,24 @@ def read_measurement(
         freq_std=combined.freq_std,
         damping_ratio=damping,
         damping_std=combined.damping_std,
-        sensors=sensors,
+        sensors=placed.sensors,
         shapes=combined.shapes,
         shape_std=combined.shape_std,
-        n_repeats=len(paths) if len(paths) > 1 else (repeats or 1),
+        n_repeats=n_repeats,
         synthetic=synthetic,
         source=", ".join(map(str, (*paths, *shapes))),
-        notes=(*combined.notes, *notes),
+        notes=(*placed.notes, *combined.notes),
+        freq_count=_varied(combined.freq_count, n_repeats),
+        damping_count=_varied(combined.damping_count, n_repeats),
+        shape_count=_varied(combined.shape_count, n_repeats),
+        disagreements=combined.disagreements,
+        misplaced=placed.misplaced,
     )
+
+
+def _varied(count: np.ndarray, n_repeats: int) -> np.ndarray | None:
+    """Counts where a value that is there rests on fewer repeats than there are."""
+    return count if np.any((count > 0) & (count != n_repeats)) else None
 
 
 def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int | None, std_of: str) -> bool:
@@ -126,52 +141,3 @@ def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int
             remedy="leave it out, or give the number behind a single file",
         )
     return is_uff
-
-
-def _common_points(universal: Sequence[UniversalFile], table: Mapping[int, object]) -> Mapping[int, Point] | None:
-    """Places of the nodes, which must not differ between repeats; None when no file has any."""
-    common: dict[int, Point] = {}
-    origin: dict[int, str] = {}
-    for repeat in universal:
-        for node, point in repeat.points.items():
-            common.setdefault(node, point)
-            origin.setdefault(node, repeat.repeat.source)
-    if not common:
-        return None
-    size = float(np.max(np.ptp(np.array(list(common.values())), axis=0))) or 1.0
-    for repeat in universal:
-        for node, point in repeat.points.items():
-            moved = max(abs(a - b) for a, b in zip(common[node], point, strict=True))
-            if node not in table and moved > PLACE_TOLERANCE * size:
-                raise InputError(
-                    f"node {node} is at another place than in {origin[node]}",
-                    place=repeat.repeat.source,
-                    remedy="correct one of them, or give the node in the sensor table",
-                )
-    return common
-
-
-def _sensors(
-    measured: Sequence[tuple[int, str]],
-    points: Mapping[int, Point] | None,
-    table: Mapping[int, tuple[Point, str | None]],
-    path: Path,
-) -> tuple[tuple[Sensor, ...], list[str]]:
-    """Sensors with their places, and a note for those without."""
-    sensors = []
-    for node, direction in measured:
-        if node in table:
-            point, on = table[node]
-            sensors.append(Sensor(node, direction, point, on))
-        elif points is not None:
-            if node not in points:
-                raise InputError(
-                    f"node {node} has shape values but no coordinates (dataset 15)",
-                    place=path,
-                    remedy="add it there or to the sensor table",
-                )
-            sensors.append(Sensor(node, direction, points[node]))
-        else:
-            sensors.append(Sensor(node, direction))
-    lost = list(dict.fromkeys(str(s.node) for s in sensors if s.point is None))
-    return tuple(sensors), [f"no place is known for nodes {', '.join(lost)}"] if lost else []

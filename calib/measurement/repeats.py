@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import PurePath
 from typing import Literal
 
 import numpy as np
 
 from calib.errors import InputError
 from calib.mac import mac
+from calib.measurement.average import mean_and_std, scaled
+from calib.measurement.disagreements import Disagreement, Pooling, bad_shape, disagreeing, without
+from calib.measurement.matching import Matching, match_modes
 
 StdOf = Literal["mean", "repeat"]
 MAC_LOWEST = 0.5
@@ -68,22 +72,6 @@ class Repeat:
     shape_set: ShapeSet | None = None
     notes: tuple[str, ...] = ()
 
-    def reordered(self, order: Sequence[int]) -> Repeat:
-        """Same repeat with its modes in another order."""
-        pick = list(order)
-        shape_set = self.shape_set
-        if shape_set is not None:
-            shape_set = replace(shape_set, shapes=shape_set.shapes[:, pick], std=shape_set.std[:, pick])
-        return replace(
-            self,
-            names=tuple(self.names[k] for k in pick),
-            natural_freq=self.natural_freq[pick],
-            freq_std=self.freq_std[pick],
-            damping_ratio=self.damping_ratio[pick],
-            damping_std=self.damping_std[pick],
-            shape_set=shape_set,
-        )
-
 
 @dataclass(frozen=True)
 class Combined:
@@ -95,6 +83,10 @@ class Combined:
     natural_freq, freq_std, damping_ratio, damping_std : ndarray (n_modes,)
     sensors : tuple of (int, str)
     shapes, shape_std : ndarray (n_sensors, n_modes)
+    freq_count, damping_count : ndarray (n_modes,), int
+        Repeats behind each value, at least 1 for a frequency.
+    shape_count : ndarray (n_sensors, n_modes), int
+    disagreements : tuple of Disagreement
     notes : tuple of str
     """
 
@@ -106,6 +98,10 @@ class Combined:
     sensors: tuple[tuple[int, str], ...]
     shapes: np.ndarray
     shape_std: np.ndarray
+    freq_count: np.ndarray
+    damping_count: np.ndarray
+    shape_count: np.ndarray
+    disagreements: tuple[Disagreement, ...]
     notes: tuple[str, ...]
 
 
@@ -115,11 +111,13 @@ def combine_repeats(
     std_of: StdOf = "mean",
     count: int | None = None,
     mode_names: Sequence[str] | None = None,
+    pooling: Pooling = "robust",
 ) -> Combined:
-    """Average repeats of the same modes.
+    """Average repeats of the same modes, each value over the repeats that hold it.
 
-    Modes are matched by name when every file names its modes, in order otherwise. With several repeats the standard
-    deviation of the mean is that of the scatter over the root of their number; with one it is the one of the file.
+    Modes are matched by name when every file names its modes, by shape and frequency otherwise (see
+    `calib.measurement.matching`). With several repeats the standard deviation of the mean is that of the scatter over
+    the root of their number; with one it is the one of the file.
 
     Parameters
     ----------
@@ -130,27 +128,45 @@ def combine_repeats(
     count : int, optional
         Number of repeats behind a single file.
     mode_names : sequence of str, optional
-        New names of the modes, in the order of the first repeat.
+        New names of the modes, in the order of the first repeat, or of all modes (those that it lacks by frequency).
+    pooling : {"robust", "plain"}
+        Whether what disagrees with the other repeats (see `calib.measurement.disagreements`) is left out of mean and
+        scatter, or only named.
 
     Raises
     ------
     InputError
-        When repeats do not hold the same modes and sensors, or the count is missing.
+        When it cannot be told which modes are the same, or the count is missing.
     """
-    matched = _match_modes(repeats)
-    first = matched[0]
-    names = first.names if mode_names is None else _new_names(mode_names, first)
+    first = repeats[0]
+    rows = tuple(dict.fromkeys(s for r in repeats if r.shape_set is not None for s in r.shape_set.sensors))
+    tables = [_in_rows(repeat.shape_set, rows, len(repeat.names)) for repeat in repeats]
+    matching = _match(repeats, tables)
+    index = matching.index
+    names = _names(repeats, index, mode_names)
+    labels = _labels([repeat.source for repeat in repeats])
     notes = [note for repeat in repeats for note in repeat.notes]
-    freq = np.stack([r.natural_freq for r in matched])
-    damping = np.stack([r.damping_ratio for r in matched])
-    unknown = [name for name, known in zip(names, np.isfinite(damping).all(axis=0), strict=True) if not known]
+    notes += _absent(repeats, index, names, rows)
+    freq = _picked([r.natural_freq for r in repeats], index)
+    damping = _picked([r.damping_ratio for r in repeats], index)
+    with_shapes = [k for k, r in enumerate(repeats) if r.shape_set is not None]
+    stack = np.stack([_columns(table, index[k]) for k, table in enumerate(tables)])
+    found: list[Disagreement] = [
+        bad_shape(labels[r], float(repeats[r].natural_freq[place]), names[column], agreement)
+        for r, place, column, agreement in matching.set_aside
+    ]
+    if len(repeats) > 1:
+        found += disagreeing(labels, names, freq, damping, rows, stack, pooling)
+        if pooling == "robust":
+            freq, damping, stack = without(found, freq, damping, stack)
+    unknown = [name for name, known in zip(names, np.isfinite(damping).any(axis=0), strict=True) if not known]
     if unknown:
         notes.append(f"damping of {', '.join(unknown)} unknown: natural and damped frequencies taken as equal")
-    if len(matched) > 1:
-        if any(np.isfinite(r.freq_std).any() or np.isfinite(r.damping_std).any() for r in matched):
-            notes.append(f"the deviations in the files are not used: the scatter between {len(matched)} repeats is")
-        freq_mean, freq_std = _mean_and_std(freq)
-        damping_mean, damping_std = _mean_and_std(damping)
+    if len(repeats) > 1:
+        if any(np.isfinite(r.freq_std).any() or np.isfinite(r.damping_std).any() for r in repeats):
+            notes.append(f"the deviations in the files are not used: the scatter between {len(repeats)} repeats is")
+        freq_mean, freq_std = mean_and_std(freq)
+        damping_mean, damping_std = mean_and_std(damping)
     else:
         factor = _std_factor(first.source, std_of, count, bool(np.isfinite(first.freq_std).any()))
         freq_mean, freq_std = freq[0], first.freq_std * factor
@@ -159,92 +175,145 @@ def combine_repeats(
         if not np.isfinite(freq_std).any():
             notes.append("one repeat without standard deviations: the scatter of the frequencies is unknown")
 
-    sets = [r.shape_set for r in matched if r.shape_set is not None]
-    sensors: tuple[tuple[int, str], ...] = ()
-    shapes = np.zeros((0, len(first.names)), dtype=complex)
-    shape_std = np.zeros((0, len(first.names)))
-    if sets:
-        sensors = sets[0].sensors
-        sets = [_match_sensors(sets[0], s) for s in sets]
-        if len(sets) > 1:
-            shapes, shape_std, more = _average_shapes(sets, names)
+    shapes = np.zeros((0, len(names)), dtype=complex)
+    shape_std = np.zeros((0, len(names)))
+    if with_shapes:
+        sets = [repeats[k].shape_set for k in with_shapes]
+        if len(with_shapes) > 1:
+            shapes, shape_std, more = _average_shapes(stack[with_shapes], [labels[k] for k in with_shapes], names)
             notes.extend(more)
-            if any(np.isfinite(s.std).any() for s in sets):
+            if any(s is not None and np.isfinite(s.std).any() for s in sets):
                 notes.append(
                     f"the shape deviations in the files are not used: the scatter between {len(sets)} repeats is"
                 )
         else:
-            factor = _std_factor(sets[0].source, std_of, count, bool(np.isfinite(sets[0].std).any()))
-            shapes, shape_std = _scaled(sets[0].shapes, sets[0].std * factor)
+            (k,) = with_shapes
+            given = repeats[k].shape_set
+            assert given is not None
+            factor = _std_factor(given.source, std_of, count, bool(np.isfinite(given.std).any()))
+            shapes, shape_std = scaled(stack[k], _columns(given.std, index[k]).real * factor)
             if not np.isfinite(shape_std).any():
                 notes.append("one repeat without standard deviations: the scatter of the shapes is unknown")
         for name, column in zip(names, shapes.T, strict=True):
             if not np.isfinite(column).any():
                 notes.append(f"no shape was measured for mode {name}")
+    behind = 1 if len(repeats) > 1 else (count or 1)
     return Combined(
-        names,
-        freq_mean,
-        freq_std,
-        damping_mean,
-        damping_std,
-        sensors,
-        shapes,
-        shape_std,
-        tuple(dict.fromkeys(notes)),
-    )
+        names, freq_mean, freq_std, damping_mean, damping_std, rows, shapes, shape_std,
+        np.isfinite(freq).sum(axis=0) * behind, np.isfinite(damping).sum(axis=0) * behind,
+        np.isfinite(stack).sum(axis=0) * behind, tuple(found), tuple(dict.fromkeys(notes)),
+    )  # fmt: skip
 
 
-def _match_modes(repeats: Sequence[Repeat]) -> list[Repeat]:
-    """Repeats with their modes in the order of the first one."""
-    first = repeats[0]
-    by_name = all(r.named for r in repeats)
-    out = []
-    for repeat in repeats:
-        if len(repeat.names) != len(first.names):
-            raise InputError(
-                f"it holds {len(repeat.names)} modes, but {first.source} holds {len(first.names)}",
-                place=repeat.source,
-                remedy="every file must be one repeat of the same modes",
-            )
-        if by_name:
-            for name in first.names:
-                if name not in repeat.names:
-                    raise InputError(
-                        f"mode {name!r} of {first.source} is missing",
-                        place=repeat.source,
-                        remedy="every file must be one repeat of the same modes",
-                    )
-            repeat = repeat.reordered([repeat.names.index(name) for name in first.names])
-        out.append(repeat)
+def _in_rows(given: ShapeSet | None, rows: Sequence[tuple[int, str]], n_modes: int) -> np.ndarray:
+    """Shapes (n_sensors, n_modes) with the sensors in a common order; NaN where a file lacks one."""
+    out = np.full((len(rows), n_modes), complex(np.nan, np.nan))
+    if given is not None:
+        where = {sensor: k for k, sensor in enumerate(rows)}
+        out[[where[sensor] for sensor in given.sensors]] = given.shapes
     return out
 
 
-def _new_names(given: Sequence[str], first: Repeat) -> tuple[str, ...]:
+def _match(repeats: Sequence[Repeat], tables: Sequence[np.ndarray]) -> Matching:
+    if not all(repeat.named for repeat in repeats):
+        return match_modes([r.source for r in repeats], [r.natural_freq for r in repeats], tables)
+    names = tuple(dict.fromkeys(name for repeat in repeats for name in repeat.names))
+    index = np.array([[r.names.index(name) if name in r.names else -1 for name in names] for r in repeats])
+    return Matching(index)
+
+
+def _names(repeats: Sequence[Repeat], index: np.ndarray, given: Sequence[str] | None) -> tuple[str, ...]:
+    """Names of all matched modes: the user's, the files', or numbers."""
+    first = repeats[0]
+    own: list[str] = []
+    for column in index.T:
+        k = int(np.argmax(column >= 0))
+        name = repeats[k].names[column[k]]
+        if (k > 0 and not repeats[k].named) or name in own:
+            name = next(str(n) for n in range(len(own) + 1, len(own) + len(index.T) + 2) if str(n) not in own)
+        own.append(name)
+    if given is None:
+        return tuple(own)
     names = tuple(given)
-    if len(names) != len(first.names):
+    if len(names) not in (len(first.names), len(own)):
+        lacking = ", ".join(own[len(first.names) :])
         raise InputError(
-            f"{len(names)} mode names are given for {len(first.names)} measured modes",
+            f"{len(names)} mode names are given for {len(first.names)} measured modes"
+            + (f", and for those that the first file lacks ({lacking})" if lacking else ""),
             place=first.source,
             remedy="name every mode, in the order of the first file",
         )
+    names += tuple(own[len(names) :])
     if len(set(names)) != len(names) or not all(name.strip() for name in names):
         raise InputError("a mode name is empty or given twice", place=first.source, remedy="give each its own name")
     return names
 
 
-def _match_sensors(first: ShapeSet, other: ShapeSet) -> ShapeSet:
-    """Shapes with their rows in the order of the first set."""
-    where = {sensor: k for k, sensor in enumerate(other.sensors)}
-    for mine, theirs in ((first, other), (other, first)):
-        for node, direction in mine.sensors:
-            if (node, direction) not in theirs.sensors:
-                raise InputError(
-                    f"sensor {node}{direction} of {mine.source} is missing",
-                    place=theirs.source,
-                    remedy="every file must hold the same sensors",
-                )
-    order = [where[sensor] for sensor in first.sensors]
-    return replace(other, sensors=first.sensors, shapes=other.shapes[order], std=other.std[order])
+def _absent(
+    repeats: Sequence[Repeat], index: np.ndarray, names: Sequence[str], rows: Sequence[tuple[int, str]]
+) -> list[str]:
+    """What some of the repeats lack; one that has nothing in common with the others is refused."""
+    notes = []
+    held = index >= 0
+    for repeat, own in zip(repeats, held, strict=True):
+        if len(repeats) > 1 and not np.any(held[:, own].sum(axis=0) > 1):
+            raise InputError(
+                "none of its modes is in another repeat",
+                place=repeat.source,
+                remedy="every file must be one repeat of the same measurement",
+            )
+    for name, column in zip(names, index.T, strict=True):
+        if (column < 0).any():
+            sources = [repeats[k].source for k in np.flatnonzero(column < 0).tolist()]
+            holding = np.flatnonzero(column >= 0).tolist()
+            freq = np.mean([repeats[k].natural_freq[column[k]] for k in holding])
+            where = f"not in {_few(sources)}"
+            if len(holding) < len(sources):
+                where = f"only in {_few([repeats[k].source for k in holding])}"
+            notes.append(
+                f"mode {name} ({freq:.4g} Hz) is in {len(holding)} of {len(column)} repeats, {where}: mean and scatter "
+                "are over those that hold it"
+            )
+    carrying = [r.shape_set for r in repeats if r.shape_set is not None]
+    for one in carrying:
+        if len(carrying) > 1 and not any(set(one.sensors) & set(s.sensors) for s in carrying if s is not one):
+            raise InputError(
+                "none of its sensors is in another repeat",
+                place=one.source,
+                remedy="every file must be one repeat of the same measurement",
+            )
+    for node, direction in rows:
+        sources = [s.source for s in carrying if (node, direction) not in s.sensors]
+        if sources:
+            notes.append(f"sensor {node}{direction} is not in {_few(sources)}: it is averaged over the other repeats")
+    return notes
+
+
+def _labels(sources: Sequence[str]) -> tuple[str, ...]:
+    """Sources without their folders where that leaves them distinct."""
+    short = tuple(PurePath(source).name for source in sources)
+    return short if len(set(short)) == len(short) else tuple(sources)
+
+
+def _few(sources: Sequence[str]) -> str:
+    return ", ".join(sources[:3]) + (f" and {len(sources) - 3} more" if len(sources) > 3 else "")
+
+
+def _picked(values: Sequence[np.ndarray], index: np.ndarray) -> np.ndarray:
+    """Values of every repeat by matched mode, (n_repeats, n_modes); NaN where it lacks the mode."""
+    out = np.full(index.shape, np.nan)
+    for k, own in enumerate(values):
+        held = index[k] >= 0
+        out[k, held] = own[index[k, held]]
+    return out
+
+
+def _columns(table: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Columns of one repeat (n_sensors, ...) by matched mode, NaN where it lacks the mode."""
+    out = np.full((len(table), len(places)), complex(np.nan, np.nan))
+    held = places >= 0
+    out[:, held] = table[:, places[held]]
+    return out
 
 
 def _std_factor(source: str, std_of: StdOf, count: int | None, needed: bool) -> float:
@@ -260,54 +329,43 @@ def _std_factor(source: str, std_of: StdOf, count: int | None, needed: bool) -> 
     return 1.0 / float(np.sqrt(count))
 
 
-def _mean_and_std(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of real values (n_repeats, ...) over the known ones, and its standard deviation (NaN for fewer than two)."""
-    known = np.isfinite(stack)
-    n = known.sum(axis=0)
-    mean = np.where(n > 0, np.where(known, stack, 0.0).sum(axis=0) / np.maximum(n, 1), np.nan)
-    square = (np.where(known, stack - mean, 0.0) ** 2).sum(axis=0)
-    return mean, np.where(n > 1, np.sqrt(square / np.maximum(n - 1, 1) / np.maximum(n, 1)), np.nan)
+def _average_shapes(
+    given: np.ndarray, sources: Sequence[str], names: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Mean of shapes (n_repeats, n_sensors, n_modes), its standard deviation, and notes.
 
-
-def _scaled(shapes: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns divided by their largest modulus; columns without a value or of zeros stay as they are."""
-    peak = np.max(np.where(np.isfinite(shapes), np.abs(shapes), 0.0), axis=0, initial=0.0)
-    peak = np.where(peak > 0, peak, 1.0)
-    return shapes / peak, std / peak
-
-
-def _average_shapes(sets: Sequence[ShapeSet], names: Sequence[str]) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Mean shape, its standard deviation, and notes, after a least-squares complex factor on every repeat."""
+    Every repeat is brought to the scale and phase of the first one by a least-squares complex factor.
+    """
     # each column is scaled first so that the products below cannot overflow
-    stack = np.stack([_scaled(s.shapes, s.std)[0] for s in sets])
+    stack = np.stack([scaled(shapes)[0] for shapes in given])
     notes = []
     for m, name in enumerate(names):
-        reference = next((k for k in range(len(sets)) if np.isfinite(stack[k, :, m]).any()), None)
+        reference = next((k for k in range(len(stack)) if np.isfinite(stack[k, :, m]).any()), None)
         if reference is None:
             continue
         target = stack[reference, :, m]
-        for k in range(reference + 1, len(sets)):
+        for k in range(reference + 1, len(stack)):
             column = stack[k, :, m]
             both = np.isfinite(column) & np.isfinite(target)
             size = np.vdot(column[both], column[both]).real
             if size == 0:
                 if np.isfinite(column).any():
-                    notes.append(f"mode {name} of {sets[k].source} shares no sensor with {sets[reference].source}")
-                stack[k, :, m] = np.nan
+                    notes.append(f"mode {name} of {sources[k]} shares no sensor with {sources[reference]}")
+                stack[k, :, m] = complex(np.nan, np.nan)
                 continue
             agreement = float(mac(target[:, None], column[:, None])[0, 0])
             if agreement < MAC_LOWEST:
                 notes.append(
-                    f"mode {name} of {sets[k].source} has a MAC of only {agreement:.2f} with that of "
-                    f"{sets[reference].source}; it may be another mode"
+                    f"mode {name} of {sources[k]} has a MAC of only {agreement:.2f} with that of "
+                    f"{sources[reference]}; it may be another mode"
                 )
             stack[k, :, m] = column * (np.vdot(column[both], target[both]) / size)
-    mean_re, std_re = _mean_and_std(stack.real)
-    mean_im, std_im = _mean_and_std(stack.imag)
+    mean_re, std_re = mean_and_std(stack.real)
+    mean_im, std_im = mean_and_std(stack.imag)
     # the imaginary part of a real shape is no second sample of the scatter
     real = ~np.any(np.nan_to_num(stack.imag) != 0.0, axis=(0, 1))
     std = np.where(real, std_re, np.sqrt((std_re**2 + std_im**2) / 2.0))
     mean = mean_re.astype(complex)
     mean.imag = mean_im
-    shapes, std = _scaled(mean, std)
+    shapes, std = scaled(mean, std)
     return shapes, std, notes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -35,7 +35,7 @@ from calib.questions.budget import Budget
 from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
-from calib.questions.record import write_record
+from calib.questions.record import check_repeats, write_record
 from calib.results import Results
 from calib.study import Study
 
@@ -164,6 +164,7 @@ def explain(
             f"the model cannot be fitted: {fault}", place=study.file, remedy="check values, limits and supports"
         ) from None
     answer = _answer(side, found, progress, started)
+    answer = replace(answer, notes=(*check_repeats(study), *answer.notes))
     results.remove(*ADDED)
     results.write_table("effects", answer.effects)
     results.write_table("errors", answer.errors)

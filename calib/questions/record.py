@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from calib import __version__
+from calib.measurement.disagreements import COLUMNS
 from calib.measurement.modal import MeasuredModes
 from calib.results import Results
 from calib.study import Study
@@ -19,7 +20,9 @@ from calib.study import Study
 PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib", "plotly")
 """Whose versions may change a digit or a picture."""
 
-MODE_COLUMNS = ("mode", "withheld", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std")
+MODE_COLUMNS = (
+    "mode", "withheld", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats",
+)  # fmt: skip
 SENSOR_COLUMNS = ("sensor", "node", "direction", "x", "y", "z", "part", "withheld", "shape_std")
 
 
@@ -33,8 +36,9 @@ def write_record(
 ) -> None:
     """Write what every answer of a study stands on, and add one question to ``record.json``.
 
-    Writes ``measured.csv``, ``sensors.csv`` (of a modal measurement), ``assumptions.csv``, ``parameter_space.csv`` and
-    ``record.json``, which keeps the earlier questions of the same folder.
+    Writes ``measured.csv``, ``sensors.csv`` (of a modal measurement), ``repeat_disagreements.csv``,
+    ``assumptions.csv``, ``parameter_space.csv`` and ``record.json``, which keeps the earlier questions of the same
+    folder.
 
     Parameters
     ----------
@@ -52,6 +56,7 @@ def write_record(
     results.write_table("measured", measured_table(study))
     if study.whole is not None and study.whole.has_shapes:
         results.write_table("sensors", sensors_table(study.whole, study.settings.withheld.sensors))
+    results.write_table("repeat_disagreements", disagreements_table(study))
     results.write_table("assumptions", assumptions_table(study))
     results.write_table("parameter_space", study.model.space.frame())
     given, whole = study.settings, study.whole
@@ -82,7 +87,8 @@ def write_record(
 def measured_table(study: Study) -> pd.DataFrame:
     """Everything that was measured and how far it scatters, withheld data included and marked.
 
-    Of modes `MODE_COLUMNS`: frequencies and their standard deviations in Hz, damping as a ratio; of plain responses
+    Of modes `MODE_COLUMNS`: frequencies and their standard deviations in Hz, damping as a ratio, and the number of
+    repeats behind the frequency; of plain responses
     ``response, withheld, value, std``. Standard deviations are those of the mean over the repeats.
     """
     held, whole = study.settings.withheld, study.whole
@@ -93,9 +99,21 @@ def measured_table(study: Study) -> pd.DataFrame:
     columns = {
         "mode": list(whole.names),
         "withheld": [name in held.modes for name in whole.names],
-        **{name: getattr(whole, name) for name in MODE_COLUMNS[2:]},
+        **{name: getattr(whole, name) for name in MODE_COLUMNS[2:-1]},
+        "repeats": whole.counts("freq"),
     }
     return pd.DataFrame(columns, columns=list(MODE_COLUMNS))
+
+
+def check_repeats(study: Study) -> list[str]:
+    """A sentence for every disagreement between the repeats."""
+    return [f"Check this repeat: {one.sentence}." for one in study.disagreements]
+
+
+def disagreements_table(study: Study) -> pd.DataFrame:
+    """What disagrees between the repeats, with its influence: columns `calib.measurement.disagreements.COLUMNS`."""
+    rows = [tuple(getattr(one, name) for name in COLUMNS) for one in study.disagreements]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 def sensors_table(measured: MeasuredModes, withheld: Sequence[str]) -> pd.DataFrame:

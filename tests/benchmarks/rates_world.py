@@ -212,6 +212,7 @@ class World:
         return MeasuredModes(
             c.names, c.natural_freq, c.natural_freq * np.sqrt(1 - np.minimum(c.damping_ratio, 0.99) ** 2), c.freq_std,
             c.damping_ratio, c.damping_std, self.specimen.layout, c.shapes, c.shape_std, len(repeats), True,
+            freq_count=c.freq_count, damping_count=c.damping_count, shape_count=c.shape_count,
         )  # fmt: skip
 
     # -- one run -------------------------------------------------------------------------------------------------------

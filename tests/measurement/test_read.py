@@ -77,18 +77,27 @@ def test_a_measured_node_without_coordinates_is_refused_unless_the_table_has_it(
 
 def test_repeats_that_do_not_belong_together_are_refused(tmp_path):
     one = uff(tmp_path, "one.uff")
-    shapes = np.ones((len(SENSORS), 2))
-    fewer = uff(tmp_path, "two.uff", sensors=SENSORS[:-2], shapes=shapes[:-2])
-    with pytest.raises(InputError, match=r"two.uff: sensor 3y of .*one.uff is missing"):
-        read_measurement([one, fewer])
-    short = uff(
-        tmp_path, "short.uff", names=("a",), natural_freq=FREQ[:1], damping_ratio=DAMPING[:1], shapes=shapes[:, :1]
-    )
-    with pytest.raises(InputError, match=r"short.uff: it holds 1 modes, but .*one.uff holds 2"):
-        read_measurement([one, short])
     moved = uff(tmp_path, "moved.uff", sensors=[Sensor(s.node, s.direction, (2.0 * s.node, 0, 0)) for s in SENSORS])
     with pytest.raises(InputError, match=r"moved.uff: node 1 is at another place than in .*one.uff"):
         read_measurement([one, moved])
+
+
+def test_a_repeat_that_lacks_a_mode_or_a_sensor_is_used_for_the_rest(tmp_path):
+    files = [uff(tmp_path, f"{k}.uff", seed=k, noise=0.01) for k in range(3)]
+    shapes = np.random.default_rng(7).normal(size=(len(SENSORS), 2)) + 0.2j
+    one = {"names": ("a",), "natural_freq": FREQ[:1], "damping_ratio": DAMPING[:1], "shapes": shapes[:, :1]}
+    short = uff(tmp_path, "short.uff", **one)
+    fewer = uff(tmp_path, "fewer.uff", sensors=SENSORS[:-2], shapes=shapes[:-2])
+    found = read_measurement([*files, short, fewer])
+    assert found.n_repeats == 5
+    assert found.counts("freq").tolist() == found.counts("damping").tolist() == [5, 4]
+    rows = [found.sensors.index(s) for s in SENSORS]
+    assert found.counts("shape")[rows].tolist() == [[5, 4]] * 4 + [[4, 3]] * 2
+    assert found.without(modes=["a"]).counts("shape").shape == (6, 1)
+    np.testing.assert_allclose(found.natural_freq, FREQ, atol=0.05)
+    assert found.fingerprint != read_measurement(files).fingerprint
+    told = " ".join(found.notes)
+    assert "short.uff" in told and "fewer.uff" in told
 
 
 def test_csv_with_shapes_and_places(tmp_path):

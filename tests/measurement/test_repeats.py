@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -108,13 +110,35 @@ def test_deviations_of_a_single_file():
     assert any("scatter of the shapes is unknown" in note for note in bare.notes)
 
 
-def test_repeats_of_different_sizes_are_refused():
+def test_what_a_repeat_lacks_is_averaged_over_the_others():
+    rng = np.random.default_rng(5)
+    shapes = rng.normal(size=(6, 3))
+    whole = [repeat(shapes, freq=(1.0, 2.0, 3.0 + d), source=f"r{d}") for d in (-0.01, 0.01)]
+    for short in (
+        repeat(shapes[:, :2], names=("a", "b"), freq=(1.0, 2.0), source="two"),
+        repeat(shapes[:, :2], names=("1", "2"), freq=(1.0, 2.0), source="two", named=False),
+    ):
+        for given in ([*whole, short], [short, *whole]):
+            out = combine_repeats(given)
+            last = out.names.index("c") if "c" in out.names else 2
+            np.testing.assert_allclose(np.sort(out.natural_freq), [1, 2, 3])
+            np.testing.assert_array_equal(np.delete(out.freq_count, last), 3)
+            assert out.freq_count[last] == 2 and out.freq_std[last] == pytest.approx(0.01)
+            assert np.all(out.shape_count[:, last] == 2)
+            assert np.diag(mac(out.shapes, shapes)) == pytest.approx(1.0)
+            assert any(f"mode {out.names[last]} (3 Hz) is in 2 of 3 repeats, not in two" in note for note in out.notes)
+    fewer = combine_repeats([*whole, repeat(shapes[:4], source="two")])
+    np.testing.assert_array_equal(fewer.shape_count, np.repeat([[3], [3], [3], [3], [2], [2]], 3, axis=1))
+    np.testing.assert_allclose(fewer.shape_std, 0.0, atol=1e-14)
+    assert any("sensor 6y is not in two" in note for note in fewer.notes)
+
+
+def test_repeats_with_nothing_in_common_are_refused():
     shapes = np.eye(4)[:, :3]
-    with pytest.raises(InputError, match=r"two: it holds 2 modes, but r holds 3"):
-        combine_repeats([repeat(shapes), repeat(shapes[:, :2], names=("a", "b"), freq=(1.0, 2.0), source="two")])
-    with pytest.raises(InputError, match=r"two: mode 'c' of r is missing"):
-        combine_repeats([repeat(shapes), repeat(shapes, names=("a", "b", "d"), source="two")])
-    with pytest.raises(InputError, match=r"two: sensor 4y of r is missing"):
-        combine_repeats([repeat(shapes), repeat(shapes[:3], source="two")])
+    with pytest.raises(InputError, match=r"two: none of its modes is in another repeat"):
+        combine_repeats([repeat(shapes), repeat(shapes), repeat(shapes, names=("d", "e", "f"), source="two")])
+    strange = ShapeSet("two", ((7, "x"),), shapes[:1].astype(complex), np.full((1, 3), np.nan))
+    with pytest.raises(InputError, match=r"two: none of its sensors is in another repeat"):
+        combine_repeats([repeat(shapes), repeat(shapes), replace(repeat(shapes, source="two"), shape_set=strange)])
     with pytest.raises(InputError, match="2 mode names are given for 3"):
         combine_repeats([repeat(shapes)], mode_names=("a", "b"))

@@ -42,7 +42,7 @@ def _withheld(table: pd.DataFrame, name: str, thing: str) -> str:
 
 
 def _modes(answers: Answers) -> list[Block] | None:
-    numbers = ["natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std"]
+    numbers = ["natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats"]
     table = answers.table("measured", ["mode"], numbers, flags=["withheld"], unique="mode")
     if table is None:
         return None
@@ -55,6 +55,7 @@ def _modes(answers: Answers) -> list[Block] | None:
             fixed(r["damped_freq"], 3),
             percent(r["damping_ratio"]),
             percent(r["damping_std"]),
+            fixed(r["repeats"], 0),
             yes(r["withheld"], USED),
         )
         for r in table.to_dict("records")
@@ -67,6 +68,7 @@ def _modes(answers: Answers) -> list[Block] | None:
         "damped frequency, Hz",
         "damping ratio, %",
         "std, %",
+        "repeats",
         "",
     )
     told = f"{counted(len(table), 'mode')} were identified. {_repeats(answers)} {_withheld(table, 'mode', 'mode')}"
@@ -75,9 +77,10 @@ def _modes(answers: Answers) -> list[Block] | None:
         ("damped frequency", "Im λ / 2π, at which it rings"),
         ("damping ratio", "share of the critical damping"),
         ("std", "standard deviation of the mean, the scatter that everything below is measured by"),
+        ("repeats", "repeats behind the frequency"),
     )
     notes = [Words(f"{note[:1].upper()}{note[1:]}.", "told") for note in answers.record.get("notes", [])]
-    return [Words(told), *notes, Table("Measured modes", heads, rows, (7,)), Terms(terms)]
+    return [Words(told), *notes, Table("Measured modes", heads, rows, (8,)), Terms(terms)]
 
 
 def _responses(answers: Answers) -> list[Block] | None:
@@ -141,5 +144,8 @@ def _map(answers: Answers, table: pd.DataFrame) -> list[Block]:
 
 
 def _suspicious(answers: Answers) -> list[Block]:
-    table = answers.table("sensor_check", ["sentence"])
-    return [] if table is None else [Words(f"Check this sensor: {s}", "warning") for s in table["sentence"]]
+    out: list[Block] = []
+    for name, what in (("repeat_disagreements", "repeat"), ("sensor_check", "sensor")):
+        table = answers.table(name, ["sentence"])
+        out += [] if table is None else [Words(f"Check this {what}: {s}", "warning") for s in table["sentence"]]
+    return out

@@ -1,0 +1,385 @@
+"""What disagrees between repeats: a dead or turned channel, a bad shape, a single value; named, with its influence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.mac import mac
+from calib.measurement.average import mean_and_std, scaled
+from calib.measurement.outliers import SHAPE_RESOLUTION, find_outlying, quantum
+
+Pooling = Literal["robust", "plain"]
+Kind = Literal["frequency", "damping", "shape", "sensor", "entry", "response"]
+
+FOUND_MOST = 25
+"""Disagreements of shapes sought in one measurement."""
+DEAD_BELOW, TURNED_BELOW = 0.2, -0.5
+"""Share of its usual motion below which a channel is dead, and gain below which it is turned round."""
+ENTRY_SHARE = 0.8
+"""A single entry with this share of a block's excess is what is wrong with the block."""
+MOVES_ABOVE = 0.1
+"""Root mean square motion (largest entry of a mode: 1) from which a sensor's sign can be compared in two repeats."""
+ALIKE_ABOVE = 0.8
+"""MAC over the modes above which two channels show the same motion but for a factor."""
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """One repeat that disagrees with the others at one place.
+
+    Attributes
+    ----------
+    kind : {"frequency", "damping", "shape", "sensor", "entry", "response"}
+        ``shape`` is a whole mode shape, ``sensor`` a channel in all modes, ``entry`` one sensor in one mode.
+    repeat : str
+        Its file or label; of two repeats, where nothing tells which one is wrong, both.
+    mode, sensor : str
+        Empty where it is not about one; for a response ``mode`` is its name.
+    times : float
+        Distance from the mean of the others over the standard deviation of one repeat; NaN where not tested.
+    value : float
+        The frequency (Hz), ratio or response; the gain of a channel against the others; the MAC of a shape.
+    mean_with, mean_without : float
+        Of a frequency, damping ratio or response; NaN for shapes.
+    std_with, std_without : float
+        Standard deviation of the mean with and without it; of shapes the root mean square over the place.
+    left_out : bool
+        Whether mean and scatter are without it.
+    sentence : str
+    """
+
+    kind: Kind
+    repeat: str
+    mode: str
+    sensor: str
+    times: float
+    value: float
+    mean_with: float
+    mean_without: float
+    std_with: float
+    std_without: float
+    left_out: bool
+    sentence: str
+    index: tuple[int, int, int] = (-1, -1, -1)
+    """Repeat, sensor and mode in the tables it was found in; -1 for all of them, or none."""
+
+
+COLUMNS = (
+    "kind", "repeat", "mode", "sensor", "times", "value", "mean_with", "mean_without", "std_with", "std_without",
+    "left_out", "sentence",
+)  # fmt: skip
+"""What is told of every disagreement."""
+
+
+def disagreeing(
+    repeats: Sequence[str],
+    modes: Sequence[str],
+    freq: np.ndarray,
+    damping: np.ndarray,
+    sensors: Sequence[tuple[int, str]],
+    stack: np.ndarray,
+    pooling: Pooling,
+) -> list[Disagreement]:
+    """Everything in which one repeat disagrees with the others.
+
+    Parameters
+    ----------
+    repeats, modes : sequence of str
+    freq, damping : ndarray (n_repeats, n_modes)
+        NaN where unknown.
+    sensors : sequence of (int, str)
+    stack : ndarray (n_repeats, n_sensors, n_modes)
+        Shapes of any scale and phase; NaN where unknown.
+    pooling : {"robust", "plain"}
+        Whether mean and scatter go without what is found.
+    """
+    robust = pooling == "robust"
+    found = value_disagreements("frequency", repeats, modes, freq, robust)
+    found += value_disagreements("damping", repeats, modes, damping, robust)
+    held = np.isfinite(stack).any(axis=(1, 2))
+    if held.sum() < 2:
+        return found
+    names = [f"{node}{direction}" for node, direction in sensors]
+    if held.sum() == 2:
+        return found + _two_repeats(repeats, names, stack)
+    return found + _shape_disagreements(repeats, modes, names, stack, robust)
+
+
+def without(
+    found: Sequence[Disagreement], freq: np.ndarray, damping: np.ndarray, stack: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies, damping ratios and shapes with NaN at what is to be left out."""
+    freq, damping, stack = freq.copy(), damping.copy(), stack.copy()
+    for one in found:
+        if not one.left_out or one.index[0] < 0:
+            continue
+        k, i, m = one.index
+        if one.kind == "frequency":
+            freq[k, m] = np.nan
+        elif one.kind == "damping":
+            damping[k, m] = np.nan
+        else:
+            # the imaginary part too: a zero there would count as a value
+            stack[k, slice(None) if i < 0 else i, slice(None) if m < 0 else m] = complex(np.nan, np.nan)
+    return freq, damping, stack
+
+
+def bad_shape(repeat: str, freq: float, mode: str, agreement: float) -> Disagreement:
+    """A mode that was set aside because its shape is another one than the other repeats show at that frequency."""
+    nan = float("nan")
+    sentence = (
+        f"{repeat}: its mode at {freq:.4g} Hz is near mode {mode} but has a MAC of only {agreement:.2f} with the other "
+        "repeats; it is set aside"
+    )
+    return Disagreement("shape", repeat, mode, "", nan, agreement, nan, nan, nan, nan, True, sentence)
+
+
+_UNIT = {"frequency": " Hz", "damping": "", "response": ""}
+
+
+def value_disagreements(
+    kind: Kind, repeats: Sequence[str], names: Sequence[str], table: np.ndarray, robust: bool
+) -> list[Disagreement]:
+    """Single values (n_repeats, n_values) that disagree with those of the other repeats, in relation to their size."""
+    known = np.isfinite(table)
+    size = np.array([np.abs(np.median(c[k])) if k.any() else 0.0 for c, k in zip(table.T, known.T, strict=True)])
+    usable = size > 0
+    relative = np.where(usable, table / np.where(usable, size, 1.0), np.nan)
+    rounding = np.where(usable, quantum(table) / np.where(usable, size, 1.0), 0.0) / np.sqrt(12.0)
+    found = find_outlying(relative[:, :, None], np.maximum(rounding, 1e-6))
+    cleaned = table.copy()
+    for one in found:
+        cleaned[one.repeat, one.group] = np.nan
+    (mean, std), (clean_mean, clean_std) = mean_and_std(table), mean_and_std(cleaned)
+    out = []
+    for one in found:
+        k, g = one.repeat, one.group
+        label = f"{kind} of mode {names[g]}" if kind != "response" else f"response {names[g]}"
+        unit = _UNIT[kind]
+        with_, rest = f"{mean[g]:.5g} ± {std[g]:.2g}{unit}", f"{clean_mean[g]:.5g} ± {clean_std[g]:.2g}{unit}"
+        done = f"left out: the mean is {rest}, with it {with_}" if robust else f"kept: {with_}, without it {rest}"
+        sentence = (
+            f"{repeats[k]}: the {label}, {table[k, g]:.5g}{unit}, is {one.times:.3g} standard deviations of a repeat "
+            f"from the others; {done}"
+        )
+        out.append(
+            Disagreement(
+                kind,
+                repeats[k],
+                names[g],
+                "",
+                one.times,
+                float(table[k, g]),
+                float(mean[g]),
+                float(clean_mean[g]),
+                float(std[g]),
+                float(clean_std[g]),
+                robust,
+                sentence,
+                (k, -1, g),
+            )
+        )
+    return out
+
+
+# -- shapes ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Block:
+    repeat: int
+    sensor: int
+    mode: int
+    times: float
+    excess: float
+
+    @property
+    def place(self) -> tuple[int, int | slice, int | slice]:
+        return (
+            self.repeat,
+            slice(None) if self.sensor < 0 else self.sensor,
+            slice(None) if self.mode < 0 else self.mode,
+        )
+
+
+def _shape_disagreements(
+    repeats: Sequence[str], modes: Sequence[str], sensors: Sequence[str], stack: np.ndarray, robust: bool
+) -> list[Disagreement]:
+    """Channels, whole shapes and single entries, one after the other, that with the largest excess first."""
+    given = np.stack([scaled(shapes)[0] for shapes in stack])
+    cleaned = given.copy()
+    found: list[_Block] = []
+    while len(found) < FOUND_MOST:
+        worst = _worst(_aligned(cleaned))
+        if worst is None:
+            break
+        cleaned[worst.place] = complex(np.nan, np.nan)
+        found.append(worst)
+    if not found:
+        return []
+    aligned = _aligned(given, np.isfinite(cleaned))
+    (_, before), (_, after) = (mean_and_std(np.abs(a - _middle(aligned))) for a in (aligned, _keep(aligned, cleaned)))
+    return [_told(one, repeats, modes, sensors, aligned, cleaned, before, after, robust) for one in found]
+
+
+def _worst(stack: np.ndarray) -> _Block | None:
+    """The outlying channel, shape or entry of the largest excess."""
+    n_repeats, n_sensors, n_modes = stack.shape
+    entries = find_outlying(stack.reshape(n_repeats, -1, 1), SHAPE_RESOLUTION)
+    single = [_Block(o.repeat, o.group // n_modes, o.group % n_modes, o.times, o.excess) for o in entries]
+    blocks = list(single)
+    if n_modes > 1:
+        blocks += [_Block(o.repeat, o.group, -1, o.times, o.excess) for o in find_outlying(stack, SHAPE_RESOLUTION)]
+    if n_sensors > 1:
+        turned = stack.transpose(0, 2, 1)
+        blocks += [_Block(o.repeat, -1, o.group, o.times, o.excess) for o in find_outlying(turned, SHAPE_RESOLUTION)]
+    if not blocks:
+        return None
+    best = max(blocks, key=lambda b: b.excess)
+    inside = [
+        b
+        for b in single
+        if b.repeat == best.repeat and (b.sensor == best.sensor or b.mode == best.mode)
+        and b.excess >= ENTRY_SHARE * best.excess
+    ]  # fmt: skip
+    return max(inside, key=lambda b: b.excess) if inside else best
+
+
+def _told(
+    one: _Block,
+    repeats: Sequence[str],
+    modes: Sequence[str],
+    sensors: Sequence[str],
+    aligned: np.ndarray,
+    cleaned: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    robust: bool,
+) -> Disagreement:
+    others = _middle(_keep(aligned, cleaned))
+    mine, rest = aligned[one.place], others[one.place[1:]]
+    both = np.isfinite(mine) & np.isfinite(rest)
+    a, b = np.atleast_1d(mine)[np.atleast_1d(both)], np.atleast_1d(rest)[np.atleast_1d(both)]
+    size = float(np.vdot(b, b).real)
+    gain = float(np.vdot(b, a).real) / size if size > 0 else float("nan")
+    share = float(np.sqrt(np.vdot(a, a).real / size)) if size > 0 else float("nan")
+    sensor = sensors[one.sensor] if one.sensor >= 0 else ""
+    mode = modes[one.mode] if one.mode >= 0 else ""
+    kind: Kind = "entry" if sensor and mode else "sensor" if sensor else "shape"
+    value = gain
+    if kind == "sensor" and share < DEAD_BELOW:
+        what = f"sensor {sensor} looks dead (it moves {100 * share:.0f} % of what it does in the other repeats)"
+    elif kind == "sensor" and gain < TURNED_BELOW:
+        what = f"sensor {sensor} looks turned round (gain {gain:.2f} against the other repeats)"
+    elif kind == "sensor":
+        what = f"sensor {sensor} differs from the other repeats (gain {gain:.2f})"
+    elif kind == "entry":
+        what = f"sensor {sensor} in mode {mode} differs from the other repeats (gain {gain:.2f})"
+    else:
+        value = float(mac(others[:, [one.mode]], aligned[one.repeat][:, [one.mode]])[0, 0])
+        what = f"the shape of mode {mode} has a MAC of {value:.2f} with the other repeats"
+    with_, rest_ = (float(np.sqrt(np.nanmean(s[one.place[1:]] ** 2))) for s in (before, after))
+    done = "left out; with it" if robust else "kept; with it"
+    sentence = (
+        f"{repeats[one.repeat]}: {what}, {one.times:.3g} standard deviations of a repeat away; {done} the standard "
+        f"deviation of the mean there is {100 * with_:.2g} % of the largest entry, without it {100 * rest_:.2g} %"
+    )
+    nan = float("nan")
+    return Disagreement(
+        kind, repeats[one.repeat], mode, sensor, one.times, value, nan, nan, with_, rest_, robust, sentence,
+        (one.repeat, one.sensor, one.mode),
+    )  # fmt: skip
+
+
+def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarray) -> list[Disagreement]:
+    """Channels that are turned round or dead in one of two repeats; which one is turned, nothing tells."""
+    held = np.flatnonzero(np.isfinite(stack).any(axis=(1, 2)))
+    one, two = _aligned(np.stack([scaled(stack[k])[0] for k in held]))
+    both = np.isfinite(one) & np.isfinite(two)
+    one, two = np.where(both, one, 0.0), np.where(both, two, 0.0)
+    modes = np.maximum(both.sum(axis=1), 1)
+    sizes = np.stack([np.sqrt((np.abs(x) ** 2).sum(axis=1) / modes) for x in (one, two)])
+    product = (one.conj() * two).sum(axis=1)
+    small = sizes.min(axis=0)
+    alike = np.abs(product) ** 2 > ALIKE_ABOVE * np.prod(sizes**2, axis=0) * modes**2
+    nan = float("nan")
+    names = f"{repeats[held[0]]} and {repeats[held[1]]}"
+    out = []
+    for i in np.flatnonzero(modes > 1).tolist():
+        large = float(sizes[:, i].max())
+        if large <= MOVES_ABOVE:
+            continue
+        gain = float(product[i].real / (modes[i] * large**2))
+        if small[i] < DEAD_BELOW / 2 * large:
+            which = repeats[held[int(np.argmin(sizes[:, i]))]]
+            share = small[i] / large
+            sentence = f"{which}: sensor {sensors[i]} looks dead (it moves {100 * share:.0f} % of what it does in the "
+            sentence += "other repeat); kept: of two repeats, none is left out"
+            out.append(Disagreement("sensor", which, "", sensors[i], nan, share, nan, nan, nan, nan, False, sentence))
+        elif gain < TURNED_BELOW and alike[i]:
+            sentence = (
+                f"sensor {sensors[i]} has opposite signs in {names}; it is turned round in one of them, and both "
+            )
+            sentence += "are kept"
+            out.append(Disagreement("sensor", names, "", sensors[i], nan, gain, nan, nan, nan, nan, False, sentence))
+    return out
+
+
+def _keep(aligned: np.ndarray, cleaned: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(cleaned), aligned, complex(np.nan, np.nan))
+
+
+def _middle(stack: np.ndarray) -> np.ndarray:
+    """Median over the repeats, of real and imaginary part each; NaN where no repeat has a value."""
+    known = np.isfinite(stack).any(axis=0)
+    filled = np.where(known, stack, 0.0)
+    return np.where(known, np.nanmedian(filled.real, axis=0) + 1j * np.nanmedian(filled.imag, axis=0), np.nan)
+
+
+def _aligned(stack: np.ndarray, trusted: np.ndarray | None = None) -> np.ndarray:
+    """Shapes (n_repeats, n_sensors, n_modes) of every mode in one scale and phase, largest entry of their median 1.
+
+    The factor of a repeat minimises the sum of absolute differences from the median of all, so that a wrong channel
+    does not turn the others; it is fitted to the ``trusted`` entries only.
+    """
+    fitted = np.isfinite(stack) if trusted is None else trusted & np.isfinite(stack)
+    out = stack.copy()
+    for m in range(stack.shape[2]):
+        held = np.flatnonzero(fitted[:, :, m].any(axis=1))
+        if len(held) < 2:
+            continue
+        x, seen = stack[held, :, m], fitted[held, :, m]
+        visible = np.where(seen, x, complex(np.nan, np.nan))
+        target = visible[int(np.argmax(mac(visible.T, visible.T).sum(axis=1)))]
+        factors = np.ones(len(held), dtype=complex)
+        for _ in range(3):
+            factors = _factors(target, visible)
+            target = _middle(factors[:, None] * visible)
+            peak = np.nanmax(np.abs(target), initial=0.0)
+            if not peak > 0:
+                break
+            target, factors = target / peak, factors / peak
+        out[held, :, m] = factors[:, None] * x
+    return out
+
+
+def _factors(target: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Factor of every shape (n_repeats, n_sensors) with the least sum of absolute differences from the target.
+
+    By iteratively reweighted least squares; 1 for a shape of zeros.
+    """
+    both = np.isfinite(target) & np.isfinite(shapes)
+    t, x = np.where(both, target, 0.0), np.where(both, shapes, 0.0)
+    least = 1e-3 * max(float(np.abs(t).max()), 1e-300)
+    weight = both.astype(float)
+    factors = np.ones(len(x), dtype=complex)
+    for _ in range(20):
+        size = (weight * np.abs(x) ** 2).sum(axis=1)
+        found = (weight * x.conj() * t).sum(axis=1)
+        factors = np.where(size > 0, found / np.where(size > 0, size, 1.0), 1.0)
+        weight = both / np.maximum(np.abs(t - factors[:, None] * x), least)
+    return factors

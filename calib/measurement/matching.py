@@ -1,0 +1,151 @@
+"""Which modes of several repeats are the same, told by shape and frequency and not by their place in a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from calib.errors import InputError
+from calib.mac import mac
+
+FREQ_FARTHEST = 0.1
+"""Repeats of one mode lie within this share of its frequency."""
+MAC_LEAST = 0.5
+"""Shapes of one mode in two repeats have at least this MAC."""
+SCORE_LEAST = 0.25
+"""Below this score (see `match_modes`) two modes are not the same."""
+AMBIGUOUS = 0.1
+"""An assignment whose sum of scores comes this near to the best one is as good as it."""
+SAME_FREQ = 0.02
+"""A mode of another shape, this near in frequency to one that its repeat lacks, is that one identified badly."""
+SENSORS_FEWEST = 3
+"""With fewer common sensors a MAC says nothing, and modes are matched by frequency."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """Modes of all repeats as the columns of one table.
+
+    Attributes
+    ----------
+    index : ndarray (n_repeats, n_modes), int
+        Place of every mode in each file, -1 where the repeat lacks it. Modes of the first repeat come first, in its
+        order; then those that it lacks, by frequency.
+    set_aside : tuple of (repeat, place, column, MAC)
+        Modes of another shape than the others have at that frequency; they stand in no column.
+    """
+
+    index: np.ndarray
+    set_aside: tuple[tuple[int, int, int, float], ...] = ()
+
+
+def match_modes(sources: Sequence[str], freqs: Sequence[np.ndarray], shapes: Sequence[np.ndarray]) -> Matching:
+    """Match the modes of repeats one to one.
+
+    Repeats are taken in turn. Each mode is scored against the modes found so far with ``MAC (1 - (df/(0.1 f))^2)``,
+    averaged over the repeats that hold them; without shapes the MAC counts as 1. Pairs with a MAC below 0.5, a
+    frequency more than 10 % off or a score below 0.25 are forbidden. The assignment with the largest sum of scores is
+    taken; a mode that finds no partner becomes one of its own, so that repeats may lack modes. At the end, a mode that
+    only a minority of the repeats shows, within 2 % of one that these lack, is that mode with a bad shape: it is set
+    aside.
+
+    Parameters
+    ----------
+    sources : sequence of str, length n_repeats
+    freqs : sequence of ndarray (n_modes of that repeat,)
+        Hz.
+    shapes : sequence of ndarray (n_sensors, n_modes of that repeat)
+        Rows common to all; NaN where not measured; no rows without shapes.
+
+    Raises
+    ------
+    InputError
+        When another assignment is as good: which mode is which cannot be told.
+    """
+    columns: list[dict[int, int]] = [{0: k} for k in range(len(freqs[0]))]
+    for r in range(1, len(freqs)):
+        score = np.zeros((len(freqs[r]), len(columns)))
+        for c, members in enumerate(columns):
+            parts = [_scores(freqs[r], shapes[r], freqs[j][k], shapes[j][:, [k]]) for j, k in members.items()]
+            score[:, c] = np.mean(parts, axis=0)
+        score[score < SCORE_LEAST] = 0.0
+        rows, cols = linear_sum_assignment(score, maximize=True)
+        chosen = {int(i): int(c) for i, c in zip(rows, cols, strict=True) if score[i, c] > 0}
+        _refuse_ambiguous(sources[r], freqs[r], score, chosen, by_shape=shapes[r].shape[0] >= SENSORS_FEWEST)
+        for i in range(len(freqs[r])):
+            if i in chosen:
+                columns[chosen[i]][r] = i
+            else:
+                columns.append({r: i})
+    columns, aside = _bad_shapes(columns, freqs, shapes)
+    first = len(freqs[0])
+
+    def place(column: dict[int, int]) -> tuple[int, float]:
+        mean = float(np.mean([freqs[j][k] for j, k in column.items()]))
+        return (column[0], 0.0) if 0 in column else (first, mean)
+
+    order = sorted(range(len(columns)), key=lambda c: place(columns[c]))
+    index = np.full((len(freqs), len(order)), -1)
+    for new, c in enumerate(order):
+        for j, k in columns[c].items():
+            index[j, new] = k
+    return Matching(index, tuple((r, k, order.index(c), agreement) for r, k, c, agreement in aside))
+
+
+def _scores(freq: np.ndarray, shapes: np.ndarray, other_freq: float, other: np.ndarray) -> np.ndarray:
+    """Scores of the modes of one repeat with one mode of another repeat, (n_modes,)."""
+    closeness = 1.0 - ((freq / other_freq - 1.0) / FREQ_FARTHEST) ** 2
+    agreement = mac(shapes, other)[:, 0]
+    shared = (np.isfinite(shapes) & np.isfinite(other)).sum(axis=0)
+    agreement = np.where(shared < SENSORS_FEWEST, 1.0, np.where(agreement < MAC_LEAST, 0.0, agreement))
+    return np.asarray(np.maximum(closeness, 0.0) * agreement)
+
+
+def _refuse_ambiguous(
+    source: str, freq: np.ndarray, score: np.ndarray, chosen: dict[int, int], *, by_shape: bool
+) -> None:
+    best = sum(score[i, c] for i, c in chosen.items())
+    for i, c in chosen.items():
+        other = score.copy()
+        other[i, c] = 0.0
+        rows, cols = linear_sum_assignment(other, maximize=True)
+        again = {int(a): int(b) for a, b in zip(rows, cols, strict=True) if other[a, b] > 0}
+        # frequencies alone never cross
+        crossed = not by_shape and set(again) == set(chosen) and set(again.values()) == set(chosen.values())
+        if crossed or best - sum(other[a, b] for a, b in again.items()) >= AMBIGUOUS:
+            continue
+        doubtful = sorted({a for a in {*again, *chosen} if again.get(a) != chosen.get(a)})
+        named = ", ".join(f"{a + 1} ({freq[a]:.4g} Hz)" for a in doubtful)
+        raise InputError(
+            f"which modes of the other repeats its modes {named} are cannot be told from shapes and frequencies",
+            place=source,
+            remedy="name the modes in every file (an ID line 'mode NAME', or CSV), or leave this repeat out",
+        )
+
+
+def _bad_shapes(
+    columns: list[dict[int, int]], freqs: Sequence[np.ndarray], shapes: Sequence[np.ndarray]
+) -> tuple[list[dict[int, int]], list[tuple[int, int, int, float]]]:
+    """Columns without those that are another one with a bad shape, and what was set aside for which column."""
+    mean = [float(np.median([freqs[j][k] for j, k in column.items()])) for column in columns]
+    owner: dict[int, int] = {}
+    for c, column in enumerate(columns):
+        near = [
+            d
+            for d, other in enumerate(columns)
+            if len(other) > max(len(column), len(freqs) / 2)
+            and not column.keys() & other.keys()
+            and abs(mean[c] / mean[d] - 1.0) <= SAME_FREQ
+        ]
+        if near:
+            owner[c] = min(near, key=lambda d: abs(mean[c] / mean[d] - 1.0))
+    kept = [c for c in range(len(columns)) if c not in owner]
+    aside = []
+    for c, d in owner.items():
+        for r, k in columns[c].items():
+            others = [mac(shapes[r][:, [k]], shapes[j][:, [m]])[0, 0] for j, m in columns[d].items()]
+            aside.append((r, k, kept.index(d), float(np.median(others))))
+    return [columns[c] for c in kept], sorted(aside)
