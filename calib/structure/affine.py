@@ -106,6 +106,48 @@ class SeriesLoss:
 
 
 @dataclass(frozen=True)
+class StretchPower:
+    """Coefficient ``t**power`` on a stretch of one parameter in SI, on which t grows from 0 to 1, and 0 elsewhere.
+
+    Attributes
+    ----------
+    parameter : str
+    start, end : float
+        Where t is 0 and 1; the end may lie below the start. The stretch holds its start, not its end.
+    power : int
+    last : bool
+        The stretch goes on beyond its end.
+    """
+
+    parameter: str
+    start: float
+    end: float
+    power: int
+    last: bool = False
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Parameters it depends on."""
+        return frozenset((self.parameter,))
+
+    def _along(self, values: Mapping[str, float]) -> float:
+        return (values[self.parameter] - self.start) / (self.end - self.start)
+
+    def __call__(self, values: Mapping[str, float]) -> float:
+        """Value at parameters in SI."""
+        t = self._along(values)
+        return t**self.power if t >= 0 and (t < 1 or self.last) else 0.0
+
+    def derivative(self, values: Mapping[str, float], name: str) -> float:
+        """Derivative with respect to one parameter in SI; where stretches meet each gives half of its own."""
+        t = self._along(values)
+        if name != self.parameter or self.power == 0 or t < 0 or (t > 1 and not self.last):
+            return 0.0
+        slope = self.power * t ** (self.power - 1) / (self.end - self.start)
+        return slope / 2 if t == 0 or (t == 1 and not self.last) else slope
+
+
+@dataclass(frozen=True)
 class Term:
     """One affine term: a coefficient times a constant symmetric matrix, shape (n_dof, n_dof)."""
 

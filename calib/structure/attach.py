@@ -7,13 +7,13 @@ mesh.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.sparse as sp
 
 from calib.errors import InputError
-from calib.structure.affine import Coefficient, Monomial, SeriesLoss, Term, parameter
+from calib.structure.affine import Coefficient, Monomial, SeriesLoss, StretchPower, Term, parameter
 from calib.structure.extend import Addition
 from calib.structure.model import Part, PartKind, StructuralModel
 
@@ -75,30 +75,52 @@ def softened_part(model: StructuralModel, name: str, flexibility: str) -> Term:
     return Term(f"{flexibility}: {name}", part.matrix, SeriesLoss(part.coefficient, parameter(flexibility)))
 
 
-def shifted_masses(
-    model: StructuralModel, masses: Sequence[tuple[Place, float]], direction: int, shift: str
-) -> tuple[Term, Term]:
-    """What point masses of a model (place, kg) add to its mass when they sit off their places, all by one shift.
+def moved_masses(motions: Callable[[float], np.ndarray], shift: str, reach: float, stretches: int) -> tuple[Term, ...]:
+    """What masses of a model add to its mass when they sit off their places, all by one shift.
 
-    On an arm e along a unit vector n, a mass moves by ``u + e theta x n``.
+    They are taken away where they are and put where they are moved to, so that they load what carries them there. The
+    motion of what carries them is a cubic of the shift on each of some stretches either way, as that of a beam is
+    between its nodes; the mass is then a polynomial there, nowhere negative, and at shift 0 the model's own.
 
     Parameters
     ----------
-    direction : int
-        Of the shift, 0..2 for x, y, z.
+    motions : callable
+        From a shift in m to the motions of the masses there, (n_motions, n_dof), each times the root of its mass or
+        moment of inertia; at shift 0 those that the model has.
     shift : str
         Name of the parameter.
+    reach : float
+        Largest shift either way, m.
+    stretches : int
+        Either way; as many as elements of what carries the masses are enough.
     """
-    moved, turned = [], []
-    for place, mass in masses:
-        moves = math.sqrt(mass) * np.array([motion(model, place, d) for d in range(6)])
-        moved += list(moves[:3])
-        turned += list(np.cross(moves[3:].T, np.eye(3)[direction]).T)
-    a, b = sp.csr_array(np.array(moved)), sp.csr_array(np.array(turned))
-    return (
-        Term(f"{shift}: moment", sp.csr_array(a.T @ b + b.T @ a), Monomial(1.0, ((shift, 1.0),))),
-        Term(f"{shift}: inertia", sp.csr_array(b.T @ b), Monomial(1.0, ((shift, 2.0),))),
-    )
+    places = (1 - np.cos(np.linspace(0, np.pi, 4))) / 2
+    weights = np.linalg.inv(np.vander(places, increasing=True))
+    weights[0] = (1, 0, 0, 0)  # free of rounding, so that nothing remains at shift 0
+    own = sp.csr_array(motions(0.0))
+    n, terms = own.shape[0], []
+    for side in (1, -1):
+        first = own
+        for k in range(stretches):
+            start, end = (side * reach * j / stretches for j in (k, k + 1))
+            at = [first, *(sp.csr_array(motions(start + float(place) * (end - start))) for place in places[1:])]
+            first = at[-1]
+            powers = sp.csr_array(sp.kron(weights, sp.eye_array(n)) @ sp.vstack(at))
+            for power in range(7):
+                pairs = [(p, power - p) for p in range(4) if 0 <= power - p < 4]
+                one, other = (
+                    sp.vstack([powers[n * pair[i] : n * (pair[i] + 1)] for pair in pairs]).tocsr() for i in (0, 1)
+                )
+                matrix = one.T @ other
+                if power == 0:
+                    if k == 0:
+                        continue
+                    matrix = matrix - own.T @ own
+                coefficient = StretchPower(shift, start, end, power, k == stretches - 1)
+                terms.append(
+                    Term(f"{shift}: stretch {side * (k + 1)}, power {power}", sp.csr_array(matrix), coefficient)
+                )
+    return tuple(terms)
 
 
 def hung_masses(rows: Sequence[np.ndarray], mass: str, freq: str, damping_ratio: float, share: float = 1.0) -> Addition:

@@ -63,7 +63,10 @@ class Spider:
 
     def motion(self, frame: Frame, point: np.ndarray) -> np.ndarray:
         """Six motions of a point (3,) of the rigid body over all nodal motions, shape (6, n_full)."""
-        feet = np.array([frame.motion(foot, self.on)[0][:3] for foot in self.feet])
+        return self.follow(np.array([frame.motion(foot, self.on)[0][:3] for foot in self.feet]), point)
+
+    def follow(self, feet: np.ndarray, point: np.ndarray) -> np.ndarray:
+        """Six motions of a point (3,) from the shifts of the feet (n_feet, 3, n), shape (6, n)."""
         # The offsets from the centre add up to nothing, so the mean motion drops out of the moments.
         moments = np.einsum("fij,fjk->ik", arm_matrix(-self._across()), feet)
         turned = np.linalg.solve(self._inertia(), moments)

@@ -13,17 +13,17 @@ from calib.structure.attach import (
     between,
     elongation,
     motion,
+    moved_masses,
     outer_term,
     scaled_part,
-    shifted_masses,
     soft_mounts,
 )
 from calib.structure.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from models.fem.discrete import PointMass
-from models.railway.bogie import AXLE_Y, CROSSBAR_X, GIRDER_Y, RZ, SIDES, UX, UY, UZ, bogie
+from models.railway.bogie import AXLE_Y, CROSSBAR_X, GIRDER_Y, RZ, SIDES, UX, UY, bogie
 
-GEAR_CASE = "gear case"
+GEAR_CASE, GEAR_CASE_REACH = "gear case", 0.6
 
 
 def suspension_effects() -> tuple[Effect, ...]:
@@ -91,7 +91,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             lacks="The gear case sits in the middle of the axle.",
             look_for="Where the gear case really sits: measure from either wheel, to the left positive.",
             strength=Parameter(
-                "gear_case_offset", 0.0, -600.0, 600.0, "mm", prior_sd=150.0,
+                "gear_case_offset", 0.0, -1e3 * GEAR_CASE_REACH, 1e3 * GEAR_CASE_REACH, "mm", prior_sd=150.0,
                 description="place of the gear case across the bogie",
             ),
             build=_gear_case_offset,
@@ -161,10 +161,8 @@ def _rolling_wheels(model: StructuralModel) -> Addition:
 
 def _gear_case_offset(model: StructuralModel) -> Addition:
     case = _gear_case(model)
-    share = case.mass / len(case.spread)
-    places = (np.array(case.at[1]) + case.spread).tolist()
-    masses = [((case.at[0], (x, y, z)), share) for x, y, z in places]
-    return Addition(mass=shifted_masses(model, masses, UZ, "gear_case_offset"))
+    terms = moved_masses(lambda shift: _carried(model, case, shift), "gear_case_offset", GEAR_CASE_REACH, 9)
+    return Addition(mass=terms)
 
 
 def _gear_case(model: StructuralModel) -> PointMass:
@@ -172,15 +170,21 @@ def _gear_case(model: StructuralModel) -> PointMass:
     (part,) = (p for p in model.parts if p.name == GEAR_CASE)
     for distributed in (False, True):
         (case,) = (m for m in bogie(1.0, distributed).masses if m.name == GEAR_CASE)
-        moves = [
-            np.sqrt(weight / len(case.spread)) * motion(model, (case.at[0], (x, y, z)), direction)
-            for x, y, z in (np.array(case.at[1]) + case.spread).tolist()
-            for direction, weight in enumerate((case.mass,) * 3 + case.inertia)
-        ]
-        gap = outer_term(GEAR_CASE, moves, Monomial()).matrix - part.matrix
+        gap = outer_term(GEAR_CASE, list(_carried(model, case, 0.0)), Monomial()).matrix - part.matrix
         if abs(gap).max() <= 1e-9 * abs(part.matrix).max():
             return case
     raise InputError("the model's gear case is not the bogie's", place="effect gear_case_offset")
+
+
+def _carried(model: StructuralModel, case: PointMass, shift: float) -> np.ndarray:
+    """Motions of the gear case where it sits off its place across the bogie, each times the root of its inertia."""
+    return np.array(
+        [
+            np.sqrt(weight / len(case.spread)) * motion(model, (case.at[0], (x, y, z + shift)), direction)
+            for x, y, z in (np.array(case.at[1]) + case.spread).tolist()
+            for direction, weight in enumerate((case.mass,) * 3 + case.inertia)
+        ]
+    )
 
 
 def _torque_link(model: StructuralModel) -> Addition:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,13 +10,14 @@ import numpy as np
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.space import Parameter
-from calib.structure.attach import loosened_masses, motion, shifted_masses
+from calib.structure.attach import loosened_masses, motion, moved_masses
 from calib.structure.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from models.railway.bogie import UX, UY, UZ
 from models.railway.equipment import SEAT_X, SEAT_Z, UNDER_FLOOR, equipment, passenger_seats
 
 UNIT_RATIO, SEAT_RATIO = 0.03, 0.07
+OFFSET_REACH, CARRYING = 0.4, "floor_beam"
 SEAT_WAVES = 4
 """Along the car seats move in polynomials of up to this degree, across it alike or against each other."""
 
@@ -61,7 +63,7 @@ def equipment_effects() -> tuple[Effect, ...]:
             lacks="Everything under the floor sits in the middle of the car.",
             look_for="Where the heavy units really hang, to the left positive; unequal wheel loads left and right.",
             strength=Parameter(
-                "equipment_offset", 0.0, -400.0, 400.0, "mm", prior_sd=100.0,
+                "equipment_offset", 0.0, -1e3 * OFFSET_REACH, 1e3 * OFFSET_REACH, "mm", prior_sd=100.0,
                 description="place across the car of everything that hangs under its floor",
             ),
             build=_equipment_offset,
@@ -97,6 +99,19 @@ def _soft_seats(model: StructuralModel) -> Addition:
 
 
 def _equipment_offset(model: StructuralModel) -> Addition:
-    under = {item.name for item in UNDER_FLOOR}
-    masses = [(m.at, m.mass) for m in equipment().masses if m.name in under]
-    return Addition(mass=shifted_masses(model, masses, UZ, "equipment_offset"))
+    """All feet move across the car, along the cross-beams that they stand on."""
+    under, fitted = {item.name for item in UNDER_FLOOR}, equipment()
+    spiders = {spider.name: spider for spider in fitted.spiders}
+
+    def carried(shift: float) -> np.ndarray:
+        rows: list[np.ndarray] = []
+        for unit in fitted.masses:
+            if unit.name in under:
+                old = spiders[unit.name]
+                moved = replace(old, feet=tuple((x, y, z + shift) for x, y, z in old.feet))
+                feet = np.array([[motion(model, (CARRYING, foot), d) for d in (UX, UY, UZ)] for foot in moved.feet])
+                centre = np.add(unit.at[1], (0.0, 0.0, shift))
+                rows += list(np.sqrt(unit.mass) * moved.follow(feet, centre)[:3])
+        return np.array(rows)
+
+    return Addition(mass=moved_masses(carried, "equipment_offset", OFFSET_REACH, 5))

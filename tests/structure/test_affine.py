@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InputError
-from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, Term, parameter
+from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, StretchPower, Term, parameter
 
 N = 9
 VALUES = {"a": 1.7, "b": 0.4, "c": 3.1, "here": 2.0, "there": -1.0}
@@ -162,3 +162,15 @@ def test_digest_is_that_of_the_content():
     shuffled = {key: shuffled[key] for key in reversed(shuffled)}
     assert build(vectors=shuffled).digest() == build().digest()
     assert AffineMatrix(4, ()).digest() != AffineMatrix(5, ()).digest()
+
+
+def test_powers_on_stretches_join_to_one_function():
+    # |x|^3 in two stretches either way: on the outer one x = start + t (end - start).
+    terms = []
+    for side in (1.0, -1.0):
+        terms.append((1.0, StretchPower("x", 0.0, side * 1.0, 3)))
+        terms += [(c, StretchPower("x", side * 1.0, side * 2.0, p, True)) for p, c in enumerate((1.0, 3.0, 3.0, 1.0))]
+    for x in (-2.5, -2.0, -1.3, -1.0, -0.4, 0.0, 0.2, 1.0, 1.9, 2.2):
+        assert sum(c * t({"x": x}) for c, t in terms) == pytest.approx(abs(x) ** 3)
+        assert sum(c * t.derivative({"x": x}, "x") for c, t in terms) == pytest.approx(3 * x * abs(x))
+    assert terms[0][1].derivative({"x": 0.3}, "y") == 0.0 and terms[0][1].names == {"x"}

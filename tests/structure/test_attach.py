@@ -19,6 +19,7 @@ from calib.structure.attach import (
     loosened_masses,
     maxwell_branches,
     motion,
+    moved_masses,
     outer_term,
     part_of,
     scaled_part,
@@ -253,3 +254,25 @@ def test_motions_of_places(body):
     np.testing.assert_array_equal(between(body, here, here, 2), [0, 0, 0])
     np.testing.assert_allclose(elongation(body, here, ground), [-0.6, -0.8, 0.0])
     np.testing.assert_allclose(elongation(body, ground, here), [-0.6, -0.8, 0.0])
+
+
+@pytest.mark.parametrize("shift", [-0.9, -0.6, -0.13, 0.0, 0.2, 0.6, 0.75, 0.9])
+def test_moved_masses_load_the_place_they_are_moved_to(shift):
+    # Cubics in the shift, another one on either side of the masses' own place, are followed exactly.
+    own, above, below = np.random.default_rng(3).standard_normal((3, 2, 4))
+
+    def motions(e):
+        return own + (above * e + 0.3 * above * e**3 if e >= 0 else below * e - below * e**2)
+
+    terms = moved_masses(motions, "e", 0.9, 3)
+    added = sum(t.matrix.toarray() * t.coefficient({"e": shift}) for t in terms)
+    np.testing.assert_allclose(added, motions(shift).T @ motions(shift) - own.T @ own, atol=1e-12)
+    slope = sum(t.matrix.toarray() * t.coefficient.derivative({"e": shift}, "e") for t in terms)
+    if shift not in (-0.9, -0.6, 0.0, 0.6, 0.9):
+        h = 1e-6
+        up, down = (motions(shift + s).T @ motions(shift + s) for s in (h, -h))
+        np.testing.assert_allclose(slope, (up - down) / (2 * h), rtol=1e-6, atol=1e-8)
+    if shift == 0.0:
+        assert not added.any()
+        first = (above + below).T @ own / 2
+        np.testing.assert_allclose(slope, first + first.T, atol=1e-12)

@@ -1,0 +1,333 @@
+"""The bogie on its rig, built anew with what each of its effects stands for in the mesh itself.
+
+Masses move or are added, sections are reduced, bushes and bodies are put in; no term of the library is used. Every
+function takes the effect's parameters and builds a mesh half as coarse as the fitted one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.structure.model import StructuralModel
+from models.fem.discrete import PointMass, Spring, rod
+from models.fem.member import Member, Point, Tie
+from models.fem.section import Section
+from models.railway import rig
+from models.railway.bogie import (
+    AXLE,
+    AXLE_X,
+    AXLE_Y,
+    BOX_ARM,
+    CROSSBAR,
+    CROSSBAR_X,
+    ENDS,
+    GIRDER_END,
+    GIRDER_TIP,
+    GIRDER_Y,
+    GIRDER_Z,
+    RX,
+    RY,
+    SIDES,
+    UX,
+    UY,
+    UZ,
+    WHEEL_Z,
+    Bogie,
+    bogie,
+)
+from models.railway.effects_frame import BRAKE_UNIT_RATIO, BRAKE_UNIT_Z, JOINT_LENGTH
+from models.railway.parameters import BOGIE, RIG
+
+Values = Mapping[str, float]
+
+FINE = 0.0375
+RIGID, RIGID_TURN = 2e10, 2e9
+"""Stiffness in N/m and Nm/rad of what holds two bodies together where the real parts are one."""
+ADOPTED = {p.name: p.value for p in (*BOGIE, *RIG)}
+C_PRIMARY, K_BLOCK = ADOPTED["c_primary"] * 1e3, ADOPTED["K_block"] * 1e3
+
+
+def rebuilt(change: Callable[[Bogie], Bogie] | None = None, **of_rig: Any) -> StructuralModel:
+    """The bogie on its rig on a fine mesh, with its parts changed, or names of the rig's module replaced."""
+    with pytest.MonkeyPatch.context() as patch:
+        if change is not None:
+            patch.setattr(rig, "bogie", lambda size, distributed: change(bogie(size, distributed)))
+        for name, value in of_rig.items():
+            patch.setattr(rig, name, value)
+        return rig.bogie_on_rig(element_size=FINE)
+
+
+# -- rig ---------------------------------------------------------------------------------------------------------------
+
+
+def flexible_actuators(v: Values) -> StructuralModel:
+    """Supports that are as soft as oil column and frame in series."""
+    return rebuilt(K_SUPPORT=1 / (1 / rig.K_SUPPORT + v["actuator_flexibility"] * 1e-9))
+
+
+def wide_blocks(v: Values) -> StructuralModel:
+    """Every elastic block stands on two lines as far apart as its resistance to tilting tells."""
+    half = float(np.sqrt(v["block_tilt"] * 1e3 / K_BLOCK))
+    block, contact, restraint = rig._rig_springs()
+    wide = []
+    for spring in block:
+        assert spring.other is not None
+        for s in (half, -half):
+            (x, y, z), (a, b, c) = spring.end[1], spring.other[1]
+            end, other = (spring.end[0], (x, y, z + s)), (spring.other[0], (a, b, c + s))
+            wide.append(replace(spring, end=end, other=other, weight=spring.weight / 2))
+    return rebuilt(_rig_springs=lambda: (tuple(wide), contact, restraint))
+
+
+def blocks_with_dampers(v: Values) -> StructuralModel:
+    """Dampers within the elastic blocks."""
+    dampers = [replace(s, weight=s.weight * v["block_damping"] * 1e3 / C_PRIMARY) for s in rig._rig_springs()[0]]
+    return rebuilt(lambda b: replace(b, dampers=(*b.dampers, *dampers)))
+
+
+# -- frame -------------------------------------------------------------------------------------------------------------
+
+
+def reduced(section: Section, share: float) -> Section:
+    """A section that has lost a share of what resists bending and torsion."""
+    left = 1 - share
+    return replace(section, i_y=left * section.i_y, i_z=left * section.i_z, torsion=left * section.torsion)
+
+
+def recut(member: Member, cuts: Sequence[tuple[float, Section]]) -> list[Member]:
+    """A straight member cut into stretches, each given by where it ends (m from the start) and its section."""
+    start, along = np.array(member.start), np.subtract(member.end, member.start)
+    length, out, at = float(np.linalg.norm(along)), [], 0.0
+    for to, section in cuts:
+        one, other = (tuple(float(c) for c in start + along * s / length) for s in (at, to))
+        through = [p for p in member.through if at < np.linalg.norm(np.subtract(p, start)) < to]
+        out.append(replace(member, start=one, end=other, section=section, through=tuple(through)))
+        at = to
+    return out
+
+
+def thin_joints(v: Values) -> StructuralModel:
+    """Crossbars of a reduced section next to the girders."""
+    thin = reduced(CROSSBAR, v["crossbar_joint"])
+
+    def change(b: Bogie) -> Bogie:
+        members: list[Member] = []
+        for m in b.members:
+            if m.group == "crossbar":
+                tip = abs(m.start[2])
+                stretches = [
+                    (tip - GIRDER_Z, CROSSBAR), (tip - GIRDER_Z + JOINT_LENGTH, thin),
+                    (tip + GIRDER_Z - JOINT_LENGTH, CROSSBAR), (tip + GIRDER_Z, thin), (2 * tip, CROSSBAR),
+                ]  # fmt: skip
+                members += recut(m, stretches)
+            else:
+                members.append(m)
+        return replace(b, members=tuple(members))
+
+    return rebuilt(change)
+
+
+def thin_girder_ends(v: Values) -> StructuralModel:
+    """Girder ends of a reduced section between crossbar and axle."""
+    stretches = [
+        (AXLE_X - CROSSBAR_X, reduced(GIRDER_END, v["girder_end"])), (GIRDER_TIP - CROSSBAR_X, GIRDER_END)
+    ]  # fmt: skip
+
+    def change(b: Bogie) -> Bogie:
+        members = [n for m in b.members for n in (recut(m, stretches) if m.group == "girder_end" else [m])]
+        return replace(b, members=tuple(members))
+
+    return rebuilt(change)
+
+
+def loaded_crossbar(v: Values) -> StructuralModel:
+    """A mass on the crossbar's middle."""
+    mass = PointMass(("crossbar", (CROSSBAR_X, GIRDER_Y, 0.0)), v["crossbar_mass"])
+    return rebuilt(lambda b: replace(b, masses=(*b.masses, mass)))
+
+
+def stub(body: str, at: Point) -> Member:
+    """A massless rigid body that stands on one place."""
+    return Member(body, "box", BOX_ARM, at, (at[0] + 0.05, at[1], at[2]), 1.0)
+
+
+def held(
+    body: str, other: str, at: Point, free: Sequence[int] = (), shift: float = RIGID, turn: float = RIGID_TURN
+) -> list[Spring]:
+    """Springs that hold two bodies together at a place, but for the directions that are free."""
+    units = np.eye(3).tolist()
+    return [
+        Spring((body, at), (other, at), tuple(units[d % 3]), d >= 3, turn if d >= 3 else shift)
+        for d in range(6) if d not in free
+    ]  # fmt: skip
+
+
+def damped(spring: Spring, constant: float) -> Spring:
+    """The same as a damper, of a constant in Ns/m while the model's own dampers are as adopted."""
+    return replace(spring, weight=constant / C_PRIMARY)
+
+
+def with_parts(
+    b: Bogie, members: Sequence[Member] = (), springs: Sequence[Spring] = (), dampers: Sequence[Spring] = ()
+) -> Bogie:
+    """The bogie with more members, springs and dampers."""
+    fixed = b.springs | {"suspension_fixed": (*b.springs["suspension_fixed"], *springs)}
+    return replace(b, members=(*b.members, *members), springs=fixed, dampers=(*b.dampers, *dampers))
+
+
+def hung_brake_unit(v: Values) -> StructuralModel:
+    """A body of its own on bushes that give upright."""
+    at: Point = (CROSSBAR_X, GIRDER_Y, BRAKE_UNIT_Z)
+    mass, omega = v["brake_unit"], 2 * np.pi * v["brake_unit_freq"]
+    bush = Spring(("unit", at), ("crossbar", at), (0, 1, 0), weight=mass * omega**2)
+    loss = damped(bush, 2 * BRAKE_UNIT_RATIO * omega * mass)
+
+    def change(b: Bogie) -> Bogie:
+        b = with_parts(b, [stub("unit", at)], [*held("unit", "crossbar", at, (UY,)), bush], [loss])
+        return replace(b, masses=(*b.masses, PointMass(("unit", at), mass)))
+
+    return rebuilt(change)
+
+
+# -- suspension --------------------------------------------------------------------------------------------------------
+
+
+def scaled(springs: Sequence[Spring], factors: Mapping[str, float]) -> tuple[Spring, ...]:
+    """Springs or dampers, some of them stronger or weaker by name."""
+    assert set(factors) <= {s.name for s in springs}
+    return tuple(replace(s, weight=factors.get(s.name, 1.0) * s.weight) for s in springs)
+
+
+def stiffer(group: str, factors: Callable[[Values], Mapping[str, float]], v: Values) -> StructuralModel:
+    """Some springs of a group stiffer or softer."""
+    return rebuilt(lambda b: replace(b, springs=b.springs | {group: scaled(b.springs[group], factors(v))}))
+
+
+def leaking_damper(v: Values) -> StructuralModel:
+    """One damper weaker."""
+    lost = {"primary damper front left": 1 - v["weak_damper"]}
+    return rebuilt(lambda b: replace(b, dampers=scaled(b.dampers, lost)))
+
+
+def damper_eyes(v: Values) -> StructuralModel:
+    """An eye between each damper and its box, on a bush."""
+    bush = 1 / (v["damper_mount"] * 1e-9)
+
+    def change(b: Bogie) -> Bogie:
+        members, springs, dampers = [], [], []
+        for k, damper in enumerate(b.dampers):
+            (box, at), body = damper.end, f"eye_{k}"
+            members.append(stub(body, at))
+            springs += [*held(body, box, at, (UY,)), Spring((body, at), (box, at), (0, 1, 0), weight=bush)]
+            dampers.append(replace(damper, end=(body, at)))
+        return with_parts(replace(b, dampers=tuple(dampers)), members, springs)
+
+    return rebuilt(change)
+
+
+def turning_wheels(v: Values) -> StructuralModel:
+    """Rims that turn freely on the axles and roll on the rails without slip."""
+
+    def change(b: Bogie) -> Bogie:
+        members, ties, masses, grip = [], [], [], []
+        for end, s in ENDS:
+            for side, t in SIDES:
+                at: Point = (s * AXLE_X, AXLE_Y, t * WHEEL_Z)
+                body, axle = f"rim_{end}_{side}", f"axle_{end}"
+                members.append(stub(body, at))
+                ties.append(Tie(axle, body, at, (UX, UY, UZ, RX, RY)))
+                (wheel,) = (m for m in b.masses if m.name == f"wheel {end} {side}")
+                polar = v["rolling_wheels"] * wheel.inertia[2]
+                masses.append(PointMass((body, at), 0.0, (0.0, 0.0, polar)))
+                grip.append(Spring((body, (at[0], 0.0, at[2])), None, (1, 0, 0), weight=RIGID))
+        b = with_parts(b, members, grip)
+        return replace(b, ties=(*b.ties, *ties), masses=(*b.masses, *masses))
+
+    return rebuilt(change)
+
+
+def moved_gear_case(v: Values) -> StructuralModel:
+    """The gear case elsewhere on its axle."""
+
+    def change(b: Bogie) -> Bogie:
+        (case,) = (m for m in b.masses if m.name == "gear case")
+        body, (x, y, z) = case.at
+        moved = replace(case, at=(body, (x, y, z + 1e-3 * v["gear_case_offset"])))
+        return replace(b, masses=tuple(moved if m is case else m for m in b.masses))
+
+    return rebuilt(change)
+
+
+def linked_gear_case(v: Values) -> StructuralModel:
+    """A link as a spring between an arm of the gear case and the crossbar."""
+    low, high = (CROSSBAR_X, AXLE_Y, 0.0), (CROSSBAR_X, GIRDER_Y, 0.0)
+    link = rod(("axle_front", low), ("crossbar", high), v["torque_link"] * 1e3)
+    return rebuilt(lambda b: with_parts(b, springs=[link]))
+
+
+def rods_with_dampers(v: Values) -> StructuralModel:
+    """Dampers along the connecting rods."""
+
+    def change(b: Bogie) -> Bogie:
+        rods = (*b.springs["rod_upper"], *b.springs["rod_lower"])
+        return with_parts(b, dampers=[damped(s, v["rod_damping"] * 1e3) for s in rods])
+
+    return rebuilt(change)
+
+
+def rods_as_bars(v: Values) -> StructuralModel:
+    """Connecting rods as bars of their own between bushes that resist turning."""
+    bush = v["stiff_bushes"] * 1e3
+    across = replace(AXLE, density=0.0, area=1.0, i_y=1e-2, i_z=1e-2, torsion=1e-2, shear_coefficient=10.0)
+
+    def change(b: Bogie) -> Bogie:
+        members, springs, axial = [], [], {}
+        for group in ("rod_upper", "rod_lower"):
+            along = []
+            for s in b.springs[group]:
+                assert s.other is not None
+                (box, one), (bracket, other), body = s.end, s.other, f"bar of {s.name}"
+                members.append(Member(body, "box", across, one, other, 1.0))
+                springs += held(body, box, one, (5,))
+                d = np.subtract(other, one) / np.linalg.norm(np.subtract(other, one))
+                square = (float(-d[1]), float(d[0]), 0.0)
+                springs.append(Spring((body, other), (bracket, other), square, weight=RIGID))
+                springs += [
+                    Spring((body, at), (part, at), (0, 0, 1), True, bush) for at, part in ((one, box), (other, bracket))
+                ]
+                along.append(replace(s, end=(body, other), other=(bracket, other)))
+            axial[group] = tuple(along)
+        return with_parts(replace(b, springs=b.springs | axial), members, springs)
+
+    return rebuilt(change)
+
+
+BOGIES: dict[str, Callable[[Values], StructuralModel]] = {
+    "actuator_flexibility": flexible_actuators,
+    "block_tilt": wide_blocks,
+    "block_damping": blocks_with_dampers,
+    "crossbar_joint": thin_joints,
+    "girder_end": thin_girder_ends,
+    "crossbar_mass": loaded_crossbar,
+    "brake_unit": hung_brake_unit,
+    "primary_uneven": partial(stiffer, "primary", lambda v: {"primary springs front left": 1 + v["primary_uneven"]}),
+    "weak_damper": leaking_damper,
+    "damper_mount": damper_eyes,
+    "wheel_contact": partial(
+        stiffer,
+        "rail",
+        lambda v: {f"wheel-rail contact front {side}": 1 + s * v["wheel_contact"] for side, s in SIDES},
+    ),
+    "rolling_wheels": turning_wheels,
+    "gear_case_offset": moved_gear_case,
+    "torque_link": linked_gear_case,
+    "rod_damping": rods_with_dampers,
+    "stiff_bushes": rods_as_bars,
+}
+"""The rebuilt bogie of every effect by name."""

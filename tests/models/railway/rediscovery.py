@@ -1,0 +1,78 @@
+"""What a library's effect makes of modes that a model rebuilt with that change shows: how strong, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import ModalResidual
+from calib.correlation.scatter import Floors
+from calib.effect import Effect
+from calib.measurement.modal import MeasuredModes
+from calib.structure.extend import extend
+from calib.structure.model import StructuralModel
+
+
+@dataclass(frozen=True)
+class Rediscovery:
+    """An effect fitted to a rebuilt model's modes.
+
+    Attributes
+    ----------
+    values : mapping from str to float
+        Strength and nuisance parameters of the best fit.
+    std : float
+        Standard deviation of the strength by the scatter of the measurement.
+    before, after : float
+        Length of what the rebuilt model does to the modes and of what the effect leaves of it, in units of the scatter.
+    """
+
+    values: Mapping[str, float]
+    std: float
+    before: float
+    after: float
+
+
+def rediscovered(
+    base: StructuralModel,
+    effect: Effect,
+    plain: MeasuredModes,
+    changed: MeasuredModes,
+    start: Mapping[str, float],
+    mode_count: int,
+) -> Rediscovery:
+    """Fit strength and nuisance parameters to ``changed`` less what the meshes differ by without any change, ``plain``.
+
+    Modes are noise-free, with the scatter of a test; the start is off the truth.
+    """
+    model = extend(base, [effect])
+    count = mode_count + model.n_dof - base.n_dof
+    floors = Floors(freq=0.0, damping=0.0, shape=0.0)
+
+    def residual(own: StructuralModel, measured: MeasuredModes, solved: int) -> ModalResidual:
+        return ModalResidual(ModalProblem(own, measured, mode_count=solved, threshold=0.1), floors)
+
+    without = residual(base, plain, mode_count).residual({})
+    asked = residual(model, changed, count)
+    names: Sequence[str] = effect.names
+    low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("lower", "upper"))
+    scale = np.array([abs(start[n]) for n in names])
+
+    def left(x: np.ndarray) -> np.ndarray:
+        off: np.ndarray = asked.residual(dict(zip(names, x * scale, strict=True))) - without
+        return off
+
+    first = np.array([start[n] for n in names]) / scale
+    fit = least_squares(left, first, bounds=(low / scale, high / scale), diff_step=1e-4, x_scale="jac")
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+    before = residual(base, changed, mode_count).residual({}) - without
+    return Rediscovery(
+        dict(zip(names, (fit.x * scale).tolist(), strict=True)),
+        float(np.sqrt(covariance[0, 0]) * scale[0]),
+        float(np.linalg.norm(before)),
+        float(np.linalg.norm(fit.fun)),
+    )

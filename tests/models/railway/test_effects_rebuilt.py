@@ -1,0 +1,73 @@
+"""Every effect of the bogie against a bogie that is rebuilt with it: the library's strength is that of the mesh."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.loading import module_of
+from calib.measurement.read import read_measurement
+from calib.structure.extend import extend
+from models.railway import bogie_effects, bogie_on_rig
+
+HERE = Path(__file__)
+STUDY = HERE.resolve().parents[3] / "studies" / "bogie" / "measured"
+EFFECTS = {e.name: e for e in bogie_effects()}
+rebuilt, rediscovery = (module_of(HERE.with_name(f"{name}.py")) for name in ("rebuilt_bogie", "rediscovery"))
+MODES = 9
+
+
+@pytest.fixture(scope="module")
+def base():
+    return bogie_on_rig()
+
+
+@pytest.fixture(scope="module")
+def measure(effect_checks):
+    """Noise-free modes of a rebuilt bogie at the sensors of the study."""
+    sensors = read_measurement([STUDY / "repeat_1.uff"], sensor_table=STUDY / "sensors.csv").sensors
+
+    def measured(model):
+        return effect_checks.noise_free(model, sensors, model.modes({}, MODES), range(MODES))
+
+    return measured
+
+
+@pytest.fixture(scope="module")
+def plain(measure):
+    return measure(rebuilt.rebuilt())
+
+
+def test_every_effect_is_rebuilt():
+    assert set(rebuilt.BOGIES) == set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", list(EFFECTS))
+def test_the_strength_found_is_the_one_built_in(base, measure, plain, name):
+    effect = EFFECTS[name]
+    truth = dict(effect.grid[len(effect.grid) // 2]) if effect.grid else {name: effect.plausible}
+    start = {p.name: truth[p.name] * (0.6 if p.name == name else 1.1) for p in effect.parameters}
+    found = rediscovery.rediscovered(base, effect, plain, measure(rebuilt.BOGIES[name](truth)), start, 12)
+    assert found.values[name] == pytest.approx(truth[name], rel=0.02)
+    assert abs(found.values[name] - truth[name]) < 1.96 * found.std
+    assert found.after < 0.1 * found.before
+    for p in effect.nuisance:
+        assert found.values[p.name] == pytest.approx(truth[p.name], rel=0.02)
+
+
+@pytest.mark.parametrize("offset", [-600.0, 280.0])
+def test_a_gear_case_anywhere_on_its_axle_is_felt_there(base, measure, plain, offset):
+    name = "gear_case_offset"
+    changed = measure(rebuilt.BOGIES[name]({name: offset}))
+    found = rediscovery.rediscovered(base, EFFECTS[name], plain, changed, {name: 0.8 * offset}, 12)
+    assert found.values[name] == pytest.approx(offset, rel=0.02) and found.after < 0.1 * found.before
+
+
+def test_a_gear_case_off_the_middle_bends_its_axle_less(base):
+    # The axle is softest in its middle: a mass that leaves it lets the axle's own bending rise.
+    name = "gear_case_offset"
+    before, after = rebuilt.rebuilt().modes({}, MODES), rebuilt.BOGIES[name]({name: 300.0}).modes({}, MODES)
+    change = after.natural_freq / before.natural_freq - 1
+    assert change[MODES - 1] > 0.03
+    found = extend(base, [EFFECTS[name]]).modes({name: 300.0}, MODES)
+    np.testing.assert_allclose(found.natural_freq / base.modes({}, MODES).natural_freq - 1, change, atol=5e-4)
