@@ -22,13 +22,14 @@ from calib.questions import extend as extension
 from calib.questions import phases, places
 from calib.questions import sensitivity as influence
 from calib.questions.reduction import fingerprints
+from calib.questions.stale import stale_answers
 from calib.questions.versions import write_versions
 from calib.report.draw import draw_all
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.results import Results
 from calib.study import Study, shell_argument
-from calib.written import kept
+from calib.written import is_own, kept
 
 app = typer.Typer(
     name="calib",
@@ -84,7 +85,7 @@ def compare(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     loaded = _load(study, results)
     folder = places.results_of(loaded, results)
     _compare(loaded, folder)
-    _draw(loaded, folder)
+    _draw(loaded, folder, results)
 
 
 @app.command()
@@ -107,7 +108,7 @@ def sensitivity(
         _sensitivity(loaded, folder, results, workers, quick)
     else:
         _screen(loaded, folder, results, workers, quick, method, ignore_constraints)
-    _draw(loaded, folder)
+    _draw(loaded, folder, results)
 
 
 @app.command()
@@ -129,7 +130,7 @@ def calibrate(
     calibration.chosen_cases(loaded, case)
     folder = places.results_of(loaded, results, quick, case, method.value if method else None)
     _calibrate(loaded, folder, results, workers, case, quick, method.value if method else None)
-    _draw(loaded, folder)
+    _draw(loaded, folder, results)
 
 
 @app.command()
@@ -142,7 +143,7 @@ def explain(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
     loaded = _load(study, results)
     folder = places.results_of(loaded, results)
     console.tell_what_to_add(loaded, _explain(loaded, folder, results).findings)
-    _draw(loaded, folder)
+    _draw(loaded, folder, results)
 
 
 @app.command()
@@ -187,8 +188,8 @@ def run(
     if loaded.candidates:
         found = _explain(loaded, folder, results).findings
         if extended := _add(loaded, folder, results, workers, quick, calibrated, found):
-            _draw(*extended, whole_report=True)
-    _draw(loaded, folder, whole_report=True)
+            _draw(*extended, results, whole_report=True)
+    _draw(loaded, folder, results, whole_report=True)
 
 
 def _version(asked: bool) -> None:
@@ -218,7 +219,7 @@ def _load(path: Path, root: Path, workers: int | None = None, quick: bool = Fals
             console.say(f"{study.settings.title} comes first: {path} takes over what it finds.")
             folder = places.results_of(study, root, quick)
             _fit(study, folder, root, workers, quick)
-            _draw(study, folder)
+            _draw(study, folder, root)
             found = phases.values_found(study, root, quick)
         taken = found or phases.Found({}, {})
     return Study.load(asked, *taken)
@@ -328,26 +329,30 @@ def _draw_anew(study: Study, root: Path) -> None:
     if Results(root / study.name) in folders:  # versions are those of whole answers
         console.tell_versions(write_versions(study, root))
     for folder in folders:
-        _draw(study, folder, whole_report=True)
+        _draw(study, folder, root, whole_report=True)
     written = [file for folder in folders if (file := extension.found_among(study, folder.path))]
     for file in written[:1]:  # that of a quick look has its answers in the same place
         _draw_anew(_load(file, root), root)
 
 
-def _draw(study: Study, folder: Results, whole_report: bool = False) -> None:
+def _draw(study: Study, folder: Results, root: Path, whole_report: bool = False) -> None:
     """Draw what the tables hold; the report is written when asked for, and where there is one, which is older now."""
     title, synthetic = study.settings.title, study.synthetic
     told = whole_report or folder.has(REPORT)
+    stale = stale_answers(study, folder, None if root == DEFAULT_RESULTS else root)
     try:
-        figures = draw_all(folder.path, title, synthetic)
-        written = write_report(folder.path, title, synthetic) if told else None
+        figures = draw_all(folder.path, title, synthetic, stale.files)
+        written = write_report(folder.path, title, synthetic, stale.sentences, stale.files) if told else None
     except OSError as fault:
         raise InputError(
             f"a figure or the report cannot be written ({fault.strerror})",
             place=folder.path,
             remedy="free some space and draw again with 'calib report', or choose another --results",
         ) from None
+    if stale.files:
+        folder.remove(*(png.name for png in folder.path.glob("*.png") if is_own(png) and png not in figures))
     console.tell_figures(figures)
+    console.tell_outdated(stale.sentences)
     if written is not None:
         console.tell_report(written)
     console.tell_kept(kept(folder.path))

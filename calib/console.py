@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -295,6 +295,12 @@ def tell_figures(paths: Sequence[Path]) -> None:
         say("\nFigures, each beside its table:")
         for path in paths:
             say(f"  {path}")
+
+
+def tell_outdated(sentences: Mapping[str, str]) -> None:
+    """Answers beside the present one that are of another state of the study."""
+    for sentence in sentences.values():
+        _out.print(f"\n{sentence}", style="yellow")
 
 
 def tell_kept(paths: Sequence[Path]) -> None:

@@ -101,12 +101,17 @@ class Study:
 
     @property
     def inputs(self) -> tuple[Path, ...]:
-        """Every file that the study names, itself included, without links."""
+        """Every file that the study reads, itself included, without links."""
+        return (self.file.resolve(), *self.named_files.values())
+
+    @property
+    def named_files(self) -> Mapping[str, Path]:
+        """Every file that the study names, by the path it writes, without links."""
         given, folder = self.settings, self.file.resolve().parent
         code = [where for f in (given.model, given.effects or "") if (where := f.rpartition(":")[0]).endswith(".py")]
         data = given.measurement
         files = [*code, *data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
-        return (self.file.resolve(), *((folder / file).resolve() for file in dict.fromkeys(files)))
+        return {file: (folder / file).resolve() for file in files}
 
     def whole_problem(self) -> ModalProblem | None:
         """The modal problem over everything measured, what is withheld included; None for plain responses.

@@ -7,6 +7,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ import pandas as pd
 from calib import __version__
 from calib.measurement.disagreements import COLUMNS
 from calib.measurement.modal import MeasuredModes
+from calib.questions.state import made_from
 from calib.results import Results
 from calib.study import Study
 
@@ -65,6 +67,7 @@ def write_record(
         "quick": quick,
         "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
         "seeds": dict(seeds),
+        "made_from": made_from(study, question),
         "sentences": list(sentences),
     }
     record = {
@@ -79,7 +82,7 @@ def write_record(
         "files": [*given.measurement.files, *given.measurement.shapes, *filter(None, [given.measurement.responses])],
         "repeats": given.measurement.repeats if whole is None else whole.n_repeats,
         "notes": [] if whole is None else list(whole.notes),
-        "questions": {**_earlier(results), question: asked},
+        "questions": {**{q: told for q, told in questions_of(results).items() if q != question}, question: asked},
     }
     results.write_json("record", record)
 
@@ -139,13 +142,14 @@ def assumptions_table(study: Study) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["item", "value", "unit", "reason"])
 
 
-def _earlier(results: Results) -> dict[str, object]:
-    """Questions of the folder's record; none when there is no readable one."""
+def questions_of(results: Results) -> dict[str, dict[str, Any]]:
+    """Questions of the folder's record, the one asked last at the end; none when there is no readable record."""
     try:
         questions = json.loads((results.path / "record.json").read_text("utf-8"))["questions"]
     except (OSError, ValueError, KeyError, TypeError):
         return {}
-    return questions if isinstance(questions, dict) else {}
+    told = questions if isinstance(questions, dict) else {}
+    return {question: asked for question, asked in told.items() if isinstance(asked, dict)}
 
 
 def _installed() -> dict[str, str]:

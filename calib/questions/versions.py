@@ -8,6 +8,8 @@ from pathlib import Path
 import pandas as pd
 
 from calib.questions.places import results_of
+from calib.questions.record import questions_of
+from calib.questions.state import made_from
 from calib.results import Results
 from calib.settings import read_settings
 from calib.study import Study, shell_argument
@@ -63,9 +65,10 @@ def write_versions(study: Study, root: Path) -> Versions:
         chain.append((file.parent.name, settings.with_effects, file))
     if len(chain) == 1:
         return Versions(nothing, tuple(notes))
-    parts = []
+    parts, measurement = [], made_from(study, "compare")["measurement"]
     for number, (name, effects, origin) in enumerate(reversed(chain), start=1):
-        errors = _errors(found) if (found := Results(root / name)).belongs_to(origin) else None
+        found = Results(root / name)
+        errors = _errors(found, measurement) if found.belongs_to(origin) else None
         if errors is None:
             command = f"calib explain {shell_argument(origin)} --results {shell_argument(root)}"
             notes.append(f"Version {number} ({name}) has no errors under {root}: run '{command}'.")
@@ -78,11 +81,14 @@ def write_versions(study: Study, root: Path) -> Versions:
     return Versions(table, tuple(notes))
 
 
-def _errors(results: Results) -> pd.DataFrame | None:
+def _errors(results: Results, measurement: str) -> pd.DataFrame | None:
+    """Errors in that measurement; of answers that tell no measurement it is taken to be this one."""
     numbers = ["rms", "expected"]
-    if results.has("data_errors.csv"):
+    asked = {question: told.get("made_from", {}) for question, told in questions_of(results).items()}
+    other = {question for question, made in asked.items() if made.get("measurement", measurement) != measurement}
+    if results.has("data_errors.csv") and "calibrate" not in other:
         return read_table(results.path / "data_errors.csv", ["group"], numbers, unique="group", may_be_empty=True)
-    if results.has("errors.csv"):
+    if results.has("errors.csv") and "explain" not in other:
         both = ["group", "stage"]
         table = read_table(results.path / "errors.csv", both, numbers, unique=both, may_be_empty=True)
         return table[table["stage"] == "before"]

@@ -22,6 +22,7 @@ from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
+from calib.report.shown import Folder, Shown
 from calib.report.style import add_heading, save, style
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import atom_map_figure, sensor_misfit_figure
@@ -33,7 +34,7 @@ _OF_MODEL = {"initial": "before any calibration", "before": "before calibration"
 _Add = Callable[[str, str, Callable[[], Figure]], None]
 
 
-def draw_all(folder: Path, title: str, synthetic: bool) -> list[Path]:
+def draw_all(folder: Path, title: str, synthetic: bool, hidden: frozenset[str] = frozenset()) -> list[Path]:
     """Draw every figure whose tables exist in a folder, beside the tables; nothing is computed anew.
 
     Parameters
@@ -44,6 +45,8 @@ def draw_all(folder: Path, title: str, synthetic: bool) -> list[Path]:
         Begins the heading of every figure.
     synthetic : bool
         Whether the measurement is invented, which every figure then says.
+    hidden : frozenset of str
+        Names of tables that are of another state of the study, and not drawn.
 
     Returns
     -------
@@ -60,14 +63,14 @@ def draw_all(folder: Path, title: str, synthetic: bool) -> list[Path]:
         raise InputError("there is no such folder of results", place=folder)
     with style():
         written = []
-        for name, caption, draw in _plan(folder):
+        for name, caption, draw in _plan(Shown(folder, hidden)):
             figure = draw()
             add_heading(figure, f"{title}: {caption}" if title else caption, synthetic)
             written.append(save(figure, folder / f"{name}.png"))
     return written
 
 
-def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
+def _plan(folder: Folder) -> list[tuple[str, str, Callable[[], Figure]]]:
     """Name, caption and drawing of every figure; all tables are read here, before anything is drawn."""
     plan: list[tuple[str, str, Callable[[], Figure]]] = []
 
@@ -136,7 +139,7 @@ def _plan(folder: Path) -> list[tuple[str, str, Callable[[], Figure]]]:
     return plan
 
 
-def _plan_modes(folder: Path, compared: dict[str, pd.DataFrame | None], add: _Add) -> None:
+def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: _Add) -> None:
     """Figures of the mesh: the model, its modes, and measured shapes over them."""
     mesh = read_mesh(folder)
     if mesh is None:
@@ -187,7 +190,7 @@ def _shapes(path: Path) -> pd.DataFrame | None:
     return read_table(path, ["mode", "direction"], ["x", "y", "z", "measured_re"]) if path.exists() else None
 
 
-def _plan_explanation(folder: Path, add: _Add) -> None:
+def _plan_explanation(folder: Folder, add: _Add) -> None:
     """Figures of the search for a missing effect; a table without rows has none."""
 
     def read(name: str, text: list[str], numbers: list[str], **more: Any) -> pd.DataFrame | None:

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.errors import InputError
 from calib.report.scene import PLACE, plot_coordinates, view_directions
+from calib.report.shown import Folder
 from calib.table import read_table
 
 FACE, BORDER, LINE = 0, 1, 2
@@ -61,7 +62,7 @@ class Pieces(NamedTuple):
         return Pieces(self.corners[which], self.kind[which], self.group[which])
 
 
-def read_mesh(folder: Path) -> Mesh | None:
+def read_mesh(folder: Folder) -> Mesh | None:
     """Read ``mesh_points.csv`` and ``mesh_elements.csv`` of a folder; None where one of them is missing."""
     points, elements = folder / "mesh_points.csv", folder / "mesh_elements.csv"
     if not points.exists() or not elements.exists():
@@ -75,7 +76,7 @@ def read_mesh(folder: Path) -> Mesh | None:
     return mesh
 
 
-def rest_lines(folder: Path) -> np.ndarray | None:
+def rest_lines(folder: Folder) -> np.ndarray | None:
     """Return lines of a folder's mesh at rest, borders of shells included, (n, 2, 3) in metres; None without a mesh."""
     mesh = read_mesh(folder)
     return None if mesh is None else places(mesh)[pieces(mesh).strokes]

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from calib.questions.extend import extend
+from calib.questions.record import write_record
 from calib.questions.versions import COLUMNS, MOST, write_versions
 from calib.results import Results
 from calib.study import Study, shell_argument
@@ -134,3 +135,14 @@ def test_a_command_to_type_names_a_study_by_its_folder_and_quotes_it():
         shell_argument(Path("my studies/mast/study.toml")) == "'my studies/mast'"
         and shell_argument(Path("rig/other.toml")) == "rig/other.toml"
     )
+
+
+def test_errors_in_another_measurement_are_no_version(chain, answered):
+    first, second, _ = chain
+    write_record(first, Results.at(answered, "mast"), "calibrate", {})
+    assert set(write_versions(second, answered).table["version"]) == {1, 2}
+    for name in ("modes.csv", "shapes.csv", "study.toml"):  # the same mode by another name
+        file = second.file.parent / name
+        file.write_text(file.read_text().replace("B3x", "B3y"))
+    found = write_versions(Study.load(second.file), answered)
+    assert set(found.table["version"]) == {2} and len(found.notes) == 1

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from calib.errors import InputError
+from calib.report.shown import Folder
 from calib.table import read_table
 
 STAGES = ("before", "after")
@@ -28,11 +28,15 @@ class Answers:
         Of the study.
     synthetic : bool
         Whether the measurement is invented.
+    stale : mapping from question to str
+        Questions that were asked of another state of the study, with a sentence about each; ``folder`` hides what they
+        answered.
     """
 
-    folder: Path
+    folder: Folder
     title: str
     synthetic: bool
+    stale: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -74,7 +78,7 @@ class Answers:
 
     def sentences(self, question: str) -> tuple[str, ...]:
         """What was said when a question was asked; nothing when it was not."""
-        asked = self.questions.get(question, {})
+        asked = {} if question in self.stale else self.questions.get(question, {})
         return tuple(str(words) for words in asked.get("sentences", ()))
 
     @property

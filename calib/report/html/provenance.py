@@ -61,7 +61,7 @@ def versions(answers: Answers) -> Section | None:
     rows = tuple(
         (
             f"calib {question}",
-            "a quick look" if q.get("quick") else "whole",
+            ("a quick look" if q.get("quick") else "whole") + ", of another state" * (question in answers.stale),
             str(q.get("when", "")).replace("T", " ").replace("+00:00", " UTC"),
             _listed(q.get("seeds", {})) or "none needed",
             *([] if same else [used[question]]),
@@ -77,6 +77,13 @@ def versions(answers: Answers) -> Section | None:
     told = [Words(f"Versions: {next(iter(used.values()))}.")] if same else []
     table = Table("Questions asked", heads, rows, (1, 2, 3, 4))
     return Section("versions", "Versions and seeds", (Words(model), Words(files), *_adopted(answers), *told, table))
+
+
+def stale(answers: Answers) -> Section | None:
+    """What is not shown, since the study is not what it was asked of."""
+    if not answers.stale:
+        return None
+    return Section("stale", "Not shown", tuple(Words(f"{words}.", "warning") for words in answers.stale.values()))
 
 
 def _adopted(answers: Answers) -> list[Block]:
@@ -96,13 +103,13 @@ def not_asked(answers: Answers) -> Section | None:
     """One line for every question that has no answer in this folder."""
     name = answers.name
     lines = []
-    if not answers.has("comparison_before"):
+    if not answers.has("comparison_before") and "compare" not in answers.stale:
         lines.append(f"Model against measurement, mode by mode: calib compare {name}")
-    if not answers.has("selection"):
+    if not answers.has("selection") and "sensitivity" not in answers.stale:
         lines.append(f"Which parameters matter: calib sensitivity {name}")
-    if not answers.has("parameters"):
+    if not answers.has("parameters") and "calibrate" not in answers.stale:
         lines.append(f"Which parameter values fit: calib calibrate {name}")
-    if not answers.explanation and answers.record.get("effects_known"):
+    if not answers.explanation and answers.record.get("effects_known") and "explain" not in answers.stale:
         lines.append(f"What the model lacks: calib explain {name}")
     if not answers.added and answers.explanation.get("verdict") in ("effect", "two_effects"):
         lines.append(f"What it brings to add what is named: calib run {name}")

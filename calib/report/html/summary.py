@@ -93,7 +93,7 @@ def _comparison(answers: Answers) -> str:
         compared = answers.compared("before")
         error = None if compared is None else compared["freq_error"].abs().mean()
     if error is None or pd.isna(error):
-        return "Nothing was compared yet."
+        return "No answer is of the present state of the study." if answers.stale else "Nothing was compared yet."
     return f"Compared, nothing fitted: the model misses the measurement by {percent(error)} % on average."
 
 

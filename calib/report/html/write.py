@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -26,10 +28,12 @@ from calib.report.html.answers import Answers
 from calib.report.html.look import as_json, plain_json
 from calib.report.html.page import Plot, Section, Shapes
 from calib.report.html.summary import summary
+from calib.report.shown import Shown
 from calib.written import replacing
 
 NAME = "report.html"
 STORY = (
+    provenance.stale,
     measured.section,
     compared.section,
     fails.section,
@@ -53,7 +57,13 @@ def sections(answers: Answers) -> tuple[Section, ...]:
     return tuple(found for tell in STORY if (found := tell(answers)) is not None)
 
 
-def write_report(folder: Path, title: str, synthetic: bool) -> Path:
+def write_report(
+    folder: Path,
+    title: str,
+    synthetic: bool,
+    stale: Mapping[str, str] = MappingProxyType({}),
+    hidden: frozenset[str] = frozenset(),
+) -> Path:
     """Write ``report.html`` from the tables of a folder, beside them; nothing is computed anew.
 
     Parameters
@@ -63,6 +73,10 @@ def write_report(folder: Path, title: str, synthetic: bool) -> Path:
         Of the study.
     synthetic : bool
         Whether the measurement is invented, which the page says at once.
+    stale : mapping from question to str
+        Questions that were asked of another state of the study, with a sentence about each.
+    hidden : frozenset of str
+        Names of tables that hold their answers; the page shows none of them.
 
     Raises
     ------
@@ -71,7 +85,7 @@ def write_report(folder: Path, title: str, synthetic: bool) -> Path:
     """
     if not folder.is_dir():
         raise InputError("there is no such folder of results", place=folder)
-    text = page(Answers(folder, title, synthetic))
+    text = page(Answers(Shown(folder, hidden), title, synthetic, stale))
     with replacing(folder / NAME) as draft:
         draft.write_text(text, encoding="utf-8")
     return folder / NAME

@@ -1,0 +1,71 @@
+"""Which answers of a folder were made from another state of the study than the present one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from calib.errors import InputError
+from calib.questions.record import questions_of
+from calib.questions.sensitivity import selected_by_measures
+from calib.questions.state import WRITES, changed, made_from
+from calib.results import Results
+from calib.study import Study, shell_argument
+
+
+@dataclass(frozen=True)
+class Stale:
+    """What is no longer true of a study.
+
+    Attributes
+    ----------
+    sentences : mapping from question to str
+        Which state it was asked of, and how to ask again.
+    files : frozenset of str
+        Tables that hold such answers. A table that several questions write is that of the last one asked.
+    """
+
+    sentences: Mapping[str, str] = field(default_factory=dict)
+    files: frozenset[str] = frozenset()
+
+
+def stale_answers(study: Study, results: Results, root: Path | None = None) -> Stale:
+    """Compare what every answer of a folder was made from with the study as it is.
+
+    Parameters
+    ----------
+    study : Study
+        As it is now.
+    results : Results
+    root : Path, optional
+        Where results of all studies go, for the commands that are proposed; None where it is the default.
+    """
+    asked = questions_of(results)
+    place = "" if root is None else f" --results {shell_argument(root)}"
+    sentences: dict[str, str] = {}
+    writer: dict[str, str] = {}
+    for question, told in asked.items():
+        writer |= dict.fromkeys(WRITES.get(question, ()), question)
+        if question not in WRITES:
+            continue
+        now = made_from(_selecting(study, results) if question == "calibrate" else study, question)
+        if found := changed(told.get("made_from", {}), now):
+            verb = "run" if question == "extend" else question
+            quick = " --quick" if told.get("quick") else ""
+            sentences[question] = (
+                f"'{question}' was asked of an earlier state of {', '.join(found)}, and its answer is not shown; ask "
+                f"again with: calib {verb} {shell_argument(study.file)}{quick}{place}"
+            )
+    return Stale(sentences, frozenset(file for file, question in writer.items() if question in sentences))
+
+
+def _selecting(study: Study, results: Results) -> Study:
+    """The study with the parameters that a calibration would fit now."""
+    for home in (results, Results(results.path.parent)):
+        if home.has("selection.csv"):
+            try:
+                return selected_by_measures(study, home)
+            except InputError:
+                return study
+    return study

@@ -1,0 +1,174 @@
+"""Answers of different states of a study never stand in one report, one figure or one folder without a word."""
+
+import contextlib
+import io
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from calib import cli
+from calib.questions.stale import stale_answers
+from calib.questions.state import WRITES
+from calib.report.html.answers import Answers
+from calib.report.html.summary import summary
+from calib.report.html.write import NAME, sections
+from calib.report.shown import Shown
+from calib.results import OWNER, Results
+from calib.study import Study
+
+MODEL = """
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)))
+
+def answer(values):
+    return {"y": values["a"] + values["b"] / 2, "z": values["a"] - values["b"] / 2}
+
+def model():
+    return FunctionModel("plain", SPACE, answer)
+"""
+STUDY = """
+title = "Plain"
+model = "model.py:model"
+selection = ["a", "b"]
+[measurement]
+responses = "data.csv"
+[sensitivity]
+samples = 12
+[calibration]
+population = 6
+generations = 3
+cases = [{ name = "A1", seed = 1 }]
+"""
+ROOT = Path("results")
+
+
+@pytest.fixture
+def sums(tmp_path, monkeypatch):
+    """A small study of plain responses, as ``sums``, compared, screened and calibrated."""
+    monkeypatch.chdir(tmp_path)
+    folder = Path("sums")
+    folder.mkdir()
+    (folder / "study.toml").write_text(STUDY)
+    (folder / "model.py").write_text(MODEL)
+    (folder / "data.csv").write_text("response,value,std\ny,3.1,0.1\nz,1.0,0.1\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli, "draw_all", lambda *a: [])
+        ask("sensitivity", "calibrate")
+    return folder
+
+
+def ask(*verbs):
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        for verb in verbs:
+            assert cli.answer([verb, "sums"]) == 0
+    return said.getvalue()
+
+
+def edit(file, old, new):
+    text = Path("sums", file).read_text()
+    assert old in text
+    Path("sums", file).write_text(text.replace(old, new))
+
+
+def stale():
+    return stale_answers(Study.load(Path("sums")), Results(ROOT / "sums"))
+
+
+def answers(found):
+    return Answers(Shown(ROOT / "sums", found.files), "Plain", False, found.sentences)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "touched"),
+    [
+        ("data.csv", "y,3.1", "y,3.2", {"compare", "sensitivity", "calibrate"}),
+        ("data.csv", "z,1.0,0.1", "z,1.0,0.2", {"compare", "sensitivity", "calibrate"}),
+        ("model.py", "/ 2, ", "/ 3, ", {"compare", "sensitivity", "calibrate"}),
+        ("study.toml", "generations = 3", "generations = 4", {"calibrate"}),
+        ("study.toml", "samples = 12", "samples = 13", {"sensitivity"}),
+        ("study.toml", "[sensitivity]", "[parameters]\na = { value = 2.1 }\n[sensitivity]", set(WRITES)),
+        ("study.toml", 'title = "Plain"', 'title = "Other words"', set()),
+        ("data.csv", "response,", "# a remark\nresponse,", set()),
+    ],
+)
+def test_what_a_change_makes_stale(sums, file, old, new, touched):
+    assert not stale().sentences and not stale().files
+    edit(file, old, new)
+    found = stale()
+    asked = {"compare", "sensitivity", "calibrate"}
+    assert set(found.sentences) == touched & asked
+    assert all(file in words for words in found.sentences.values() if file != "study.toml")
+    edit(file, new, old)
+    assert not stale().sentences
+
+
+def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
+    before = summary(answers(stale()))
+    assert {"cases" in s.title.lower() for s in sections(answers(stale()))} == {True, False}
+    edit("data.csv", "y,3.1", "y,2.2")
+    said = ask("compare")
+    found = stale()
+    assert set(found.sentences) == {"sensitivity", "calibrate"}
+    assert {"parameters.csv", "summary.json", "comparison_after.csv", "verdicts.csv"} <= found.files
+    assert not {"comparison_before.csv", "measured.csv"} & found.files
+    for words in found.sentences.values():
+        assert "data.csv" in words and words in " ".join(said.split("\n"))
+    told = {s.name: s for s in sections(answers(found))}
+    assert "stale" in told and {block.text.rstrip(".") for block in told["stale"].blocks} == set(
+        found.sentences.values()
+    )
+    assert not {"calibrated", "sensitivity"} & set(told) and "compared" in told
+    now = summary(answers(found))
+    assert now.verdict != before.verdict and "calibrated" not in " ".join(what for what, _ in now.facts)
+    ask("sensitivity", "calibrate")
+    assert not stale().sentences
+    assert "stale" not in {s.name for s in sections(answers(stale()))}
+
+
+def test_report_alone_tells_what_is_stale_and_keeps_the_tables(sums):
+    ask("report")
+    tables = {p.name: p.read_bytes() for p in (ROOT / "sums").glob("*.csv")}
+    pictures = {p.name for p in (ROOT / "sums").glob("*.png")}
+    assert "parameters.png" in pictures
+    edit("data.csv", "y,3.1", "y,2.2")
+    said = " ".join(ask("report").split("\n"))
+    assert all(words in said for words in stale().sentences.values()) and len(stale().sentences) == 3
+    assert {p.name: p.read_bytes() for p in (ROOT / "sums").glob("*.csv")} == tables
+    assert not list((ROOT / "sums").glob("*.png")) and (ROOT / "sums" / NAME).exists()
+    edit("data.csv", "y,2.2", "y,3.1")
+    ask("report")
+    assert {p.name for p in (ROOT / "sums").glob("*.png")} == pictures
+
+
+def test_an_answer_of_another_version_of_calib_is_stale(sums, monkeypatch):
+    monkeypatch.setattr("calib.questions.state.__version__", "99.0")
+    assert set(stale().sentences) == {"compare", "sensitivity", "calibrate"}
+
+
+def test_every_table_belongs_to_a_question_that_was_asked(everything, plain):
+    for folder in (everything, plain):
+        asked = json.loads((folder / "record.json").read_text())["questions"]
+        known = {name for question in asked for name in WRITES[question]}
+        assert {p.name for p in folder.glob("*.csv")} | {p.name for p in folder.glob("*.json")} <= {
+            *known, "record.json", OWNER,
+        }  # fmt: skip
+
+
+def test_nothing_of_a_whole_run_is_stale(everything, tmp_path):
+    assert not stale_answers(Study.load(everything.parent.parent / "mast"), Results(everything)).sentences
+    shutil.copytree(everything.parent.parent, tmp_path / "all")
+    study = tmp_path / "all/mast"
+    text = (study / "modes.csv").read_text()
+    row = next(line for line in text.splitlines() if line.startswith("B1x"))
+    cells = row.split(",")
+    cells[1] = f"{1.05 * float(cells[1]):.6g}"
+    (study / "modes.csv").write_text(text.replace(row, ",".join(cells)))
+    found = stale_answers(Study.load(study), Results(tmp_path / "all/results/mast"))
+    assert set(found.sentences) == {"compare", "sensitivity", "calibrate", "explain", "extend"}
+    assert all("modes.csv" in words for words in found.sentences.values())
+    told = sections(Answers(Shown(tmp_path / "all/results/mast", found.files), "A mast", False, found.sentences))
+    assert {s.name for s in told} <= {"stale", "versions", "not-asked"}
