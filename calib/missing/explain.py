@@ -83,7 +83,11 @@ class _Decision:
         fits.progress("testing whether anything is missing")
         # By name: neither draws nor ties nor what a budget leaves out may depend on the order of the library.
         able = sorted(hypotheses.effects, key=lambda e: e.name)
+        asked = hypotheses.evaluations
         named = fits.scores(base, able)
+        if hypotheses.unpaired((), base.state.values):
+            # What each effect pairs is asked over decades of strength; the budget is for fits.
+            fits = replace(fits, begun=fits.begun + hypotheses.evaluations - asked)
         able = [e for e in able if e.name in named.owners]
         if not able:
             raise EvaluationError("the model cannot be solved with any of the effects")

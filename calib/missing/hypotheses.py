@@ -81,6 +81,10 @@ class Hypotheses(Protocol):
         """The model with the named effects or atoms added."""
         ...
 
+    def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
+        """Measured modes for which that model has no partner at named values; none where nothing is paired."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Scaled:

@@ -15,6 +15,7 @@ from calib.missing.alike import Group, grouped
 from calib.missing.evidence import CREDIBLE, at_lower, ln_bayes_linear, ln_evidence
 from calib.missing.findings import Trial
 from calib.missing.hypotheses import Hypotheses, Question, Scaled
+from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.score import Scores, scores
 from calib.missing.state import FINE, ROUGH, WORTH, State, fitted, nearest_whole, neighbours
@@ -107,9 +108,16 @@ class Refits:
         return self.hypotheses.evaluations - self.begun > part * self.settings.budget
 
     def scores(self, trial: Trial, candidates: Sequence[Effect]) -> Scores:
-        """Scores of candidates that a fitted model does not have."""
-        with_grid = {e.name: self.question((*trial.names, e.name)) for e in candidates if e.grid}
-        return scores(trial.state, candidates, with_grid)
+        """Scores of candidates that a fitted model does not have; effects are also asked where they pair more modes."""
+
+        def question(name: str) -> Question:
+            return self.question((*trial.names, name))
+
+        library = {e.name for e in self.hypotheses.effects}
+        effects = [e for e in candidates if e.name in library]
+        pairing = pairing_points(self.hypotheses, trial.state, effects, question)
+        asked = {e.name: question(e.name) for e in candidates if e.grid or e.name in pairing}
+        return scores(trial.state, candidates, asked, pairing)
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 import scipy.linalg as la
@@ -96,7 +97,12 @@ class Scores:
         return sorted(own, key=drop, reverse=True)[:count]
 
 
-def scores(state: State, candidates: Sequence[Effect], questions: Mapping[str, Question]) -> Scores:
+def scores(
+    state: State,
+    candidates: Sequence[Effect],
+    questions: Mapping[str, Question],
+    further: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
+) -> Scores:
     """Score candidates at a fitted model.
 
     Parameters
@@ -105,14 +111,16 @@ def scores(state: State, candidates: Sequence[Effect], questions: Mapping[str, Q
     candidates : sequence of Effect
         Those with a grid are asked at its points, the others by their derivative.
     questions : mapping from str to Question
-        For every candidate with a grid, the state's question with that candidate added.
+        For every candidate with a grid or a further point, the state's question with that candidate added.
+    further : mapping from str to mapping
+        A point of some candidates at which they are asked by difference too.
     """
     plain = [e for e in candidates if not e.grid]
     owners = [e.name for e in plain]
     points: list[Mapping[str, float]] = [{} for _ in plain]
     columns = [-state.question.jacobian(state.values, owners)] if plain else []
     for effect in candidates:
-        for point in effect.grid:
+        for point in (*effect.grid, *([further[effect.name]] if effect.name in further else [])):
             try:
                 changed = questions[effect.name].residual({**state.values, **point})
             except EvaluationError:

@@ -11,6 +11,7 @@ import pandas as pd
 from calib.correlation.compare import FAR_ERROR, Comparison
 from calib.correlation.mesh import elements_table, points_table
 from calib.correlation.problem import FunctionProblem
+from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.correlation.sensors import suspicious_sensors
 from calib.errors import EvaluationError, InputError
 from calib.measurement.check import SensorFinding
@@ -72,6 +73,9 @@ class Answer:
                    for k, name, j in found.shifts]  # fmt: skip
             if met:
                 out.append(f"The numbers differ: {', '.join(met)}.")
+        lost = unpaired_table(found)
+        if lost["looks_rigid"].any():
+            out.append(unpaired_sentence(lost, "The model"))
         if found.crossings:
             met = [f"{a} and {b}" for a, b in found.crossings]
             out.append(f"The model's modes come in another order than the measured ones: {', '.join(met)} cross.")

@@ -310,6 +310,10 @@ class FunctionHypotheses:
         added = [e for name, e in self.answers.by_name.items() if name in names]
         return FunctionQuestion(question_space(self.space, added), self.answers, self.step)
 
+    def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
+        """None: plain responses are told by their names."""
+        return frozenset()
+
 
 def _atom(p: Parameter) -> Effect:
     name = f"change of {p.name}"

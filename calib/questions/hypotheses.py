@@ -131,3 +131,8 @@ class ModalHypotheses:
             space = question_space(self.space, [known[n] for n in key])
             self._questions[key] = ModalQuestion(ModalResidual(problem, self.floors), space, self.counter)
         return self._questions[key]
+
+    def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
+        """Measured modes for which that model has no partner at named values."""
+        found = self.question(names).at(values)
+        return frozenset(self.problem.measured.names[i] for i in found.pairing.unpaired_measured)

@@ -11,6 +11,8 @@ import pandas as pd
 from calib.correlation.mesh import elements_table, points_table
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
+from calib.correlation.rigid import COLUMNS as UNPAIRED_COLUMNS
+from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.missing.advice import Prospects
 from calib.missing.explain import require_modes
 from calib.missing.findings import Findings, Trial
@@ -88,7 +90,7 @@ class ModalSide:
             parts.append(table.assign(stage=stage))
             full = ModalResidual(fitted, hypotheses.floors).residual(state.values) / scale
             worst = max(worst, float(np.abs(full - state.residual).max()))
-        notes = []
+        notes = list(filter(None, (unpaired_sentence(self._unpaired(t), _named(t)) for t in stages.values())))
         if worst > BASIS_ERROR:
             notes.append(f"The reduced basis errs by {worst:.2g} standard deviations; set use = false in [reduction].")
         return pd.concat(parts, ignore_index=True), notes, {"basis_error": worst}
@@ -119,13 +121,20 @@ class ModalSide:
         return {a.effect.name: (a.kind, a.place, a.sensor) for a in self.atoms}
 
     def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:
-        """``sensor_misfit``: whitened residuals of shapes by sensor; ``mesh_points``, ``mesh_elements``: the mesh."""
+        """``sensor_misfit``: whitened residuals of shapes by sensor; ``unpaired``: modes without partner; the mesh."""
         assert isinstance(self.study.model, StructuralModel)
         mesh = self.study.model.mesh
         return {
-            "sensor_misfit": self._sensors(stages), "mesh_points": points_table(mesh),
+            "sensor_misfit": self._sensors(stages),
+            "unpaired": pd.concat([self._unpaired(t).assign(stage=s) for s, t in stages.items()])[
+                ["stage", *UNPAIRED_COLUMNS]
+            ],
+            "mesh_points": points_table(mesh),
             "mesh_elements": elements_table(mesh),
         }  # fmt: skip
+
+    def _unpaired(self, trial: Trial) -> pd.DataFrame:
+        return unpaired_table(self.hypotheses.question(trial.names).at(trial.state.values))
 
     def _sensors(self, stages: dict[str, Trial]) -> pd.DataFrame:
         sensors = {s.name: s for s in self.hypotheses.problem.measured.sensors}
@@ -143,3 +152,7 @@ class ModalSide:
             )
         columns = ["stage", "mode", "sensor", "node", "direction", "x", "y", "z", "re", "im"]
         return pd.DataFrame(rows, columns=columns)
+
+
+def _named(trial: Trial) -> str:
+    return "The base model" if not trial.effects else f"The model with {' and '.join(trial.names)}"

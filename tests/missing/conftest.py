@@ -90,6 +90,9 @@ class Toy:
         more = tuple(p for n in names for p in known[n].parameters)
         return ToyQuestion(self, ParameterSpace(self.base.parameters + more, self.base.constraints))
 
+    def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
+        return frozenset()
+
     def _straight(self, values: Mapping[str, float]) -> np.ndarray:
         total = np.zeros(len(self.rows))
         for name, column in self.columns.items():

@@ -1,0 +1,103 @@
+"""Measured modes that look like the motion of a rigid body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from calib.correlation.compare import Comparison
+from calib.measurement.modal import DIRECTIONS, Sensor
+
+LEFT = 0.1
+"""Largest part of a shape's power, per degree of freedom that is left, beside rigid-body motion."""
+SPARE = 3
+"""Sensors that must be left beyond the rigid-body motions they can tell apart."""
+
+COLUMNS = ("mode", "natural_freq", "rigid_share", "sensors", "looks_rigid")
+
+
+def rigid_motions(sensors: Sequence[Sensor]) -> np.ndarray:
+    """The six rigid-body motions at sensors: translations and rotations about the middle, (n_sensors, 6).
+
+    NaN for a sensor without a place. Rotations are in the unit that moves the farthest point by 1.
+    """
+    points = np.array([s.point or (np.nan,) * 3 for s in sensors], dtype=float).reshape(-1, 3)
+    if not np.isfinite(points).any():
+        return np.full((len(sensors), 6), np.nan)
+    arm = points - np.nanmean(points, axis=0)
+    size = float(np.nanmax(np.linalg.norm(arm, axis=1))) or 1.0
+    out = np.full((len(sensors), 6), np.nan)
+    for k, sensor in enumerate(sensors):
+        d = DIRECTIONS.index(sensor.direction)
+        axis = np.eye(3)[d % 3]
+        if np.isfinite(arm[k]).all():
+            # e . (t + w x r) = e . t + w . (r x e)
+            turned = np.cross(arm[k] / size, axis)
+            out[k] = [*axis, *turned] if d < 3 else [*np.zeros(3), *(axis / size)]
+    return out
+
+
+def rigid_share(shapes: np.ndarray, sensors: Sequence[Sensor]) -> tuple[np.ndarray, np.ndarray]:
+    """Share of each measured shape's power that rigid-body motion explains, and whether it looks like one.
+
+    Least squares on the six motions, by sensors that were measured and have a place. With p motions that n sensors tell
+    apart, a shape looks rigid when ``(1 - share) n/(n - p)`` is at most `LEFT`: a shape of chance gives about 1.
+
+    Parameters
+    ----------
+    shapes : ndarray (n_sensors, n_modes)
+        Real or complex; NaN where not measured.
+    sensors : sequence of Sensor
+
+    Returns
+    -------
+    share : ndarray (n_modes,)
+        NaN for a mode without a shape.
+    looks : ndarray (n_modes,), bool
+    """
+    motions = rigid_motions(sensors)
+    share, looks = np.full(shapes.shape[1], np.nan), np.zeros(shapes.shape[1], dtype=bool)
+    for i, shape in enumerate(shapes.T):
+        known = np.isfinite(shape) & np.isfinite(motions).all(axis=1)
+        total = float(np.sum(np.abs(shape[known]) ** 2))
+        if not total > 0:
+            continue
+        u, s, _ = np.linalg.svd(motions[known], full_matrices=False)
+        basis = u[:, s > 1e-6 * s[0]]
+        share[i] = float(np.sum(np.abs(basis.T @ shape[known]) ** 2)) / total
+        n, p = basis.shape
+        looks[i] = n - p >= SPARE and (1 - share[i]) * n / (n - p) <= LEFT
+    return share, looks
+
+
+def unpaired_table(found: Comparison) -> pd.DataFrame:
+    """Measured modes without a partner: `COLUMNS`; ``sensors`` counts those that were measured in the mode."""
+    measured = found.measured
+    rows = found.pairing.unpaired_measured
+    share, looks = rigid_share(measured.shapes[:, rows], measured.sensors)
+    columns = {
+        "mode": [measured.names[i] for i in rows],
+        "natural_freq": measured.natural_freq[rows],
+        "rigid_share": share,
+        "sensors": np.isfinite(measured.shapes[:, rows]).sum(axis=0),
+        "looks_rigid": looks,
+    }
+    return pd.DataFrame(columns, columns=list(COLUMNS))
+
+
+def unpaired_sentence(table: pd.DataFrame, model: str) -> str:
+    """What `unpaired_table` says, in words; empty without such modes."""
+    if table.empty:
+        return ""
+    told = ", ".join(f"{r['mode']} ({r['natural_freq']:.2f} Hz)" for r in table.to_dict("records"))
+    words = f"{model} has no partner for {told}."
+    rigid = table[table["looks_rigid"]]
+    if len(rigid):
+        least = 100 * rigid["rigid_share"].min()
+        words += (
+            f" At the sensors {', '.join(rigid['mode'])} move{'s' if len(rigid) == 1 else ''} like a rigid body "
+            f"({least:.0f} % of the power or more): what does the structure stand or hang on?"
+        )
+    return words
