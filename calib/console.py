@@ -89,13 +89,16 @@ def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
             say(f"Measurement: {note}.")
     for sentence in check_repeats(study):
         _out.print(sentence, style="yellow")
+    for hint in answer.hints:
+        _out.print(hint, style="yellow")
     for finding in answer.findings:
         _out.print(f"Check this sensor: {finding.sentence}", style="yellow")
     _print_answer(answer)
     if answer.comparison is not None:
         *first, last = answer.sentences
         for sentence in first:
-            say(sentence)
+            if sentence not in answer.hints:
+                say(sentence)
         say()
         say(last)
         worst = answer.comparison.where_it_fails().head(WORST_SHOWN)

@@ -56,6 +56,40 @@ def sensitivity_space(
     return _feasible(space, "limits", place)
 
 
+UNIT_FACTOR = 100.0
+"""Factor between the study's value and the model's own from which on units are doubted."""
+
+
+def parameter_hints(space: ParameterSpace, settings: StudySettings) -> tuple[str, ...]:
+    """Sentences for values and limits of the study that lie a hundred times or more beyond the model's own.
+
+    The largest of value and limits is compared with the largest of the model's, and both must be other than zero;
+    ``space`` is the model's own.
+    """
+    out = []
+    for name, change in settings.parameters.items():
+        if name not in space.names:
+            continue
+        own = space[name]
+        for key, given, known in (
+            ("value", (change.value,), (own.value,)),
+            ("limits", change.limits or (), (own.lower, own.upper)),
+            ("search", change.search or (), (own.lower, own.upper)),
+        ):
+            sizes = [abs(x) for x in given if x is not None]
+            largest, usual = max(sizes, default=0.0), max(abs(x) for x in (*known, own.value))
+            if not (largest > 0 and usual > 0):
+                continue
+            ratio = largest / usual
+            if ratio >= UNIT_FACTOR or (key == "value" and ratio <= 1 / UNIT_FACTOR and largest < own.lower):
+                out.append(
+                    f"[parameters.{name}] {key} is {ratio:.3g} times the model's own ({largest:.4g}; the model has "
+                    f"{usual:.4g} {own.unit}): values are in the parameter's own unit."
+                )
+                break
+    return tuple(out)
+
+
 def _holding(
     space: ParameterSpace, settings: StudySettings, place: Place, adopted: Mapping[str, float]
 ) -> ParameterSpace:

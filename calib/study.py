@@ -12,7 +12,7 @@ from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.function import FunctionModel
-from calib.limits import search_space, sensitivity_space
+from calib.limits import parameter_hints, search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, with_effects
 from calib.measurement.csv_format import read_responses_csv
 from calib.measurement.disagreements import Disagreement
@@ -60,6 +60,8 @@ class Study:
         Taken over from an earlier study, and the standard deviations of those that this one holds.
     initial : mapping from parameter name to value
         All values before any calibration, those taken over as the model itself has them.
+    hints : tuple of str
+        Values that look like other units than the model's parameters are in.
     """
 
     name: str
@@ -77,6 +79,7 @@ class Study:
     adopted: Mapping[str, float] = field(default_factory=dict)
     adopted_sd: Mapping[str, float] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
+    hints: tuple[str, ...] = ()
 
     @property
     def synthetic(self) -> bool:
@@ -224,6 +227,7 @@ class _Reader:
         included = sources.included(library)
         model = with_effects(base, included, self.place("with_effects"))
         space = sensitivity_space(model.space, self.settings, self.place, adopted)
+        hints = parameter_hints(model.space, self.settings)
         taken = self.settings.adopted.parameters if self.settings.adopted else ()
         initial = {**space.values, **{name: model.space[name].value for name in taken}}
         model = replace(model, space=space)
@@ -242,6 +246,7 @@ class _Reader:
         return Study(
             self.folder.name, self.file, self.settings, model, measured, targets, problem, space, selected,
             whole, whole_targets, library, dict(adopted), {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial,
+            hints,
         )  # fmt: skip
 
     # -- measurement ---------------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,8 +13,10 @@ from calib.correlation.mesh import elements_table, points_table
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.correlation.sensors import suspicious_sensors
+from calib.correlation.units import frequency_hint, response_hints
 from calib.errors import EvaluationError, InputError
 from calib.measurement.check import SensorFinding
+from calib.measurement.modal import MeasuredModes
 from calib.outcome import attempt
 from calib.questions.record import write_record
 from calib.results import Results
@@ -41,6 +43,8 @@ class Answer:
         Suspicious sensors.
     chosen : mapping from str to int
         Measured modes that the user has paired, with the number of their model mode.
+    hints : tuple of str
+        Numbers that look like other units.
     """
 
     table: pd.DataFrame
@@ -50,13 +54,14 @@ class Answer:
     comparison: Comparison | None
     findings: tuple[SensorFinding, ...] = ()
     chosen: Mapping[str, int] = field(default_factory=dict)
+    hints: tuple[str, ...] = ()
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What a reader of the comparison must know, and where it fails; nothing for plain responses."""
+        """What a reader of the comparison must know, and where it fails; only the hints for plain responses."""
         found = self.comparison
         if found is None:
-            return ()
+            return self.hints
         kinds = [root.kind for root in found.modes.excluded]
         out = []
         if kinds:
@@ -86,13 +91,14 @@ class Answer:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes pairs doubtful."""
+        """What makes units and pairs doubtful."""
         found = self.comparison
         if found is None or not found.far:
-            return ()
+            return self.hints
         error = dict(zip(found.measured.names, found.freq_error, strict=True))
         told = ", ".join(f"{name} ({100 * error[name]:+.0f} %)" for name in found.far)
         return (
+            *self.hints,
             f"More than {100 * FAR_ERROR:.0f} % off in frequency: {told}. Are these pairs, and are the units right?",
         )
 
@@ -100,18 +106,40 @@ class Answer:
 def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
     """Compare model and measurement at named values; raises EvaluationError when the model cannot be solved there."""
     if isinstance(study.problem, FunctionProblem):
-        return _plain_answer(study.problem, values)
+        return _plain_answer(study, study.problem, values)
     comparison = study.problem.compare(values)
     table = comparison.comparison_table()
+    findings = suspicious_sensors(study.problem, comparison)
     return Answer(
         table=table,
         mean_freq_error=_mean(table["freq_error"].abs()),
         mean_mac=_mean(table["mac"]),
         noise_mac=_mean(pd.Series(comparison.noise_mac())),
         comparison=comparison,
-        findings=suspicious_sensors(study.problem, comparison),
+        findings=findings,
         chosen=study.problem.override,
+        hints=(*study.hints, *_frequency_hints(comparison), *_place_hints(comparison.measured, findings)),
     )
+
+
+def _place_hints(measured: MeasuredModes, findings: Sequence[SensorFinding]) -> tuple[str, ...]:
+    """Suspicions about sensors whose places are in doubt."""
+    nodes = {one.node for one in measured.misplaced}
+    doubtful = {s.name for s in measured.sensors if s.node in nodes}
+    named = [name for finding in findings for name in finding.sensors if name in doubtful]
+    if not named:
+        return ()
+    return (
+        f"Settle the places of {', '.join(dict.fromkeys(named))} first: sensor table and universal file contradict "
+        "each other there, and what is said of these sensors below may follow from it.",
+    )
+
+
+def _frequency_hints(comparison: Comparison) -> tuple[str, ...]:
+    measured = comparison.measured
+    mac = comparison.mac if measured.has_shapes else None
+    hint = frequency_hint(measured.natural_freq, comparison.modes.natural_freq, mac)
+    return () if hint is None else (hint,)
 
 
 def responses_at(problem: Problem, values: Mapping[str, float]) -> dict[str, float]:
@@ -122,7 +150,7 @@ def responses_at(problem: Problem, values: Mapping[str, float]) -> dict[str, flo
     return outcome.responses
 
 
-def _plain_answer(problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
+def _plain_answer(study: Study, problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
     responses = responses_at(problem, values)
     rows = []
     for name, (value, std) in problem.targets.items():
@@ -137,7 +165,9 @@ def _plain_answer(problem: FunctionProblem, values: Mapping[str, float]) -> Answ
             }
         )
     table = pd.DataFrame(rows)
-    return Answer(table, _mean(table["error"].abs()), np.nan, np.nan, None)
+    measured = {name: value for name, (value, _) in problem.targets.items()}
+    hints = (*study.hints, *response_hints(measured, responses))
+    return Answer(table, _mean(table["error"].abs()), np.nan, np.nan, None, hints=hints)
 
 
 def compare(study: Study, results: Results) -> Answer:
