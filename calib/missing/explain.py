@@ -11,6 +11,7 @@ import numpy as np
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.missing.alike import Group, grouped
+from calib.missing.anew import anew, led_astray
 from calib.missing.evidence import CREDIBLE, at_lower
 from calib.missing.findings import Check, Findings, Trial
 from calib.missing.goodness import goodness, noise_scale, overall
@@ -53,7 +54,7 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
         starts = {(): found.base.state.values, **{t.names: t.state.values for t in found.singles}}
         again = _Decision(replace(fits, scale=found.measured_scale)).findings(starts)
         verdict = "noise_underestimated" if again.verdict == "nothing_detectable" else again.verdict
-        found = replace(again, verdict=verdict)
+        found = replace(again, verdict=verdict, begun_anew=found.begun_anew)
     return found
 
 
@@ -109,6 +110,13 @@ class _Decision:
             rival = atom.ln_evidence - math.log(max(len(hypotheses.atoms) / len(groups), 1.0))
         needed = max(base.ln_evidence + math.log(len(groups)) + CREDIBLE, rival)
         best, best_check = self.best(singles, able)
+        settled = self.accepted(best, best_check, needed) and not self.scale(base, best, atom) > GUARD
+        if not settled and not starts and fits.settings.budget > 0 and led_astray(base, check):
+            begun = hypotheses.evaluations
+            singles = anew(fits, base, singles, able)
+            fits = replace(fits, begun=fits.begun + hypotheses.evaluations - begun)
+            best, best_check = self.best(singles, able)
+            plain = replace(plain, begun_anew=True)
         plain = replace(plain, trials=tuple(singles), atom=atom, measured_scale=self.scale(base, best, atom))
         if plain.measured_scale > GUARD and not starts and self.promised_scale(best, best_check.named) > GUARD:
             return self.done(plain, "none_explains", best, best_check)

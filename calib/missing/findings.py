@@ -105,6 +105,8 @@ class Findings:
     evaluations : int
     alpha : float
         Level of the tests.
+    begun_anew : bool
+        Whether single effects were fitted from the adopted values too, and not from the base fit alone.
     """
 
     verdict: str
@@ -120,6 +122,7 @@ class Findings:
     measured_scale: float
     evaluations: int
     alpha: float = 0.01
+    begun_anew: bool = False
 
     def ln_bayes(self, trial: Trial) -> float:
         """Log Bayes factor of a trial against the base model."""

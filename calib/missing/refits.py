@@ -18,7 +18,7 @@ from calib.missing.hypotheses import Hypotheses, Question, Scaled
 from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.score import Scores, scores
-from calib.missing.state import FINE, ROUGH, WORTH, State, fitted, nearest_whole, neighbours
+from calib.missing.state import FINE, ROUGH, WORTH, State, fitted, grown, nearest_whole, neighbours
 from calib.updating.gauss_newton import FitSettings
 
 SAME = 0.98
@@ -36,6 +36,8 @@ _POLISHED = 3
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects; for looking where whole numbers may have been led astray."""
 
+_SMALLER = (0.1, 0.01)
+"""Parts of a step that are tried where the whole step ended above the fit it began from."""
 _LEAST = 8
 """Residuals of a fit that the verdict needs although the budget is used up."""
 _HOPELESS = 1.05
@@ -125,11 +127,9 @@ class Refits:
         self, names: tuple[str, ...], start: dict[str, float], whole: int = 0, settings: FitSettings = FINE
     ) -> Trial:
         """The model with the named effects or local changes, fitted from a start; see `calib.missing.state.fitted`."""
-        effects = tuple(self._by_name[n] for n in names)
         room = self.settings.budget - (self.hypotheses.evaluations - self.begun)
         settings = replace(settings, evaluations=min(settings.evaluations, max(room, _LEAST)))
-        state = fitted(self.question(names), names, start, whole, settings)
-        return Trial(effects, state, ln_evidence(state, effects), implausible(state, effects))
+        return self._judged(names, fitted(self.question(names), names, start, whole, settings))
 
     def singles(
         self,
@@ -172,7 +172,7 @@ class Refits:
         for k, one in enumerate(out[:_POLISHED]):
             close = reached > CREDIBLE and out[0].ln_evidence - one.ln_evidence < near
             if close and not self.spent(EARLY if k else 1.0):
-                out[k] = self.trial(one.names, one.state.values, whole=1)
+                out[k] = self.followed(one, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
 
     def _single(
@@ -181,17 +181,47 @@ class Refits:
         """One effect, fitted from where it was fitted before, or one step from the base model."""
         self.progress(f"fitting {self._by_name[name].title}")
         known = [starts[(name,)]] if (name,) in starts else None
-        return self.best_of((name,), known or self.starts(base.state, named, name))
+        return self.best_of((name,), known or self.starts(base.state, named, name), base)
 
-    def best_of(self, names: tuple[str, ...], starts: Sequence[dict[str, float]]) -> Trial | None:
-        """The best fit from some starts; None when no start can be evaluated."""
-        fits = []
-        for start in starts:
+    def best_of(self, names: tuple[str, ...], starts: Sequence[dict[str, float]], parent: Trial) -> Trial | None:
+        """The best fit from some starts, never above that of the parent, a model with fewer effects.
+
+        One step may lead too far, where other modes are paired; the derivative still tells the way, so that smaller
+        steps are tried. The parent's optimum with none of the further effects is a fit of the larger model too. None
+        when no start can be evaluated.
+        """
+        fits: list[Trial] = []
+
+        def follow(start: dict[str, float]) -> None:
             try:
                 fits.append(self.trial(names, start, settings=ROUGH))
             except EvaluationError:
-                continue
-        return min(fits, key=lambda t: t.state.misfit) if fits else None
+                return
+
+        def best() -> Trial:
+            return min(fits, key=lambda t: t.state.misfit)
+
+        for start in starts:
+            follow(start)
+        if not fits:
+            return None
+        strengths = [n for n in names if n not in parent.names]
+        for part in _SMALLER:
+            if best().state.misfit <= parent.state.misfit or self.spent():
+                break
+            follow({**starts[0], **parent.state.values, **{n: part * starts[0][n] for n in strengths}})
+        if best().state.misfit <= parent.state.misfit:
+            return best()
+        return self._judged(names, grown(parent.state, self.question(names), names))
+
+    def followed(self, trial: Trial, whole: int = 0, settings: FitSettings = FINE) -> Trial:
+        """A fit, followed further; itself where that leads no lower."""
+        further = self.trial(trial.names, trial.state.values, whole, settings)
+        return further if further.state.misfit <= trial.state.misfit else trial
+
+    def _judged(self, names: tuple[str, ...], state: State) -> Trial:
+        effects = tuple(self._by_name[n] for n in names)
+        return Trial(effects, state, ln_evidence(state, effects), implausible(state, effects))
 
     def starts(self, state: State, found: Scores, name: str) -> list[dict[str, float]]:
         """Where to start the fit of an effect: one step from the state, of the best points of its grid."""
@@ -215,14 +245,11 @@ class Refits:
             return None
         name = found.owners[int(np.argmax(usable))]
         first = self.starts(base.state, found, name)[0]
-        atom = self.best_of((name,), [first])
+        atom = self.best_of((name,), [first], base)
         if self.spent():
             return atom
-        if atom is not None and atom.state.misfit > base.state.misfit:
-            # One step may lead too far; the derivative still tells the way.
-            atom = self.best_of((name,), [{**base.state.values, name: 0.1 * first[name]}]) or atom
         if atom is not None and singles[0].ln_evidence - atom.ln_evidence < _CLOSE:
-            atom = self.trial(atom.names, atom.state.values)
+            atom = self.followed(atom)
         return atom
 
     def pairs(self, best: Trial, found: Scores, singles: Sequence[Trial], candidates: Sequence[Effect]) -> list[Trial]:
@@ -253,19 +280,20 @@ class Refits:
                 break
             names = tuple(sorted(key))
             self.progress("fitting " + " with ".join(self._by_name[n].title for n in names))
-            pair = self.best_of(names, starts[:1])
+            parent = min((t for t in (best, *singles) if t.names[0] in key), key=lambda t: t.state.misfit)
+            pair = self.best_of(names, starts[:1], parent)
             if len(starts) > 1 and (pair is None or pair.implausible):
-                pair = self.best_of(names, [*starts[1:], *([pair.state.values] if pair else [])])
+                pair = self.best_of(names, [*starts[1:], *([pair.state.values] if pair else [])], parent)
             if pair is not None:
                 out.append(pair)
         # What one effect has led astray may hide the other: several pairs are allowed to move whole numbers back.
         order = sorted(range(len(out)), key=lambda k: -out[k].ln_evidence)
         for k in order[:_POLISHED]:
             if not self.spent() or (k == order[0] and not out[k].implausible):
-                out[k] = self.trial(out[k].names, out[k].state.values, whole=1, settings=ROUGH)
+                out[k] = self.followed(out[k], whole=1, settings=ROUGH)
         out.sort(key=lambda t: -t.ln_evidence)
         if out and not self.spent():
-            out[0] = self.trial(out[0].names, out[0].state.values)
+            out[0] = self.followed(out[0])
         return sorted(out, key=lambda t: -t.ln_evidence)
 
     def _first_of(

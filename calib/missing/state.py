@@ -154,6 +154,53 @@ def fitted(
     return state
 
 
+def linearised(question: Question, effects: tuple[str, ...], values: Mapping[str, float]) -> State:
+    """A question at a point that is no fit: what one step from there promises.
+
+    Raises
+    ------
+    EvaluationError
+        When the point cannot be evaluated.
+    """
+    space = question.space
+    names = tuple(p.name for p in space.free if not p.integer)
+    prior, complete = Prior.of(space), space.complete(dict(values))
+    return State(
+        effects=effects,
+        question=question,
+        names=names,
+        values=complete,
+        residual=question.residual(complete),
+        slope=-question.jacobian(complete, names),
+        prior_sd=prior.widths(names),
+        shift=prior.residual(complete, names),
+    )
+
+
+def grown(state: State, question: Question, effects: tuple[str, ...]) -> State:
+    """A fit as one of a model with further effects, none of which has any magnitude: its sum of squares is the same.
+
+    Only their derivatives are asked of the larger model; a strength that cannot be differentiated there has none.
+    """
+    space = question.space
+    further = tuple(p.name for p in space.free if not p.integer and p.name not in state.values)
+    values = {**{p.name: p.value for p in space.parameters}, **state.values}
+    try:
+        slope = -question.jacobian(values, further)
+    except EvaluationError:
+        slope = np.zeros((len(state.residual), len(further)))
+    return replace(
+        state,
+        effects=effects,
+        question=question,
+        names=(*state.names, *further),
+        values=values,
+        slope=np.hstack([state.slope, slope]),
+        prior_sd=np.concatenate([state.prior_sd, Prior.of(space).widths(further)]),
+        shift=np.concatenate([state.shift, np.zeros(len(further))]),
+    )
+
+
 def nearest_whole(question: Question, start: Mapping[str, float]) -> dict[str, float]:
     """A start with the whole numbers from which one Gauss-Newton step promises the lowest sum of squares.
 

@@ -56,6 +56,8 @@ def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advi
     parts += _unseen(effects, found.chosen.names if found.names_something and found.chosen is not None else ())
     if advice and found.verdict != "noise_underestimated":
         parts.append(advice)
+    if found.verdict in ("partial", "none_explains") and not found.begun_anew:
+        parts.append("Fits began from the base model, which nothing strains; each may be a local fit.")
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         parts.append("Explanations outside the library cannot be excluded.")
     return tuple(part for part in parts if part)

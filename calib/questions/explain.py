@@ -315,6 +315,7 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "measured_noise_scale": found.measured_scale,
         "local_changes": len(set(check.atoms.owners)),
         "evaluations": found.evaluations,
+        "begun_anew": found.begun_anew,
         "errors": errors,
         "seconds": answer.seconds,
         **answer.figures,

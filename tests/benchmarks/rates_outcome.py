@@ -64,6 +64,7 @@ def outcome(found: Findings, measured: Measured) -> dict[str, Any]:
         "p_named": found.base_check.p_named, "p_atoms": found.base_check.p_atoms, "p_fit": found.base_check.p_fit,
         "p_family": found.base_check.p_family, "measured_scale": found.measured_scale,
         "noise_scale": found.noise_scale, "evaluations": found.evaluations,
+        "begun_anew": found.begun_anew,
         "base_misfit": round(found.base.state.misfit, 1),
         "trials": [_told(t, found) for t in (*found.singles[:4], *[t for t in found.trials if len(t.names) > 1][:3])],
         "atom": None if found.atom is None else _told(found.atom, found),

@@ -98,6 +98,6 @@ def test_understated_scatter_is_told_with_its_factor(explained):
 @pytest.mark.parametrize("name", VERDICTS)
 def test_the_cost_the_basis_and_the_mesh_are_within_bounds(explained, name):
     summary = summary_of(explained(name))
-    assert 0 < summary["evaluations"] <= 150
+    assert 0 < summary["evaluations"] <= (225 if summary["begun_anew"] else 150)
     assert 0 < summary["basis_error"] <= 0.05
     assert 0 < summary["discretisation"] <= 1.0

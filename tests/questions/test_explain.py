@@ -20,7 +20,7 @@ KEYS = {
     "study", "synthetic", "verdict", "sentence", "sentences", "notes", "p_family", "p_fit", "credible_set", "effects",
     "chosen",
     "adequacy_p_family", "adequacy_p_fit",
-    "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations",
+    "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations", "begun_anew",
     "evaluations_intervals", "evaluations_advice", "errors", "seconds",
 }  # fmt: skip
 

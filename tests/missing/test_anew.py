@@ -1,0 +1,98 @@
+"""A large effect is found although the base fit, led astray by it, lies behind a ridge."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pytest
+
+from calib.missing import explain as decision
+from calib.missing.anew import ANEW, led_astray
+from calib.missing.explain import explain
+from calib.missing.plausible import strain
+from calib.missing.state import fitted
+from calib.space import Parameter, ParameterSpace
+
+TRUTH = {"P0": 0.1, "P1": 0.2, "P2": 0.1, "E0": 1.0}
+
+
+def turning(toy, size, radius, prior=1.0):
+    """A toy whose first parameter turns a response on a circle: far from 0 it acts the other way.
+
+    What E0 does looks nearly as such a turn by 150 degrees.
+    """
+    plain = toy(effects=4, atoms=6, parameters=3)
+
+    @dataclass(frozen=True, eq=False)
+    class Turning(type(plain)):
+        def _straight(self, values):
+            p = values.get("P0", 0.0)
+            turned = self.columns["u"] * np.sin(p) + self.columns["v"] * (1 - np.cos(p))
+            return super()._straight({**values, "P0": 0.0}) + radius * turned
+
+        def slope(self, values, name):
+            if name != "P0":
+                return super().slope(values, name)
+            return radius * (self.columns["u"] * np.cos(values["P0"]) + self.columns["v"] * np.sin(values["P0"]))
+
+    q = np.linalg.qr(np.random.default_rng(0).standard_normal((len(plain.rows), 3)))[0]
+    turn = np.deg2rad(150.0)
+    chord = q[:, 0] * np.sin(turn) + q[:, 1] * (1 - np.cos(turn))
+    own = size * (0.9 * chord / np.linalg.norm(chord) + np.sqrt(0.19) * q[:, 2])
+    given = {f.name: getattr(plain, f.name) for f in fields(plain)}
+    given["columns"] = {**plain.columns, "u": q[:, 0], "v": q[:, 1], "E0": own}
+    given["base"] = ParameterSpace((Parameter("P0", 0.0, -4.0, 4.0, prior_sd=prior), *plain.base.parameters[1:]))
+    return Turning(**given)
+
+
+@pytest.mark.parametrize(("size", "radius"), [(150.0, 10.0), (150.0, 30.0), (70.0, 30.0)])
+def test_a_large_effect_behind_a_ridge_is_named_and_measured(toy, size, radius, monkeypatch):
+    one = turning(toy, size, radius).drawn(np.random.default_rng(1), TRUTH)
+    found = explain(one)
+    assert abs(found.base.state.values["P0"]) > 2.4 and found.begun_anew
+    assert found.verdict == "effect" and found.credible == ("E0",) and found.noise_scale == 1.0
+    question = one.question(("E0",))
+    from_truth = fitted(question, ("E0",), {**question.space.values, **TRUTH})
+    assert found.chosen.state.misfit == pytest.approx(from_truth.misfit, abs=0.1)
+    assert found.chosen.state.values["E0"] == pytest.approx(1.0, abs=0.1)
+    # From the base fit alone it stays in the wrong valley.
+    monkeypatch.setattr(decision, "led_astray", lambda base, check: False)
+    lost = explain(replace(one, count=[0]))
+    assert lost.chosen.state.misfit * lost.noise_scale**2 > from_truth.misfit + 9 and not lost.begun_anew
+
+
+def test_beginning_anew_costs_what_it_says(toy):
+    one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), TRUTH)
+    found = explain(one)
+    assert found.begun_anew and found.evaluations <= (1 + ANEW) * decision.DEFAULT.budget + 20
+    least = explain(replace(one, count=[0]), replace(decision.DEFAULT, budget=0.0))
+    assert not least.begun_anew and least.evaluations < 60
+
+
+def test_an_effect_that_is_named_at_once_begins_nowhere_else(toy):
+    found = explain(toy().drawn(np.random.default_rng(7), {"E1": 3.0}))
+    assert found.verdict == "effect" and not found.begun_anew
+
+
+def test_a_base_model_is_led_astray_by_the_stated_rule(toy):
+    made = toy()
+    quiet = explain(made.drawn(np.random.default_rng(2), {}))
+    assert not led_astray(quiet.base, quiet.base_check)
+    named = quiet.base_check.named
+    loud = replace(quiet.base_check, named=replace(named, z=named.z + 20.0))
+    assert led_astray(quiet.base, loud) and led_astray(quiet.base, replace(quiet.base_check, p_fit=1e-9))
+    pulled = explain(made.drawn(np.random.default_rng(2), {"P3": 6.0, "E1": 1.0}))
+    assert strain(pulled.base.state)["strained"].any() and led_astray(pulled.base, pulled.base_check)
+
+
+def test_whole_numbers_are_chosen_again(toy):
+    """Behind the ridge another place looks right; the fit that begins anew finds the place too."""
+    made = turning(toy, 150.0, 30.0)
+    rng = np.random.default_rng(5)
+    places = 6.0 * rng.standard_normal((len(made.rows), 3)) / np.sqrt(len(made.rows))
+    places[:, 2] += 0.2 * made.columns["E0"]
+    space = ParameterSpace((*made.base.parameters, Parameter("place", 1, 0, 2, integer=True)))
+    one = replace(made, base=space, columns={**made.columns, "place": places})
+    one = one.drawn(np.random.default_rng(1), {**TRUTH, "place": 0})
+    found = explain(one)
+    assert found.base.state.values["place"] != 0 and found.begun_anew
+    assert found.credible == ("E0",) and found.chosen.state.values["place"] == 0
