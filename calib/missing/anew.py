@@ -47,7 +47,7 @@ def anew(fits: Refits, base: Trial, singles: Sequence[Trial], effects: Sequence[
     promising ones are fitted, and the best fit chooses whole numbers again. A fit replaces an earlier one of the same
     effect only where it ended lower.
     """
-    fits.progress("beginning anew from the adopted values")
+    fits.progress("fitting from the adopted values too")
     begun = fits.hypotheses.evaluations
     # These evaluations are charged to nothing else.
     own = replace(fits, begun=begun, settings=replace(fits.settings, budget=ANEW * fits.settings.budget))
