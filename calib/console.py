@@ -176,7 +176,8 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     heads = ("parameter", f"value in {best.name}", "std", "of range", "spread", "verdict")
     _table(heads, rows, left=("verdict",))
     for sentence in answer.sentences:
-        say(sentence)
+        if sentence not in answer.contradictions:  # told at the end, beside the errors they rest on
+            say(sentence)
     say(f"\nAfter calibration (case {best.name}):")
     _print_answer(best.answer)
     for warning in best.answer.warnings:
@@ -190,6 +191,18 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     _tell_withheld(study)
     if answer.modes is not None and study.settings.withheld.modes:
         _print_modes(answer.modes)
+    if answer.responses is not None:
+        _print_responses(answer.responses)
+    held = study.settings.withheld
+    if answer.errors is not None and (held.modes or held.sensors or held.responses):
+        say("Errors in units of the scatter:")
+        errors = [
+            (WORDS[r["group"]], str(r["rows"]), _number(r["rms"], 2), _number(r["expected"], 2), f"{r['p']:.2g}")
+            for r in answer.errors.to_dict("records")
+        ]
+        _table(("data", "rows", "rms", "of a right model", "p"), errors)
+    for sentence in answer.contradictions:
+        _out.print(sentence, style="yellow")
 
 
 def tell_extension(extension: Extension) -> None:
@@ -322,6 +335,8 @@ def _tell_withheld(study: Study) -> None:
     if held.modes or held.sensors:
         modes, sensors = (", ".join(names) or "none" for names in (held.modes, held.sensors))
         say(f"Withheld, never fitted: modes {modes}; sensors {sensors}.")
+    if held.responses:
+        say(f"Withheld, never fitted: {', '.join(held.responses)}.")
 
 
 def _print_modes(modes: pd.DataFrame) -> None:
@@ -338,6 +353,19 @@ def _print_modes(modes: pd.DataFrame) -> None:
     say("Damped frequencies of every measured mode:")
     heads = [f"{kind} {stages[0]}" if stage is stages[0] else stage for kind in ("error", "MAC") for stage in stages]
     _table(("mode", "measured Hz", *stages, *heads), rows)
+
+
+def _print_responses(responses: pd.DataFrame) -> None:
+    rows = [
+        (
+            str(r["response"]) + (" (withheld)" if r["withheld"] else ""),
+            *(f"{r[stage]:.6g}" for stage in ("measured", "before", "after")),
+            *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in ("before", "after")),
+        )
+        for r in responses.to_dict("records")
+    ]
+    say("Every measured response:")
+    _table(("response", "measured", "before", "after", "error before", "error after"), rows)
 
 
 def _print_answer(answer: Answer) -> None:

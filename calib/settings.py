@@ -47,10 +47,11 @@ class MeasurementSettings(_Section):
 
 
 class WithheldSettings(_Section):
-    """``[withheld]``: measured modes and sensors that no fit ever sees."""
+    """``[withheld]``: measured modes and sensors, or plain responses, that no fit ever sees."""
 
     modes: tuple[str, ...] = ()
     sensors: tuple[str, ...] = ()
+    responses: tuple[str, ...] = ()
 
 
 class PairingSettings(_Section):

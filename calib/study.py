@@ -286,8 +286,16 @@ class _Reader:
     def _used(self, whole: MeasuredModes | None, whole_targets: Targets) -> tuple[MeasuredModes | None, Targets]:
         """What was measured and is not withheld."""
         held = self.settings.withheld
+        for key, names in held.model_dump().items():
+            if names and (key == "responses") != (whole is None):
+                kind, own = ("plain responses", "responses") if whole is None else ("modes", "modes or sensors")
+                raise InputError(
+                    f"{key} are withheld, but the study measures {kind}",
+                    place=self.place("withheld", key),
+                    remedy=f"name {own} under [withheld]",
+                )
         if whole is None:
-            names = held.modes + held.sensors
+            names = held.responses
             for name in names:
                 if name not in whole_targets:
                     raise InputError(f"withheld response {name!r} was not measured", place=self.place("withheld"))

@@ -318,7 +318,7 @@ def test_choices_for_withheld_modes_hold_in_the_whole_problem_only(mast):
 
 def test_plain_responses_keep_their_withheld_targets(sums):
     with (sums / "study.toml").open("a") as file:
-        file.write('[withheld]\nmodes = ["p"]\n')
+        file.write('[withheld]\nresponses = ["p"]\n')
     study = Study.load(sums)
     assert set(study.targets) == set(study.problem.targets) == {"s"} and study.whole_problem() is None
     assert study.whole_targets == {"s": (3.0, 0.01), "p": (1.0, None)} and study.whole is None
@@ -333,7 +333,7 @@ def test_withholding_everything_is_refused(mast, sums):
     changed(mast, "modes = []", 'modes = ["B1x", "B1z", "B2x", "B2z"]')
     assert "every measured mode is withheld" in complaint(mast)
     with (sums / "study.toml").open("a") as file:
-        file.write('[withheld]\nmodes = ["p", "s"]\n')
+        file.write('[withheld]\nresponses = ["p", "s"]\n')
     assert "every measured response is withheld" in complaint(sums)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-UNSEEN = ("withheld_sensors", "withheld_modes")
+UNSEEN = ("withheld_sensors", "withheld_modes", "withheld_responses")
 """Groups of data that no fit has seen."""
 CONTRADICTED = 1e-3
 """Chance of a right model predicting a group as badly, below which the group contradicts it."""

@@ -20,6 +20,7 @@ GROUPS = {
     "left_out": "data left out in turn",
     "withheld_sensors": "withheld sensors",
     "withheld_modes": "withheld modes",
+    "withheld_responses": "withheld responses",
 }
 """Data that a fit has not seen, in words."""
 

@@ -17,6 +17,7 @@ from calib.errors import EvaluationError, InputError
 from calib.ledger import Ledger
 from calib.questions.case import CaseFinder, CaseFound, SearchProgress
 from calib.questions.compare import Answer, compare, write_answer, write_model_modes
+from calib.questions.contradiction import contradictions, every_response
 from calib.questions.every_mode import all_stages, every_mode
 from calib.questions.places import ADDED
 from calib.questions.record import write_record
@@ -50,6 +51,8 @@ class Calibration:
         ``modes.csv``; None for plain responses.
     errors : DataFrame or None
         ``data_errors.csv``; None for a model that fails beside the optimum.
+    responses : DataFrame or None
+        ``responses.csv``; None where none is withheld.
     """
 
     cases: tuple[CaseFound, ...]
@@ -61,6 +64,13 @@ class Calibration:
     search_agreement: Agreement | None
     modes: pd.DataFrame | None = None
     errors: pd.DataFrame | None = None
+    responses: pd.DataFrame | None = None
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """What withheld data say against it."""
+        each = self.modes if self.responses is None else self.responses
+        return () if self.errors is None else contradictions(self.errors, each)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -72,7 +82,7 @@ class Calibration:
             out.append(f"Whole numbers, judged by how much worse their neighbours fit: {whole}.")
         if not judgement.complete:
             out.append("Not all neighbours of these whole numbers were tried: another combination may fit better.")
-        out.append(judgement.sentence)
+        out += [judgement.sentence, *self.contradictions]
         if self.search_agreement is None:
             out.append(self.agreement.sentence)
         else:
@@ -152,13 +162,17 @@ def calibrate(
             results.write_table("modes", modes)
             for stage, comparison in stages.items():
                 write_model_modes(results, comparison, stage)
-    results.remove("data_errors.csv", *ADDED)
-    errors = None
+    results.remove("data_errors.csv", "responses.csv", *ADDED)
+    errors = responses = None
     with suppress(EvaluationError):  # a model that fails beside the optimum has no errors to tell
         errors = errors_at(study, best.judgement.values)
         results.write_table("data_errors", errors)
+        if study.settings.withheld.responses:
+            responses = every_response(study, study.model.space.values, best.judgement.values)
+            results.write_table("responses", responses)
+    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses)
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
-    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors)
+    summary["contradictions"] = list(answer.contradictions)
     seeds = {**{case.name: case.seed for case in cases}, "reduction": study.settings.reduction.seed}
     write_record(study, results, "calibrate", seeds, answer.sentences, quick)
     results.write_json("summary", summary)
@@ -244,5 +258,6 @@ def _summary(
         "seconds": seconds,
         "withheld_modes": list(study.settings.withheld.modes),
         "withheld_sensors": list(study.settings.withheld.sensors),
+        "withheld_responses": list(study.settings.withheld.responses),
         "cases": {case.name: figures(case) for case in found},
     }

@@ -29,6 +29,7 @@ from calib.missing.tables import (
     strain_table,
     tried_table,
 )
+from calib.missing.verdict import GROUPS as WORDS
 from calib.missing.verdict import sentences
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
@@ -40,7 +41,7 @@ from calib.results import Results
 from calib.study import Study
 
 Progress = Callable[[str], None]
-GROUPS = ("fit", "left_out", "withheld_sensors", "withheld_modes")
+GROUPS = ("fit", *WORDS)
 
 
 class Side(Protocol):

@@ -96,7 +96,7 @@ def measured_table(study: Study) -> pd.DataFrame:
     """
     held, whole = study.settings.withheld, study.whole
     if whole is None:
-        unused = {*held.modes, *held.sensors}
+        unused = set(held.responses)
         rows = [(n, n in unused, v, np.nan if s is None else s) for n, (v, s) in study.whole_targets.items()]
         return pd.DataFrame(rows, columns=["response", "withheld", "value", "std"])
     columns = {

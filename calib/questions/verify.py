@@ -40,9 +40,7 @@ def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
 
 def withheld_targets(study: Study) -> dict[str, Targets]:
     """Plain responses that enter no fit, by the group they are told in."""
-    held = study.settings.withheld
-    groups = {"withheld_sensors": held.sensors, "withheld_modes": held.modes}
-    return {group: {n: study.whole_targets[n] for n in own} for group, own in groups.items()}
+    return {"withheld_responses": {n: study.whole_targets[n] for n in study.settings.withheld.responses}}
 
 
 def whitened(

@@ -36,6 +36,7 @@ GROUPS = {
     "left_out": "each mode left out in turn",
     "withheld_sensors": "withheld sensors",
     "withheld_modes": "withheld modes",
+    "withheld_responses": "withheld responses",
 }
 _STAGES: dict[str, dict[str, Any]] = {
     "before": {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"},

@@ -260,11 +260,11 @@ def test_a_plain_study_tells_its_withheld_responses(tmp_path):
     (tmp_path / "measured.csv").write_text(f"response,value,std\n{rows}\n")
     (tmp_path / "study.toml").write_text(
         'title = "line"\nmodel = "model.py:line"\nselection = ["a", "b"]\n[measurement]\nresponses = "measured.csv"\n'
-        '[withheld]\nsensors = ["y1"]\nmodes = ["y5"]\n[calibration]\nmethod = "gauss-newton"\n'
+        '[withheld]\nresponses = ["y1", "y5"]\n[calibration]\nmethod = "gauss-newton"\n'
         'cases = [{ name = "A", seed = 1 }]\n'
     )
     table = errors_at(Study.load(tmp_path), {"a": 0.0, "b": 1.0}).set_index("group")
-    assert table["rows"].to_dict() == {"fit": 4, "left_out": 4, "withheld_sensors": 1, "withheld_modes": 1}
-    assert table.loc["withheld_sensors", "rms"] == pytest.approx(2.0)
-    assert table.loc["withheld_modes", "rms"] == pytest.approx(10.0) and table.loc["withheld_modes", "p"] < 1e-6
+    assert table["rows"].to_dict() == {"fit": 4, "left_out": 4, "withheld_responses": 2}
+    assert table.loc["withheld_responses", "rms"] == pytest.approx(math.sqrt((2.0**2 + 10.0**2) / 2))
+    assert table.loc["withheld_responses", "p"] < 1e-6
     assert table.loc["fit", "rms"] == pytest.approx(math.sqrt((1 + 1 + 1 + 0) / 4))

@@ -16,6 +16,7 @@ DATA = {
     "left_out": "error in data left out in turn",
     "withheld_sensors": "error at withheld sensors",
     "withheld_modes": "error in withheld modes",
+    "withheld_responses": "error in withheld responses",
 }
 
 
@@ -82,7 +83,7 @@ def _calibration(answers: Answers) -> str:
     if told.get("mean_mac_after") is not None:
         words += f", the mean MAC went from {fixed(told['mean_mac_before'], 3)} to {fixed(told['mean_mac_after'], 3)}"
     fits = next((s for s in answers.sentences("calibrate") if s.startswith("Sum of squares")), "")
-    return f"{words}. {fits}".strip()
+    return " ".join([f"{words}.", *filter(None, [fits]), *map(str, told.get("contradictions", ()))])
 
 
 def _comparison(answers: Answers) -> str:

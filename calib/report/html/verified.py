@@ -37,7 +37,10 @@ def errors(answers: Answers) -> Section | None:
     if answers.added_names:
         title, blocks = "What was added, and the error before and after", _added(answers)
     else:
-        title, blocks = "Error before and after", [*_explained(answers), *_calibrated(answers), *_modes(answers)]
+        title, blocks = (
+            "Error before and after",
+            [*_explained(answers), *_calibrated(answers), *_modes(answers), *_responses(answers)],
+        )
     blocks += _versions(answers)
     if not blocks:
         return None
@@ -183,6 +186,25 @@ def _modes(answers: Answers) -> list[Block]:
     table = _mode_table(answers, "modes", {"initial": "initial", "before": "before", "after": "after"}, caption)
     told = "Initial is the model whose earlier study was not calibrated either."
     return [Words(told), *table] if table and "initial, Hz" in table[0].heads else [*table]
+
+
+def _responses(answers: Answers) -> list[Table]:
+    stages = ("before", "after")
+    numbers = ["measured", *stages, *(f"error_{stage}" for stage in stages)]
+    table = answers.table("responses", ["response"], numbers, flags=["withheld"], unique="response")
+    if table is None:
+        return []
+    rows = tuple(
+        (
+            str(r["response"]),
+            "withheld" if flag(r["withheld"]) else "used",
+            *(significant(r[n], 5) for n in numbers[:3]),
+            *(percent(r[n], sign=True) for n in numbers[3:]),
+        )
+        for r in table.to_dict("records")
+    )
+    heads = ("response", "", "measured", *stages, *(f"error {stage}, %" for stage in stages))
+    return [Table("Every measured response, before and after calibration", heads, rows, (1,))]
 
 
 def _mode_table(answers: Answers, name: str, called: Mapping[str, str], caption: str) -> list[Table]:

@@ -1,0 +1,114 @@
+"""Withheld data that contradict a calibration are told; those that noise alone explains are not."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib import cli
+from calib.errors import InputError
+from calib.missing.held_out import CONTRADICTED
+from calib.questions.calibrate import calibrate
+from calib.questions.contradiction import contradictions
+from calib.questions.places import ledger_of, results_of
+from calib.report.html.answers import Answers
+from calib.report.html.summary import summary
+from calib.study import Study
+
+MODEL = """
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+SPACE = ParameterSpace((Parameter("a", 0.0, -9.0, 9.0), Parameter("b", 0.5, -9.0, 9.0)))
+
+def line():
+    return FunctionModel("line", SPACE, lambda v: {f"y{x}": v["a"] + v["b"] * x for x in range(8)})
+"""
+STUDY = """
+title = "A line"
+model = "model.py:line"
+selection = ["a", "b"]
+[measurement]
+responses = "data.csv"
+synthetic = true
+[withheld]
+responses = ["y6", "y7"]
+[calibration]
+method = "gauss-newton"
+starts = 1
+cases = [{ name = "A", seed = 1 }]
+"""
+STD = 0.1
+
+
+def line(folder: Path, bend: float, seed: int = 5) -> Path:
+    """A study of a line whose data, synthetic, bend after the last response that is fitted."""
+    folder.mkdir()
+    x = np.arange(8)
+    y = 1.0 + 1.0 * x + bend * (x > 5) + STD * np.random.default_rng(seed).standard_normal(8)
+    rows = "\n".join(f"y{k},{v:.6f},{STD}" for k, v in zip(x, y, strict=True))
+    (folder / "data.csv").write_text(f"response,value,std\n{rows}\n")
+    (folder / "model.py").write_text(MODEL)
+    (folder / "study.toml").write_text(STUDY)
+    return folder
+
+
+def calibrated(folder: Path):
+    study, root = Study.load(folder), folder.parent / "results"
+    results = results_of(study, root)
+    with ledger_of(study, root) as ledger:
+        return study, results, calibrate(study, results, ledger, workers=1)
+
+
+def test_contradicting_data_are_told_everywhere(tmp_path, monkeypatch, capsys):
+    line(tmp_path / "bent", 3.0)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "draw_all", lambda *a: [])
+    assert cli.answer(["calibrate", "bent", "--workers", "1"]) == 0
+    said = " ".join(capsys.readouterr().out.split("\n"))
+    folder = Path("results/bent")
+    (sentence,) = json.loads((folder / "summary.json").read_text())["contradictions"]
+    errors = pd.read_csv(folder / "data_errors.csv").set_index("group")
+    assert errors.loc["withheld_responses", "p"] < CONTRADICTED < errors.loc["fit", "p"]
+    assert f"{errors.loc['withheld_responses', 'rms']:.2f}" in sentence
+    assert said.count(sentence) == 1
+    assert all(f"{name} (withheld)" in said for name in ("y6", "y7"))
+    assert sentence in json.loads((folder / "record.json").read_text())["questions"]["calibrate"]["sentences"]
+    assert sentence in summary(Answers(folder, "A line", True)).verdict
+    each = pd.read_csv(folder / "responses.csv").set_index("response")
+    assert each.index[each["withheld"]].tolist() == ["y6", "y7"] and len(each) == 8
+
+
+def test_data_within_their_scatter_contradict_nothing(tmp_path):
+    *_, answer = calibrated(line(tmp_path / "straight", 0.0))
+    assert answer.errors.set_index("group").loc["withheld_responses", "p"] > CONTRADICTED
+    assert answer.contradictions == ()
+
+
+def test_right_models_are_hardly_ever_accused(tmp_path):
+    accused = [bool(calibrated(line(tmp_path / f"s{seed}", 0.0, seed))[2].contradictions) for seed in range(8)]
+    assert not any(accused)
+
+
+def test_the_rule_is_a_chance_and_names_what_is_no_better():
+    table = pd.DataFrame(
+        [("fit", 1.0, 1.0, 0.5), ("withheld_sensors", 1.2, 1.1, 0.02), ("withheld_modes", 9.0, 1.1, 1e-9)],
+        columns=["group", "rms", "expected", "p"],
+    )
+    rows = [("M1", False, 0.1, 0.2), ("M2", True, 0.1, -0.1), ("M3", True, -0.2, 0.1), ("M4", True, np.nan, 0.1)]
+    modes = pd.DataFrame(rows, columns=["mode", "withheld", "error_before", "error_after"])
+    (sentence,) = contradictions(table, modes)
+    assert sentence.startswith("Withheld modes") and "9.00" in sentence and sentence.endswith(": M2.")
+    assert contradictions(table.assign(p=np.nan), modes) == ()
+    assert len(contradictions(table.assign(p=0.0009), modes)) == 2
+    assert contradictions(table.assign(p=0.0011), modes) == ()
+
+
+@pytest.mark.parametrize("key", ["modes", "sensors"])
+def test_plain_responses_are_withheld_by_their_own_key(tmp_path, key):
+    folder = line(tmp_path / "line", 0.0)
+    (folder / "study.toml").write_text(STUDY.replace("responses = [", f"{key} = ["))
+    with pytest.raises(InputError, match="name responses under"):
+        Study.load(folder)
