@@ -16,7 +16,7 @@ _WORDS = {str: "text", float: "a number", bool: "true or false"}
 
 
 def read_json(
-    path: Path, kinds: Mapping[str | None, Any], required: Sequence[str] = (), remedy: str = "ask the question again"
+    path: Path, kinds: Mapping[Any, Any], required: Sequence[str] = (), remedy: str = "ask the question again"
 ) -> dict[str, Any]:
     """Read named values and check the kinds of those that are listed; others are left as they are.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import re
 import shutil
@@ -94,7 +95,7 @@ class Results:
         return self._write(f"{name}.csv", guarded_table(table).to_csv(index=index, float_format="%.10g"))
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
-        """Write ``name.json``; missing numbers become null. InputError when it cannot be written."""
+        """Write ``name.json``; numbers that are not finite become null. InputError when it cannot be written."""
         return self._write(f"{name}.json", json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
 
     def has(self, name: str) -> bool:
@@ -167,13 +168,13 @@ def _clear_drafts(folder: Path) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers as Python's own, NaN as None."""
+    """Numbers as Python's own, those that are not finite as None."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
     if hasattr(value, "item"):
         value = value.item()
-    if isinstance(value, float) and value != value:
+    if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -8,11 +8,27 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from calib.errors import InputError
 
 Pair = tuple[float, float]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+LONGEST_NAME = 255
+"""Bytes in the name of a file or folder that the common file systems allow."""
+
+
+def possible_path(text: str) -> str:
+    """A path that an operating system can be asked for; ValueError for any other."""
+    if "\0" in text:
+        raise ValueError("a path cannot hold a zero character")
+    longest = max((len(part.encode("utf-8", "replace")) for part in re.split(r"[/\\]", text)), default=0)
+    if longest > LONGEST_NAME or len(text) > 4000:
+        raise ValueError(f"a name of {longest} bytes in the path is too long: {LONGEST_NAME} are possible")
+    return text
+
+
+PathText = Annotated[str, AfterValidator(possible_path)]
 Share = Annotated[float, Field(ge=0, le=1)]
 FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
 """Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
@@ -29,12 +45,12 @@ class MeasurementSettings(_Section):
     (``"robust"``), or whether it is only named (``"plain"``).
     """
 
-    files: tuple[str, ...] = ()
-    shapes: tuple[str, ...] = ()
-    sensors: str | None = None
-    responses: str | None = None
+    files: tuple[PathText, ...] = ()
+    shapes: tuple[PathText, ...] = ()
+    sensors: PathText | None = None
+    responses: PathText | None = None
     mode_names: tuple[str, ...] | None = None
-    repeats: int | None = Field(default=None, ge=1)
+    repeats: int | None = Field(default=None, ge=1, le=1_000_000)
     std_of: Literal["mean", "repeat"] = "mean"
     pooling: Literal["robust", "plain"] = "robust"
     synthetic: bool = False
@@ -57,7 +73,7 @@ class WithheldSettings(_Section):
 class PairingSettings(_Section):
     """``[pairing]``: how measured and model modes find each other."""
 
-    mode_count: int | None = Field(default=None, ge=1)
+    mode_count: int | None = Field(default=None, ge=1, le=1_000_000)
     threshold: Share = 0.3
     freq_window: Pair | None = None
     clusters: dict[str, tuple[str, ...]] = {}
@@ -91,7 +107,7 @@ class AdoptedSettings(_Section):
     parameters : tuple of str
     """
 
-    study: str
+    study: PathText
     parameters: tuple[str, ...] = Field(min_length=1)
 
 
@@ -107,15 +123,15 @@ class ConstraintSettings(_Section):
 class SensitivitySettings(_Section):
     """``[sensitivity]``."""
 
-    samples: int = Field(default=500, ge=3)
-    seed: int = Field(default=1, ge=0)
+    samples: int = Field(default=500, ge=3, le=1_000_000)
+    seed: Seed = 1
 
 
 class CaseSettings(_Section):
     """``[[calibration.cases]]``: one run of the search from its own initial population."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
-    seed: int = Field(ge=0)
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    seed: Seed
 
 
 class ReductionSettings(_Section):
@@ -123,7 +139,7 @@ class ReductionSettings(_Section):
 
     use: bool = True
     tolerance: float = Field(default=1e-5, gt=0, lt=0.1)
-    seed: int = Field(default=1, ge=0)
+    seed: Seed = 1
 
 
 class CalibrationSettings(_Section):
@@ -134,12 +150,12 @@ class CalibrationSettings(_Section):
 
     method: Literal["genetic", "gauss-newton"] = "genetic"
     polish: bool = True
-    starts: int = Field(default=6, ge=1)
-    time_limit: float = Field(default=3600.0, gt=0)
-    weight_freq: float = Field(default=1.0, ge=0)
-    weight_mac: float = Field(default=1.0, ge=0)
-    population: int = Field(default=30, ge=4)
-    generations: int = Field(default=250, ge=2)
+    starts: int = Field(default=6, ge=1, le=10_000)
+    time_limit: float = Field(default=3600.0, gt=0, le=1e7)
+    weight_freq: float = Field(default=1.0, ge=0, le=1e12)
+    weight_mac: float = Field(default=1.0, ge=0, le=1e12)
+    population: int = Field(default=30, ge=4, le=100_000)
+    generations: int = Field(default=250, ge=2, le=1_000_000)
     crossover: Share = 0.5
     mutation: Share = 0.15
     sigma_start: float = Field(default=0.10, gt=0, le=1)
@@ -176,22 +192,22 @@ class ExplainSettings(_Section):
     """
 
     alpha: float = Field(default=0.01, gt=0, lt=0.5)
-    refits: int = Field(default=6, ge=1)
+    refits: int = Field(default=6, ge=1, le=10_000)
     merge: float = Field(default=0.98, gt=0, le=1)
     finer_options: dict[str, Any] = {}
-    draws: int = Field(default=10, ge=1)
-    seed: int = Field(default=1, ge=0)
+    draws: int = Field(default=10, ge=1, le=100_000)
+    seed: Seed = 1
 
 
 class StudySettings(_Section):
     """The whole file."""
 
     title: str
-    model: str = Field(pattern=FUNCTION)
+    model: PathText = Field(pattern=FUNCTION)
     model_options: dict[str, Any] = {}
-    effects: str | None = Field(default=None, pattern=FUNCTION)
+    effects: PathText | None = Field(default=None, pattern=FUNCTION)
     with_effects: tuple[str, ...] = ()
-    extended_from: str | None = None
+    extended_from: PathText | None = None
     measurement: MeasurementSettings
     withheld: WithheldSettings = WithheldSettings()
     pairing: PairingSettings = PairingSettings()

@@ -44,6 +44,11 @@ SI_FACTORS: Mapping[str, float] = {
 """Factor that turns a value in the named unit into SI."""
 
 Distribution = Literal["uniform", "fixed"]
+MOST = 1e100
+"""Size of a value or limit; squares of larger ones overflow."""
+FINEST_PRIOR = 1e-9
+"""Least prior standard deviation over a parameter's range or value, and the inverse of the largest: beyond, sums of
+squares lose every digit of the data or of the prior."""
 
 
 @dataclass(frozen=True)
@@ -92,14 +97,25 @@ class Parameter:
         for label in ("value", "lower", "upper"):
             if not math.isfinite(getattr(self, label)):
                 raise InputError(f"{label} is {getattr(self, label)}", place=place, remedy="give a finite number")
+            if abs(getattr(self, label)) > MOST:
+                raise InputError(
+                    f"{label} is {getattr(self, label):g}", place=place, remedy=f"give a number within {MOST:g}"
+                )
         if self.lower > self.upper or (self.lower == self.upper and self.distribution != "fixed"):
             raise InputError(
                 f"lower limit {self.lower:g} is not below upper limit {self.upper:g} {self.unit}",
                 place=place,
                 remedy="write limits as [lower, upper]",
             )
-        if self.prior_sd is not None and not (math.isfinite(self.prior_sd) and self.prior_sd > 0):
-            raise InputError(f"prior_sd is {self.prior_sd}", place=place, remedy="give a positive number")
+        if self.prior_sd is not None:
+            size = max(self.upper - self.lower, abs(self.value)) or 1.0
+            least, most = FINEST_PRIOR * size, size / FINEST_PRIOR
+            if not least <= self.prior_sd <= most:
+                raise InputError(
+                    f"prior_sd is {self.prior_sd}",
+                    place=place,
+                    remedy=f"give a positive number from {least:g} to {most:g} {self.unit}",
+                )
         if self.integer and any(v != round(v) for v in (self.value, self.lower, self.upper)):
             raise InputError("a whole-number parameter has a fractional value or limit", place=place)
 

@@ -155,7 +155,8 @@ def read_table(
         Naming the file, the line and the column.
     """
     wanted = [*text, *numbers, *flags]
-    sheet = _read(path, wanted, comments=False, remedy=AGAIN)
+    key = (unique,) if isinstance(unique, str) else tuple(unique)
+    sheet = _read(path, [*wanted, *(column for column in key if column not in wanted)], comments=False, remedy=AGAIN)
     header = sheet.header
     if not sheet.cells and not may_be_empty:
         raise InputError("the table has no rows", place=path, remedy=AGAIN)
@@ -189,7 +190,7 @@ def read_table(
             ]
             _require(sheet, column, fine, cells, "a number")
             out[column] = pd.Series(found, dtype=float)
-    _require_unique(sheet, (unique,) if isinstance(unique, str) else tuple(unique))
+    _require_unique(sheet, key)
     return pd.DataFrame(out)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calib.errors import InputError
+from calib.named_values import read_json
 from calib.report.calibration import draw_convergence, draw_parameters
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.explanation import draw_confounding, ranked_effects_figure
@@ -24,9 +24,9 @@ from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_sele
 from calib.report.shapes import mode_shapes_figure
 from calib.report.shown import Folder, Shown
 from calib.report.style import add_heading, save, style
+from calib.report.tables import read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import atom_map_figure, sensor_misfit_figure
-from calib.table import read_table
 
 _STAGES = ("before", "after")
 _OF_MODEL = {"initial": "before any calibration", "before": "before calibration", "after": "after calibration"}
@@ -84,7 +84,7 @@ def _plan(folder: Folder) -> list[tuple[str, str, Callable[[], Figure]]]:
     for stage in _STAGES:
         path = folder / f"mac_{stage}.csv"
         if path.exists():
-            mac = read_table(path, ["mode"], others_are_numbers=True, unique="mode")
+            mac = read_table(path, ["mode"], others_are_numbers=True)
             add(path.stem, f"MAC {stage} calibration", lambda mac=mac: _owner(draw_mac_matrix(mac)))  # type: ignore[misc]
     sensors = {stage: _comac(folder / f"comac_{stage}.csv") for stage in _STAGES}
     if any(table is not None for table in sensors.values()):
@@ -94,16 +94,16 @@ def _plan(folder: Folder) -> list[tuple[str, str, Callable[[], Figure]]]:
         add("modes", "damped frequencies of all measured modes", lambda: _owner(draw_frequencies(every)))
     path = folder / "sensitivity.csv"
     if path.exists():
-        rank = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
+        rank = read_table(path, ["parameter"], others_are_numbers=True)
         add("sensitivity", "sensitivity of the responses", lambda: _owner(draw_sensitivity(rank)))
     path = folder / "partial.csv"
     if path.exists():
-        held = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
+        held = read_table(path, ["parameter"], others_are_numbers=True)
         label = "partial rank correlation (–)"
         add("partial", "sensitivity, all other parameters held", lambda: _owner(draw_sensitivity(held, label=label)))
     path = folder / "influence.csv"
     if path.exists():
-        own = read_table(path, ["parameter"], others_are_numbers=True, unique="parameter")
+        own = read_table(path, ["parameter"], others_are_numbers=True)
         root = "root of the share of variance (–)"
         # The root of a hundredth of the variance: parameters that bring less stay blank.
         add("influence", "influence of each parameter alone", lambda: _owner(draw_sensitivity(own, None, 0.1, root)))
@@ -116,7 +116,7 @@ def _plan(folder: Folder) -> list[tuple[str, str, Callable[[], Figure]]]:
     if path.exists():
         numbers = [name for measure in MEASURES for name in (f"max_{measure}", f"{measure}_floor")]
         flags = ["measured", "selected"]
-        chosen = read_table(path, ["parameter"], numbers, flags=flags, unique="parameter")
+        chosen = read_table(path, ["parameter"], numbers, flags=flags)
         add("selection", "which parameters matter", lambda: _owner(draw_selection(chosen)))
     path = folder / "parameters.csv"
     if path.exists():
@@ -155,7 +155,7 @@ def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: _
             continue
         columns, found = ["point", "u", "v", "w"], ["damped_freq", "damping_ratio"]
         motion = read_table(moved, ["mode"], columns, complete=columns, may_be_empty=True)
-        modes = read_table(listed, ["mode"], found, complete=["damped_freq"], unique="mode", may_be_empty=True)
+        modes = read_table(listed, ["mode"], found, complete=["damped_freq"], may_be_empty=True)
         for page, some in pages(modes).items():
             add(
                 f"model_modes_{stage}{page}",
@@ -180,7 +180,7 @@ def _every_mode(path: Path) -> pd.DataFrame | None:
     kinds = ("damped_freq", "error", "mac")
     wanted = [f"{kind}_{stage}" for kind in kinds for stage in _STAGES]
     table = read_table(
-        path, ["mode"], ["damped_freq_measured", *wanted], flags=["withheld"], unique="mode", may_be_empty=True,
+        path, ["mode"], ["damped_freq_measured", *wanted], flags=["withheld"], may_be_empty=True,
         if_there=[f"{kind}_initial" for kind in kinds],
     )  # fmt: skip
     return table if len(table) else None
@@ -228,7 +228,6 @@ def _plan_explanation(folder: Folder, add: _Add) -> None:
         flags=["visible", "refitted", "credible"],
         blank=["implausible"],
         unbounded=["phi_min"],
-        unique="name",
     )
     if effects is not None:
         add("ranked_effects", "evidence for each effect", lambda: ranked_effects_figure(effects))
@@ -280,17 +279,13 @@ def _of_plain_responses(path: Path) -> bool:
 
 
 def _comac(path: Path) -> pd.DataFrame | None:
-    return read_table(path, ["sensor"], ["comac"], unique="sensor") if path.exists() else None
+    return read_table(path, ["sensor"], ["comac"]) if path.exists() else None
 
 
 def _best_case(path: Path, cases: list[str]) -> str | None:
     if not path.exists():
         return None
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as problem:
-        raise InputError(f"the summary cannot be read: {problem}", place=path) from problem
-    best = summary.get("best_case") if isinstance(summary, dict) else None
+    best = read_json(path, {"best_case": str}).get("best_case")
     if best is not None and str(best) not in cases:
         raise InputError(f"best_case {best!r} is not a case of parameters.csv ({', '.join(cases)})", place=path)
     return None if best is None else str(best)

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from calib.errors import InputError
 from calib.report.scene import PLACE, plot_coordinates, view_directions
 from calib.report.shown import Folder
-from calib.table import read_table
+from calib.report.tables import read_table
 
 FACE, BORDER, LINE = 0, 1, 2
 
@@ -69,7 +69,7 @@ def read_mesh(folder: Folder) -> Mesh | None:
         return None
     numbers = ["point", *PLACE]
     mesh = Mesh(
-        read_table(points, [], numbers, complete=numbers, unique="point"),
+        read_table(points, [], numbers, complete=numbers),
         read_table(elements, ["group"], ["a", "b", "c", "d"], complete=["a", "b"], may_be_empty=True),
     )
     check_mesh(mesh, elements)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import textwrap
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib import font_manager
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from calib.written import replacing
 
@@ -37,6 +41,15 @@ WIDTH = 8.0
 """Width of a figure in inches: 1200 pixels at `DPI`, so that text is seen at the size chosen here."""
 DPI = 150
 SYNTHETIC = "synthetic measurement"
+
+FALLBACKS = (
+    *("Noto Sans CJK SC", "Noto Sans SC", "Source Han Sans SC", "Microsoft YaHei", "SimHei", "PingFang SC"),
+    *("Hiragino Sans GB", "WenQuanYi Micro Hei", "WenQuanYi Zen Hei", "Yu Gothic", "Malgun Gothic", "Arial Unicode MS"),
+)
+"""Fonts for characters that the first one lacks; those of them that a machine has are used."""
+NO_GLYPH = "boxes stand for characters that no font of this machine has"
+_POWER = re.compile(r"\$\\mathdefault\{[^$]*\}\$")
+"""What the library itself writes at a logarithmic axis."""
 
 SETTINGS: Any = {
     "font.family": "DejaVu Sans",
@@ -64,6 +77,8 @@ def style() -> Iterator[None]:
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(SETTINGS)
+        known = set(font_manager.get_font_names())
+        matplotlib.rcParams["font.family"] = [SETTINGS["font.family"], *(f for f in FALLBACKS if f in known)]
         yield
 
 
@@ -142,7 +157,27 @@ def add_heading(figure: Figure, title: str, synthetic: bool) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Save as PNG; a stop in between leaves the old picture or none."""
+    """Save as PNG; a stop in between leaves the old picture or none.
+
+    A dollar in a name is a dollar. Where no font has a character of a name, the picture says so.
+    """
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and "$" in text.get_text() and not _POWER.fullmatch(text.get_text()):
+            text.set_parse_math(False)
     with replacing(path) as draft:
-        figure.savefig(draft, format="png", dpi=DPI, facecolor="white")
+        if _lacks_glyphs(figure, draft):
+            figure.text(0.995, 0.003, NO_GLYPH, ha="right", va="bottom", fontsize=6.5, color=GREY)
+            _lacks_glyphs(figure, draft)
     return path
+
+
+def _lacks_glyphs(figure: Figure, draft: Path) -> bool:
+    """Write a picture; whether a font lacked a character."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        figure.savefig(draft, format="png", dpi=DPI, facecolor="white")
+    missing = [w for w in caught if "missing from font" in str(w.message)]
+    for other in caught:
+        if other not in missing:
+            warnings.warn_explicit(other.message, other.category, other.filename, other.lineno)
+    return bool(missing)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,6 +11,9 @@ import numpy as np
 from calib.errors import InputError
 from models.fem.nodes import MERGE
 from models.fem.section import Section
+
+_MOST_ELEMENTS = 10_000
+"""Of one member; more can only be a mistake."""
 
 Point = tuple[float, float, float]
 
@@ -64,6 +68,12 @@ class Member:
                 f"its reference direction up = {self.up} lies along it",
                 place=f"member {self.body}/{self.group}",
                 remedy="choose one across the beam",
+            )
+        if not length / _MOST_ELEMENTS <= self.size < math.inf:
+            raise InputError(
+                f"its largest element length is {self.size} m",
+                place=f"member {self.body}/{self.group}",
+                remedy=f"give a positive one that makes at most {_MOST_ELEMENTS} elements, such as 0.075",
             )
         cuts = [0.0, 1.0]
         for point in self.through:

@@ -36,6 +36,7 @@ from models.railway.running_gear import running_gear
 
 BOGIES = (("front", BOGIE_X), ("rear", -BOGIE_X))
 _SIZE = 0.15
+_REFINEMENTS = (1, 2, 4, 8, 16)
 
 ASSUMPTIONS: tuple[Assumption, ...] = (
     Assumption("mass of the further equipment that m_base, m_walls and m_cover share", f"{OTHERS:g}", "kg",
@@ -91,8 +92,8 @@ SeatMounting = Literal["sprung", "rigid"]
 
 def assembly(refine: int = 1, distributed: bool = False, seats: SeatMounting = "sprung") -> Assembly:
     """Geometry, springs and masses; for the arguments see `vehicle`."""
-    if refine < 1 or refine & (refine - 1):
-        raise InputError(f"refine is {refine}", place="vehicle", remedy="give 1, 2, 4, ...: edges are halved")
+    if refine not in _REFINEMENTS:
+        raise InputError(f"refine is {refine}", place="vehicle", remedy="give 1, 2, 4, 8 or 16: edges are halved")
     if seats not in get_args(SeatMounting):
         raise InputError(f"seats are {seats!r}", place="vehicle", remedy='give "sprung" or "rigid"')
     body, fitted, seated = car_body(refine.bit_length() - 1), equipment(), passenger_seats(seats == "sprung")

@@ -2,13 +2,14 @@ import json
 import os
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
 from calib.errors import InputError
 from calib.report import draw
 from calib.report.draw import draw_all, read_table
-from calib.report.style import SYNTHETIC, add_heading, new_figure
+from calib.report.style import NO_GLYPH, SYNTHETIC, add_heading, new_figure, save, style
 
 ALL = [
     "comparison",
@@ -238,3 +239,24 @@ def test_the_users_own_settings_do_not_matter_and_are_kept(folder, saved):
         draw_all(folder, "Bogie", False)
         assert matplotlib.rcParams["font.size"] == 30.0
     assert saved["convergence"].axes[0].xaxis.label.get_fontsize() == 9
+
+
+@pytest.mark.parametrize("name", ["a price of 5 $ and 6 $", "$x^{2", "bridge \u6865\u6881 $\\alpha$"])
+def test_any_name_can_be_drawn_without_a_word(folder, name, recwarn):
+    table = pd.read_csv(folder / "modes.csv").assign(mode=[f"{k} {name}" for k in range(3)])
+    table.to_csv(folder / "modes.csv", index=False)
+    written = {p.stem for p in draw_all(folder, name, False)}
+    assert set(ALL) <= written and not recwarn.list
+
+
+def test_missing_characters_are_told_in_the_picture_and_powers_stay_powers(tmp_path):
+    with style():
+        figure = new_figure(2.0)
+        ax = figure.add_subplot()
+        ax.set_title("\U000f1234")  # for private use: in no font
+        ax.plot([1, 1000], [1, 1000])
+        ax.set_yscale("log")
+        figure.canvas.draw()
+        save(figure, tmp_path / "a.png")
+    assert NO_GLYPH in all_words(figure)
+    assert any("mathdefault" in t.get_text() and t.get_parse_math() for t in ax.get_yticklabels())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,10 +10,36 @@ from typing import Any
 import pandas as pd
 
 from calib.errors import InputError
+from calib.named_values import ANY, read_json
 from calib.report.shown import Folder
-from calib.table import read_table
+from calib.report.tables import read_table
 
 STAGES = ("before", "after")
+_QUESTION = {
+    "when": str, "quick": bool, "versions": {ANY: str}, "seeds": {ANY: float}, "sentences": [str],
+}  # fmt: skip
+RECORD = {
+    "study": str, "model": str, "adopted": {ANY: float}, "adopted_from": str, "effects_known": float,
+    "effects_in_model": [str], "files": [str], "repeats": float, "notes": [str], "questions": {ANY: _QUESTION},
+}  # fmt: skip
+_FIGURES = {
+    name: float
+    for name in (
+        *("misfit", "search_misfit", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before"),
+        *("mean_mac_after", "noise_mac", "seconds", "evaluations", "solved", "infeasible", "failed"),
+    )
+}
+SUMMARY = {"best_case": str, "method": str, **_FIGURES, "cases": {ANY: _FIGURES}}
+EXPLANATION = {
+    "verdict": str, "sentence": str, "sentences": [str], "notes": [str], "chosen": [str], "credible_set": [str],
+    "p_family": float, "p_fit": float, "adequacy_p_family": float, "adequacy_p_fit": float, "evaluations": float,
+    "errors": {ANY: {"before": float, "after": float}},
+}  # fmt: skip
+ADDED = {
+    "sentence": str, "conclusion": str, "effects": [{"name": str}], "study": str, "mean_freq_error": float,
+    "mean_mac": float,
+}  # fmt: skip
+"""Kinds of the named values that the page reads, by file."""
 
 
 @dataclass(frozen=True)
@@ -41,22 +66,25 @@ class Answers:
     @cached_property
     def record(self) -> dict[str, Any]:
         """``record.json``: what the answers stand on."""
-        return self._json("record")
+        return self._json("record", RECORD)
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """``summary.json`` of a calibration."""
-        return self._json("summary")
+        return self._json("summary", SUMMARY, ("mean_freq_error_before", "mean_freq_error_after"))
 
     @cached_property
     def explanation(self) -> dict[str, Any]:
         """``explanation.json``."""
-        return self._json("explanation")
+        return self._json("explanation", EXPLANATION)
 
     @cached_property
     def added(self) -> dict[str, Any]:
         """``added.json``: what was added after an explanation, or why nothing was."""
-        return self._json("added")
+        found = self._json("added", ADDED, ("sentence",))
+        if found.get("effects") and not {"study", "mean_freq_error", "mean_mac"} <= found.keys():
+            raise InputError("it is not whole", place=self.folder / "added.json", remedy="ask the question again")
+        return found
 
     @property
     def added_names(self) -> tuple[str, ...]:
@@ -84,8 +112,7 @@ class Answers:
     @property
     def questions(self) -> Mapping[str, Mapping[str, Any]]:
         """What was asked, and with which versions and seeds."""
-        asked = self.record.get("questions", {})
-        return asked if isinstance(asked, dict) else {}
+        return dict(self.record.get("questions", {}))
 
     @property
     def name(self) -> str:
@@ -115,14 +142,6 @@ class Answers:
         value = self.summary.get("noise_mac")
         return float("nan") if value is None else float(value)
 
-    def _json(self, name: str) -> dict[str, Any]:
+    def _json(self, name: str, kinds: Mapping[Any, Any], required: Sequence[str] = ()) -> dict[str, Any]:
         path = self.folder / f"{name}.json"
-        if not path.exists():
-            return {}
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as problem:
-            raise InputError(f"it cannot be read: {problem}", place=path, remedy="ask the question again") from problem
-        if not isinstance(content, dict):
-            raise InputError("it holds no named values", place=path, remedy="ask the question again")
-        return content
+        return read_json(path, kinds, required) if path.exists() else {}

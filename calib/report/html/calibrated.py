@@ -85,9 +85,7 @@ def _known(value: float | None) -> float:
 
 def _verdicts(answers: Answers, best: str) -> list[Block]:
     numbers = ["value", "ratio", "std", "spread"]
-    table = answers.table(
-        "verdicts", ["parameter", "unit", "sentence"], numbers, flags=["identified"], unique="parameter"
-    )
+    table = answers.table("verdicts", ["parameter", "unit", "sentence"], numbers, flags=["identified"])
     if table is None:
         return []
     rows = tuple(

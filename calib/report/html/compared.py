@@ -114,7 +114,7 @@ def _summary(stage: str, table: pd.DataFrame, shapes: bool) -> str:
 
 def mac_plot(answers: Answers, stage: str) -> list[Plot]:
     """MAC of every measured mode with every mode of the model."""
-    table = answers.table(f"mac_{stage}", ["mode"], others_are_numbers=True, unique="mode")
+    table = answers.table(f"mac_{stage}", ["mode"], others_are_numbers=True)
     if table is None:
         return []
     columns = [c for c in table.columns if c != "mode"]
@@ -148,9 +148,7 @@ def _shapes(answers: Answers) -> list[Block]:
 
 def comac_plot(answers: Answers) -> list[Plot]:
     """CoMAC of the sensors before and after, worst first."""
-    stages = {
-        s: t for s in COLOURS if (t := answers.table(f"comac_{s}", ["sensor"], ["comac"], unique="sensor")) is not None
-    }
+    stages = {s: t for s in COLOURS if (t := answers.table(f"comac_{s}", ["sensor"], ["comac"])) is not None}
     if not stages:
         return []
     newest = list(stages.values())[-1].set_index("sensor")["comac"]

@@ -51,7 +51,6 @@ def effects_table(answers: Answers) -> pd.DataFrame | None:
         flags=["visible", "refitted", "credible"],
         blank=["unit", "implausible", "confounded_with", "stands_for", "lacks", "look_for"],
         unbounded=["phi_min"],
-        unique="name",
     )
     return None if table is None else ranked(table)
 
@@ -201,7 +200,7 @@ def _physics(table: pd.DataFrame) -> list[Table]:
 
 
 def _confounding(answers: Answers) -> list[Plot]:
-    table = answers.table("confounding", ["effect"], others_are_numbers=True, unique="effect")
+    table = answers.table("confounding", ["effect"], others_are_numbers=True)
     if table is None:
         return []
     names = table["effect"].astype(str).tolist()

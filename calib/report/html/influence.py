@@ -36,9 +36,7 @@ def section(answers: Answers) -> Section | None:
 
 def _selection(answers: Answers) -> list[Block]:
     numbers = [name for measure in MEASURES for name in (f"max_{measure}", f"{measure}_floor")]
-    table = answers.table(
-        "selection", ["parameter", "why"], numbers, flags=["measured", "selected"], unique="parameter"
-    )
+    table = answers.table("selection", ["parameter", "why"], numbers, flags=["measured", "selected"])
     if table is None:
         return []
     names = table["parameter"].astype(str).tolist()
@@ -86,7 +84,7 @@ def _matrix(answers: Answers) -> list[Plot]:
     found = [
         (label, colours, span, table)
         for name, label, colours, span in _MATRICES
-        if (table := answers.table(name, ["parameter"], others_are_numbers=True, unique="parameter")) is not None
+        if (table := answers.table(name, ["parameter"], others_are_numbers=True)) is not None
     ]
     if not found:
         return []
@@ -141,7 +139,7 @@ def _label(response: str) -> str:
 
 
 def _inputs(answers: Answers) -> list[Plot]:
-    table = answers.table("input_correlation", ["parameter"], others_are_numbers=True, unique="parameter")
+    table = answers.table("input_correlation", ["parameter"], others_are_numbers=True)
     if table is None or len(table) < 2:
         return []
     names = table["parameter"].astype(str).tolist()

@@ -212,7 +212,7 @@ def _mode_table(answers: Answers, name: str, called: Mapping[str, str], caption:
     kinds = ("damped_freq", "error", "mac")
     numbers = [f"{kind}_{stage}" for kind in kinds for stage in ("before", "after")]
     table = answers.table(
-        name, ["mode"], ["damped_freq_measured", *numbers], flags=["withheld"], unique="mode",
+        name, ["mode"], ["damped_freq_measured", *numbers], flags=["withheld"],
         if_there=[f"{kind}_initial" for kind in kinds],
     )  # fmt: skip
     if table is None:

@@ -172,3 +172,9 @@ def test_a_hinged_end_is_seen_by_points_beside_it():
 def test_a_reference_direction_along_the_beam_is_refused():
     with pytest.raises(InputError, match="up"):
         Frame((member("b", "g", (0, 0, 0), (0, 1, 0), up=(0.0, 1.0, 0.0)),)).beams()
+
+
+@pytest.mark.parametrize("size", [-1.0, 0.0, np.nan, np.inf, 1e-9])
+def test_an_element_length_that_makes_no_mesh_is_refused(size):
+    with pytest.raises(InputError, match="largest element length"):
+        Frame((member("a", "beam", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), size),))

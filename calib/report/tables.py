@@ -1,0 +1,57 @@
+"""Tables of a results folder, read and checked for figures and page; no row may be told twice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from calib import table
+
+KEYS = {
+    "added_errors": ("group", "stage"),
+    "added_modes": ("mode",),
+    "added_parameters": ("parameter",),
+    "comac": ("sensor",),
+    "confounding": ("effect",),
+    "confounded": ("parameter_a", "parameter_b"),
+    "convergence": ("case", "generation"),
+    "data_errors": ("group",),
+    "deflection": ("mode", "point"),
+    "effects": ("name",),
+    "errors": ("group", "stage"),
+    "influence": ("parameter",),
+    "input_correlation": ("parameter",),
+    "mac": ("mode",),
+    "mesh_points": ("point",),
+    "misfit_kinds": ("stage", "mode", "kind"),
+    "model_modes": ("mode",),
+    "modes": ("mode",),
+    "parameter_space": ("parameter",),
+    "parameters": ("case", "parameter"),
+    "partial": ("parameter",),
+    "predictions": ("mode",),
+    "response_misfit": ("stage", "response"),
+    "selection": ("parameter",),
+    "sensitivity": ("parameter",),
+    "sensor_misfit": ("stage", "mode", "sensor"),
+    "sensors": ("sensor",),
+    "shapes": ("mode", "sensor"),
+    "strain": ("model", "parameter"),
+    "verdicts": ("parameter",),
+    "versions": ("version", "group"),
+    "where_it_fails": ("kind", "what"),
+}
+"""Columns that tell the rows of a table apart, by its name without the stage."""
+STAGES = ("_initial", "_before", "_after")
+
+
+def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
+    """Read a table as `calib.table.read_table` does, its rows told apart by their `KEYS`."""
+    name = path.stem
+    for stage in STAGES:
+        name = name.removesuffix(stage)
+    more.setdefault("unique", KEYS.get(name, ()))
+    return table.read_table(path, text, numbers, **more)
