@@ -28,6 +28,7 @@ from calib.report.draw import draw_all
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.results import Results
+from calib.settings import possible_path
 from calib.study import Study, shell_argument
 from calib.written import is_own, kept
 
@@ -41,8 +42,22 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", help="Folder with a study.toml.")]
-ResultsPath = Annotated[Path, typer.Option("--results", metavar="DIR", help="Where <study>/ with the results goes.")]
+
+def _possible(path: Path) -> Path:
+    try:
+        return Path(possible_path(str(path)))
+    except ValueError as fault:
+        name = path.name if len(path.name) <= 60 else f"{path.name[:57]}..."
+        raise InputError(str(fault), place=name, remedy="name another place") from None
+
+
+StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", callback=_possible, help="Folder with a study.toml.")]
+ResultsPath = Annotated[
+    Path, typer.Option("--results", metavar="DIR", callback=_possible, help="Where <study>/ with the results goes.")
+]
+NewFolder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", callback=_possible, help="A folder that does not exist yet.")
+]
 Quick = Annotated[
     bool, typer.Option("--quick", help="A small search for a first look; its results go to a sub-folder quick/.")
 ]
@@ -72,7 +87,7 @@ class CalibrationMethod(StrEnum):
 
 
 @app.command()
-def new(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder that does not exist yet.")]) -> None:
+def new(folder: NewFolder) -> None:
     """Write an annotated example study with its own model and data."""
     for path in write_example(folder):
         console.say(str(path))
@@ -150,7 +165,9 @@ def explain(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
 def extend(
     study: StudyPath,
     effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Of the study's library of effects.")],
-    into: Annotated[Path, typer.Option("--into", metavar="FOLDER", help="A folder that does not exist yet.")],
+    into: Annotated[
+        Path, typer.Option("--into", metavar="FOLDER", callback=_possible, help="A folder that does not exist yet.")
+    ],
     results: ResultsPath = DEFAULT_RESULTS,
 ) -> None:
     """Write a new study whose model has one effect more, or several; the old one stays as it is."""
@@ -364,6 +381,7 @@ def _draw(study: Study, folder: Results, root: Path, whole_report: bool = False)
 def main() -> None:
     """Entry point of the command."""
     interrupt.once()
+    console.write_to_any_code_page()
     sys.exit(answer(sys.argv[1:]))
 
 

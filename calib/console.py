@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import math
 import sys
 import traceback
@@ -38,6 +40,26 @@ WORST_SHOWN = 8
 """Rows of where a model fails, which the table beside it tells whole."""
 ASSUMPTIONS_SHOWN = 60
 """Assumed values; a longer list, such as the vehicle's of 88, is better read in its file."""
+
+
+_PLAIN = str.maketrans({"\u2212": "-", "\u2013": "-", "\u2014": "-", "\u2192": "->", "\u00d7": "x", "\u2026": "..."})
+"""For streams whose code page has no such characters."""
+
+
+def _in_code_page(fault: UnicodeError) -> tuple[str, int]:
+    """What stands for characters that a stream cannot write: a plain one of the same meaning, or a question mark."""
+    if not isinstance(fault, UnicodeEncodeError):
+        raise fault
+    text = fault.object[fault.start : fault.end].translate(_PLAIN)
+    return "".join(c if c.isascii() else "?" for c in text), fault.end
+
+
+def write_to_any_code_page() -> None:
+    """Let output go to a terminal or file of any code page; no character ends a command."""
+    codecs.register_error("calib", _in_code_page)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower().replace("-", "") != "utf8":
+            stream.reconfigure(errors="calib")
 
 
 def say(text: str = "") -> None:

@@ -351,6 +351,8 @@ def _explaining(path: Path) -> Iterator[None]:
         yield
     except sqlite3.Error as fault:
         raise _explained(fault, path) from None
+    except UnicodeDecodeError:  # a text in it, or in SQLite's complaint about it, is no text any more
+        raise _explained(sqlite3.DatabaseError("malformed"), path) from None
 
 
 _REMEDIES = (

@@ -1,0 +1,48 @@
+"""A ledger whose bytes have changed is used or refused in one sentence; nothing else happens."""
+
+import random
+
+import pytest
+
+from calib.errors import InputError
+from calib.ledger import Asked, Ledger, key_of
+from calib.outcome import Outcome
+
+POINTS = [{"a": float(k), "b": 2.0} for k in range(60)]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Bytes of a ledger with two batches and one generation."""
+    path = tmp_path_factory.mktemp("ledger") / "whole.sqlite"
+    with Ledger.open(path) as ledger:
+        ledger.append("f", [Outcome(p, "ok", {"r": p["a"]}, "", 0.1) for p in POINTS])
+        ledger.record("run", "f", 0, [Asked(key_of(p), "ok", p["a"]) for p in POINTS[:20]])
+    return path.read_bytes()
+
+
+def damaged(data, rng):
+    out = bytearray(data)
+    for _ in range(rng.choice((1, 1, 3, 20, 200))):
+        at = rng.randrange(len(out))
+        out[at] = rng.choice((0, 255, rng.randrange(256), out[at] ^ (1 << rng.randrange(8))))
+    return bytes(out[: rng.randrange(len(out))] if rng.random() < 0.1 else out)
+
+
+def test_a_damaged_ledger_is_used_or_refused(whole, tmp_path):
+    told = set()
+    for number in range(200):
+        path = tmp_path / f"{number}.sqlite"
+        path.write_bytes(damaged(whole, random.Random(number)))
+        try:
+            with Ledger.open(path, busy_seconds=1.0) as ledger:
+                found = ledger.lookup("f", map(key_of, POINTS))
+                assert all(isinstance(outcome, Outcome) for outcome in found.values())
+                ledger.count("f"), ledger.other_fingerprints("g"), ledger.history("run")
+                ledger.append("f", [Outcome({"a": 99.0, "b": 1.0}, "ok", {"r": 1.0}, "", 0.1)])
+                ledger.record("run", "f", 1, [Asked(key_of(p), "ok", 1.0) for p in POINTS[5:25]])
+            told.add("used")
+        except InputError as fault:
+            assert path.name in str(fault) and "\n" not in str(fault)
+            told.add("refused")
+    assert told == {"used", "refused"}
