@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -95,9 +96,9 @@ def unpaired_sentence(table: pd.DataFrame, model: str) -> str:
     words = f"{model} has no partner for {told}."
     rigid = table[table["looks_rigid"]]
     if len(rigid):
-        least = 100 * rigid["rigid_share"].min()
+        least = math.floor(100 * rigid["rigid_share"].min())
         words += (
             f" At the sensors {', '.join(rigid['mode'])} move{'s' if len(rigid) == 1 else ''} like a rigid body "
-            f"({least:.0f} % of the power or more): what does the structure stand or hang on?"
+            f"(at least {least} % of the power): what does the structure stand or hang on?"
         )
     return words

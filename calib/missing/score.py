@@ -45,6 +45,9 @@ class Scores:
         Score, and the share ``|P g|/|g|`` that the parameters cannot absorb.
     signed : ndarray (m,), bool
         Whether a negative score counts too.
+    onset : ndarray (m,)
+        Size of the strength below which a column says nothing: where it pairs a further measured mode, that of its
+        point, since it does so from some strength on and not in proportion to it; else 0.
     """
 
     owners: tuple[str, ...]
@@ -55,6 +58,7 @@ class Scores:
     z: np.ndarray
     gamma: np.ndarray
     signed: np.ndarray
+    onset: np.ndarray
 
     @property
     def strength(self) -> np.ndarray:
@@ -77,6 +81,7 @@ class Scores:
             z=self.z[kept],
             gamma=self.gamma[kept],
             signed=self.signed[kept],
+            onset=self.onset[kept],
         )
 
     def best(self, name: str) -> int:
@@ -119,6 +124,7 @@ def scores(
     owners = [e.name for e in plain]
     points: list[Mapping[str, float]] = [{} for _ in plain]
     columns = [-state.question.jacobian(state.values, owners)] if plain else []
+    onset = [0.0] * len(plain)
     for effect in candidates:
         for point in (*effect.grid, *([further[effect.name]] if effect.name in further else [])):
             try:
@@ -127,6 +133,7 @@ def scores(
                 continue
             owners.append(effect.name)
             points.append(point)
+            onset.append(abs(point[effect.name]) if point is further.get(effect.name) else 0.0)
             columns.append(((state.residual - changed) / point[effect.name])[:, None])
     raw = np.hstack(columns) if columns else np.zeros((len(state.residual), 0))
     outside = state.outside(raw)
@@ -144,6 +151,7 @@ def scores(
         z=unit.T @ state.augmented,
         gamma=np.where(whole > 0, np.where(seen, size, 0.0) / np.maximum(whole, 1e-300), 0.0),
         signed=np.array([two_sided[name] for name in owners], dtype=bool),
+        onset=np.array(onset),
     )
 
 

@@ -21,9 +21,8 @@ def smallest_visible(found: Scores, name: str) -> float:
 
     To first order; see `visible_within_limits` for effects that grow faster than that.
     """
-    sizes = [found.size[k] for k, owner in enumerate(found.owners) if owner == name]
-    largest = max(sizes, default=0.0)
-    return DETECTABLE / float(largest) if largest > 0 else math.inf
+    own = [k for k, owner in enumerate(found.owners) if owner == name and found.size[k] > 0]
+    return min((max(DETECTABLE / float(found.size[k]), float(found.onset[k])) for k in own), default=math.inf)
 
 
 def visible_within_limits(question: Question, state: State, effect: Effect) -> float:
