@@ -106,9 +106,8 @@ def tell_stale(rows: int) -> None:
 def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
     """The comparison before anything is fitted."""
     _tell_withheld(study)
-    if study.measured is not None:
-        for note in study.measured.notes:
-            say(f"Measurement: {note}.")
+    for note in study.measurement_notes:
+        say(f"Measurement: {note}.")
     for sentence in check_repeats(study):
         _out.print(sentence, style="yellow")
     for hint in answer.hints:

@@ -14,10 +14,10 @@ from calib.errors import InputError
 from calib.function import FunctionModel
 from calib.limits import parameter_hints, search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, with_effects
-from calib.measurement.csv_format import read_responses_csv
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_measurement
+from calib.measurement.responses import MeasuredResponses, read_responses
 from calib.settings import StudySettings, line_of, read_settings
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
@@ -62,6 +62,8 @@ class Study:
         All values before any calibration, those taken over as the model itself has them.
     hints : tuple of str
         Values that look like other units than the model's parameters are in.
+    responses : MeasuredResponses or None
+        The plain responses with nothing withheld and the repeats behind them; None for a model with modes.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Study:
     adopted_sd: Mapping[str, float] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
+    responses: MeasuredResponses | None = None
 
     @property
     def synthetic(self) -> bool:
@@ -89,7 +92,22 @@ class Study:
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
         """Where one repeat of the measurement disagrees with the others."""
-        return () if self.whole is None else self.whole.disagreements
+        given = self.whole or self.responses
+        return () if given is None else given.disagreements
+
+    @property
+    def measurement_notes(self) -> tuple[str, ...]:
+        """What a reader of the measurement must know."""
+        given = self.whole or self.responses
+        return () if given is None else given.notes
+
+    @property
+    def repeats(self) -> int | None:
+        """Repeats behind the measured values; None where a study of plain responses does not tell."""
+        if self.whole is not None:
+            return self.whole.n_repeats
+        told = None if self.responses is None else self.responses.repeats
+        return self.settings.measurement.repeats if told is None else told
 
     @property
     def included(self) -> tuple[Effect, ...]:
@@ -231,7 +249,8 @@ class _Reader:
         taken = self.settings.adopted.parameters if self.settings.adopted else ()
         initial = {**space.values, **{name: model.space[name].value for name in taken}}
         model = replace(model, space=space)
-        whole, whole_targets = self._measurement(model)
+        whole, responses = self._measurement(model)
+        whole_targets = {} if responses is None else responses.targets
         measured, targets = self._used(whole, whole_targets)
         problem: Problem
         if isinstance(model, FunctionModel):
@@ -246,7 +265,7 @@ class _Reader:
         return Study(
             self.folder.name, self.file, self.settings, model, measured, targets, problem, space, selected,
             whole, whole_targets, library, dict(adopted), {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial,
-            hints,
+            hints, responses,
         )  # fmt: skip
 
     # -- measurement ---------------------------------------------------------------------------------------------------
@@ -259,7 +278,7 @@ class _Reader:
             )
         return path
 
-    def _measurement(self, model: Model) -> tuple[MeasuredModes | None, Targets]:
+    def _measurement(self, model: Model) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
         """Everything that was measured."""
         given = self.settings.measurement
         if isinstance(model, FunctionModel) != bool(given.responses):
@@ -270,7 +289,7 @@ class _Reader:
                 f"the model {model.name!r} is compared with measured {words}", place=self.place("measurement")
             )
         if given.responses:
-            return None, read_responses_csv(self._path(given.responses, "measurement", "responses"))
+            return None, read_responses(self._path(given.responses, "measurement", "responses"), given.pooling)
         measured = read_measurement(
             [self._path(f, "measurement", "files") for f in given.files],
             shape_files=[self._path(f, "measurement", "shapes") for f in given.shapes],
@@ -281,7 +300,7 @@ class _Reader:
             pooling=given.pooling,
             synthetic=given.synthetic,
         )
-        return measured, {}
+        return measured, None
 
     def _used(self, whole: MeasuredModes | None, whole_targets: Targets) -> tuple[MeasuredModes | None, Targets]:
         """What was measured and is not withheld."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,24 +21,34 @@ FINEST = 1e-12
 """Share of a value below which no measurement's standard deviation can be."""
 
 
-def read_modes_csv(path: Path) -> Repeat:
-    """Frequencies and damping from a table ``mode, freq, freq_kind, freq_std, damping, damping_std``.
+ONE = ""
+"""Label of the repeat of a table without a column ``repeat``."""
 
-    Frequencies and their deviations in Hz, damping as a ratio; the last three columns may be absent or empty. A damped
+
+def read_modes_csv(path: Path) -> dict[str, Repeat]:
+    """Frequencies and damping from a table ``mode, freq, freq_kind, freq_std, damping, damping_std, repeat``.
+
+    Frequencies and their deviations in Hz, damping as a ratio; the last four columns may be absent or empty. A damped
     frequency is turned into the natural one, ``natural = damped / sqrt(1 - damping**2)``, and so is its deviation;
-    where the damping is unknown the two are taken as equal.
+    where the damping is unknown the two are taken as equal. With a column ``repeat`` the table holds many repeats, each
+    under a label of its own; a mode that a repeat lacks has no line there.
+
+    Returns
+    -------
+    dict
+        Repeats by their labels, in the order of the file; `ONE` is the label of a table without that column.
 
     Raises
     ------
     InputError
         With file, line and column, for anything that is no such table.
     """
-    names: list[str] = []
-    values = []
-    for row in read_rows(path, ("mode", "freq", "freq_kind"), ("freq_std", "damping", "damping_std")):
-        name = row.text("mode")
-        if name in names:
-            raise row.error("mode", f"mode {name!r} appears twice", "give every mode one line")
+    found: dict[str, dict[str, tuple[float, float, float, float]]] = {}
+    optional = ("freq_std", "damping", "damping_std", "repeat")
+    for row in read_rows(path, ("mode", "freq", "freq_kind"), optional):
+        name, modes = row.text("mode"), found.setdefault(_label(row), {})
+        if name in modes:
+            raise row.error("mode", f"mode {name!r} appears twice", "give every mode one line, or one a repeat")
         freq, kind, damping = row.number("freq"), row.text("freq_kind"), row.optional("damping")
         if not 0 < freq < FREQ_LIMIT:
             raise row.error("freq", f"frequency {freq:g} Hz is outside (0, {FREQ_LIMIT:g})", "give it in Hz")
@@ -54,11 +64,21 @@ def read_modes_csv(path: Path) -> Repeat:
         factor = 1.0
         if kind == "damped" and not math.isnan(damping):
             factor = 1.0 / math.sqrt(1.0 - damping**2)
-        names.append(name)
-        values.append((freq * factor, deviations[0] * factor, damping, deviations[1]))
-    table = np.array(values)
-    freqs, freq_stds, dampings, damping_stds = table.T.copy()
-    return Repeat(str(path), tuple(names), True, freqs, freq_stds, dampings, damping_stds)
+        modes[name] = (freq * factor, deviations[0] * factor, damping, deviations[1])
+    out = {}
+    for label, modes in found.items():
+        freqs, freq_stds, dampings, damping_stds = np.array(list(modes.values())).T.copy()
+        out[label] = Repeat(_source(path, label), tuple(modes), True, freqs, freq_stds, dampings, damping_stds)
+    return out
+
+
+def _label(row: Row) -> str:
+    """Label of the repeat that a line belongs to."""
+    return row.text("repeat") if "repeat" in row.cells else ONE
+
+
+def _source(path: Path, label: str) -> str:
+    return str(path) if label == ONE else f"{path}, repeat {label}"
 
 
 def _deviation(row: Row, column: str, value: float, most: float) -> float:
@@ -86,24 +106,37 @@ def parse_direction(text: str) -> tuple[str, int] | None:
     return (bare.lower(), sign) if bare.lower() in DIRECTIONS else None
 
 
-def read_shapes_csv(path: Path, names: Sequence[str]) -> ShapeSet:
-    """Shapes from a table ``mode, node, direction, re, im, std``, columns in the order of ``names``.
+def read_shapes_csv(path: Path, names: Mapping[str, Sequence[str]]) -> dict[str, ShapeSet]:
+    """Shapes from a table ``mode, node, direction, re, im, std, repeat``, columns in the order of ``names``.
 
     ``im`` (zero) and ``std`` (unknown) may be absent or empty; a negative direction turns the sign of the shape; a
     sensor without a line for a mode was not measured in it (NaN).
 
+    Parameters
+    ----------
+    path : Path
+    names : mapping from label of a repeat to names of its modes
+        A table without a column ``repeat`` has the one label `ONE`.
+
+    Returns
+    -------
+    dict
+        Shapes by the labels of the repeats.
+
     Raises
     ------
     InputError
-        With file, line and column, for anything that is no such table, unknown modes, and sensors given twice.
+        With file, line and column, for anything that is no such table, unknown repeats and modes, and sensors given
+        twice.
     """
-    column = {name: k for k, name in enumerate(names)}
-    where: dict[tuple[int, str], int] = {}
-    entries: dict[tuple[int, int], tuple[complex, float]] = {}
-    for row in read_rows(path, ("mode", "node", "direction", "re"), ("im", "std")):
-        mode, node = row.text("mode"), row.node()
-        if mode not in column:
-            raise row.error("mode", f"unknown mode {mode!r}", f"the modes are {', '.join(names)}")
+    tables: dict[str, dict[tuple[tuple[int, str], str], tuple[complex, float]]] = {}
+    for row in read_rows(path, ("mode", "node", "direction", "re"), ("im", "std", "repeat")):
+        mode, node, label = row.text("mode"), row.node(), _label(row)
+        if label not in names:
+            known = ", ".join(one for one in names if one != ONE) or "not told: their table has no column 'repeat'"
+            raise row.error("repeat", f"unknown repeat {label!r}", f"the repeats of the modes are {known}")
+        if mode not in names[label]:
+            raise row.error("mode", f"unknown mode {mode!r}", f"the modes are {', '.join(names[label])}")
         parsed = parse_direction(row.text("direction"))
         if parsed is None:
             raise row.error(
@@ -112,7 +145,7 @@ def read_shapes_csv(path: Path, names: Sequence[str]) -> ShapeSet:
                 f"write {', '.join(DIRECTIONS)} or a code 1 to 6, with a minus sign if turned round",
             )
         direction, sign = parsed
-        key = (where.setdefault((node, direction), len(where)), column[mode])
+        entries, key = tables.setdefault(label, {}), ((node, direction), mode)
         if key in entries:
             raise row.error(
                 "direction", f"sensor {node}{direction} is given twice for mode {mode}", "remove one of the lines"
@@ -125,15 +158,31 @@ def read_shapes_csv(path: Path, names: Sequence[str]) -> ShapeSet:
         if not (math.isnan(std) or std == 0 or 1 / VALUE_LIMIT < std <= VALUE_LIMIT):
             raise row.error("std", f"standard deviation {std:g} is negative, too small or too large", "correct it")
         entries[key] = (value, std)
-    shapes = np.full((len(where), len(names)), complex(np.nan, np.nan))
+    return {label: _shape_set(path, label, entries, names[label]) for label, entries in tables.items()}
+
+
+def _shape_set(
+    path: Path,
+    label: str,
+    entries: Mapping[tuple[tuple[int, str], str], tuple[complex, float]],
+    names: Sequence[str],
+) -> ShapeSet:
+    sensors = tuple(dict.fromkeys(sensor for sensor, _ in entries))
+    where = {sensor: k for k, sensor in enumerate(sensors)}
+    column = {name: k for k, name in enumerate(names)}
+    shapes = np.full((len(sensors), len(names)), complex(np.nan, np.nan))
     std_table = np.full(shapes.shape, np.nan)
-    for key, (value, std) in entries.items():
+    for (sensor, mode), (value, std) in entries.items():
+        key = where[sensor], column[mode]
         shapes[key], std_table[key] = value, std
     for name, k in column.items():
         given = shapes[np.isfinite(shapes[:, k]), k]
         if given.size and np.max(np.abs(given)) < 1 / VALUE_LIMIT:
-            raise InputError(f"the shape of mode {name!r} is zero everywhere", place=path, remedy="leave its lines out")
-    return ShapeSet(str(path), tuple(where), shapes, std_table)
+            raise InputError(
+                f"the shape of mode {name!r} is zero everywhere", place=_source(path, label),
+                remedy="leave its lines out",
+            )  # fmt: skip
+    return ShapeSet(_source(path, label), sensors, shapes, std_table)
 
 
 def read_sensor_table(path: Path) -> dict[int, tuple[tuple[float, float, float], str | None]]:
@@ -158,28 +207,32 @@ def read_sensor_table(path: Path) -> dict[int, tuple[tuple[float, float, float],
     return places
 
 
-def read_responses_csv(path: Path) -> dict[str, tuple[float, float | None]]:
-    """Plain responses from a table ``response, value, std``; ``std`` may be absent or empty (unknown).
+def read_responses_csv(path: Path) -> dict[str, dict[str, tuple[float, float | None]]]:
+    """Plain responses from a table ``response, value, std, repeat``; ``std`` may be absent or empty (unknown).
+
+    With a column ``repeat`` the table holds many repeats, each under a label of its own; a response that a repeat
+    lacks has no line there.
 
     Returns
     -------
     dict
-        ``{response: (value, standard deviation or None)}``, each in the response's own unit.
+        ``{label of the repeat: {response: (value, standard deviation or None)}}``, each in the response's own unit;
+        `ONE` is the label of a table without that column.
 
     Raises
     ------
     InputError
         With file, line and column, for anything that is no such table, and responses given twice.
     """
-    found: dict[str, tuple[float, float | None]] = {}
-    for row in read_rows(path, ("response", "value"), ("std",)):
-        name, value = row.text("response"), row.number("value")
-        if name in found:
+    found: dict[str, dict[str, tuple[float, float | None]]] = {}
+    for row in read_rows(path, ("response", "value"), ("std", "repeat")):
+        name, value, own = row.text("response"), row.number("value"), found.setdefault(_label(row), {})
+        if name in own:
             raise row.error("response", f"response {name!r} is given twice", "remove one of the lines")
         if abs(value) > VALUE_LIMIT:
             raise row.error("value", f"a response above {VALUE_LIMIT:g} is not plausible", "correct it")
         std = _deviation(row, "std", value, VALUE_LIMIT)
         if 0 < std < 1 / VALUE_LIMIT:
             raise row.error("std", f"standard deviation {std:g} is too small", "correct it, or leave it empty")
-        found[name] = (value, None if math.isnan(std) else std)
+        own[name] = (value, None if math.isnan(std) else std)
     return found

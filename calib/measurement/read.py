@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from calib.errors import InputError
-from calib.measurement.csv_format import read_modes_csv, read_sensor_table, read_shapes_csv
+from calib.measurement.csv_format import ONE, read_modes_csv, read_sensor_table, read_shapes_csv
 from calib.measurement.disagreements import Pooling
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.places import Point, common_points
-from calib.measurement.repeats import Repeat, StdOf, combine_repeats
+from calib.measurement.repeats import Repeat, ShapeSet, StdOf, combine_repeats
 from calib.measurement.sensors import place_sensors
 from calib.measurement.uff import drop_unmeasured, read_uff
 
@@ -31,7 +31,7 @@ def read_measurement(
     pooling: Pooling = "robust",
     synthetic: bool = False,
 ) -> MeasuredModes:
-    """Read measured modes; each file is one repeat.
+    """Read measured modes; each file is one repeat, or a table with a column ``repeat`` holds them all.
 
     Parameters
     ----------
@@ -68,10 +68,13 @@ def read_measurement(
         read = drop_unmeasured([u.repeat for u in universal])
         points = common_points([(u.repeat.source, u.points) for u in universal], table)
     else:
-        read = [read_modes_csv(path) for path in paths]
-        # a single shapes file belongs to the mean; it rides on the first repeat
-        for k, path in enumerate(shapes):
-            read[k] = replace(read[k], shape_set=read_shapes_csv(path, read[k].names))
+        read = _tables(paths, shapes)
+        if repeats is not None and len(read) > 1 and repeats != len(read):
+            raise InputError(
+                f"the number of repeats is given as {repeats}, but the tables hold {len(read)}",
+                place=paths[0],
+                remedy="leave it out",
+            )
     combined = combine_repeats(read, std_of=std_of, count=repeats, mode_names=mode_names, pooling=pooling)
     placed = place_sensors(combined.sensors, points, table, paths[0], sensor_table)
     damping = combined.damping_ratio
@@ -95,6 +98,47 @@ def read_measurement(
         shape_count=_varied(combined.shape_count, n_repeats),
         disagreements=combined.disagreements,
         misplaced=placed.misplaced,
+    )
+
+
+def _tables(paths: Sequence[Path], shapes: Sequence[Path]) -> list[Repeat]:
+    """Repeats from modes tables, one each or all in one, with the shapes that go with them."""
+    tables = [read_modes_csv(path) for path in paths]
+    for path, table in zip(paths, tables, strict=True):
+        if len(tables) > 1 and ONE not in table:
+            raise InputError(
+                "it has a column 'repeat', but other files are given beside it",
+                place=path,
+                remedy="give every repeat its own file, or all of them in one table",
+            )
+    read = [repeat for table in tables for repeat in table.values()]
+    labels = list(tables[0])
+    names = {label: repeat.names for label, repeat in tables[0].items()}
+    if len(tables) > 1 or ONE in tables[0]:
+        # a single shapes file belongs to the mean; it rides on the first repeat
+        for k, path in enumerate(shapes):
+            own = read_shapes_csv(path, {ONE: read[k].names})
+            read[k] = replace(read[k], shape_set=own[ONE])
+        return read
+    everything = tuple(dict.fromkeys(name for own in names.values() for name in own))
+    for path in shapes:
+        for label, own_set in read_shapes_csv(path, {ONE: everything, **names}).items():
+            k = labels.index(label) if label != ONE else _whole(path, read, own_set, everything)
+            if label == ONE:
+                order = [everything.index(name) for name in read[k].names]
+                own_set = replace(own_set, shapes=own_set.shapes[:, order], std=own_set.std[:, order])
+            read[k] = replace(read[k], shape_set=own_set)
+    return read
+
+
+def _whole(path: Path, read: Sequence[Repeat], shapes: ShapeSet, names: Sequence[str]) -> int:
+    """The first repeat that holds all the modes of which shapes of the mean are given."""
+    given = {name for k, name in enumerate(names) if np.isfinite(shapes.shapes[:, k]).any()}
+    for k, repeat in enumerate(read):
+        if given <= set(repeat.names):
+            return k
+    raise InputError(
+        "no repeat holds all the modes of these shapes", place=path, remedy="give shapes with a column 'repeat'"
     )
 
 

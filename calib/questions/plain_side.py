@@ -35,7 +35,7 @@ class PlainSide:
     def of(cls, study: Study) -> PlainSide:
         """Raises InputError when there are too few responses to name anything."""
         assert isinstance(study.model, FunctionModel)
-        repeats = study.settings.measurement.repeats
+        repeats = study.repeats
         return cls(
             study,
             FunctionHypotheses(study.model, study.targets, study.search_space, study.candidates, repeats=repeats),

@@ -61,7 +61,7 @@ def write_record(
     results.write_table("repeat_disagreements", disagreements_table(study))
     results.write_table("assumptions", assumptions_table(study))
     results.write_table("parameter_space", study.model.space.frame())
-    given, whole = study.settings, study.whole
+    given = study.settings
     asked = {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "quick": quick,
@@ -80,8 +80,8 @@ def write_record(
         "effects_known": len(study.library),
         "effects_in_model": list(given.with_effects),
         "files": [*given.measurement.files, *given.measurement.shapes, *filter(None, [given.measurement.responses])],
-        "repeats": given.measurement.repeats if whole is None else whole.n_repeats,
-        "notes": [] if whole is None else list(whole.notes),
+        "repeats": study.repeats,
+        "notes": list(study.measurement_notes),
         "questions": {**{q: told for q, told in questions_of(results).items() if q != question}, question: asked},
     }
     results.write_json("record", record)
@@ -92,13 +92,17 @@ def measured_table(study: Study) -> pd.DataFrame:
 
     Of modes `MODE_COLUMNS`: frequencies and their standard deviations in Hz, damping as a ratio, and the number of
     repeats behind the frequency; of plain responses
-    ``response, withheld, value, std``. Standard deviations are those of the mean over the repeats.
+    ``response, withheld, value, std, repeats``. Standard deviations are those of the mean over the repeats.
     """
     held, whole = study.settings.withheld, study.whole
     if whole is None:
         unused = set(held.responses)
-        rows = [(n, n in unused, v, np.nan if s is None else s) for n, (v, s) in study.whole_targets.items()]
-        return pd.DataFrame(rows, columns=["response", "withheld", "value", "std"])
+        counts = {} if study.responses is None else study.responses.counts
+        rows = [
+            (n, n in unused, v, np.nan if s is None else s, counts.get(n, np.nan))
+            for n, (v, s) in study.whole_targets.items()
+        ]
+        return pd.DataFrame(rows, columns=["response", "withheld", "value", "std", "repeats"])
     columns = {
         "mode": list(whole.names),
         "withheld": [name in held.modes for name in whole.names],

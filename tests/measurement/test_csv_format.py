@@ -21,7 +21,7 @@ def write(folder, text, name="modes.csv"):
 
 def test_damped_frequencies_become_natural_ones_with_their_deviation(tmp_path):
     path = write(tmp_path, HEAD + "# a comment\n1BT, 8.0, damped, 0.16, 0.6, 0.01\n\n1BV,12.5,natural,,,\n")
-    repeat = read_modes_csv(path)
+    (repeat,) = read_modes_csv(path).values()
     assert repeat.names == ("1BT", "1BV")
     # sqrt(1 - 0.6**2) = 0.8
     np.testing.assert_allclose(repeat.natural_freq, [10.0, 12.5])
@@ -31,7 +31,7 @@ def test_damped_frequencies_become_natural_ones_with_their_deviation(tmp_path):
 
 
 def test_columns_of_deviations_and_damping_may_be_absent(tmp_path):
-    repeat = read_modes_csv(write(tmp_path, "\ufefffreq_kind,mode,freq\ndamped,a,3\n"))
+    (repeat,) = read_modes_csv(write(tmp_path, "\ufefffreq_kind,mode,freq\ndamped,a,3\n")).values()
     assert repeat.natural_freq.tolist() == [3.0]
     assert np.isnan(repeat.damping_ratio).all()
 
@@ -85,7 +85,7 @@ def test_directions(text, expected):
 
 def test_a_negative_direction_turns_the_shape(tmp_path):
     path = write(tmp_path, "mode,node,direction,re,im,std\na,1,y,1,0.5,0.1\na,2,-y,1,0.5,\nb,2,-2,3,,\n", "shapes.csv")
-    given = read_shapes_csv(path, ("a", "b"))
+    given = read_shapes_csv(path, {"": ("a", "b")})[""]
     assert given.sensors == ((1, "y"), (2, "y"))
     np.testing.assert_allclose(given.shapes, [[1 + 0.5j, np.nan], [-1 - 0.5j, -3]])
     np.testing.assert_allclose(given.std, [[0.1, np.nan], [np.nan, np.nan]])
@@ -106,7 +106,7 @@ def test_a_negative_direction_turns_the_shape(tmp_path):
 def test_a_mistake_in_the_shapes_table_is_named(tmp_path, lines, where):
     path = write(tmp_path, "mode,node,direction,re\n" + lines)
     with pytest.raises(InputError) as caught:
-        read_shapes_csv(path, ("a", "b"))
+        read_shapes_csv(path, {"": ("a", "b")})
     assert str(path) in str(caught.value)
     assert where in str(caught.value)
 
@@ -129,7 +129,7 @@ def test_the_sensor_table_gives_places_and_parts(tmp_path):
     ],
 )
 def test_plain_responses_as_spreadsheets_save_them(tmp_path, text):
-    assert read_responses_csv(write(tmp_path, text)) == {"p": (1.5, 0.1), "q": (-2.0, None)}
+    assert read_responses_csv(write(tmp_path, text)) == {"": {"p": (1.5, 0.1), "q": (-2.0, None)}}
 
 
 @pytest.mark.parametrize(

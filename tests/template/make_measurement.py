@@ -36,7 +36,9 @@ def main(folder: Path) -> None:
         shape = shapes[:, k] / np.abs(shapes[:, k]).max()
         for sensor, value in zip(layout, shape + STD_SHAPE * rng.standard_normal(len(layout)), strict=True):
             lines.append(f"{name},{sensor.node},{sensor.direction},{value:.5f},0,{STD_SHAPE}")
-    (folder / "modes.csv").write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
+    more = "# Many repeats in one table: add a column repeat (any label) here and in shapes.csv; "
+    more += "leave out the lines of what one lacks.\n"
+    (folder / "modes.csv").write_text(head + more + "\n".join(rows) + "\n", encoding="utf-8")
     (folder / "shapes.csv").write_text(head + "\n".join(lines) + "\n", encoding="utf-8")
     points = {s.node: s.point for s in layout}
     table = ["node,x,y,z,on"] + [f"{n},{p[0]},{p[1]},{p[2]},mast" for n, p in points.items()]

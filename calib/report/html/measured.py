@@ -79,22 +79,32 @@ def _modes(answers: Answers) -> list[Block] | None:
         ("std", "standard deviation of the mean, the scatter that everything below is measured by"),
         ("repeats", "repeats behind the frequency"),
     )
-    notes = [Words(f"{note[:1].upper()}{note[1:]}.", "told") for note in answers.record.get("notes", [])]
-    return [Words(told), *notes, Table("Measured modes", heads, rows, (8,)), Terms(terms)]
+    return [Words(told), *_notes(answers), Table("Measured modes", heads, rows, (8,)), Terms(terms)]
+
+
+def _notes(answers: Answers) -> list[Words]:
+    return [Words(f"{note[:1].upper()}{note[1:]}.", "told") for note in answers.record.get("notes", [])]
 
 
 def _responses(answers: Answers) -> list[Block] | None:
-    table = answers.table("measured", ["response"], ["value", "std"], flags=["withheld"], unique="response")
+    table = answers.table("measured", ["response"], ["value", "std", "repeats"], flags=["withheld"], unique="response")
     if table is None:
         return None
     rows = tuple(
-        (str(r["response"]), significant(r["value"], 6), significant(r["std"], 3), yes(r["withheld"], USED))
+        (
+            str(r["response"]),
+            significant(r["value"], 6),
+            significant(r["std"], 3),
+            fixed(r["repeats"], 0),
+            yes(r["withheld"], USED),
+        )
         for r in table.to_dict("records")
     )
     told = f"{counted(len(table), 'response')} were measured, each a single number. "
     told += f"{_repeats(answers)} {_withheld(table, 'response', 'response')}"
     terms = (("std", "standard deviation, the scatter that everything below is measured by"),)
-    return [Words(told), Table("Measured responses", ("response", "value", "std", ""), rows, (3,)), Terms(terms)]
+    heads = ("response", "value", "std", "repeats", "")
+    return [Words(told), *_notes(answers), Table("Measured responses", heads, rows, (4,)), Terms(terms)]
 
 
 def _sensors(answers: Answers) -> list[Block]:

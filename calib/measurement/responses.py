@@ -1,0 +1,84 @@
+"""Measured plain responses: single numbers, each the mean over the repeats that hold it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.measurement.average import mean_and_std
+from calib.measurement.csv_format import ONE, read_responses_csv
+from calib.measurement.disagreements import Disagreement, Pooling, value_disagreements
+
+
+@dataclass(frozen=True)
+class MeasuredResponses:
+    """Plain responses with the standard deviations of their means.
+
+    Attributes
+    ----------
+    targets : mapping from response name to (value, standard deviation or None)
+        Each in the response's own unit; None where it is unknown.
+    counts : mapping from response name to int
+        Repeats behind each; empty for a table that does not say.
+    disagreements : tuple of Disagreement
+    notes : tuple of str
+    """
+
+    targets: Mapping[str, tuple[float, float | None]]
+    counts: Mapping[str, int]
+    disagreements: tuple[Disagreement, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def repeats(self) -> int | None:
+        """Repeats behind the response with the fewest of at least two; None where nothing is known of repeats."""
+        return min((n for n in self.counts.values() if n > 1), default=None)
+
+
+def read_responses(path: Path, pooling: Pooling = "robust") -> MeasuredResponses:
+    """Read plain responses from a table, see `calib.measurement.csv_format.read_responses_csv`.
+
+    With a column ``repeat`` each response is the mean over the repeats that hold it, and its standard deviation that of
+    the scatter over the root of their number; a response that is in one repeat only keeps the deviation of its line.
+
+    Parameters
+    ----------
+    path : Path
+    pooling : {"robust", "plain"}
+        Whether a value that disagrees with those of the other repeats is left out of mean and scatter, or only named.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, for anything that is no such table.
+    """
+    tables = read_responses_csv(path)
+    if ONE in tables:
+        return MeasuredResponses(tables[ONE], {})
+    names = list(dict.fromkeys(name for table in tables.values() for name in table))
+    values = np.array([[table[n][0] if n in table else np.nan for n in names] for table in tables.values()])
+    labels = [f"{path.name}, repeat {label}" for label in tables]
+    held = np.isfinite(values).sum(axis=0)
+    notes = [
+        f"response {name} is in {n} of {len(tables)} repeats: mean and scatter are over those that hold it"
+        for name, n in zip(names, held.tolist(), strict=True)
+        if n < len(tables)
+    ]
+    given = {n: [table[n][1] for table in tables.values() if n in table] for n in names}
+    if any(std is not None for n in names if len(given[n]) > 1 for std in given[n]):
+        notes.append(f"the deviations in the file are not used: the scatter between {len(tables)} repeats is")
+    found = value_disagreements("response", labels, names, values, pooling == "robust")
+    for one in found:
+        if one.left_out:
+            values[one.index[0], one.index[2]] = np.nan
+    mean, std = mean_and_std(values)
+    counts = np.isfinite(values).sum(axis=0)
+    targets: dict[str, tuple[float, float | None]] = {}
+    for k, name in enumerate(names):
+        # equal values are rounding, and tell no scatter
+        own = float(std[k]) if std[k] > 0 else None
+        targets[name] = (float(mean[k]), given[name][0] if len(given[name]) == 1 else own)
+    return MeasuredResponses(targets, dict(zip(names, counts.tolist(), strict=True)), tuple(found), tuple(notes))

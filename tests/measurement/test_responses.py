@@ -1,0 +1,114 @@
+import numpy as np
+import pytest
+
+from calib.errors import InputError
+from calib.measurement.read import read_measurement
+from calib.measurement.responses import read_responses
+
+VALUES = {"freq_1": 4.5, "freq_2": 13.4, "mass": 1200.0, "sag": 0.003, "zeta_1": 0.011}
+
+
+def table(path, repeats, seed=0, change=lambda k, name, value: value):
+    """A table with many repeats; ``change`` returns None for a response that a repeat lacks."""
+    rng = np.random.default_rng(seed)
+    lines = ["response,value,repeat"]
+    kept = {name: [] for name in VALUES}
+    for k in range(repeats):
+        for name, value in VALUES.items():
+            given = change(k, name, value * (1 + 0.01 * rng.normal()))
+            if given is not None:
+                kept[name].append(given)
+                lines.append(f"{name},{given!r},run {k + 1}")
+    path.write_text("\n".join(lines) + "\n")
+    return kept
+
+
+def test_each_response_is_the_mean_over_the_repeats_that_hold_it(tmp_path):
+    path = tmp_path / "r.csv"
+    kept = table(path, 6, change=lambda k, n, v: None if (k, n) in {(0, "mass"), (3, "sag"), (4, "sag")} else v)
+    found = read_responses(path)
+    assert list(found.targets)[:2] == ["freq_1", "freq_2"]
+    for name, values in kept.items():
+        mean, std = found.targets[name]
+        assert mean == pytest.approx(np.mean(values))
+        assert std == pytest.approx(np.std(values, ddof=1) / np.sqrt(len(values)))
+        assert found.counts[name] == len(values)
+    assert found.counts["mass"] == 5 and found.counts["sag"] == 4 and found.repeats == 4
+    assert found.disagreements == ()
+    assert len([note for note in found.notes if "of 6 repeats" in note]) == 2
+
+
+def test_an_outlier_is_named_with_its_influence(tmp_path):
+    path = tmp_path / "r.csv"
+    kept = table(path, 6, change=lambda k, n, v: 2 * v if (k, n) == (2, "mass") else v)
+    robust, plain = (read_responses(path, p) for p in ("robust", "plain"))
+    (one,) = robust.disagreements
+    assert (one.kind, one.mode) == ("response", "mass") and one.repeat.endswith("run 3")
+    assert one.left_out and not plain.disagreements[0].left_out
+    assert robust.counts["mass"] == 5 and plain.counts["mass"] == 6
+    clean = [v for k, v in enumerate(kept["mass"]) if k != 2]
+    assert robust.targets["mass"][0] == one.mean_without == pytest.approx(np.mean(clean))
+    assert plain.targets["mass"][0] == one.mean_with == pytest.approx(np.mean(kept["mass"]))
+    assert one.std_with > 5 * one.std_without
+
+
+def test_without_repeats_the_table_is_as_it_stands(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("response,value,std\na,1,0.1\nb,2,\n")
+    found = read_responses(path)
+    assert dict(found.targets) == {"a": (1.0, 0.1), "b": (2.0, None)} and found.repeats is None
+    path.write_text("response,value,std,repeat\na,1,0.1,x\na,1,0.1,x\n")
+    with pytest.raises(InputError, match="line 3, column response"):
+        read_responses(path)
+    path.write_text("response,value,std,repeat\na,1,0.1,x\na,1,0.1,\n")
+    with pytest.raises(InputError, match="line 3, column repeat"):
+        read_responses(path)
+    path.write_text("response,value,std,repeat\na,1,0.1,x\nb,2,0.3,x\nb,2,0.4,y\n")
+    assert dict(read_responses(path).targets) == {"a": (1.0, 0.1), "b": (2.0, None)}
+
+
+MODES = "mode,freq,freq_kind,repeat\na,10,natural,1\nb,20,natural,1\na,12,natural,2\nb,22,natural,2\na,11,natural,3\n"
+SHAPES = "mode,node,direction,re,repeat\n" + "".join(
+    f"{mode},{node},y,{value * factor},{label}\n"
+    for label, factor, modes in ((1, 1.0, "ab"), (2, -2.0, "ab"), (3, 5.0, "a"))
+    for mode in modes
+    for node, value in enumerate((1.0, 2.0 if mode == "a" else -2.0, 0.5), start=1)
+)
+
+
+def test_many_repeats_in_one_table_of_modes_and_one_of_shapes(tmp_path):
+    modes, shapes = tmp_path / "modes.csv", tmp_path / "shapes.csv"
+    modes.write_text(MODES)
+    shapes.write_text(SHAPES)
+    found = read_measurement([modes], shape_files=[shapes])
+    assert found.n_repeats == 3 and found.counts("freq").tolist() == [3, 2]
+    np.testing.assert_allclose(found.natural_freq, [11, 21])
+    np.testing.assert_allclose(found.freq_std, [1 / np.sqrt(3), 1.0])
+    np.testing.assert_allclose(found.shapes, [[0.5, 0.5], [1, -1], [0.25, 0.25]])
+    np.testing.assert_allclose(found.shape_std, 0.0, atol=1e-15)
+    assert found.counts("shape").tolist() == [[3, 2]] * 3
+    assert any("mode b" in note and "repeat 3" in note for note in found.notes)
+
+
+def test_shapes_of_the_mean_go_with_repeated_modes(tmp_path):
+    modes, shapes = tmp_path / "modes.csv", tmp_path / "shapes.csv"
+    modes.write_text(MODES)
+    shapes.write_text("mode,node,direction,re,std\na,1,y,1,0.1\na,2,y,2,0.1\nb,1,y,-4,0.1\nb,2,y,1,\n")
+    found = read_measurement([modes], shape_files=[shapes])
+    np.testing.assert_allclose(found.shapes, [[0.5, -1], [1, 0.25]])
+    np.testing.assert_allclose(found.shape_std, [[0.05, 0.025], [0.05, np.nan]])
+
+
+def test_tables_that_do_not_fit_together_are_refused(tmp_path):
+    modes, shapes, more = (tmp_path / name for name in ("modes.csv", "shapes.csv", "more.csv"))
+    modes.write_text(MODES)
+    more.write_text("mode,freq,freq_kind\na,10,natural\n")
+    shapes.write_text("mode,node,direction,re,repeat\na,1,y,1,9\n")
+    with pytest.raises(InputError, match=r"shapes.csv, line 2, column repeat: unknown repeat '9'"):
+        read_measurement([modes], shape_files=[shapes])
+    with pytest.raises(InputError, match=r"more.csv|shapes.csv, line 2, column repeat"):
+        read_measurement([more], shape_files=[shapes])
+    with pytest.raises(InputError, match=r"modes.csv: it has a column 'repeat', but other files"):
+        read_measurement([more, modes])
+    with pytest.raises(InputError, match="the tables hold 3"):
+        read_measurement([modes], repeats=2)
