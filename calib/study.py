@@ -255,7 +255,8 @@ class _Reader:
         problem: Problem
         if isinstance(model, FunctionModel):
             assert isinstance(base, FunctionModel)
-            problem = FunctionProblem(space, model.function, targets, fingerprint_of(base, included, model))
+            mark = fingerprint_of(base, included, model)
+            problem = FunctionProblem(space, model.function, targets, mark, self.settings.measurement.repeats)
         else:
             assert measured is not None and not isinstance(base, FunctionModel)
             problem = self._problem(model, measured, model.n_dof - base.n_dof)

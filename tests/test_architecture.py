@@ -8,7 +8,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
     {"errors", "interrupt", "written"},
-    {"space", "mac", "outcome", "table"},
+    {"space", "mac", "freedom", "outcome", "table"},
     {"effect", "measurement", "worker", "named_values"},
     {"structure"},
     {"function", "correlation"},

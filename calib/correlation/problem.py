@@ -276,12 +276,16 @@ class FunctionProblem:
         Measured value of each response and the standard deviation of it, where known.
     fingerprint : str
         Given by whoever knows the function; to be changed whenever its answers could.
+    repeats : int or None
+        Repeats behind the standard deviations, when those are pooled over the responses of each kind; None takes the
+        deviations for known.
     """
 
     space: ParameterSpace
     function: Callable[[Mapping[str, float]], Mapping[str, float]]
     targets: Mapping[str, tuple[float, float | None]]
     fingerprint: str
+    repeats: int | None = None
 
     def __post_init__(self) -> None:
         if not self.targets:

@@ -12,6 +12,7 @@ import numpy as np
 from calib.correlation.compare import Comparison
 from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import USUAL, Floors, Scatter, scatter_of
+from calib.freedom import repeats_freedom
 from calib.mac import is_real
 from calib.structure.derivatives import ModeDerivatives, mode_derivatives
 
@@ -140,6 +141,20 @@ class ModalResidual:
     def n_fitted_factors(self) -> int:
         """Real numbers fitted to scale and turn the model's shapes; they are no degrees of freedom of the residual."""
         return len(self._parts)
+
+    @property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """The same by mode and kind."""
+        counts: dict[tuple[str, str], int] = {}
+        for i, _ in self._parts:
+            block = (self.problem.measured.names[i], "shape")
+            counts[block] = counts.get(block, 0) + 1
+        return counts
+
+    @property
+    def scatter_freedom(self) -> dict[str, float]:
+        """Degrees of freedom behind the scatter of each kind of row; infinite where it is known."""
+        return repeats_freedom(self.kinds.tolist(), self.problem.measured.n_repeats, {"shape": self.n_fitted_factors})
 
     def n_fitted_factors_of(self, modes: Collection[str]) -> int:
         """The same for some measured modes."""

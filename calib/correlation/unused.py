@@ -8,20 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from calib.correlation.compare import Comparison
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual, Row
 from calib.correlation.scatter import Floors
 from calib.errors import InputError
+from calib.freedom import behind, chance
 
 COLUMNS = ("group", "rows", "rms", "expected", "chi2", "freedom", "p", "unpaired")
 
 _FLOORS = Floors()
-
-_KNOWN = 1e9
-"""Degrees of freedom that stand for a scatter without an error of its own."""
 
 ScatterFreedom = Mapping[str, float]
 """Degrees of freedom behind the scatter of each kind of row; a kind left out is known exactly."""
@@ -164,11 +161,12 @@ def group_table(
     if not (n and e.shape == out.shape == variance.shape == (n,)):
         raise InputError(f"{n} rows, but residuals {e.shape}, {out.shape}, {variance.shape}", place="errors by group")
     counts = pd.Series([row.kind for row in rows]).value_counts()
-    behind = _behind({str(kind): float(count) for kind, count in counts.items()}, scatter_freedom)
+    scatter = behind({str(kind): float(count) for kind, count in counts.items()}, scatter_freedom)
     expected = math.sqrt(max(float(variance.sum()) - fitted_factors, 0.0) / n)
+    p = float(chance(float(e @ e), freedom, scatter))
     table = pd.DataFrame(
         [
-            ("fit", n, _rms(e), math.sqrt(max(freedom, 0.0) / n), _chance(float(e @ e), freedom, behind), unpaired),
+            ("fit", n, _rms(e), math.sqrt(max(freedom, 0.0) / n), p, unpaired),
             ("left_out", n, _rms(out), expected, left_out_p, unpaired),
         ],
         columns=["group", "rows", "rms", "expected", "p", "unpaired"],
@@ -269,25 +267,9 @@ def _errors(
     if factors:
         counts["shape"] -= factors
     unpaired = len({row.mode for row in labels} & lost)
-    p = _chance(chi2, freedom, _behind(counts, scatter_freedom))
+    p = float(chance(chi2, freedom, behind(counts, scatter_freedom)))
     return group, n, _rms(e), expected, chi2, freedom, p, unpaired
 
 
 def _rms(e: np.ndarray) -> float:
     return math.sqrt(float(np.mean(e**2)))
-
-
-def _behind(counts: Mapping[str, float], scatter_freedom: ScatterFreedom | None) -> float:
-    """Degrees of freedom behind the scatter of rows of several kinds (Satterthwaite 1946), weighted by their number."""
-    given = scatter_freedom or {}
-    total = sum(counts.values())
-    spread = sum(count**2 / given.get(kind, math.inf) for kind, count in counts.items())
-    return min(total**2 / spread, _KNOWN) if spread > 0 else _KNOWN
-
-
-def _chance(chi2: float, freedom: float, behind: float) -> float:
-    if freedom < 1:
-        return 1.0
-    if behind >= _KNOWN:
-        return float(stats.chi2.sf(chi2, freedom))
-    return float(stats.f.sf(chi2 / freedom, freedom, behind))

@@ -3,36 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
+from calib.freedom import KNOWN, chance, row_freedom
 from calib.missing.hypotheses import Label
-from calib.missing.state import State
 
 _Name = TypeVar("_Name", bound=Hashable)
 
-_LEAST = 1.0
-"""Fewer degrees of freedom say nothing."""
 _ALIKE = 0.01
 """Level at which modes differ by more than a common factor."""
 _FOLLOWED = 0.02
 """Part of a row's variance left by the parameters below which it says nothing."""
 
 
+class Fit(Protocol):
+    """A fit at its end, of an explanation (`calib.missing.state.State`) or of a calibration."""
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Whitened, (n_rows,)."""
+        ...
+
+    @property
+    def slope(self) -> np.ndarray:
+        """Derivative of the residual of either sign, (n_rows, n_params)."""
+        ...
+
+    @property
+    def prior_sd(self) -> np.ndarray:
+        """Prior standard deviations, (n_params,)."""
+        ...
+
+
 def goodness(
-    state: State,
+    state: Fit,
     rows: Sequence[Label],
     fitted_factors: Mapping[tuple[str, str], int],
     scatter_freedom: Mapping[str, float],
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Sum of squares of every kind, and of every mode and kind, against what the scatter allows.
 
-    The degrees of freedom of a block b are ``n_b - tr(G_b V G_b^T)`` less the factors fitted to its shapes. The scatter
-    was itself estimated, so that the ratio is an F variate. A single row is studentised, ``e^2/(1 - h)`` with one
-    degree of freedom (Cook and Weisberg 1982), unless the parameters follow it nearly everywhere.
+    The degrees of freedom of a block b are ``n_b - tr(G_b V G_b^T)`` (see `calib.freedom`) less the factors fitted to
+    its shapes. The scatter was itself estimated, so that the ratio is an F variate. A single row is studentised,
+    ``e^2/(1 - h)`` with one degree of freedom (Cook and Weisberg 1982), unless the parameters follow it nearly
+    everywhere.
 
     Returns
     -------
@@ -41,7 +59,7 @@ def goodness(
     modes : DataFrame
         ``mode, kind, chi2, freedom, p``.
     """
-    freedom = 1.0 - np.einsum("ij,jk,ik->i", state.slope, state.covariance, state.slope)
+    freedom = row_freedom(state.slope, state.prior_sd)
     blocks, which = _numbered([(row.mode, row.kind) for row in rows])
     modes = pd.DataFrame(blocks, columns=["mode", "kind"])
     modes["chi2"], modes["freedom"] = np.bincount(which, state.residual**2), np.bincount(which, freedom)
@@ -54,8 +72,8 @@ def goodness(
     modes.loc[studied, "chi2"] /= modes.loc[studied, "freedom"]
     modes.loc[studied, "freedom"] = 1.0
     for table in (kinds, modes):
-        scatter = np.array([min(scatter_freedom.get(kind, np.inf), 1e9) for kind in table["kind"]])
-        table["p"] = _p(table["chi2"].to_numpy(), table["freedom"].to_numpy(), scatter)
+        scatter = np.array([min(scatter_freedom.get(kind, np.inf), KNOWN) for kind in table["kind"]])
+        table["p"] = chance(table["chi2"].to_numpy(), table["freedom"].to_numpy(), scatter)
     return kinds, modes
 
 
@@ -63,12 +81,6 @@ def _numbered(names: Sequence[_Name]) -> tuple[list[_Name], np.ndarray]:
     """Different names in the order of their first appearance, and the number of each name among them, (n,)."""
     numbers = {name: k for k, name in enumerate(dict.fromkeys(names))}
     return list(numbers), np.array([numbers[name] for name in names], dtype=int)
-
-
-def _p(chi2: np.ndarray, freedom: np.ndarray, scatter: np.ndarray) -> np.ndarray:
-    """Chance of sums of squares as large, all of shape (n,); 1 where too few degrees of freedom say nothing."""
-    said = np.maximum(freedom, _LEAST)
-    return np.where(freedom < _LEAST, 1.0, stats.f.sf(chi2 / said, said, scatter))
 
 
 def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:

@@ -254,6 +254,7 @@ def _summary(
         "noise_mac": best.answer.noise_mac,
         "whitened_misfit": best.judgement.misfit,
         "degrees_of_freedom": best.judgement.freedom,
+        "p_fit": best.judgement.p_fit,
         **{key: sum(getattr(case.result, name) for case in found) for key, name in counts.items()},
         "seconds": seconds,
         "withheld_modes": list(study.settings.withheld.modes),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,12 +12,13 @@ import numpy as np
 from calib.correlation.problem import FunctionProblem
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
+from calib.freedom import repeats_freedom
 from calib.function import FunctionModel, extend_function
 from calib.outcome import attempt
 from calib.questions.hypotheses import question_space
 from calib.space import Parameter, ParameterSpace
 from calib.structure.model import Assumption
-from calib.updating.differences import DifferencedResponses, difference
+from calib.updating.differences import DifferencedResponses, ResponseRow, difference, response_rows
 
 LEAST_RESPONSES = 4
 """Fewer responses cannot tell an effect from a parameter."""
@@ -29,24 +28,6 @@ _ROUNDING = 1e-6
 """Change of the residual at strength 0 up to which it counts as none."""
 
 Targets = Mapping[str, tuple[float, float | None]]
-
-
-class ResponseRow(NamedTuple):
-    """What one entry of the residual compares.
-
-    Attributes
-    ----------
-    mode : str
-        Empty.
-    kind : str
-        Beginning of the name up to the first underscore where several responses share it, else ``response``.
-    sensor : str
-        Name of the response.
-    """
-
-    mode: str
-    kind: str
-    sensor: str
 
 
 class Failure(NamedTuple):
@@ -276,10 +257,7 @@ class FunctionHypotheses:
     @cached_property
     def rows(self) -> tuple[ResponseRow, ...]:
         """Rows of every residual, in the order of the targets."""
-        heads = {name: name.split("_", 1)[0] for name in self.targets if "_" in name}
-        shared = Counter(heads.values())
-        kinds = {name: head for name, head in heads.items() if head and shared[head] > 1}
-        return tuple(ResponseRow("", kinds.get(name, "response"), name) for name in self.targets)
+        return response_rows(self.targets)
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
@@ -289,9 +267,7 @@ class FunctionHypotheses:
     @cached_property
     def scatter_freedom(self) -> Mapping[str, float]:
         """Degrees of freedom behind the scatter of each kind."""
-        counts = Counter(row.kind for row in self.rows)
-        each = math.inf if self.repeats is None else float(self.repeats - 1)
-        return {kind: each * count for kind, count in counts.items()}
+        return repeats_freedom((row.kind for row in self.rows), self.repeats)
 
     @cached_property
     def assumptions(self) -> tuple[Assumption, ...]:

@@ -13,7 +13,6 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual, Row
 from calib.correlation.scatter import Floors
 from calib.effect import Effect
-from calib.questions.verify import scatter_freedom
 from calib.space import ParameterSpace
 from calib.structure.variants import Variants
 
@@ -110,14 +109,12 @@ class ModalHypotheses:
     @cached_property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
         """Real numbers that scale and turn each shape."""
-        parts = {(row.mode, row.part) for row in self.rows if row.kind == "shape"}
-        modes = [mode for mode, _ in parts]
-        return {(mode, "shape"): modes.count(mode) for mode in modes}
+        return self.question(()).inner.fitted_factors
 
     @cached_property
     def scatter_freedom(self) -> Mapping[str, float]:
         """Degrees of freedom behind the scatter of each kind."""
-        return scatter_freedom(self.question(()).inner)
+        return self.question(()).inner.scatter_freedom
 
     def question(self, names: tuple[str, ...]) -> ModalQuestion:
         """The model with the named effects or atoms added."""

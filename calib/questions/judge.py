@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -11,15 +10,18 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
+from calib.freedom import effective_freedom, repeats_freedom
 from calib.ledger import Ledger
+from calib.missing.goodness import goodness, overall
+from calib.missing.hypotheses import Label
 from calib.outcome import Outcome
 from calib.questions.compare import responses_at
 from calib.space import ParameterSpace
 from calib.study import Problem, Study
-from calib.updating.differences import DifferencedResponses
+from calib.updating.differences import DifferencedResponses, response_rows
 from calib.updating.gauss_newton import FitResult
 from calib.updating.identify import Identification, identify, prediction_interval
-from calib.updating.verdicts import parameter_verdicts, whole_number_std, within_scatter
+from calib.updating.verdicts import parameter_verdicts, whole_number_std
 from calib.updating.whole_numbers import MixedResult, fit_mixed
 
 FitProgress = Callable[[int, int, float], None]
@@ -62,19 +64,23 @@ class RecordedResidual:
         """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params)."""
         return self._inner.jacobian(values, names)
 
-    def degrees_of_freedom(self, n_params: int) -> float:
-        """Rows less what was fitted."""
-        if isinstance(self._inner, DifferencedResponses):
-            return float(len(self._inner.targets) - n_params)
-        return float(self._inner.n_rows - self._inner.n_fitted_factors - n_params)
+    @property
+    def rows(self) -> Sequence[Label]:
+        """What every entry compares, length n_rows."""
+        return response_rows(self._inner.targets) if isinstance(self._inner, DifferencedResponses) else self._inner.rows
 
     @property
-    def scatter_freedom(self) -> float:
-        """Degrees of freedom behind the standard deviations of the measurement; infinite when they are known."""
-        repeats = 1 if isinstance(self.problem, FunctionProblem) else self.problem.measured.n_repeats
-        if repeats == 1 or isinstance(self._inner, DifferencedResponses):
-            return math.inf
-        return float((repeats - 1) * self._inner.n_rows)
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """Real numbers by (mode, kind) that scale and turn shapes; they are no degrees of freedom."""
+        return {} if isinstance(self._inner, DifferencedResponses) else self._inner.fitted_factors
+
+    @property
+    def scatter_freedom(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the standard deviations of each kind; infinite where they are known."""
+        if isinstance(self._inner, ModalResidual):
+            return self._inner.scatter_freedom
+        assert isinstance(self.problem, FunctionProblem)
+        return repeats_freedom((row.kind for row in self.rows), self.problem.repeats)
 
     def predictions(self, values: Mapping[str, float], names: Sequence[str], covariance: np.ndarray) -> pd.DataFrame:
         """Frequencies at named values with 95 % intervals from the scatter of the parameters; empty without modes."""
@@ -104,8 +110,12 @@ class Judgement:
         All parameters, each in its own unit.
     misfit : float
         Sum of squares of the whitened residual.
-    freedom, scatter_freedom : float
-        Degrees of freedom of the residual, and those behind the scatter that whitened it.
+    freedom : float
+        Effective degrees of freedom of the residual; see `calib.freedom.effective_freedom`.
+    p_fit : float
+        Chance of a right model fitting as badly; the test of an explanation, see `calib.missing.goodness.overall`.
+    alpha : float
+        Level of that test.
     identification : Identification
     whole : mapping from str to float
         Standard deviations of whole-number parameters; empty without fits.
@@ -120,7 +130,8 @@ class Judgement:
     values: dict[str, float]
     misfit: float
     freedom: float
-    scatter_freedom: float
+    p_fit: float
+    alpha: float
     identification: Identification
     whole: Mapping[str, float]
     complete: bool
@@ -129,20 +140,28 @@ class Judgement:
 
     def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
         """One verdict a parameter; see `calib.updating.identify.parameter_verdicts`."""
-        freedom = self.freedom if self.freedom >= 1 else None  # as many unknowns as data: any fit is perfect
-        return parameter_verdicts(
-            space, self.values, self.identification, spread, self.whole, self.misfit, freedom, self.scatter_freedom
-        )
+        return parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits)
+
+    @property
+    def fits(self) -> bool | None:
+        """Whether the model fits within the scatter; None when there are as many unknowns as data and it does."""
+        if self.p_fit <= self.alpha:
+            return False
+        return True if self.freedom >= 1 else None
 
     @property
     def sentence(self) -> str:
         """Whether the model fits within the scatter, in words."""
-        told = f"Sum of squares {self.misfit:.4g} in units of the scatter, {self.freedom:.0f} degrees of freedom: "
-        if self.freedom < 1:
+        told = (
+            f"Sum of squares {self.misfit:.4g} in units of the scatter, {max(self.freedom, 0.0):.1f} effective degrees "
+            f"of freedom, p = {self.p_fit:.2g} for the worst kind of data: "
+        )
+        if self.fits is None:
             return told + "as many unknowns as data, so a perfect fit says nothing about the model."
-        if within_scatter(self.misfit, self.freedom, self.scatter_freedom):
+        if self.fits:
             return told + "the model fits within the scatter."
-        return told + "the model does not fit within the scatter; something is missing, and uncertainties are larger."
+        few = "with as many unknowns as data " if self.freedom < 1 else ""
+        return told + f"{few}the model does not fit within the scatter; something is missing."
 
 
 def fitted(
@@ -190,8 +209,18 @@ def _judged(
     held = residual.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
     identification = identify(space, names, slope, values=values, held=held)
     predictions = residual.predictions(values, names, identification.posterior.covariance)
-    freedom = residual.degrees_of_freedom(len(space.free))
+    prior_sd = np.array([space[n].prior_width for n in names])
+    factors = residual.fitted_factors
+    tables = goodness(_Fitted(vector, slope, prior_sd), residual.rows, factors, residual.scatter_freedom)
     return Judgement(
-        values=values, misfit=float(vector @ vector), freedom=freedom, scatter_freedom=residual.scatter_freedom,
-        identification=identification, whole=whole, complete=complete, predictions=predictions, fit=fit,
+        values=values, misfit=float(vector @ vector), freedom=effective_freedom(slope, prior_sd, sum(factors.values())),
+        p_fit=overall(*tables), alpha=study.settings.explain.alpha, identification=identification, whole=whole,
+        complete=complete, predictions=predictions, fit=fit,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    residual: np.ndarray
+    slope: np.ndarray
+    prior_sd: np.ndarray

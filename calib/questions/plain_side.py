@@ -14,7 +14,7 @@ from calib.missing.advice import Prospects
 from calib.missing.findings import Findings, Trial
 from calib.questions.budget import Budget
 from calib.questions.function_hypotheses import Failure, FunctionHypotheses
-from calib.questions.verify import plain_errors, whitened, withheld_targets
+from calib.questions.verify import plain_errors, plain_scatter, whitened, withheld_targets
 from calib.study import Study, Targets
 
 
@@ -53,11 +53,13 @@ class PlainSide:
     def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data; failed points are noted."""
         labels = [row.sensor for row in self.hypotheses.rows]
+        assert isinstance(self.study.problem, FunctionProblem)
+        scatter = plain_scatter(self.study.problem)
         parts = []
         for stage, trial in stages.items():
             s = trial.state
             withheld = {group: self._unseen(own, trial, scale) for group, own in withheld_targets(self.study).items()}
-            table = plain_errors(s.residual, -s.slope, s.names, s.prior_sd, labels, withheld)
+            table = plain_errors(s.residual, -s.slope, s.names, s.prior_sd, labels, withheld, scatter)
             parts.append(table.assign(stage=stage))
         failures = self.hypotheses.failures
         notes = []

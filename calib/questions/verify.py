@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,10 +14,11 @@ from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.scatter import Floors
 from calib.correlation.unused import group_table, withheld_errors
+from calib.freedom import KNOWN, behind, chance, effective_freedom, repeats_freedom
 from calib.missing.left_out import left_out
 from calib.questions.compare import responses_at
 from calib.study import Study, Targets
-from calib.updating.differences import DifferencedResponses
+from calib.updating.differences import DifferencedResponses, response_rows
 from calib.updating.identify import posterior
 
 ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
@@ -30,12 +30,12 @@ def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
     prior_sd = np.array([study.search_space[n].prior_width for n in names])
     problem = study.problem
     if isinstance(problem, ModalProblem):
-        freedom = scatter_freedom(ModalResidual(problem))
+        freedom = ModalResidual(problem).scatter_freedom
         return modal_errors(problem, study.whole_problem(), values, names, prior_sd, Floors(), freedom)
     problem = replace(problem, space=study.search_space)
     withheld = {group: whitened(problem, own, values, names) for group, own in withheld_targets(study).items()}
     e, g = whitened(problem, problem.targets, values, names)
-    return plain_errors(e, g, names, prior_sd, list(problem.targets), withheld)
+    return plain_errors(e, g, names, prior_sd, list(problem.targets), withheld, plain_scatter(problem))
 
 
 def withheld_targets(study: Study) -> dict[str, Targets]:
@@ -54,15 +54,11 @@ def whitened(
     return asked.residual(values), asked.jacobian(values, names)
 
 
-def scatter_freedom(residual: ModalResidual) -> dict[str, float]:
-    """Degrees of freedom behind the scatter of each kind of response; infinite where it is known."""
-    repeats = residual.problem.measured.n_repeats
-    kinds = residual.kinds.tolist()
-    lost = {"shape": residual.n_fitted_factors}
-    return {
-        kind: math.inf if repeats == 1 else float((repeats - 1) * (kinds.count(kind) - lost.get(kind, 0)))
-        for kind in dict.fromkeys(kinds)
-    }
+def plain_scatter(problem: FunctionProblem) -> float:
+    """Degrees of freedom behind the scatter of all responses of a function together."""
+    kinds = [row.kind for row in response_rows(problem.targets)]
+    counts = {kind: float(kinds.count(kind)) for kind in kinds}
+    return behind(counts, repeats_freedom(kinds, problem.repeats))
 
 
 def modal_errors(
@@ -117,8 +113,7 @@ def modal_errors(
         withheld = withheld_errors(fitted, whole, values, names, covariance, floors, finite or None)
         if scale != 1.0:
             withheld = _scaled(withheld, scale)
-    absorbed = float(np.einsum("ij,jk,ik->", jacobian, known.covariance, jacobian))
-    freedom = len(vector) - residual.n_fitted_factors - absorbed
+    freedom = effective_freedom(jacobian, prior_sd, residual.n_fitted_factors)
     return group_table(
         residual.rows,
         vector,
@@ -146,6 +141,7 @@ def plain_errors(
     prior_sd: np.ndarray,
     labels: Sequence[str],
     withheld: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    scatter: float = KNOWN,
 ) -> pd.DataFrame:
     """The same for plain responses, each of which is left out by itself.
 
@@ -161,22 +157,23 @@ def plain_errors(
         Names of the responses.
     withheld : mapping from group to (residual, jacobian)
         Whitened residuals of withheld responses with their derivatives; empty groups are left out.
+    scatter : float
+        Degrees of freedom behind the standard deviations; see `plain_scatter`.
     """
     known = posterior(names, jacobian, prior_sd)
     predicted = left_out(residual, -jacobian, prior_sd, list(labels))
-    pulled = np.einsum("ij,jk,ik->i", jacobian, known.covariance, jacobian)
-    freedom = len(residual) - float(pulled.sum())
-    chance = float(stats.chi2.sf(residual @ residual, freedom)) if freedom >= 1 else 1.0
+    freedom = effective_freedom(jacobian, prior_sd)
+    p, p_left_out = float(chance(residual @ residual, freedom, scatter)), predicted.p({}, scatter)
     rows: list[tuple[str, int, float, float, float, int]] = [
-        ("fit", len(residual), _rms(residual), float(np.sqrt(max(freedom, 0.0) / len(residual))), chance, 0),
-        ("left_out", len(residual), _rms(predicted.residual), _rms(np.sqrt(predicted.variance)), predicted.p(), 0),
+        ("fit", len(residual), _rms(residual), float(np.sqrt(freedom / len(residual))), p, 0),
+        ("left_out", len(residual), _rms(predicted.residual), _rms(np.sqrt(predicted.variance)), p_left_out, 0),
     ]
     for group, (e, g) in withheld.items():
         if len(e):
             covariance = np.eye(len(e)) + g @ known.covariance @ g.T
             chi2 = float(e @ np.linalg.solve(covariance, e))
             expected = float(np.sqrt(np.trace(covariance) / len(e)))
-            rows.append((group, len(e), _rms(e), expected, float(stats.chi2.sf(chi2, len(e))), 0))
+            rows.append((group, len(e), _rms(e), expected, float(chance(chi2, len(e), scatter)), 0))
     return pd.DataFrame(rows, columns=list(ERROR_COLUMNS))
 
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from calib.errors import InputError
 from calib.space import ParameterSpace
@@ -44,26 +43,13 @@ def whole_number_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0
     return math.sqrt(max(float(weight @ (numbers - mean) ** 2), 0.0))
 
 
-def within_scatter(misfit: float, freedom: float, scatter_freedom: float = math.inf) -> bool:
-    """Whether a fit is as good as the measurement's scatter allows.
-
-    A sum of squares of a whitened residual over its degrees of freedom, whitened by standard deviations that were
-    estimated themselves, is an F variate when the model is right; beyond its 95 % quantile something else is wrong, and
-    standard deviations of parameters are too small.
-    """
-    known = min(scatter_freedom, 1e9)
-    return bool(misfit <= freedom * stats.f.ppf(0.95, max(freedom, 1e-9), known))
-
-
 def parameter_verdicts(
     space: ParameterSpace,
     values: Mapping[str, float],
     found: Identification,
     spread: Mapping[str, float] | None = None,
     whole: Mapping[str, float] | None = None,
-    misfit: float | None = None,
-    freedom: float | None = None,
-    scatter_freedom: float = math.inf,
+    fits: bool | None = None,
 ) -> pd.DataFrame:
     """One verdict and sentence for every free parameter.
 
@@ -77,10 +63,8 @@ def parameter_verdicts(
         Largest difference between cases over the range, from several searches or starts.
     whole : mapping, optional
         Standard deviations of whole-number parameters, see `whole_number_std`; without it they are not judged.
-    misfit, freedom : float, optional
-        Sum of squares of the whitened residual and its degrees of freedom; see `within_scatter`.
-    scatter_freedom : float
-        Degrees of freedom behind the standard deviations of the measurement; infinite when they are known.
+    fits : bool, optional
+        Whether the model fits within the scatter; None where that cannot be told.
 
     Returns
     -------
@@ -89,9 +73,6 @@ def parameter_verdicts(
         identified, confounded_with, fits_within_scatter, sentence``; missing where nothing can be told. A limit is
         suggested half a range further out; a limit of 0 is physical and stays.
     """
-    fits = None
-    if misfit is not None and freedom is not None:
-        fits = within_scatter(misfit, freedom, scatter_freedom)
     stds = dict(zip(found.posterior.names, found.posterior.std.tolist(), strict=True))
     rows = []
     for p in space.free:

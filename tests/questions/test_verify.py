@@ -11,7 +11,7 @@ from calib.correlation.residual import ModalResidual
 from calib.correlation.scatter import Floors
 from calib.missing.state import fitted
 from calib.questions.hypotheses import ModalHypotheses
-from calib.questions.verify import ERROR_COLUMNS, errors_at, modal_errors, plain_errors, scatter_freedom
+from calib.questions.verify import ERROR_COLUMNS, errors_at, modal_errors, plain_errors
 from calib.structure.variants import Variants
 from calib.study import Study
 
@@ -163,7 +163,7 @@ def test_a_mode_without_partner_is_counted_and_spoils_the_fit(study, state):
 
 def test_errors_of_a_study_are_those_at_its_values(study, state):
     table = errors_at(study, state.values).set_index("group")
-    other = errors(study, state, freedom=scatter_freedom(ModalResidual(study.problem)))
+    other = errors(study, state, freedom=ModalResidual(study.problem).scatter_freedom)
     np.testing.assert_allclose(
         table[["rms", "expected", "p"]].to_numpy(float), other[["rms", "expected", "p"]].to_numpy(float)
     )
@@ -171,9 +171,9 @@ def test_errors_of_a_study_are_those_at_its_values(study, state):
 
 def test_freedom_behind_the_scatter_is_that_of_the_repeats_less_the_factors(study):
     measured = study.problem.measured
-    assert scatter_freedom(ModalResidual(study.problem)) == KNOWN
+    assert ModalResidual(study.problem).scatter_freedom == KNOWN
     repeated = replace(study.problem, measured=replace(measured, n_repeats=5))
-    assert scatter_freedom(ModalResidual(repeated)) == {"frequency": 4 * 5.0, "shape": 4 * (50.0 - 5.0)}
+    assert ModalResidual(repeated).scatter_freedom == {"frequency": 4 * 5.0, "shape": 4 * (50.0 - 5.0)}
 
 
 # -- plain -------------------------------------------------------------------------------------------------------------

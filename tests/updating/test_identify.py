@@ -270,7 +270,7 @@ def test_verdicts_say_what_is_wrong():
     values = {"good": 4.0, "top": 10.0, "zero": 0.0, "low": 2.05, "place": 7.0, "spot": 8.0}
     g = np.array([[10.0, 0, 0, 0], [0, 10.0, 0, 0], [0, 0, 10.0, 10.0]])
     found = identify(space, names, g)
-    table = parameter_verdicts(space, values, found, {"good": 0.02, "top": 0.3}, {"place": 0.01}, 20.0, 30.0).set_index(
+    table = parameter_verdicts(space, values, found, {"good": 0.02, "top": 0.3}, {"place": 0.01}, True).set_index(
         "parameter"
     )
     assert table["on_bound"].to_dict() == {
@@ -293,14 +293,7 @@ def test_verdicts_say_what_is_wrong():
     assert table.loc["spot", "suggested_limit"] == 11.0
     assert "not judged by derivatives" in table.loc["spot", "sentence"]
     assert table["fits_within_scatter"].all()
-    bad = parameter_verdicts(space, values, found, misfit=90.0, freedom=30.0)
-    assert not bad["fits_within_scatter"].any()
-    doubtful = parameter_verdicts(space, values, found, misfit=48.0, freedom=30.0)
-    assert not doubtful["fits_within_scatter"].any()
-    # a scatter from few repeats is itself uncertain
-    assert parameter_verdicts(space, values, found, misfit=48.0, freedom=30.0, scatter_freedom=40.0)[
-        "fits_within_scatter"
-    ].all()
+    assert not parameter_verdicts(space, values, found, fits=False)["fits_within_scatter"].any()
     unknown = parameter_verdicts(space, values, found)
     assert unknown["fits_within_scatter"].isna().all() and isinstance(unknown, pd.DataFrame)
 

@@ -1,0 +1,100 @@
+"""Degrees of freedom of a fit and of a scatter, and the chance of a sum of squares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Iterable, Mapping
+
+import numpy as np
+from scipy import stats
+
+KNOWN = 1e9
+"""Degrees of freedom that stand for a scatter without an error of its own."""
+
+_ZERO = 1e-13
+
+
+def row_freedom(slope: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
+    """What a fit leaves of each row's variance, ``1 - h_i`` with h the diagonal of the hat matrix, (n_rows,).
+
+    The sum is the effective number of degrees of freedom, rows less ``tr(H)``, ``H = G (G^T G + diag(1/s^2))^-1 G^T``
+    (Hastie, Tibshirani and Friedman 2009, section 7.6; Ye 1998). A parameter that its prior holds counts for as much as
+    the data move it: one that acts on nothing takes nothing. Whole numbers have no slope and are not counted.
+
+    Parameters
+    ----------
+    slope : ndarray (n_rows, n_params)
+        Derivative of the whitened residual, of either sign.
+    prior_sd : ndarray (n_params,)
+        Prior standard deviations, in the units of the slope; infinite without a prior.
+    """
+    g, s = np.asarray(slope, dtype=float), np.asarray(prior_sd, dtype=float)
+    if not g.shape[1]:
+        return np.ones(len(g))
+    whole = np.vstack([g, np.diag(1.0 / s)])
+    size = np.linalg.norm(whole, axis=0)
+    u, singular, _ = np.linalg.svd(whole / np.where(size > 0, size, 1.0), full_matrices=False)
+    seen = u[: len(g), singular > _ZERO * len(whole) * singular.max(initial=1.0)]
+    return np.asarray(np.maximum(1.0 - np.sum(seen**2, axis=1), 0.0))
+
+
+def effective_freedom(slope: np.ndarray, prior_sd: np.ndarray, fitted_factors: int = 0) -> float:
+    """Effective degrees of freedom of a fit: rows less the trace of the hat matrix, less factors fitted to shapes.
+
+    Parameters
+    ----------
+    slope, prior_sd
+        As in `row_freedom`.
+    fitted_factors : int
+        Real numbers that scale and turn measured shapes.
+    """
+    return float(row_freedom(slope, prior_sd).sum()) - fitted_factors
+
+
+def repeats_freedom(
+    kinds: Iterable[Hashable], repeats: int | None, fitted: Mapping[Hashable, int] | None = None
+) -> dict[str, float]:
+    """Degrees of freedom behind a scatter that is pooled over all rows of a kind, from repeats; infinite without.
+
+    Parameters
+    ----------
+    kinds : iterable of str
+        Kind of every row.
+    repeats : int or None
+        Repeats behind the scatter; with 1 or None it is taken for known.
+    fitted : mapping from kind to int, optional
+        Numbers fitted in every repeat, such as scale and phase of shapes.
+    """
+    counts: dict[str, int] = {}
+    for kind in kinds:
+        counts[str(kind)] = counts.get(str(kind), 0) + 1
+    each = math.inf if repeats is None or repeats == 1 else float(repeats - 1)
+    return {kind: each * (count - (fitted or {}).get(kind, 0)) for kind, count in counts.items()}
+
+
+def behind(counts: Mapping[str, float], scatter_freedom: Mapping[str, float] | None) -> float:
+    """Degrees of freedom behind the scatter of rows of several kinds (Satterthwaite 1946), weighted by their number.
+
+    Parameters
+    ----------
+    counts : mapping from kind to float
+        Degrees of freedom, or rows, of each kind.
+    scatter_freedom : mapping from kind to float
+        Of `repeats_freedom`; a kind left out is known.
+    """
+    given = scatter_freedom or {}
+    total = sum(counts.values())
+    spread = sum(count**2 / given.get(kind, math.inf) for kind, count in counts.items())
+    return min(total**2 / spread, KNOWN) if spread > 0 else KNOWN
+
+
+def chance(chi2: np.ndarray | float, freedom: np.ndarray | float, scatter: np.ndarray | float = KNOWN) -> np.ndarray:
+    """Chance of a sum of squares as large in a right model, elementwise.
+
+    An F variate when the standard deviations were estimated, else chi-square. With less than one degree of freedom it
+    is that of one, which is no smaller: a perfect fit says nothing then, but one that is not even perfect does.
+    """
+    said = np.maximum(freedom, 1.0)
+    known = np.minimum(scatter, KNOWN)
+    exact = stats.chi2.sf(chi2, said)
+    return np.asarray(np.where(known >= KNOWN, exact, stats.f.sf(np.asarray(chi2) / said, said, known)))

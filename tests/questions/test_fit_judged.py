@@ -1,0 +1,104 @@
+"""Whether a calibration says that a model fits: the same as an explanation, by what priors and repeats leave free."""
+
+import shutil
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from calib.ledger import Ledger
+from calib.questions.calibrate import calibrate
+from calib.questions.explain import explain
+from calib.questions.extend import extend
+from calib.results import Results
+from calib.study import Study
+
+MODEL = """
+from calib.effect import Effect
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+def line():
+    space = ParameterSpace(tuple(
+        Parameter(name, 0.0, -50.0, 50.0, "-", prior_sd=sd) for name, sd in (("a", None), ("b", None), ("idle", 1.0))
+    ))
+    return FunctionModel("line", space, lambda v: {f"y_{x}": v["a"] + v["b"] * x for x in range(8)})
+"""
+STUDY = """
+title = "A line, synthetic"
+model = "model.py:line"
+selection = [{names}]
+[measurement]
+responses = "measured.csv"
+synthetic = true
+{more}
+[calibration]
+method = "gauss-newton"
+starts = 2
+cases = [{{ name = "A", seed = 1 }}]
+"""
+
+
+@pytest.fixture
+def line(tmp_path):
+    """Calibrates a line through some numbers of standard deviation 0.1."""
+
+    def judged(y, names=("a", "b"), more=""):
+        folder = tmp_path / "line"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        (folder / "model.py").write_text(MODEL)
+        rows = "\n".join(f"y_{x},{v},0.1" for x, v in enumerate(y))
+        (folder / "measured.csv").write_text(f"response,value,std\n{rows}\n")
+        (folder / "study.toml").write_text(STUDY.format(names=", ".join(f'"{n}"' for n in names), more=more))
+        study, results = Study.load(folder), Results.at(tmp_path / "results", "line")
+        with Ledger.open(results.path / "ledger.sqlite") as ledger:
+            return calibrate(study, results, ledger, 1)
+
+    return judged
+
+
+def around(size, seed=1, n=8):
+    return 1.0 + 0.5 * np.arange(n) + size * np.random.default_rng(seed).standard_normal(n)
+
+
+def test_a_parameter_that_its_prior_holds_takes_no_freedom(line):
+    found = line(around(0.1), ("a", "b", "idle")).best.judgement
+    assert found.freedom == pytest.approx(6.0, abs=1e-3)
+    assert found.fits is True
+
+
+def test_repeats_make_the_standard_deviations_uncertain(line):
+    y = around(0.25)
+    known, repeated = line(y).best.judgement, line(y, more="repeats = 2").best.judgement
+    assert known.misfit == pytest.approx(repeated.misfit)
+    # Twice that of the sum of squares: an explanation asks of the worst of all kinds, and of shapes.
+    assert known.p_fit == pytest.approx(2 * stats.chi2.sf(known.misfit, known.freedom), rel=1e-6)
+    assert repeated.p_fit == pytest.approx(2 * stats.f.sf(known.misfit / 6, 6, 8), rel=1e-3)
+    assert known.fits is False and repeated.fits is True
+
+
+def test_two_numbers_for_two_unknowns_say_nothing_when_met(line):
+    assert line([1.0, 1.5]).best.judgement.fits is None
+
+
+def test_two_numbers_for_two_unknowns_that_cannot_be_met_do_not_fit(line):
+    """The limits keep the line from both."""
+    found = line([1.0, 90.0]).best.judgement
+    assert found.freedom < 1 and found.misfit > 100
+    assert found.fits is False
+
+
+def test_calibration_and_explanation_agree_after_an_extension(guyed, tmp_path):
+    """The explanation finds nothing more; three parameters and the added one have priors, nine are few data."""
+    study = guyed[0]
+    file = extend(study, ["guy"], tmp_path / "mast_guy").file
+    extended = Study.load(file)
+    results = Results.at(tmp_path / "results", extended.name)
+    found = explain(extended, results).findings
+    with Ledger.open(results.path / "ledger.sqlite") as ledger:
+        judged = calibrate(extended, results, ledger, 1).best.judgement
+    assert found.verdict == "nothing_detectable"
+    assert judged.fits is True
+    assert judged.p_fit == pytest.approx(found.base_check.p_fit, abs=1e-3)
+    assert judged.freedom == pytest.approx(found.base_check.kinds["freedom"].sum(), abs=1e-3)

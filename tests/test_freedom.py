@@ -1,0 +1,63 @@
+"""Degrees of freedom: against the hat matrix, drawn data and closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from calib.freedom import KNOWN, behind, chance, effective_freedom, repeats_freedom, row_freedom
+
+
+def test_they_are_rows_less_the_trace_of_the_hat_matrix():
+    rng = np.random.default_rng(1)
+    g, s = rng.standard_normal((9, 4)) * [1.0, 10.0, 1e-3, 1e3], np.array([0.3, 2.0, 50.0, 1e-3])
+    hat = g @ np.linalg.inv(g.T @ g + np.diag(1 / s**2)) @ g.T
+    np.testing.assert_allclose(row_freedom(g, s), 1 - np.diag(hat), atol=1e-12)
+    assert effective_freedom(g, s, fitted_factors=2) == pytest.approx(7 - np.trace(hat))
+    other = np.array([1e6, 1e-3, 1.0, 7.0])  # units of the parameters
+    np.testing.assert_allclose(row_freedom(g / other, s * other), 1 - np.diag(hat), atol=1e-12)
+
+
+def test_parameters_count_as_far_as_the_data_move_them():
+    g = np.column_stack([np.ones(6), np.zeros(6), np.arange(6.0)])
+    assert effective_freedom(g, np.full(3, np.inf)) == pytest.approx(4.0)  # one acts on nothing
+    assert effective_freedom(g, np.array([np.inf, 1.0, 1e-9])) == pytest.approx(5.0)  # another is held by its prior
+    assert effective_freedom(np.column_stack([g, g]), np.full(6, np.inf)) == pytest.approx(4.0)  # told twice
+    assert effective_freedom(np.zeros((6, 0)), np.zeros(0)) == 6.0
+
+
+def test_the_sum_of_squares_of_a_right_model_has_their_mean():
+    rng = np.random.default_rng(2)
+    g, s = rng.standard_normal((8, 5)), np.array([0.1, 0.3, 1.0, 3.0, np.inf])
+    sums = []
+    for _ in range(4000):
+        drawn = np.where(np.isfinite(s), rng.standard_normal(5) * np.where(np.isfinite(s), s, 0), 0.0)
+        y = g @ drawn + rng.standard_normal(8)
+        theta = np.linalg.solve(g.T @ g + np.diag(1 / s**2), g.T @ y)
+        sums.append(np.sum((y - g @ theta) ** 2))
+    assert np.mean(sums) == pytest.approx(effective_freedom(g, s), abs=4 * np.std(sums) / np.sqrt(len(sums)))
+
+
+def test_repeats_stand_behind_the_scatter():
+    kinds = ["frequency"] * 4 + ["shape"] * 10
+    assert repeats_freedom(kinds, 5, {"shape": 3}) == {"frequency": 16.0, "shape": 28.0}
+    assert set(repeats_freedom(kinds, None).values()) == set(repeats_freedom(kinds, 1).values()) == {math.inf}
+    assert behind({"frequency": 4.0, "shape": 10.0}, {"frequency": 16.0, "shape": 28.0}) == pytest.approx(
+        14**2 / (4**2 / 16 + 10**2 / 28)
+    )
+    assert behind({"frequency": 4.0}, repeats_freedom(kinds, None)) == KNOWN
+
+
+def test_the_chance_is_that_of_chi_square_or_of_an_f_variate():
+    assert chance(12.0, 7.5) == pytest.approx(stats.chi2.sf(12.0, 7.5))
+    assert chance(12.0, 7.5, 20.0) == pytest.approx(stats.f.sf(12.0 / 7.5, 7.5, 20.0))
+    np.testing.assert_allclose(chance(np.array([1.0, 9.0]), np.array([2.0, 3.0])), stats.chi2.sf([1.0, 9.0], [2, 3]))
+
+
+@pytest.mark.parametrize("freedom", [-1.0, 0.0, 0.4, 0.9])
+def test_without_a_degree_of_freedom_a_perfect_fit_says_nothing_and_a_bad_one_does(freedom):
+    assert chance(0.0, freedom) == 1.0
+    assert chance(30.0, freedom) < 1e-7
+    if freedom > 0:
+        assert chance(4.0, freedom) >= stats.chi2.sf(4.0, freedom)
