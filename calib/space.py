@@ -51,6 +51,10 @@ FINEST_PRIOR = 1e-9
 squares lose every digit of the data or of the prior."""
 
 
+AT_LIMIT = 0.01
+"""Distance to a limit, over the range, below which a value sits on it."""
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One named number of a model, in its own unit.
@@ -123,6 +127,13 @@ class Parameter:
     def si_factor(self) -> float:
         """Factor from ``unit`` to SI."""
         return SI_FACTORS[self.unit]
+
+    def limit_at(self, value: float) -> Literal["lower", "upper"] | None:
+        """The limit that a value sits on, within `AT_LIMIT` of the range; None between the limits."""
+        ratio = (value - self.lower) / (self.upper - self.lower)
+        if ratio > 1 - AT_LIMIT:
+            return "upper"
+        return "lower" if ratio < AT_LIMIT else None
 
     @property
     def prior_width(self) -> float:

@@ -10,6 +10,7 @@ from scipy.special import log_ndtr
 
 from calib.effect import Effect
 from calib.missing.state import State
+from calib.updating.region import ACTIVE
 
 CREDIBLE = 3.0
 """Effects whose log evidence is within this of the best belong to the credible set (odds of 20:1)."""
@@ -51,7 +52,7 @@ def ln_evidence(state: State, added: Sequence[Effect]) -> float:
 def at_lower(state: State, effect: Effect) -> bool:
     """Whether the fitted strength of an effect that cannot be negative is next to nothing."""
     p = effect.strength
-    return not effect.signed and state.values[effect.name] - p.lower <= 1e-6 * (p.upper - p.lower)
+    return not effect.signed and state.values[effect.name] - p.lower <= ACTIVE * (p.upper - p.lower)
 
 
 def ln_bayes_linear(z: np.ndarray, size: np.ndarray, plausible: np.ndarray) -> np.ndarray:

@@ -26,6 +26,7 @@ from calib.results import Results
 from calib.space import ParameterSpace
 from calib.study import Study
 from calib.updating.cases import Agreement, Case, CaseResult, agreement, convergence_table, parameters_table
+from calib.updating.verdicts import identified_sentence
 
 Method: TypeAlias = Literal["genetic", "gauss-newton"]
 
@@ -77,7 +78,7 @@ class Calibration:
         """What is identified, whether the model fits, and whether the cases agree."""
         judgement = self.best.judgement
         whole = ", ".join(judgement.whole)
-        out = [*judgement.identification.sentences()]
+        out = [identified_sentence(self.verdicts), *judgement.identification.sentences()]
         if whole:
             out.append(f"Whole numbers, judged by how much worse their neighbours fit: {whole}.")
         if not judgement.complete:
@@ -255,6 +256,7 @@ def _summary(
         "whitened_misfit": best.judgement.misfit,
         "degrees_of_freedom": best.judgement.freedom,
         "p_fit": best.judgement.p_fit,
+        "birge": best.judgement.birge,
         **{key: sum(getattr(case.result, name) for case in found) for key, name in counts.items()},
         "seconds": seconds,
         "withheld_modes": list(study.settings.withheld.modes),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -25,6 +27,7 @@ from calib.updating.verdicts import parameter_verdicts, whole_number_std
 from calib.updating.whole_numbers import MixedResult, fit_mixed
 
 FitProgress = Callable[[int, int, float], None]
+Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +119,14 @@ class Judgement:
         Chance of a right model fitting as badly; the test of an explanation, see `calib.missing.goodness.overall`.
     alpha : float
         Level of that test.
+    birge : float
+        Factor on the scatter with which the misfit would be what a right model has, where the model does not fit
+        (Birge 1932), else 1; standard deviations, shares and predictions hold for the scatter so scaled.
     identification : Identification
+    profiles : mapping from str to (numbers, misfits)
+        Lowest misfit of each whole number that was tried; empty without fits.
     whole : mapping from str to float
-        Standard deviations of whole-number parameters; empty without fits.
+        Standard deviations of whole-number parameters, from those.
     complete : bool
         Whether the fit tried all neighbours of its whole numbers.
     predictions : DataFrame
@@ -132,7 +140,9 @@ class Judgement:
     freedom: float
     p_fit: float
     alpha: float
+    birge: float
     identification: Identification
+    profiles: Profiles
     whole: Mapping[str, float]
     complete: bool
     predictions: pd.DataFrame
@@ -140,7 +150,7 @@ class Judgement:
 
     def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
         """One verdict a parameter; see `calib.updating.identify.parameter_verdicts`."""
-        return parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits)
+        return parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits, self.birge)
 
     @property
     def fits(self) -> bool | None:
@@ -161,7 +171,8 @@ class Judgement:
         if self.fits:
             return told + "the model fits within the scatter."
         few = "with as many unknowns as data " if self.freedom < 1 else ""
-        return told + f"{few}the model does not fit within the scatter; something is missing."
+        wider = f"standard deviations of parameters are told for {self.birge:.2g} times the scatter"
+        return told + f"{few}the model does not fit within the scatter, something is missing; {wider}."
 
 
 def fitted(
@@ -180,10 +191,9 @@ def fitted(
     space = study.search_space
     found: MixedResult = fit_mixed(residual, space, starts, refits=refits, progress=progress)
     if before is not None:
-        return _judged(study, residual, found.best.values, found.best, before.whole, before.complete)
-    profiles = {p.name: (p, found.profile(p.name)) for p in space.free if p.integer}
-    whole = {name: whole_number_std(*profile, p.value, p.prior_width) for name, (p, profile) in profiles.items()}
-    return _judged(study, residual, found.best.values, found.best, whole, found.complete)
+        return _judged(study, residual, found.best.values, found.best, before.profiles, before.complete)
+    profiles = {p.name: found.profile(p.name) for p in space.free if p.integer}
+    return _judged(study, residual, found.best.values, found.best, profiles, found.complete)
 
 
 def judged(study: Study, residual: RecordedResidual, values: Mapping[str, float]) -> Judgement:
@@ -196,7 +206,7 @@ def _judged(
     residual: RecordedResidual,
     values: dict[str, float],
     fit: FitResult | None,
-    whole: Mapping[str, float],
+    profiles: Profiles,
     complete: bool,
 ) -> Judgement:
     space = study.search_space
@@ -207,15 +217,22 @@ def _judged(
         vector, slope = residual.residual(values), residual.jacobian(values, names)
     taken = {name: sd for name, sd in study.adopted_sd.items() if sd > 0}
     held = residual.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
-    identification = identify(space, names, slope, values=values, held=held)
+    prior_sd, factors = np.array([space[n].prior_width for n in names]), residual.fitted_factors
+    misfit = float(vector @ vector)
+    freedom = effective_freedom(slope, prior_sd, sum(factors.values()))
+    p_fit = overall(*goodness(_Fitted(vector, slope, prior_sd), residual.rows, factors, residual.scatter_freedom))
+    alpha = study.settings.explain.alpha
+    birge = max(math.sqrt(misfit / max(freedom, 1.0)), 1.0) if p_fit <= alpha else 1.0
+    whole = {
+        name: whole_number_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
+        for name, (numbers, misfits) in profiles.items()
+    }
+    identification = identify(space, names, slope / birge, values=values, held=None if held is None else held / birge)
     predictions = residual.predictions(values, names, identification.posterior.covariance)
-    prior_sd = np.array([space[n].prior_width for n in names])
-    factors = residual.fitted_factors
-    tables = goodness(_Fitted(vector, slope, prior_sd), residual.rows, factors, residual.scatter_freedom)
     return Judgement(
-        values=values, misfit=float(vector @ vector), freedom=effective_freedom(slope, prior_sd, sum(factors.values())),
-        p_fit=overall(*tables), alpha=study.settings.explain.alpha, identification=identification, whole=whole,
-        complete=complete, predictions=predictions, fit=fit,
+        values=values, misfit=misfit, freedom=freedom, p_fit=p_fit, alpha=alpha, birge=birge,
+        identification=identification, profiles=profiles, whole=whole, complete=complete, predictions=predictions,
+        fit=fit,
     )  # fmt: skip
 
 

@@ -24,8 +24,6 @@ FAILED = 1e12
 """Violation of a point that could not be evaluated: behind every point that merely breaks a constraint."""
 STABLE = 0.10
 """Largest difference between cases, over the range between the limits, of a stable parameter (Ribeiro et al. 2013)."""
-AT_BOUND = 0.01
-"""Distance to a limit, over the range, below which a value sits on it."""
 NEARLY_EQUAL = 0.05
 """Relative difference up to which misfits count as equal."""
 
@@ -250,7 +248,7 @@ def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd
                     "lower": parameter.lower,
                     "upper": parameter.upper,
                     "ratio": ratio,
-                    "on_bound": ratio < AT_BOUND or ratio > 1 - AT_BOUND,
+                    "on_bound": parameter.limit_at(result.values[parameter.name]) is not None,
                     "spread": width,
                     "stable": None if math.isnan(width) else width <= STABLE,
                 }

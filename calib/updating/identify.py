@@ -11,10 +11,13 @@ import pandas as pd
 from scipy import stats
 
 from calib.errors import InputError
-from calib.space import ParameterSpace
+from calib.space import Parameter, ParameterSpace
 
 IDENTIFIED = 0.025
 """Largest posterior standard deviation, over the range between the limits, of an identified parameter."""
+
+BY_DATA = 0.5
+"""Smallest part of what is known of an identified parameter that the data give; see `Posterior`."""
 
 CONFOUNDED = 0.9
 """Size of the posterior correlation from which two parameters count as confounded."""
@@ -44,7 +47,8 @@ class Posterior:
     correlation : ndarray (n_params, n_params)
         Rows and columns of unlimited parameters hold their correlation within what is not seen.
     data_share : ndarray (n_params,)
-        ``1 - V_kk/s_k^2``: 1 when the data decide, 0 when the prior does; 1 for a finite std without a prior. What
+        ``1 - V_kk/s_k^2``: 1 when the data decide, 0 when the prior does; 1 for a finite std without a prior. Of the
+        information on a parameter, ``1/V_kk``, the prior gives ``1/s_k^2``: this is the part that the data give. What
         held parameters add to the variance does not count here.
     """
 
@@ -117,8 +121,7 @@ class Identification:
     ----------
     posterior : Posterior
     parameters : DataFrame
-        ``parameter, std, std_of_range, identified, prior_sd, data_share``; own units, ``identified`` when the posterior
-        standard deviation is at most 2.5 % of the range.
+        ``parameter, std, std_of_range, identified, prior_sd, data_share``; own units, ``identified`` as by `faults`.
     confounded : DataFrame
         ``parameter_a, parameter_b, correlation, words``; pairs of correlation beyond the threshold,
         strongest first; harmless where both are identified.
@@ -158,12 +161,9 @@ class Identification:
         return [b if a == name else a for a, b in pairs if name in (a, b)]
 
     def sentences(self) -> tuple[str, ...]:
-        """What is identified, what is not and why, in plain words."""
+        """Which parameters trade, and what the data do not see, in plain words."""
         table = self.parameters
-        good = table.loc[table["identified"], "parameter"].tolist()
-        bad = table.loc[~table["identified"], "parameter"].tolist()
-        out = [f"{len(good)} of {len(table)} parameters are identified" + (f"; not {', '.join(bad)}." if bad else ".")]
-        out += self.confounded["words"].tolist()
+        out = self.confounded["words"].tolist()
         out += self.directions.loc[~self.directions["seen"], "words"].tolist()
         if self.common_scale < SEEN:
             out.append(
@@ -171,6 +171,31 @@ class Identification:
                 "ratios only. A known mass or stiffness would settle it."
             )
         return tuple(out)
+
+
+def faults(p: Parameter, std: float, data_share: float, value: float | None = None) -> tuple[str, ...]:
+    """What keeps a parameter from being identified; nothing when it is.
+
+    The data, and not the prior, must give at least half of what is known of it (``prior``), its standard deviation be
+    at most 2.5 % of its range (``wide``), and its value be off its limits (``limit``), since a fit against a limit has
+    not found where the data want it.
+
+    Parameters
+    ----------
+    p : Parameter
+    std : float
+        Posterior standard deviation in its unit, scaled by the misfit where the model does not fit.
+    data_share : float
+        See `Posterior`.
+    value : float, optional
+        At the optimum; without it limits are not looked at.
+    """
+    found = {
+        "wide": not std <= IDENTIFIED * (p.upper - p.lower),
+        "prior": not data_share >= BY_DATA,
+        "limit": value is not None and p.limit_at(value) is not None,
+    }
+    return tuple(name for name, wrong in found.items() if wrong)
 
 
 def identify(
@@ -192,11 +217,12 @@ def identify(
         Parameters of the columns, whole numbers left out: a derivative says nothing about them (see
         `whole_number_std`).
     jacobian : ndarray (n_rows, n_params)
-        Of the whitened residual at the optimum, per one of each parameter's own unit.
+        Of the whitened residual at the optimum, per one of each parameter's own unit; of one whose scatter is scaled
+        by the misfit where the model does not fit (Birge 1932).
     prior_sd : ndarray (n_params,), optional
         Default the prior widths of the space; infinite without a prior.
     values : mapping, optional
-        Values at the optimum; with them the common scale of all parameters is looked at.
+        Values at the optimum; with them limits and the common scale of all parameters are looked at.
     threshold : float
         Size of the correlation of a confounded pair.
     held : ndarray (n_rows, n_held), optional
@@ -207,7 +233,9 @@ def identify(
     found = posterior(chosen, jacobian, s, held)
     span = np.array([space[n].upper - space[n].lower for n in chosen])
     relative = found.std / span
-    identified = relative <= IDENTIFIED
+    told = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)
+    at = dict(values or {})
+    identified = np.array([not faults(space[n], std, share, at.get(n)) for n, std, share in told], dtype=bool)
     parameters = pd.DataFrame(
         {
             "parameter": chosen,

@@ -12,7 +12,7 @@ from calib.errors import InputError
 from calib.space import ParameterSpace
 
 ACTIVE = 1e-6
-"""Distance to a limit, over the range, below which it is active."""
+"""Distance to a limit, over the range, below which it holds a fit; `calib.space.AT_LIMIT` is what a reader is told."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import InputError
-from calib.space import ParameterSpace
-from calib.updating.cases import AT_BOUND, STABLE
-from calib.updating.identify import IDENTIFIED, Identification
+from calib.space import Parameter, ParameterSpace
+from calib.updating.cases import STABLE
+from calib.updating.identify import Identification, faults
 
 
 def whole_number_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> float:
@@ -50,6 +50,7 @@ def parameter_verdicts(
     spread: Mapping[str, float] | None = None,
     whole: Mapping[str, float] | None = None,
     fits: bool | None = None,
+    birge: float = 1.0,
 ) -> pd.DataFrame:
     """One verdict and sentence for every free parameter.
 
@@ -65,29 +66,37 @@ def parameter_verdicts(
         Standard deviations of whole-number parameters, see `whole_number_std`; without it they are not judged.
     fits : bool, optional
         Whether the model fits within the scatter; None where that cannot be told.
+    birge : float
+        Factor on the scatter that the standard deviations hold for, told where it is not 1.
 
     Returns
     -------
     DataFrame
         ``parameter, value, unit, lower, upper, ratio, on_bound, suggested_limit, spread, stable, std, std_of_range,
-        identified, confounded_with, fits_within_scatter, sentence``; missing where nothing can be told. A limit is
-        suggested half a range further out; a limit of 0 is physical and stays.
+        data_share, identified, not_identified, confounded_with, fits_within_scatter, sentence``; missing where nothing
+        can be told. ``not_identified`` has the reasons of `calib.updating.identify.faults`. A limit is suggested half a
+        range further out; a limit of 0 is physical and stays.
     """
-    stds = dict(zip(found.posterior.names, found.posterior.std.tolist(), strict=True))
+    known = zip(found.posterior.std.tolist(), found.posterior.data_share.tolist(), strict=True)
+    stds = dict(zip(found.posterior.names, known, strict=True))
     rows = []
     for p in space.free:
         ratio = (values[p.name] - p.lower) / (p.upper - p.lower)
-        limit, side = _suggested(p.lower, p.upper, ratio)
+        side = p.limit_at(values[p.name])
+        limit = _suggested(p.lower, p.upper, side)
         if p.integer and math.isfinite(limit):
             limit = float(math.floor(limit) if side == "lower" else math.ceil(limit))
         width = None if spread is None or not math.isfinite(spread.get(p.name, math.nan)) else spread[p.name]
-        std, identified = math.nan, None
+        std, share, identified = math.nan, math.nan, None
+        why: tuple[str, ...] = ()
         if p.name in stds:
-            std = stds[p.name]
+            std, share = stds[p.name]
         elif whole is not None and p.name in whole:
             std = whole[p.name]
+            share = max(1.0 - (std / p.prior_width) ** 2, 0.0)
         if not math.isnan(std):
-            identified = std / (p.upper - p.lower) <= IDENTIFIED
+            why = faults(p, std, share, values[p.name])
+            identified = not why
         others = [] if identified else found.confounded_with(p.name)
         trade = None if identified or others or p.name not in stds else found.trades_with(p.name)
         stable = None if width is None else bool(width <= STABLE)
@@ -105,58 +114,68 @@ def parameter_verdicts(
                 "stable": stable,
                 "std": std,
                 "std_of_range": std / (p.upper - p.lower),
+                "data_share": share,
                 "identified": identified,
+                "not_identified": ", ".join(why),
                 "confounded_with": ", ".join(others),
                 "fits_within_scatter": fits,
                 "sentence": _sentence(
-                    p.unit, p.integer, p.upper - p.lower, side, limit, width, std, identified, others, trade
+                    p, side, limit, width, std, share, None if identified is None else why, birge, others, trade
                 ),
             }
         )
     return pd.DataFrame(rows)
 
 
-def _suggested(lower: float, upper: float, ratio: float) -> tuple[float, str | None]:
-    """A limit further out, NaN where there is none, and the side the value sits on."""
+def identified_sentence(verdicts: pd.DataFrame) -> str:
+    """How many parameters are identified and which are not, of the table of `parameter_verdicts`."""
+    judged = verdicts[verdicts["identified"].notna()]
+    bad = judged.loc[~judged["identified"].astype(bool), "parameter"].tolist()
+    told = f"{len(judged) - len(bad)} of {len(judged)} parameters are identified"
+    return told + (f"; not {', '.join(bad)}." if bad else ".")
+
+
+def _suggested(lower: float, upper: float, side: str | None) -> float:
+    """A limit further out on the side that a value sits on, NaN where there is none."""
     half = 0.5 * (upper - lower)
-    if ratio > 1 - AT_BOUND:
-        return (0.0 if upper < 0 < upper + half else upper + half) if upper != 0 else math.nan, "upper"
-    if ratio < AT_BOUND:
-        if lower == 0:
-            return math.nan, "lower"
-        return (lower - half if lower < 0 else max(lower - half, lower / 2)), "lower"
-    return math.nan, None
+    if side == "upper":
+        return (0.0 if upper < 0 < upper + half else upper + half) if upper != 0 else math.nan
+    if side == "lower" and lower != 0:
+        return lower - half if lower < 0 else max(lower - half, lower / 2)
+    return math.nan
 
 
 def _sentence(
-    unit: str,
-    integer: bool,
-    span: float,
+    p: Parameter,
     side: str | None,
     limit: float,
     width: float | None,
     std: float,
-    identified: bool | None,
+    share: float,
+    why: Sequence[str] | None,
+    birge: float,
     others: Sequence[str],
     trade: tuple[str, float] | None,
 ) -> str:
-    scale = "" if unit == "-" else f" {unit}"
+    scale = "" if p.unit == "-" else f" {p.unit}"
+    span = p.upper - p.lower
+    wider = "" if birge == 1.0 else f", the scatter taken {birge:.2g} times for the misfit"
     words = []
     if side is not None:
         cure = f"widen it to {limit:.4g}{scale} if possible" if math.isfinite(limit) else "the limit is physical"
         words.append(f"Sits on its {side} limit: {cure}, or suspect something missing in the model.")
-    if identified is None:
-        kind = "is a whole number and is not judged by derivatives" if integer else "was not judged"
+    if why is None:
+        kind = "is a whole number and is not judged by derivatives" if p.integer else "was not judged"
         words.append(f"It {kind}.")
-    elif identified and integer:
+    elif not why and p.integer:
         words.append("Identified: its other values fit much worse.")
-    elif identified:
-        part = f"{std:.3g}{scale} ({100 * std / span:.1f} % of its range)"
+    elif not why:
+        part = f"{std:.3g}{scale} ({100 * std / span:.1f} % of its range{wider})"
         words.append(f"Identified, standard deviation {part}.")
     elif math.isinf(std):
         words.append("Not determined at all.")
     else:
-        words.append(f"Not identified: standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its range.")
+        words.append(f"Not identified: {'; '.join(_reasons(why, std, share, span, scale, wider))}.")
     if others:
         words.append(f"It cannot be told apart from {', '.join(others)}.")
     if trade is not None:
@@ -164,3 +183,17 @@ def _sentence(
     if width is not None and width > STABLE:
         words.append(f"The cases differ by {100 * width:.0f} % of its range.")
     return " ".join(words)
+
+
+_UNSEEN = 0.05
+"""Part of what is known below which the data count as not seeing a parameter."""
+
+
+def _reasons(why: Sequence[str], std: float, share: float, span: float, scale: str, wider: str) -> list[str]:
+    unseen = "the data do not see it"
+    told = {
+        "wide": f"standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its range{wider}",
+        "prior": unseen if share < _UNSEEN else f"the data give only {100 * share:.0f} % of what is known of it",
+        "limit": "a limit holds it",
+    }
+    return [told[reason] for reason in why]

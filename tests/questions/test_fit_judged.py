@@ -102,3 +102,34 @@ def test_calibration_and_explanation_agree_after_an_extension(guyed, tmp_path):
     assert judged.fits is True
     assert judged.p_fit == pytest.approx(found.base_check.p_fit, abs=1e-3)
     assert judged.freedom == pytest.approx(found.base_check.kinds["freedom"].sum(), abs=1e-3)
+
+
+# -- what counts as identified -----------------------------------------------------------------------------------------
+
+
+def test_a_parameter_that_acts_on_nothing_is_not_identified_by_its_prior(line):
+    found = line(around(0.1), ("a", "b", "idle"))
+    table = found.verdicts.set_index("parameter")
+    assert table["std_of_range"]["idle"] == pytest.approx(0.01)  # small, but known beforehand
+    assert table["identified"].to_dict() == {"a": True, "b": True, "idle": False}
+    assert table["not_identified"]["idle"] == "prior" and table["data_share"]["idle"] == pytest.approx(0.0, abs=1e-9)
+    assert found.parameters.set_index("parameter")["identified"].to_dict() == table["identified"].to_dict()
+    assert found.sentences[0] == "2 of 3 parameters are identified; not idle."
+
+
+def test_a_parameter_that_a_limit_holds_is_not_identified(line):
+    table = line(48.0 + 51.0 * np.arange(8)).verdicts.set_index("parameter")
+    assert table["std_of_range"]["b"] < 0.01 and table["on_bound"]["b"]
+    assert not table["identified"]["b"] and table["not_identified"]["b"] == "limit"
+
+
+def test_a_model_that_is_rejected_identifies_what_a_scatter_as_large_as_its_misfit_would(line):
+    """Alternating errors of 8, whatever the scatter of 0.1 says."""
+    good, bad = line(around(0.1)), line(around(0.1) + 8.0 * (-1.0) ** np.arange(8))
+    assert bad.best.judgement.fits is False
+    scale = bad.best.judgement.birge
+    assert scale == pytest.approx(np.sqrt(bad.best.judgement.misfit / 6), rel=1e-3) and scale > 50
+    before, after = (found.verdicts.set_index("parameter") for found in (good, bad))
+    np.testing.assert_allclose(after["std"], scale * before["std"], rtol=0.03)  # the priors help a little
+    assert before["identified"].all() and not after["identified"]["a"]
+    assert after["not_identified"]["a"] == "wide"

@@ -20,7 +20,7 @@ from calib.study import Study
 from calib.updating.differences import DifferencedResponses
 from calib.updating.gauss_newton import Prior, fit
 from calib.updating.identify import identify, posterior, prediction_interval
-from calib.updating.verdicts import parameter_verdicts, whole_number_std
+from calib.updating.verdicts import identified_sentence, parameter_verdicts, whole_number_std
 from calib.updating.whole_numbers import fit_mixed
 
 
@@ -91,7 +91,9 @@ def test_a_pair_that_trades_is_named_and_the_third_is_not():
     unseen = found.directions[~found.directions["seen"]]
     assert unseen["parameters"].tolist() == ["a, b"] or unseen["parameters"].tolist() == ["b, a"]
     np.testing.assert_allclose(found.directions["signal"], sorted(np.linalg.svd(3.0 * g)[1]))
-    assert "1 of 3 parameters are identified; not a, b." in found.sentences()
+    assert identified_sentence(parameter_verdicts(space, space.values, found)) == (
+        "1 of 3 parameters are identified; not a, b."
+    )
 
 
 def test_a_parameter_that_partly_trades_is_told_with_its_partner():

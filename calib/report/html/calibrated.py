@@ -20,7 +20,12 @@ TERMS = (
     ),
     (
         "std",
-        "standard deviation of a parameter, given data and priors; it is identified up to 2.5 % of its range",
+        "standard deviation of a parameter, given data and priors; where the model does not fit, for a scatter as "
+        "large as its misfit",
+    ),
+    (
+        "identified",
+        "the data give at least half of what is known of it, std is at most 2.5 % of the range, and no limit holds it",
     ),
     ("spread", "difference of the searches in a parameter, before least squares, over its range"),
 )
