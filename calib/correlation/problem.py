@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.compare import Comparison
 from calib.correlation.energy import emac
 from calib.correlation.follow import Point, follow
 from calib.correlation.order import Costs
-from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
+from calib.correlation.pairing import Pairing, by_order, check_override, in_window, pair_by_order, pair_by_shape
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
@@ -56,6 +57,10 @@ class ModalProblem:
     reference : mapping from str to float
         Values at which modes without measured shapes are paired by the order of their frequencies; elsewhere the
         model's modes are followed from there. Parameters left out take their adopted value.
+    base : ModalProblem or None
+        The same question asked of the model without effects that are added to it, all of strength next to 0 at the
+        reference: its pairs without shapes are taken over there, since an added motion that nothing couples is no mode
+        of the structure, however well its frequency fits.
 
     Raises
     ------
@@ -71,6 +76,7 @@ class ModalProblem:
     freq_window: tuple[float, float] | None = None
     override: Mapping[str, int] = field(default_factory=dict)
     reference: Mapping[str, float] = field(default_factory=dict)
+    base: ModalProblem | None = None
     sensor_rows: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -235,7 +241,17 @@ class ModalProblem:
             there = Point(values, self.model.modes(values, self.mode_count))
         except EvaluationError:
             return None
-        return None if there.modes.n_modes < self.mode_count else (there, *self._ordered(there.modes))
+        if there.modes.n_modes < self.mode_count:
+            return None
+        base = self.base
+        taken = base._reference if base is not None and base.measured.names == self.measured.names else None
+        if taken is None:
+            return (there, *self._ordered(there.modes))
+        (_, modes), pairing, costs = taken
+        index = pairing.model_index.copy()
+        apart = np.abs(np.subtract.outer(modes.natural_freq[index[pairing.paired]], there.modes.natural_freq))
+        index[pairing.paired] = linear_sum_assignment(apart)[1]
+        return there, by_order(index), costs
 
     def _ordered(
         self, modes: Modes, followed: Mapping[int, int] | None = None, costs: Costs | None = None

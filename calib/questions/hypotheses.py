@@ -122,9 +122,9 @@ class ModalHypotheses:
         if key not in self._questions:
             known = {e.name: e for e in (*self.effects, *self.atoms)}
             model = self.variants.with_effects(names)
-            problem = replace(
-                self.problem, model=model, mode_count=self.problem.mode_count + self.variants.added(names)
-            )
+            count = self.problem.mode_count + self.variants.added(names)
+            base = self.problem if names else None
+            problem = replace(self.problem, model=model, mode_count=count, base=base)
             space = question_space(self.space, [known[n] for n in key])
             self._questions[key] = ModalQuestion(ModalResidual(problem, self.floors), space, self.counter)
         return self._questions[key]

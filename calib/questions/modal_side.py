@@ -81,8 +81,10 @@ class ModalSide:
             state = trial.state
             model = extend(self.study.model, [e for e in trial.effects if e.name in known])
             more = model.n_dof - self.study.model.n_dof
-            fitted = replace(problem, model=model, mode_count=problem.mode_count + more)
-            everything = None if whole is None else replace(whole, model=model, mode_count=whole.mode_count + more)
+            fitted = replace(problem, model=model, mode_count=problem.mode_count + more, base=problem)
+            everything = (
+                None if whole is None else replace(whole, model=model, mode_count=whole.mode_count + more, base=whole)
+            )
             table = modal_errors(
                 fitted, everything, state.values, state.names, state.prior_sd, hypotheses.floors,
                 hypotheses.scatter_freedom, scale,

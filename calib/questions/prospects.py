@@ -271,6 +271,7 @@ class _Imagined:
                 mode_clusters=kept,
                 override={},
                 reference=self.found.values,
+                base=None,
                 threshold=0.05,
             )
             floors = replace(self.hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)

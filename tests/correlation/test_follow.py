@@ -1,11 +1,18 @@
 """Without shapes a measured mode keeps its model mode when parameters move."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from calib.correlation.follow import Point, follow
 from calib.correlation.problem import ModalProblem
+from calib.effect import Effect
 from calib.mac import mac
+from calib.space import Parameter
+from calib.structure.affine import Term, parameter
+from calib.structure.extend import Addition, extend
 
 COUNT = 7
 
@@ -68,6 +75,33 @@ def test_a_mode_more_in_the_test_or_in_the_model_shifts_no_other(build, twin):
     truth = model.space.complete({"k_along": 41.0, "k_across": 11.3})
     lacking = twin(model, truth, order=(0, 2, 3, 4), shapes=False)
     assert ModalProblem(model, lacking, mode_count=COUNT).compare({}).pairing.model_index.tolist() == [0, 2, 3, 4]
+
+
+def test_an_added_motion_that_nothing_couples_takes_no_partner_away(build, twin):
+    """Without shapes its frequency alone would speak for it."""
+    model = build(damped=False)
+    measured = twin(model, model.space.complete({"k_along": 42.0}), order=(0, 1, 2, 3), shapes=False)
+    base = ModalProblem(model, measured, mode_count=COUNT)
+    rate = (2 * np.pi * measured.natural_freq[2]) ** 2
+
+    def hung(model):
+        n = model.n_dof
+        own = sp.csr_array(([1.0], ([n], [n])), shape=(n + 1, n + 1))
+        arm = sp.csr_array(np.outer(v := np.eye(n + 1)[n] - np.eye(n + 1)[n - 1], v))
+        return Addition(
+            stiffness=(Term("own", rate * own), Term("hung", arm, parameter("hung"))),
+            mass=(Term("own", own),),
+            n_added=1,
+        )
+
+    strength = Parameter("hung", 0.0, 0.0, 1e4, "N/m", prior_sd=1e3)
+    wider = extend(model, [Effect("hung", "Hung mass", "It is left out.", "Look there.", strength, hung)])
+    asked = replace(base, model=wider, mode_count=COUNT + 1, base=base)
+    for values in ({}, {"k_along": 45.0}):
+        ours, theirs = asked.evaluate(values), base.evaluate(values)
+        assert ours == pytest.approx(theirs, nan_ok=True)
+    alone = replace(asked, base=None).evaluate({})
+    assert alone["natural_freq_M3"] == pytest.approx(measured.natural_freq[2]) != base.evaluate({})["natural_freq_M3"]
 
 
 def test_the_answer_does_not_depend_on_what_was_asked_before(build, twin):
