@@ -29,7 +29,7 @@ from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.results import Results
 from calib.settings import possible_path
-from calib.study import Study, shell_argument
+from calib.study import Study, StudyFile, shell_argument
 from calib.written import is_own, kept
 
 app = typer.Typer(
@@ -180,8 +180,11 @@ def extend(
 
 @app.command()
 def report(study: StudyPath, results: ResultsPath = DEFAULT_RESULTS) -> None:
-    """Tell all earlier answers in report.html, one file that opens anywhere, and draw every figure anew."""
-    loaded = _load(study, results)
+    """Tell all earlier answers in report.html, one file that opens anywhere, and draw every figure anew.
+
+    Nothing is computed, and no code of the study is run.
+    """
+    loaded = StudyFile.read(study)
     if not places.answers_of(loaded, results):
         remedy = f"ask first: calib run {shell_argument(study)}"
         raise InputError("there are no results to draw", place=results / loaded.name, remedy=remedy)
@@ -340,7 +343,7 @@ def _add(
     return extended, own
 
 
-def _draw_anew(study: Study, root: Path) -> None:
+def _draw_anew(study: StudyFile, root: Path) -> None:
     """Every figure and report of a study, and of those that its runs have extended it to."""
     folders = places.answers_of(study, root)
     if Results(root / study.name) in folders:  # versions are those of whole answers
@@ -349,10 +352,10 @@ def _draw_anew(study: Study, root: Path) -> None:
         _draw(study, folder, root, whole_report=True)
     written = [file for folder in folders if (file := extension.found_among(study, folder.path))]
     for file in written[:1]:  # that of a quick look has its answers in the same place
-        _draw_anew(_load(file, root), root)
+        _draw_anew(StudyFile.read(file), root)
 
 
-def _draw(study: Study, folder: Results, root: Path, whole_report: bool = False) -> None:
+def _draw(study: StudyFile, folder: Results, root: Path, whole_report: bool = False) -> None:
     """Draw what the tables hold; the report is written when asked for, and where there is one, which is older now."""
     title, synthetic = study.settings.title, study.synthetic
     told = whole_report or folder.has(REPORT)

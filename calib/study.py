@@ -30,7 +30,55 @@ _NONE: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
-class Study:
+class StudyFile:
+    """What a study's file says, read and checked without running any code that it names.
+
+    Attributes
+    ----------
+    name : str
+        Name of the study's folder.
+    file : Path
+        Its ``study.toml``.
+    settings : StudySettings
+    """
+
+    name: str
+    file: Path
+    settings: StudySettings
+
+    @staticmethod
+    def read(path: Path) -> StudyFile:
+        """Read a study folder's TOML file, or that file; InputError for anything wrong in it."""
+        file = study_file(path)
+        settings = read_settings(file)
+        return StudyFile(file.resolve().parent.name, file, settings)
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether the measurement was made by a computer."""
+        return self.settings.measurement.synthetic
+
+    def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
+        """Everything that was measured: modes, or plain responses; InputError where it cannot be read."""
+        return _Reader(self.file, self.settings).measurement()
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """Every file that the study reads, itself included, without links."""
+        return (self.file.resolve(), *self.named_files.values())
+
+    @property
+    def named_files(self) -> Mapping[str, Path]:
+        """Every file that the study names, by the path it writes, without links."""
+        given, folder = self.settings, self.file.resolve().parent
+        code = [where for f in (given.model, given.effects or "") if (where := f.rpartition(":")[0]).endswith(".py")]
+        data = given.measurement
+        files = [*code, *data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
+        return {file: (folder / file).resolve() for file in files}
+
+
+@dataclass(frozen=True)
+class Study(StudyFile):
     """Model and measurement of one study, checked, with what is withheld already left out.
 
     Attributes
@@ -66,9 +114,6 @@ class Study:
         The plain responses with nothing withheld and the repeats behind them; None for a model with modes.
     """
 
-    name: str
-    file: Path
-    settings: StudySettings
     model: Model
     measured: MeasuredModes | None
     targets: Targets
@@ -84,10 +129,9 @@ class Study:
     hints: tuple[str, ...] = ()
     responses: MeasuredResponses | None = None
 
-    @property
-    def synthetic(self) -> bool:
-        """Whether the measurement was made by a computer."""
-        return self.settings.measurement.synthetic
+    def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
+        """Everything that was measured, as it was read when the study was."""
+        return self.whole, self.responses
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
@@ -119,20 +163,6 @@ class Study:
     def candidates(self) -> tuple[Effect, ...]:
         """Effects of the library that the model lacks."""
         return tuple(effect for effect in self.library if effect.name not in self.settings.with_effects)
-
-    @property
-    def inputs(self) -> tuple[Path, ...]:
-        """Every file that the study reads, itself included, without links."""
-        return (self.file.resolve(), *self.named_files.values())
-
-    @property
-    def named_files(self) -> Mapping[str, Path]:
-        """Every file that the study names, by the path it writes, without links."""
-        given, folder = self.settings, self.file.resolve().parent
-        code = [where for f in (given.model, given.effects or "") if (where := f.rpartition(":")[0]).endswith(".py")]
-        data = given.measurement
-        files = [*code, *data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
-        return {file: (folder / file).resolve() for file in files}
 
     def whole_problem(self) -> ModalProblem | None:
         """The modal problem over everything measured, what is withheld included; None for plain responses.
@@ -280,7 +310,7 @@ class _Reader:
         return path
 
     def _measurement(self, model: Model) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
-        """Everything that was measured."""
+        """Everything that was measured, of the kind that the model answers."""
         given = self.settings.measurement
         if isinstance(model, FunctionModel) != bool(given.responses):
             words = (
@@ -289,6 +319,11 @@ class _Reader:
             raise InputError(
                 f"the model {model.name!r} is compared with measured {words}", place=self.place("measurement")
             )
+        return self.measurement()
+
+    def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
+        """Everything that was measured, as the study's file alone tells."""
+        given = self.settings.measurement
         if given.responses:
             return None, read_responses(self._path(given.responses, "measurement", "responses"), given.pooling)
         measured = read_measurement(

@@ -19,7 +19,7 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.loading import pick
 from calib.settings import line_of
-from calib.study import Study
+from calib.study import Study, StudyFile
 from calib.written import DRAFT, free_name, is_own_folder, note_folder
 
 LEFT_BEHIND = ("results", "__pycache__")
@@ -103,13 +103,13 @@ def extend_among(
     return extension
 
 
-def found_among(study: Study, results: Path) -> Path | None:
+def found_among(study: StudyFile, results: Path) -> Path | None:
     """The study file that `extend_among` has written into a folder of results; None without one."""
     file = _place_among(study, results) / study.file.name
     return file if file.is_file() else None
 
 
-def _place_among(study: Study, results: Path) -> Path:
+def _place_among(study: StudyFile, results: Path) -> Path:
     return results / f"{study.name}{EXTENDED}"
 
 

@@ -11,7 +11,7 @@ from calib.evaluate import Evaluator
 from calib.ledger import Ledger
 from calib.outcome import attempt
 from calib.results import Results
-from calib.study import EvaluationSource, Problem, Study, shell_argument
+from calib.study import EvaluationSource, Problem, Study, StudyFile, shell_argument
 from calib.written import LOG
 
 QUICK = "quick"
@@ -27,7 +27,7 @@ ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.
 
 
 def results_of(
-    study: Study, root: Path, quick: bool = False, only: str | None = None, method: str | None = None
+    study: StudyFile, root: Path, quick: bool = False, only: str | None = None, method: str | None = None
 ) -> Results:
     """Where the answers go: a whole run's folder, or a sub-folder for a quick look, a single case or another method."""
     other = method if method and method != study.settings.calibration.method else None
@@ -42,7 +42,7 @@ def ledger_of(study: Study, root: Path) -> Ledger:
     return Ledger.open(home.path / LEDGER)
 
 
-def answers_of(study: Study, root: Path) -> tuple[Results, ...]:
+def answers_of(study: StudyFile, root: Path) -> tuple[Results, ...]:
     """Every folder with answers of a study: a whole run's, then those of quick looks, single cases and methods.
 
     InputError when they are not that study's, or lie where no results may be.
@@ -60,7 +60,7 @@ def root_for(study_file: Path, root: Path) -> Path:
     return next((place for place in places if not _same(place / own.name, own)), root)
 
 
-def _opened(study: Study, root: Path, part: str) -> Results:
+def _opened(study: StudyFile, root: Path, part: str) -> Results:
     """One folder of a study's results; InputError where these would meet what the study reads, or another's results."""
     home = Results(root / study.name)
     _refuse_inputs(study, root, home.path, part)
@@ -68,7 +68,7 @@ def _opened(study: Study, root: Path, part: str) -> Results:
     return Results(Results.at(root, study.name, part).path, (home.path, study.file))
 
 
-def _refuse_inputs(study: Study, root: Path, home: Path, part: str) -> None:
+def _refuse_inputs(study: StudyFile, root: Path, home: Path, part: str) -> None:
     own, elsewhere = study.file.resolve().parent, shell_argument(root_for(study.file, root))
     for folder in (home, home / part):
         if _same(folder, own):

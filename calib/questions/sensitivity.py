@@ -114,20 +114,24 @@ def selected_by_measures(study: Study, home: Results) -> Study:
             place=study.file,
             remedy=f"run 'calib sensitivity {shell_argument(study.file)}' first",
         )
-    table = read_table(path, ["parameter"], flags=["selected"], complete=["selected"], unique="parameter")
-    sampled = study.sensitivity_space.free_names
-    if differing := sorted(set(sampled) ^ set(table["parameter"])):
+    names, judged = selected_in(path)
+    if differing := sorted(set(study.sensitivity_space.free_names) ^ set(judged)):
         raise InputError(
             f"it does not judge the free parameters of the study: {differing[0]!r} is in one of them only",
             place=path,
             remedy=f"run 'calib sensitivity {shell_argument(study.file)}' again",
         )
-    names = tuple(table["parameter"][table["selected"].astype(bool)])
     if not names:
         raise InputError(
             "the sensitivity analysis selected no parameter", place=path, remedy="name them in 'selection'"
         )
     return study.selecting(names)
+
+
+def selected_in(path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Parameters that a ``selection.csv`` selects, and all that it judges; InputError for a table in doubt."""
+    table = read_table(path, ["parameter"], flags=["selected"], complete=["selected"], unique="parameter")
+    return tuple(table["parameter"][table["selected"].astype(bool)]), tuple(table["parameter"])
 
 
 # -- on request --------------------------------------------------------------------------------------------------------

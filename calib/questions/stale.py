@@ -8,10 +8,10 @@ from pathlib import Path
 
 from calib.errors import InputError
 from calib.questions.record import questions_of
-from calib.questions.sensitivity import selected_by_measures
-from calib.questions.state import WRITES, changed, made_from
+from calib.questions.sensitivity import selected_by_measures, selected_in
+from calib.questions.state import WRITES, changed, made_from, made_from_on_paper
 from calib.results import Results
-from calib.study import Study, shell_argument
+from calib.study import Study, StudyFile, shell_argument
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class Stale:
     files: frozenset[str] = frozenset()
 
 
-def stale_answers(study: Study, results: Results, root: Path | None = None) -> Stale:
+def stale_answers(study: StudyFile, results: Results, root: Path | None = None) -> Stale:
     """Compare what every answer of a folder was made from with the study as it is.
 
     Parameters
     ----------
-    study : Study
-        As it is now.
+    study : StudyFile
+        As it is now; of a `Study` model and settings are compared, of its file alone what can be told without its code.
     results : Results
     root : Path, optional
         Where results of all studies go, for the commands that are proposed; None where it is the default.
@@ -49,8 +49,12 @@ def stale_answers(study: Study, results: Results, root: Path | None = None) -> S
         writer |= dict.fromkeys(WRITES.get(question, ()), question)
         if question not in WRITES:
             continue
-        now = made_from(_selecting(study, results) if question == "calibrate" else study, question)
-        if found := changed(told.get("made_from", {}), now):
+        then = told.get("made_from", {})
+        if isinstance(study, Study):
+            now = made_from(_selecting(study, results) if question == "calibrate" else study, question)
+        else:
+            now = made_from_on_paper(study, question, then, _selected(study, results))
+        if found := changed(then, now):
             verb = "run" if question == "extend" else question
             quick = " --quick" if told.get("quick") else ""
             sentences[question] = (
@@ -69,3 +73,14 @@ def _selecting(study: Study, results: Results) -> Study:
             except InputError:
                 return study
     return study
+
+
+def _selected(study: StudyFile, results: Results) -> tuple[str, ...] | None:
+    """The parameters that the sensitivity analysis selects; None where the study names them, or it was not asked."""
+    for home in (results, Results(results.path.parent)):
+        if isinstance(study.settings.selection, str) and home.has("selection.csv"):
+            try:
+                return selected_in(home.path / "selection.csv")[0]
+            except InputError:
+                return None
+    return None

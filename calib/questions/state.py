@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from calib import __version__
 from calib.correlation.problem import ModalProblem
-from calib.study import Study
+from calib.study import Study, StudyFile
 
 PARTS = ("measurement", "model", "settings", "code")
 """Of which an answer is made; ``files`` beside them tells what has changed in the first two."""
@@ -60,20 +60,67 @@ def made_from(study: Study, question: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        A digest for each of `PARTS` (of ``code`` the version), and ``files``: digests of the files that the study
-        names, its own apart, by their paths as the study writes them.
+        A digest for each of `PARTS` (of ``code`` the version); ``files``: digests of the files that the study names,
+        its own apart, by their paths as the study writes them; ``stated``: digests of what its own file says of model
+        and settings, and ``selected``: the parameters of the search. The last two are all that can be told without
+        running the study's code (see `made_from_on_paper`).
     """
     given, problem = study.settings, study.problem
-    data = {k: v for k, v in given.measurement.model_dump().items() if k not in _NAMES_OF_FILES}
-    measured = study.whole.fingerprint if study.whole is not None else sorted(study.whole_targets.items())
     model = problem.model.fingerprint if isinstance(problem, ModalProblem) else problem.fingerprint
     return {
-        "measurement": _digest(measured, data, given.withheld.model_dump()),
+        "measurement": measurement_digest(study),
         "model": _digest(model, study.model.space, given.with_effects),
         "settings": _digest(given.pairing.model_dump(), *_SETTINGS[question.partition(" ")[0]](study)),
         "code": __version__,
-        "files": {name: hashlib.sha256(path.read_bytes()).hexdigest()[:16] for name, path in study.named_files.items()},
+        "files": _files(study),
+        "stated": _stated(study, question),
+        "selected": list(study.search_space.free_names),
     }
+
+
+def made_from_on_paper(
+    study: StudyFile, question: str, then: Mapping[str, Any], selected: Sequence[str] | None
+) -> dict[str, Any]:
+    """What an answer would be made from now, as far as it can be told without running the study's code.
+
+    The digests of model and settings that an answer has are taken as they are as long as the files with code, what
+    the study's file says, and the selection are the same; a change outside the study's folder is not seen.
+
+    Parameters
+    ----------
+    study : StudyFile
+    question : str
+    then : mapping
+        What the answer was made from: see `made_from`.
+    selected : sequence of str or None
+        What the sensitivity analysis selects now; None where the study names its selection, or nothing is known.
+    """
+    files, stated = _files(study), _stated(study, question)
+    old, said = then.get("files", {}), then.get("stated", {})
+    code = [name for name in {**old, **files} if name.endswith(".py") and old.get(name) != files.get(name)]
+    of_effects = (study.settings.effects or "").rpartition(":")[0]
+    asks_effects = question in ("explain", "extend")
+    of_model = [name for name in code if name != of_effects or study.settings.with_effects]
+    same_model = not of_model and said.get("model") == stated["model"]
+    same_settings = said.get("settings") == stated["settings"] and not (asks_effects and code)
+    if question == "calibrate" and selected is not None:
+        same_settings = same_settings and sorted(then.get("selected", ())) == sorted(selected)
+    return {
+        "measurement": measurement_digest(study),
+        "model": then.get("model") if same_model else "changed",
+        "settings": then.get("settings") if same_settings else "changed",
+        "code": __version__,
+        "files": files,
+    }
+
+
+def measurement_digest(study: StudyFile) -> str:
+    """Digest of everything that was measured, and of what is withheld."""
+    whole, responses = study.measurement()
+    data = {k: v for k, v in study.settings.measurement.model_dump().items() if k not in _NAMES_OF_FILES}
+    targets = {} if responses is None else responses.targets
+    measured = sorted(targets.items()) if whole is None else whole.fingerprint
+    return _digest(measured, data, study.settings.withheld.model_dump())
 
 
 def changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
@@ -86,6 +133,17 @@ def changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
         out.append("the measurement" if "measurement" in parts else "the model or its parameters")
     out += ["the settings in the study file"] * ("settings" in parts)
     return out + [f"calib itself ({then.get('code', 'unknown')}, now {now['code']})"] * ("code" in parts)
+
+
+def _files(study: StudyFile) -> dict[str, str]:
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest()[:16] for name, path in study.named_files.items()}
+
+
+def _stated(study: StudyFile, question: str) -> dict[str, str]:
+    """Digests of what a study's file says of its model, and of all else that a question depends on."""
+    given = study.settings.model_dump()
+    sections = _STATED[question.partition(" ")[0]]
+    return {part: _digest(*(given[key] for key in keys)) for part, keys in (("model", _MODEL), ("settings", sections))}
 
 
 def _of_calibration(study: Study) -> tuple[Any, ...]:
@@ -111,6 +169,18 @@ _SETTINGS: Mapping[str, Callable[[Study], tuple[Any, ...]]] = {
     "explain": _of_explanation,
     "extend": _of_explanation,
 }
+
+
+_MODEL = ("model", "model_options", "with_effects", "adopted", "parameters", "constraints")
+_STATED_OF_CALIBRATION = ("pairing", "selection", "calibration", "reduction")
+_STATED: Mapping[str, tuple[str, ...]] = {
+    "compare": ("pairing",),
+    "sensitivity": ("pairing", "sensitivity"),
+    "calibrate": _STATED_OF_CALIBRATION,
+    "explain": (*_STATED_OF_CALIBRATION, "explain", "effects"),
+    "extend": (*_STATED_OF_CALIBRATION, "explain", "effects"),
+}
+"""Keys of the study's file that stand for `_SETTINGS` where no code is run."""
 
 
 def _digest(*things: Any) -> str:

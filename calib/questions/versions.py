@@ -9,10 +9,10 @@ import pandas as pd
 
 from calib.questions.places import results_of
 from calib.questions.record import questions_of
-from calib.questions.state import made_from
+from calib.questions.state import measurement_digest
 from calib.results import Results
 from calib.settings import read_settings
-from calib.study import Study, shell_argument
+from calib.study import StudyFile, shell_argument
 from calib.table import read_table
 
 COLUMNS = ("version", "study", "effects", "group", "rms", "expected")
@@ -36,7 +36,7 @@ class Versions:
     notes: tuple[str, ...] = ()
 
 
-def write_versions(study: Study, root: Path) -> Versions:
+def write_versions(study: StudyFile, root: Path) -> Versions:
     """Write ``versions.csv`` of a study that was extended from another; an empty table for any other.
 
     A version's errors are those of its last calibration, or of the base model of its explanation when it was never
@@ -44,7 +44,7 @@ def write_versions(study: Study, root: Path) -> Versions:
 
     Parameters
     ----------
-    study : Study
+    study : StudyFile
     root : Path
         Where the folders with results are.
     """
@@ -65,7 +65,7 @@ def write_versions(study: Study, root: Path) -> Versions:
         chain.append((file.parent.name, settings.with_effects, file))
     if len(chain) == 1:
         return Versions(nothing, tuple(notes))
-    parts, measurement = [], made_from(study, "compare")["measurement"]
+    parts, measurement = [], measurement_digest(study)
     for number, (name, effects, origin) in enumerate(reversed(chain), start=1):
         found = Results(root / name)
         errors = _errors(found, measurement) if found.belongs_to(origin) else None

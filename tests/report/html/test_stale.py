@@ -16,7 +16,7 @@ from calib.report.html.summary import summary
 from calib.report.html.write import NAME, sections
 from calib.report.shown import Shown
 from calib.results import OWNER, Results
-from calib.study import Study
+from calib.study import Study, StudyFile
 
 MODEL = """
 from calib.function import FunctionModel
@@ -172,3 +172,43 @@ def test_nothing_of_a_whole_run_is_stale(everything, tmp_path):
     assert all("modes.csv" in words for words in found.sentences.values())
     told = sections(Answers(Shown(tmp_path / "all/results/mast", found.files), "A mast", False, found.sentences))
     assert {s.name for s in told} <= {"stale", "versions", "not-asked"}
+
+
+def test_the_report_runs_no_code_of_the_study(sums):
+    """Whoever is sent a study with its results may look at them before trusting its code."""
+    ask("report")
+    before = {s.name for s in sections(answers(stale()))}
+    edit("model.py", "/ 2, ", "/ 3, ")
+    changed = stale()
+    text = Path("sums/model.py").read_text()
+    Path("sums/model.py").write_text('raise SystemExit("the code of the study was run")\n')
+    said = " ".join(ask("report").split("\n"))
+    assert all(words.split(" of ")[0] in said for words in changed.sentences.values())
+    Path("sums/model.py").write_text(text)
+    edit("model.py", "/ 3, ", "/ 2, ")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.loading.Sources.model", lambda self: pytest.fail("the code of the study was run"))
+        ask("report")
+    assert {s.name for s in sections(answers(stale()))} == before
+    assert (ROOT / "sums" / "parameters.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("data.csv", "y,3.1", "y,3.2"),
+        ("model.py", "/ 2, ", "/ 3, "),
+        ("study.toml", "generations = 3", "generations = 4"),
+        ("study.toml", "samples = 12", "samples = 13"),
+        ("study.toml", "[sensitivity]", "[parameters]\na = { value = 2.1 }\n[sensitivity]"),
+        ("study.toml", 'title = "Plain"', 'title = "Other words"'),
+        ("data.csv", "response,", "# a remark\nresponse,"),
+    ],
+)
+def test_what_is_stale_is_seen_without_the_code(sums, file, old, new):
+    def on_paper():
+        return stale_answers(StudyFile.read(Path("sums")), Results(ROOT / "sums"))
+
+    assert not on_paper().sentences
+    edit(file, old, new)
+    assert set(on_paper().sentences) == set(stale().sentences) and on_paper().files == stale().files
