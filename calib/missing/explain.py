@@ -10,18 +10,22 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
+from calib.freedom import effective_freedom
 from calib.missing.alike import Group, grouped
 from calib.missing.anew import anew, led_astray
 from calib.missing.evidence import CREDIBLE, at_lower
 from calib.missing.findings import Check, Findings, Trial
 from calib.missing.goodness import goodness, noise_scale, overall
 from calib.missing.hypotheses import Hypotheses
+from calib.missing.left_out import left_out
 from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
 from calib.missing.score import Scores, family_p
-from calib.missing.state import nearest_whole
+from calib.missing.state import State, nearest_whole
 
 LEAST_MODES = 4
 """Fewer modes cannot tell an effect from a parameter."""
+LEAST_FREEDOM = 2 - 1e-6
+"""Effective degrees of freedom that a fit must leave for a name; priors take a little of the last one."""
 GUARD = 1.11
 """Factor on the scatter from which it counts as understated (two and a half standard errors with 8 modes)."""
 
@@ -140,7 +144,7 @@ class _Decision:
         pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival), groups)
         if pair:
             pair_check = self.check(pair[0], self.beside(pair[0], able))
-            if pair_check.adequate(alpha):
+            if pair_check.adequate(alpha) and self.told_by_data(pair[0]) and self.predicts(pair[0], base):
                 credible = dict.fromkeys(name for t in pair for name in t.names)
                 return self.done(plain, "two_effects", pair[0], pair_check, tuple(credible))
         partial = best.ln_evidence > needed and not best.implausible and best_check.p_family <= alpha
@@ -148,7 +152,22 @@ class _Decision:
 
     def accepted(self, trial: Trial, check: Check, needed: float) -> bool:
         """Whether an effect may be named."""
-        return trial.ln_evidence > needed and not trial.implausible and check.adequate(self.fits.settings.alpha)
+        adequate = check.adequate(self.fits.settings.alpha) and self.told_by_data(trial)
+        return trial.ln_evidence > needed and not trial.implausible and adequate
+
+    def told_by_data(self, trial: Trial) -> bool:
+        """Whether enough data are left to speak against a fit."""
+        factors = sum(self.fits.hypotheses.fitted_factors.values())
+        return effective_freedom(trial.state.slope, trial.state.prior_sd, factors) >= LEAST_FREEDOM
+
+    def predicts(self, trial: Trial, base: Trial) -> bool:
+        """Whether data that are left out, mode by mode or one by one, are predicted no worse than by the base model."""
+        groups = [row.mode or row.sensor for row in self.fits.hypotheses.rows]
+
+        def error(state: State) -> float:
+            return float(np.linalg.norm(left_out(state.residual, state.slope, state.prior_sd, groups).residual))
+
+        return error(trial.state) <= error(base.state)
 
     def named(self, found: Findings, singles: Sequence[Trial], best: Trial, check: Check) -> Findings:
         """One effect, or several that explain about as well and that a careful reader would believe."""
