@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -12,8 +14,12 @@ from calib.missing.hypotheses import Question
 from calib.missing.score import DETECTABLE, Scores
 from calib.missing.state import State
 
-_HALVINGS = 2
-"""Every one asks the model once: such a strength is told to a quarter of its range."""
+_ASKED = 12
+"""Residuals asked of the model for one sign of a strength."""
+_CLOSE = 1.1
+"""Ratio of the ends of the bracket that is close enough."""
+_LEAST = 1e-4
+"""Part of the limit below which nothing is looked for."""
 
 
 def smallest_visible(found: Scores, name: str) -> float:
@@ -25,11 +31,13 @@ def smallest_visible(found: Scores, name: str) -> float:
     return min((max(DETECTABLE / float(found.size[k]), float(found.onset[k])) for k in own), default=math.inf)
 
 
-def visible_within_limits(question: Question, state: State, effect: Effect) -> float:
+def visible_within_limits(
+    question: Question, state: State, effect: Effect, nuisance: Mapping[str, float] = MappingProxyType({})
+) -> float:
     """The same asked of the model itself, up to the limits of the strength; infinite when not even these show.
 
     A share by which something is softer, for instance, changes the data far more at its end than its derivative says.
-    The other parameters may follow to first order.
+    The other parameters may follow to first order. The strength is bracketed to 10 %.
 
     Parameters
     ----------
@@ -38,26 +46,36 @@ def visible_within_limits(question: Question, state: State, effect: Effect) -> f
     state : State
         Fit without it.
     effect : Effect
-        Without nuisance parameters.
+    nuisance : mapping
+        Values of its nuisance parameters.
     """
     ends = {effect.strength.lower, effect.strength.upper} - {effect.strength.value}
-    return min((_onset(question, state, effect, end) for end in ends), default=math.inf)
+    return min((_onset(question, state, effect, end, nuisance) for end in ends), default=math.inf)
 
 
-def _onset(question: Question, state: State, effect: Effect, end: float) -> float:
+def _onset(question: Question, state: State, effect: Effect, end: float, nuisance: Mapping[str, float]) -> float:
     start = effect.strength.value
 
-    def shows(strength: float) -> bool:
+    def shown(part: float) -> float:
+        """Length of the change that the parameters cannot absorb, over what is detectable; 0 where there is none."""
         try:
-            there = question.residual({**state.values, effect.name: strength})
+            there = question.residual({**state.values, **nuisance, effect.name: start + part * (end - start)})
         except EvaluationError:
-            return False
-        return float(np.linalg.norm(state.outside((state.residual - there)[:, None]))) >= DETECTABLE
+            return 0.0
+        return float(np.linalg.norm(state.outside((state.residual - there)[:, None]))) / DETECTABLE
 
-    if not shows(end):
+    high, above = 1.0, shown(1.0)
+    if above < 1:
         return math.inf
-    low, high = start, end
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        low, high = (low, middle) if shows(middle) else (middle, high)
-    return abs(high - start)
+    low, below = 0.0, 0.0
+    for _ in range(_ASKED - 1):
+        if high < _LEAST or (low and high / low < _CLOSE):
+            break
+        if below > 0:  # a power of the strength through both ends, well inside the bracket
+            share = math.log(1 / below) / math.log(above / below)
+            part = low * (high / low) ** min(max(share, 0.15), 0.85)
+        else:
+            part = low + (high - low) / 2 if low else high * min(max(0.7 / above, 0.1), 0.7)
+        size = shown(part)
+        low, below, high, above = (low, below, part, size) if size >= 1 else (part, size, high, above)
+    return high * abs(end - start)

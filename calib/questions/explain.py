@@ -17,6 +17,7 @@ from calib.loading import with_effects
 from calib.missing import explain as engine
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
 from calib.missing.advice import Prospects, advice_sentence, advise
+from calib.missing.evidence import CREDIBLE
 from calib.missing.findings import Findings, Trial
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Hypotheses, Scaled
@@ -243,13 +244,22 @@ def _untested(side: Side, found: Findings) -> list[Effect]:
 
 
 def _visible(side: Side, found: Findings) -> dict[str, float]:
-    """Smallest visible strengths of effects that show at no plausible one to first order, asked of the model itself."""
+    """Smallest visible strengths, asked of the model itself where the derivative cannot tell them.
+
+    These are effects that show at no plausible strength to first order, and those that were found with a strength that
+    should not show: it grows faster than its derivative says.
+    """
     state, out = found.base.state, {}
+    fits = {t.names[0]: t for t in found.singles}
     for effect in (e for group in found.groups for e in group.effects):
-        if not effect.nuisance and smallest_visible(found.base_check.named, effect.name) > effect.plausible:
+        first, fit = smallest_visible(found.base_check.named, effect.name), fits.get(effect.name)
+        seen = fit is not None and found.ln_bayes(fit) > CREDIBLE and abs(fit.state.values[effect.name]) < first
+        if seen or (not effect.nuisance and first > effect.plausible):
             inner = side.hypotheses.question((effect.name,))
             question = inner if found.noise_scale == 1.0 else Scaled(inner, found.noise_scale)
-            out[effect.name] = visible_within_limits(question, state, effect)
+            nuisance = {q.name: fit.state.values[q.name] if fit else q.value for q in effect.nuisance}
+            within = visible_within_limits(question, state, effect, nuisance)
+            out[effect.name] = min(first, within) if seen else within
     return out
 
 
