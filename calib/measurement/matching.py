@@ -21,6 +21,10 @@ AMBIGUOUS = 0.1
 """An assignment whose sum of scores comes this near to the best one is as good as it."""
 SAME_FREQ = 0.02
 """A mode of another shape, this near in frequency to one that its repeat lacks, is that one identified badly."""
+MAC_BUT_ONE = 0.9
+"""With this MAC once one sensor is left out, it is the same mode, and that sensor is wrong in one of the repeats."""
+SENSORS_FEWEST_BUT_ONE = 5
+"""Sensors from which on one may be left out for that."""
 SENSORS_FEWEST = 3
 """With fewer common sensors a MAC says nothing, and modes are matched by frequency."""
 
@@ -49,8 +53,8 @@ def match_modes(sources: Sequence[str], freqs: Sequence[np.ndarray], shapes: Seq
     averaged over the repeats that hold them; without shapes the MAC counts as 1. Pairs with a MAC below 0.5, a
     frequency more than 10 % off or a score below 0.25 are forbidden. The assignment with the largest sum of scores is
     taken; a mode that finds no partner becomes one of its own, so that repeats may lack modes. At the end, a mode that
-    only a minority of the repeats shows, within 2 % of one that these lack, is that mode with a bad shape: it is set
-    aside.
+    only a minority of the repeats shows, within 2 % of one that these lack, is that mode with a bad shape: it is
+    matched where the shapes agree but for one sensor (a MAC of 0.9 without it), and set aside otherwise.
 
     Parameters
     ----------
@@ -145,7 +149,20 @@ def _bad_shapes(
     kept = [c for c in range(len(columns)) if c not in owner]
     aside = []
     for c, d in owner.items():
+        pairs = [(shapes[r][:, k], shapes[j][:, m]) for r, k in columns[c].items() for j, m in columns[d].items()]
+        if np.median([_mac_but_one(a, b) for a, b in pairs]) >= MAC_BUT_ONE:
+            columns[d].update(columns[c])
+            continue
         for r, k in columns[c].items():
             others = [mac(shapes[r][:, [k]], shapes[j][:, [m]])[0, 0] for j, m in columns[d].items()]
             aside.append((r, k, kept.index(d), float(np.median(others))))
     return [columns[c] for c in kept], sorted(aside)
+
+
+def _mac_but_one(one: np.ndarray, other: np.ndarray) -> float:
+    """Largest MAC of two shapes once one sensor is left out; 0 with too few of them."""
+    shared = np.flatnonzero(np.isfinite(one) & np.isfinite(other))
+    if len(shared) < SENSORS_FEWEST_BUT_ONE:
+        return 0.0
+    rest = np.where(np.eye(len(shared), dtype=bool), complex(np.nan, np.nan), one[shared][:, None])
+    return float(mac(rest, other[shared][:, None]).max())

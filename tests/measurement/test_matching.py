@@ -95,3 +95,19 @@ def test_a_bad_shape_at_the_frequency_of_a_mode_is_set_aside():
         assert found.index[bad, column] == -1
         others = [k for k in range(4) if k != bad]
         assert {repeats[k][2][found.index[k, column]] for k in others} == {3}
+
+
+def test_a_wrong_channel_does_not_make_another_mode():
+    """The sensor that moves most is turned round: the MAC is small, and yet it is the same mode."""
+    rng = np.random.default_rng(3)
+    for bad in range(4):
+        repeats = [given(rng, [0, 1, 3, 4]) for _ in range(4)]
+        most = int(np.argmax(np.abs(TRUTH[:, 3])))
+        for freq, shapes, _ in repeats:
+            assert freq.shape == (4,)
+            shapes[most, 2] *= 3  # three quarters of the motion
+        repeats[bad][1][most] *= -1
+        assert mac(repeats[bad][1], repeats[bad - 1][1])[2, 2] < 0.5
+        found = match(repeats)
+        assert found.set_aside == ()
+        assert found.index.tolist() == [[0, 1, 2, 3]] * 4
