@@ -128,10 +128,13 @@ def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
             for r in worst.to_dict("records")
         ]
         _table(("kind", "what", "value", "in units of scatter", "verdict"), rows)
+    else:
+        for sentence in answer.scatter:
+            say(sentence)
     assumed = assumptions_table(study)
     if len(assumed):
         where = folder.path / "assumptions.csv"
-        say(f"\nAssumed, not published ({_count(len(assumed), 'item')}; the reasons are in {where}):")
+        say(f"\nAssumed, not published or measured ({_count(len(assumed), 'item')}; the reasons are in {where}):")
         for row in assumed.head(ASSUMPTIONS_SHOWN).to_dict("records"):
             unit = "" if row["unit"] == "-" else f" {row['unit']}"
             say(f"  {row['item']}: {row['value']}{unit}")

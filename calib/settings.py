@@ -8,9 +8,19 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from calib.errors import InputError
+from calib.measurement.accuracy import Accuracy, Claim
 
 Pair = tuple[float, float]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
@@ -43,6 +53,8 @@ class MeasurementSettings(_Section):
 
     ``pooling`` says whether mean and scatter go without what disagrees with the other repeats at a strict level
     (``"robust"``), or whether it is only named (``"plain"``).
+    ``accuracy`` is what is claimed beside the repeatability: a share such as ``"1 %"`` of every value, or by kind
+    (``freq``, ``damping``, ``shape``; of plain responses by name or kind), shares or numbers in the value's own unit.
     """
 
     files: tuple[PathText, ...] = ()
@@ -53,7 +65,22 @@ class MeasurementSettings(_Section):
     repeats: int | None = Field(default=None, ge=1, le=1_000_000)
     std_of: Literal["mean", "repeat"] = "mean"
     pooling: Literal["robust", "plain"] = "robust"
+    accuracy: str | float | dict[str, str | float] | None = None
     synthetic: bool = False
+
+    @field_validator("accuracy")
+    @classmethod
+    def _claim(
+        cls, given: str | float | dict[str, str | float] | None, info: ValidationInfo
+    ) -> str | float | dict[str, str | float] | None:
+        claims = given.values() if isinstance(given, dict) else () if given is None else (given,)
+        for claim in claims:
+            Claim.of(claim)
+        if info.data.get("files"):
+            Accuracy.of(given)
+        elif given is not None and not isinstance(given, dict | str):
+            raise ValueError("one accuracy for all responses is a share such as '1 %'; give numbers by response")
+        return given
 
     @model_validator(mode="after")
     def _one_kind(self) -> MeasurementSettings:

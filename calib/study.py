@@ -9,11 +9,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.responses import response_rows
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.function import FunctionModel
 from calib.limits import parameter_hints, search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, with_effects
+from calib.measurement.accuracy import Accuracy, widened
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_measurement
@@ -286,7 +288,7 @@ class _Reader:
         if isinstance(model, FunctionModel):
             assert isinstance(base, FunctionModel)
             mark = fingerprint_of(base, included, model)
-            problem = FunctionProblem(space, model.function, targets, mark, self.settings.measurement.repeats)
+            problem = FunctionProblem(space, model.function, targets, mark, self._repeats(responses))
         else:
             assert measured is not None and not isinstance(base, FunctionModel)
             problem = self._problem(model, measured, model.n_dof - base.n_dof)
@@ -325,7 +327,13 @@ class _Reader:
         """Everything that was measured, as the study's file alone tells."""
         given = self.settings.measurement
         if given.responses:
-            return None, read_responses(self._path(given.responses, "measurement", "responses"), given.pooling)
+            responses = read_responses(self._path(given.responses, "measurement", "responses"), given.pooling)
+            kinds = {row.sensor: row.kind for row in response_rows(responses.targets)}
+            try:
+                return None, replace(responses, targets=widened(responses.targets, kinds, given.accuracy))
+            except InputError as fault:
+                place = self.place("measurement", "accuracy")
+                raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
         measured = read_measurement(
             [self._path(f, "measurement", "files") for f in given.files],
             shape_files=[self._path(f, "measurement", "shapes") for f in given.shapes],
@@ -336,7 +344,12 @@ class _Reader:
             pooling=given.pooling,
             synthetic=given.synthetic,
         )
-        return measured, None
+        return replace(measured, accuracy=Accuracy.of(given.accuracy)), None
+
+    def _repeats(self, responses: MeasuredResponses | None) -> int | None:
+        """Repeats behind plain responses."""
+        told = None if responses is None else responses.repeats
+        return self.settings.measurement.repeats if told is None else told
 
     def _used(self, whole: MeasuredModes | None, whole_targets: Targets) -> tuple[MeasuredModes | None, Targets]:
         """What was measured and is not withheld."""

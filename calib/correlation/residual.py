@@ -133,6 +133,14 @@ class ModalResidual:
         return np.array([row.kind for row in self.rows])
 
     @property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row, (n_rows,): of frequencies and damping over the value, of shapes as it is."""
+        shapes = self.problem.measured.shapes
+        blocks = [self.scatter.freq, self.scatter.damping[list(self._damped)]]
+        blocks += [self.scatter.shape[np.isfinite(shapes[:, i]), i] for i, _ in self._parts]
+        return np.concatenate(blocks)
+
+    @property
     def n_rows(self) -> int:
         """Number of comparisons."""
         return len(self.rows)

@@ -9,7 +9,9 @@ import numpy as np
 
 from calib.errors import InputError
 from calib.mac import is_real
+from calib.measurement.accuracy import KINDS
 from calib.measurement.modal import MeasuredModes
+from calib.structure.model import Assumption
 
 POOL_BELOW = 10
 """With fewer repeats the scatter of a single number is itself too uncertain (34 % with five) and is pooled."""
@@ -64,6 +66,17 @@ class Scatter:
     damping: np.ndarray
     shape: np.ndarray
 
+    def beside(self, measured: MeasuredModes) -> Scatter:
+        """The same with the accuracy that the measurement claims, added in squares."""
+        claim = measured.accuracy
+        if not claim.given:
+            return self
+        return Scatter(
+            np.hypot(self.freq, claim.freq.relative(measured.natural_freq)),
+            np.hypot(self.damping, np.nan_to_num(claim.damping.relative(measured.damping_ratio), posinf=0.0)),
+            np.hypot(self.shape, claim.shape.share + claim.shape.own),
+        )
+
 
 def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | None = None) -> Scatter:
     """Standard deviations for the residual.
@@ -73,7 +86,8 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
     every repeat). Values over fewer repeats than others weigh by their degrees of freedom, and each takes its share of
     the pooled scatter by its own number of repeats. Deviations given by a file of a single repeat, and those of ten or
     more repeats, are taken one by one. Unknown ones take the pooled value when there is one, else the floors'
-    ``unknown_*``.
+    ``unknown_*``; see `assumptions`. What the measurement claims as its accuracy is added in squares, and where the
+    scatter is unknown it stands alone.
 
     Parameters
     ----------
@@ -92,19 +106,29 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
     entries = int(counted.sum())
     freedom = int(np.maximum(counted.sum(axis=0) - 1, 0).sum()) if measured.n_repeats > 1 else entries
     lost = entries / freedom if freedom else 1.0
+    claim = measured.accuracy
+    unknown = {
+        "freq": 0.0 if claim.freq.given else floors.unknown_freq,
+        "damping": 0.0 if claim.damping.given else floors.unknown_damping,
+        "shape": 0.0 if claim.shape.given else floors.unknown_shape,
+    }
     return Scatter(
-        freq=_whole(freq, measured.counts("freq"), floors.unknown_freq, floors.freq, pooled, 1.0),
-        damping=_whole(damping, measured.counts("damping"), floors.unknown_damping, floors.damping, pooled, 1.0),
-        shape=_whole(shape, measured.counts("shape"), floors.unknown_shape, floors.shape, pooled, lost),
-    )
+        freq=_whole(freq, measured.counts("freq"), unknown["freq"], floors.freq, pooled, 1.0),
+        damping=_whole(damping, measured.counts("damping"), unknown["damping"], floors.damping, pooled, 1.0),
+        shape=_whole(shape, measured.counts("shape"), unknown["shape"], floors.shape, pooled, lost),
+    ).beside(measured)
 
 
 def known_scatter(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | None = None) -> Scatter:
-    """What `scatter_of` takes, NaN for kinds of which the measurement tells no standard deviation at all."""
-    taken = scatter_of(measured, floors, pool)
-    told = (measured.freq_std, measured.damping_std, measured.shape_std)
-    kinds = (taken.freq, taken.damping, taken.shape)
-    return Scatter(*(k if np.isfinite(s).any() else np.full(k.shape, np.nan) for k, s in zip(kinds, told, strict=True)))
+    """What `scatter_of` takes, NaN for kinds of which the measurement tells no standard deviation and no accuracy."""
+    taken, claim = scatter_of(measured, floors, pool), measured.accuracy
+    told = (
+        (taken.freq, measured.freq_std, claim.freq),
+        (taken.damping, measured.damping_std, claim.damping),
+        (taken.shape, measured.shape_std, claim.shape),
+    )
+    known = [np.isfinite(std).any() or own.given for _, std, own in told]
+    return Scatter(*(k if some else np.full(k.shape, np.nan) for (k, _, _), some in zip(told, known, strict=True)))
 
 
 def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float = 1.0) -> np.ndarray:
@@ -133,6 +157,40 @@ def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float =
         behind = measured.counts("freq" if kind == "frequency" else "damping")[known]
     each = float(np.mean(behind - 1.0)) if behind.size else repeats - 1.0
     return np.full(np.shape(own), max(count, 1) * max(each, 1.0))
+
+
+def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assumption, ...]:
+    """Standard deviations that nobody stated and that `scatter_of` takes; damping and shapes where they were measured.
+
+    Where some values of a kind have one, the others take theirs, which is told too.
+    """
+    damped = measured.damping_ratio > 0
+    names = np.array(measured.names, dtype=object)
+    kinds = (
+        ("freq", _relative(measured.freq_std, measured.natural_freq), floors.unknown_freq, "of each"),
+        ("damping", _relative(measured.damping_std, measured.damping_ratio)[damped], floors.unknown_damping, "of each"),
+        ("shape", measured.shape_std[np.isfinite(measured.shapes)], floors.unknown_shape, "of the largest entry"),
+    )
+    out = []
+    for name, std, unknown, base in kinds:
+        lost = ~np.isfinite(std)
+        if not lost.any() or getattr(measured.accuracy, name).given:
+            continue
+        item = f"standard deviation of {KINDS[name]}"
+        if lost.all():
+            out.append(Assumption(item, f"{100 * unknown:g}", f"% {base}", "no scatter and no accuracy is stated"))
+            continue
+        common = 100 * math.sqrt(float(np.mean(std[~lost] ** 2)))
+        which = "some entries"
+        if name != "shape":
+            which = ", ".join((names if name == "freq" else names[damped])[lost])
+        reason = f"none is stated for {which}: that of the others"
+        out.append(Assumption(item, f"{common:.2g}", f"% {base}", reason))
+    return tuple(out)
+
+
+def _relative(std: np.ndarray, value: np.ndarray) -> np.ndarray:
+    return np.divide(std, value, out=np.full(np.shape(std), np.nan), where=value > 0)
 
 
 def _whole(std: np.ndarray, counts: np.ndarray, unknown: float, floor: float, pooled: bool, lost: float) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from calib.errors import InputError
+from calib.measurement.accuracy import NONE_CLAIMED, Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.places import Misplaced
 
@@ -79,6 +80,8 @@ class MeasuredModes:
         Repeats that disagree with the others at one place.
     misplaced : tuple of Misplaced
         Nodes whose places in two files contradict each other.
+    accuracy : Accuracy
+        What is claimed beside the repeatability; not in the standard deviations above.
     """
 
     names: tuple[str, ...]
@@ -99,6 +102,7 @@ class MeasuredModes:
     shape_count: np.ndarray | None = None
     disagreements: tuple[Disagreement, ...] = ()
     misplaced: tuple[Misplaced, ...] = ()
+    accuracy: Accuracy = NONE_CLAIMED
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -135,6 +139,7 @@ class MeasuredModes:
         """Hash over everything an evaluation may depend on."""
         digest = hashlib.sha256()
         digest.update(repr((self.names, self.sensors, self.n_repeats)).encode())
+        digest.update(repr(self.accuracy).encode() if self.accuracy.given else b"")
         for array in (self.natural_freq, self.damped_freq, self.freq_std, self.damping_ratio, self.damping_std):
             digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
         digest.update(np.ascontiguousarray(self.shapes, dtype=complex).tobytes())

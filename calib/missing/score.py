@@ -136,12 +136,24 @@ def scores(
             onset.append(abs(point[effect.name]) if point is further.get(effect.name) else 0.0)
             columns.append(((state.residual - changed) / point[effect.name])[:, None])
     raw = np.hstack(columns) if columns else np.zeros((len(state.residual), 0))
+    two_sided = {e.name: e.signed for e in candidates}
+    return scored(state, owners, points, raw, [two_sided[name] for name in owners], onset)
+
+
+def scored(
+    state: State,
+    owners: Sequence[str],
+    points: Sequence[Mapping[str, float]],
+    raw: np.ndarray,
+    signed: Sequence[bool] | np.ndarray,
+    onset: Sequence[float] | np.ndarray,
+) -> Scores:
+    """Scores of changes of the data (n_rows, m) that are known, at a fitted model; see `Scores`."""
     outside = state.outside(raw)
     whole, size = np.linalg.norm(raw, axis=0), np.linalg.norm(outside, axis=0)
     seen = size > _ABSORBED * np.maximum(whole, 1e-300)
     safe = np.where(seen, size, 1.0)
     unit = np.where(seen, outside / safe, 0.0)
-    two_sided = {e.name: e.signed for e in candidates}
     return Scores(
         owners=tuple(owners),
         points=tuple(points),
@@ -150,8 +162,8 @@ def scores(
         size=np.where(seen, size, 0.0),
         z=unit.T @ state.augmented,
         gamma=np.where(whole > 0, np.where(seen, size, 0.0) / np.maximum(whole, 1e-300), 0.0),
-        signed=np.array([two_sided[name] for name in owners], dtype=bool),
-        onset=np.array(onset),
+        signed=np.array(signed, dtype=bool),
+        onset=np.array(onset, dtype=float),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
+from calib.correlation.scatter import known_scatter
 from calib.errors import EvaluationError, InputError
 from calib.ledger import Ledger
 from calib.questions.case import CaseFinder, CaseFound, SearchProgress
@@ -21,6 +22,7 @@ from calib.questions.contradiction import contradictions, every_response
 from calib.questions.every_mode import all_stages, every_mode
 from calib.questions.places import ADDED
 from calib.questions.record import write_record
+from calib.questions.scatter import accuracy_words
 from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.space import ParameterSpace
@@ -78,7 +80,7 @@ class Calibration:
         """What is identified, whether the model fits, and whether the cases agree."""
         judgement = self.best.judgement
         whole = ", ".join(judgement.whole)
-        out = [identified_sentence(self.verdicts), *judgement.identification.sentences()]
+        out = [*self.before.scatter, identified_sentence(self.verdicts), *judgement.identification.sentences()]
         if whole:
             out.append(f"Whole numbers, judged by how much worse their neighbours fit: {whole}.")
         if not judgement.complete:
@@ -152,7 +154,8 @@ def calibrate(
     results.write_table("verdicts", verdicts)
     results.write_table("confounded", best.judgement.identification.confounded)
     results.write_table("unseen_directions", best.judgement.identification.directions)
-    results.write_table("predictions", best.judgement.predictions)
+    rests = "assumed" if best.judgement.assumed else "stated"
+    results.write_table("predictions", best.judgement.predictions.assign(scatter=rests))
     results.write_table("convergence", convergence_table(reported))
     results.remove("modes.csv")
     modes = None
@@ -167,7 +170,7 @@ def calibrate(
     errors = responses = None
     with suppress(EvaluationError):  # a model that fails beside the optimum has no errors to tell
         errors = errors_at(study, best.judgement.values)
-        results.write_table("data_errors", errors)
+        results.write_table("data_errors", errors.assign(scatter=rests))
         if study.settings.withheld.responses:
             responses = every_response(study, study.model.space.values, best.judgement.values)
             results.write_table("responses", responses)
@@ -194,10 +197,10 @@ def _parameters(study: Study, found: Sequence[CaseFound], searched: Sequence[Cas
         table["search_value"] = np.nan
     each = [case.judgement.verdicts(space, {}).assign(case=case.name) for case in found]
     known = _without_whole(pd.concat(each), space)
-    columns = ["case", "parameter", "std", "identified"]
+    columns = ["case", "parameter", "std", "identified", "scatter"]
     table = table.merge(known[columns], on=columns[:2], how="left")
     order = ["value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable", "std", "identified"]
-    return table[["case", "parameter", *order, "search_value"]]
+    return table[["case", "parameter", *order, "search_value", "scatter"]]
 
 
 def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
@@ -213,7 +216,7 @@ def expected_misfit(study: Study, answer: Answer) -> float:
     if isinstance(study.problem, FunctionProblem):
         return float(sum((std or 0.0) / abs(value) for value, std in study.problem.targets.values()) * _MEAN_ABSOLUTE)
     measured = study.problem.measured
-    relative = np.nan_to_num(measured.freq_std / measured.natural_freq)
+    relative = np.nan_to_num(known_scatter(measured).freq)
     total = settings.weight_freq * _MEAN_ABSOLUTE * float(relative.sum())
     if measured.has_shapes and answer.comparison is not None:
         total += settings.weight_mac * float(np.nansum(1.0 - answer.comparison.noise_mac()))
@@ -257,6 +260,8 @@ def _summary(
         "degrees_of_freedom": best.judgement.freedom,
         "p_fit": best.judgement.p_fit,
         "birge": best.judgement.birge,
+        "accuracy": accuracy_words(study),
+        "scatter_assumed": best.judgement.assumed,
         **{key: sum(getattr(case.result, name) for case in found) for key, name in counts.items()},
         "seconds": seconds,
         "withheld_modes": list(study.settings.withheld.modes),

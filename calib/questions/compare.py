@@ -19,6 +19,7 @@ from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
 from calib.outcome import attempt
 from calib.questions.record import write_record
+from calib.questions.scatter import scatter_notes
 from calib.results import Results
 from calib.study import Problem, Study
 
@@ -45,6 +46,8 @@ class Answer:
         Measured modes that the user has paired, with the number of their model mode.
     hints : tuple of str
         Numbers that look like other units.
+    scatter : tuple of str
+        What a reader must know of the standard deviations; see `calib.questions.scatter`.
     """
 
     table: pd.DataFrame
@@ -55,15 +58,16 @@ class Answer:
     findings: tuple[SensorFinding, ...] = ()
     chosen: Mapping[str, int] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
+    scatter: tuple[str, ...] = ()
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What a reader of the comparison must know, and where it fails; only the hints for plain responses."""
+        """What a reader of the comparison must know, and, but for plain responses, where it fails."""
         found = self.comparison
         if found is None:
-            return self.hints
+            return (*self.hints, *self.scatter)
         kinds = [root.kind for root in found.modes.excluded]
-        out = []
+        out = list(self.scatter)
         if kinds:
             parts = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds))
             out.append(f"Roots of the model that are no vibration and are never paired: {parts}.")
@@ -119,6 +123,7 @@ def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
         findings=findings,
         chosen=study.problem.override,
         hints=(*study.hints, *_frequency_hints(comparison), *_place_hints(comparison.measured, findings)),
+        scatter=scatter_notes(study),
     )
 
 
@@ -167,7 +172,7 @@ def _plain_answer(study: Study, problem: FunctionProblem, values: Mapping[str, f
     table = pd.DataFrame(rows)
     measured = {name: value for name, (value, _) in problem.targets.items()}
     hints = (*study.hints, *response_hints(measured, responses))
-    return Answer(table, _mean(table["error"].abs()), np.nan, np.nan, None, hints=hints)
+    return Answer(table, _mean(table["error"].abs()), np.nan, np.nan, None, hints=hints, scatter=scatter_notes(study))
 
 
 def compare(study: Study, results: Results) -> Answer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,6 +16,8 @@ from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.loading import with_effects
 from calib.missing import explain as engine
+from calib.missing.accuracy import changing, less_accurate
+from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
 from calib.missing.advice import Prospects, advice_sentence, advise
 from calib.missing.evidence import CREDIBLE
@@ -38,6 +41,7 @@ from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
 from calib.questions.record import check_repeats, write_record
+from calib.questions.scatter import accuracy_words, assumed_words
 from calib.results import Results
 from calib.study import Study
 
@@ -49,8 +53,18 @@ class Side(Protocol):
     """What the two kinds of study answer each in its own way; see `ModalSide` and `PlainSide`."""
 
     @property
+    def study(self) -> Study:
+        """The study."""
+        ...
+
+    @property
     def hypotheses(self) -> Hypotheses:
         """What the decision asks."""
+        ...
+
+    @property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row over its value, of shapes over the largest entry, (n_rows,)."""
         ...
 
     @property
@@ -197,7 +211,14 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     progress("what the discretisation alone would look like")
     budget = side.budget(found)
     notes = [*([] if budget is None else [budget.sentence]), *side.notes(), *more_notes]
-    words = sentences(found, effects, errors, advice)
+    h, seed = side.hypotheses, side.study.settings.explain.seed
+    accuracy = less_accurate(found, h.rows, side.relative_std, h.fitted_factors, h.scatter_freedom, seed)
+    assumed = assumed_words(side.study)
+    rests = f"All this rests on an assumed scatter: {assumed}." if assumed else ""
+    words = (*sentences(found, effects, errors, advice), *filter(None, (accuracy_sentence(accuracy), rests)))
+    errors = errors.assign(scatter="assumed" if assumed else "stated")
+    figures |= {"accuracy": accuracy_words(side.study), "scatter_assumed": assumed}
+    figures |= {"accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at}
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     tables = {
@@ -207,6 +228,7 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
         "misfit_kinds": misfit_table(found),
         "tried": tried_table(found),
         "next_measurement": next_table,
+        "accuracy": accuracy,
         **side.tables(stages),
     }
     if budget is not None:

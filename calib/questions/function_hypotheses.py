@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.correlation.problem import FunctionProblem
+from calib.correlation.responses import ResponseRow, response_rows
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.freedom import repeats_freedom
@@ -17,8 +18,7 @@ from calib.function import FunctionModel, extend_function
 from calib.outcome import attempt
 from calib.questions.hypotheses import question_space
 from calib.space import Parameter, ParameterSpace
-from calib.structure.model import Assumption
-from calib.updating.differences import DifferencedResponses, ResponseRow, difference, response_rows
+from calib.updating.differences import DifferencedResponses, difference
 
 LEAST_RESPONSES = 4
 """Fewer responses cannot tell an effect from a parameter."""
@@ -259,6 +259,13 @@ class FunctionHypotheses:
         """Rows of every residual, in the order of the targets."""
         return response_rows(self.targets)
 
+    @cached_property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row over the size of its value, (n_rows,); infinite for a value of 0."""
+        values = np.array([value for value, _ in self.targets.values()])
+        std = DifferencedResponses(dict, self.targets, self.space).std
+        return np.divide(std, np.abs(values), out=np.full(len(std), np.inf), where=values != 0)
+
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
         """No response has a free factor."""
@@ -268,15 +275,6 @@ class FunctionHypotheses:
     def scatter_freedom(self) -> Mapping[str, float]:
         """Degrees of freedom behind the scatter of each kind."""
         return repeats_freedom((row.kind for row in self.rows), self.repeats)
-
-    @cached_property
-    def assumptions(self) -> tuple[Assumption, ...]:
-        """What had to be assumed about the scatter."""
-        unknown = [name for name, (_, std) in self.targets.items() if std is None]
-        if not unknown:
-            return ()
-        percent = f"{100 * DifferencedResponses.unknown_std:g}"
-        return (Assumption("scatter of " + ", ".join(unknown), percent, "%", "no standard deviation was measured"),)
 
     def question(self, names: tuple[str, ...]) -> FunctionQuestion:
         """The model with the named effects or local changes added; InputError for an unknown name."""

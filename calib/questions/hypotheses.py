@@ -107,6 +107,11 @@ class ModalHypotheses:
         return self.question(()).inner.rows
 
     @cached_property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row; see `ModalResidual.relative_std`."""
+        return self.question(()).inner.relative_std
+
+    @cached_property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
         """Real numbers that scale and turn each shape."""
         return self.question(()).inner.fitted_factors

@@ -12,15 +12,17 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
+from calib.correlation.responses import response_rows
 from calib.freedom import effective_freedom, repeats_freedom
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, overall
 from calib.missing.hypotheses import Label
 from calib.outcome import Outcome
 from calib.questions.compare import responses_at
+from calib.questions.scatter import assumed_words
 from calib.space import ParameterSpace
 from calib.study import Problem, Study
-from calib.updating.differences import DifferencedResponses, response_rows
+from calib.updating.differences import DifferencedResponses
 from calib.updating.gauss_newton import FitResult
 from calib.updating.identify import Identification, identify, prediction_interval
 from calib.updating.verdicts import parameter_verdicts, whole_number_std
@@ -133,6 +135,8 @@ class Judgement:
         ``mode, natural_freq, std, lower, upper``.
     fit : FitResult or None
         The least-squares fit that led here.
+    assumed : str
+        Standard deviations that nobody stated and this rests on; see `calib.questions.scatter.assumed_words`.
     """
 
     values: dict[str, float]
@@ -147,10 +151,15 @@ class Judgement:
     complete: bool
     predictions: pd.DataFrame
     fit: FitResult | None
+    assumed: str = ""
 
     def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
         """One verdict a parameter; see `calib.updating.identify.parameter_verdicts`."""
-        return parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits, self.birge)
+        table = parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits, self.birge)
+        if not self.assumed:
+            return table.assign(scatter="stated")
+        words = table["sentence"].where(table["std"].isna(), table["sentence"] + " The scatter behind it is assumed.")
+        return table.assign(scatter="assumed", sentence=words)
 
     @property
     def fits(self) -> bool | None:
@@ -168,11 +177,12 @@ class Judgement:
         )
         if self.fits is None:
             return told + "as many unknowns as data, so a perfect fit says nothing about the model."
+        rests = f", which is assumed: {self.assumed}" if self.assumed else ""
         if self.fits:
-            return told + "the model fits within the scatter."
+            return told + f"the model fits within the scatter{rests}."
         few = "with as many unknowns as data " if self.freedom < 1 else ""
         wider = f"standard deviations of parameters are told for {self.birge:.2g} times the scatter"
-        return told + f"{few}the model does not fit within the scatter, something is missing; {wider}."
+        return told + f"{few}the model does not fit within the scatter{rests}; something is missing; {wider}."
 
 
 def fitted(
@@ -232,7 +242,7 @@ def _judged(
     return Judgement(
         values=values, misfit=misfit, freedom=freedom, p_fit=p_fit, alpha=alpha, birge=birge,
         identification=identification, profiles=profiles, whole=whole, complete=complete, predictions=predictions,
-        fit=fit,
+        fit=fit, assumed=assumed_words(study),
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import modal_hypotheses
 from calib.questions.prospects import modal_prospects
+from calib.questions.scatter import scatter_notes
 from calib.questions.verify import modal_errors
 from calib.results import Results
 from calib.structure.atoms import Atom
@@ -55,21 +56,21 @@ class ModalSide:
         return cls(study, *modal_hypotheses(study, results, progress))
 
     @property
+    def relative_std(self) -> np.ndarray:
+        """See `calib.questions.explain.Side`."""
+        return self.hypotheses.relative_std
+
+    @property
     def budget_of_fits(self) -> float:
         """Solves of the model."""
         return DEFAULT.budget
 
     def notes(self) -> list[str]:
-        """What scatter had to be assumed."""
+        """What scatter is claimed or had to be assumed."""
         measured = self.study.measured
-        if measured is None or measured.n_repeats > 1:
-            return []
-        if np.isfinite(measured.freq_std).any():
-            return ["There are no repeats: the scatter is the one the file states."]
-        return [
-            "There are no repeats and no standard deviations: a scatter of 0.5 % of frequencies, 10 % of damping "
-            "ratios and 3 % of the largest entry of shapes is assumed. Probabilities are as good as this assumption."
-        ]
+        stated = measured is not None and measured.n_repeats == 1 and np.isfinite(measured.freq_std).any()
+        once = ["There are no repeats: the scatter is the one the file states."] if stated else []
+        return [*once, *scatter_notes(self.study)]
 
     def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data at full order; what to note, and how far the reduced basis was off."""

@@ -14,6 +14,7 @@ from calib.missing.advice import Prospects
 from calib.missing.findings import Findings, Trial
 from calib.questions.budget import Budget
 from calib.questions.function_hypotheses import Failure, FunctionHypotheses
+from calib.questions.scatter import scatter_notes
 from calib.questions.verify import plain_errors, plain_scatter, whitened, withheld_targets
 from calib.study import Study, Targets
 
@@ -42,13 +43,18 @@ class PlainSide:
         )
 
     @property
+    def relative_std(self) -> np.ndarray:
+        """See `calib.questions.explain.Side`."""
+        return self.hypotheses.relative_std
+
+    @property
     def budget_of_fits(self) -> float:
         """A function pays for its derivatives in calls; there is no bound that fits them all."""
         return math.inf
 
     def notes(self) -> list[str]:
-        """What scatter had to be assumed."""
-        return [f"Assumed: {a.item}: {a.value} {a.unit} ({a.reason})." for a in self.hypotheses.assumptions]
+        """What scatter is claimed or had to be assumed."""
+        return list(scatter_notes(self.study))
 
     def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data; failed points are noted."""

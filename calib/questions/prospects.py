@@ -13,6 +13,7 @@ from calib.correlation.residual import ModalResidual, Row
 from calib.correlation.scatter import Scatter
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
+from calib.measurement.accuracy import Accuracy
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
 from calib.missing.advice import WITHHELD, Prospects, View
 from calib.missing.draws import drawn
@@ -194,6 +195,7 @@ def imagined_measurement(
         shapes=shapes,
         shape_std=spread * np.maximum(np.abs(shapes), 1.0),
         n_repeats=1,
+        accuracy=Accuracy(),  # it is in the scatter already
     )
 
 

@@ -13,17 +13,21 @@ import numpy as np
 import pandas as pd
 
 from calib import __version__
+from calib.correlation.scatter import scatter_of
 from calib.measurement.disagreements import COLUMNS
 from calib.measurement.modal import MeasuredModes
+from calib.questions.scatter import accuracy_words, assumed_scatter, assumed_words, scatter_notes
 from calib.questions.state import made_from
 from calib.results import Results
 from calib.study import Study
+from calib.updating.differences import DifferencedResponses
 
 PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib", "plotly")
 """Whose versions may change a digit or a picture."""
 
 MODE_COLUMNS = (
     "mode", "withheld", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats",
+    "freq_std_used", "damping_std_used",
 )  # fmt: skip
 SENSOR_COLUMNS = ("sensor", "node", "direction", "x", "y", "z", "part", "withheld", "shape_std")
 
@@ -81,7 +85,9 @@ def write_record(
         "effects_in_model": list(given.with_effects),
         "files": [*given.measurement.files, *given.measurement.shapes, *filter(None, [given.measurement.responses])],
         "repeats": study.repeats,
-        "notes": list(study.measurement_notes),
+        "accuracy": accuracy_words(study),
+        "scatter_assumed": assumed_words(study),
+        "notes": [*study.measurement_notes, *(note.removesuffix(".") for note in scatter_notes(study))],
         "questions": {**{q: told for q, told in questions_of(results).items() if q != question}, question: asked},
     }
     results.write_json("record", record)
@@ -91,23 +97,29 @@ def measured_table(study: Study) -> pd.DataFrame:
     """Everything that was measured and how far it scatters, withheld data included and marked.
 
     Of modes `MODE_COLUMNS`: frequencies and their standard deviations in Hz, damping as a ratio, and the number of
-    repeats behind the frequency; of plain responses
-    ``response, withheld, value, std, repeats``. Standard deviations are those of the mean over the repeats.
+    repeats behind the frequency; of plain responses ``response, withheld, value, std, repeats, std_used``. Standard
+    deviations are those of the mean over the repeats, of plain responses with the accuracy that is claimed. Those
+    ``used`` are what calibration and explanation weigh by: pooled, with accuracy and floors, and assumed where nothing
+    is known.
     """
     held, whole = study.settings.withheld, study.whole
     if whole is None:
         unused = set(held.responses)
         counts = {} if study.responses is None else study.responses.counts
+        used = DifferencedResponses(dict, study.whole_targets, study.model.space).std
         rows = [
-            (n, n in unused, v, np.nan if s is None else s, counts.get(n, np.nan))
-            for n, (v, s) in study.whole_targets.items()
+            (name, name in unused, value, np.nan if std is None else std, counts.get(name, np.nan), taken)
+            for (name, (value, std)), taken in zip(study.whole_targets.items(), used, strict=True)
         ]
-        return pd.DataFrame(rows, columns=["response", "withheld", "value", "std", "repeats"])
+        return pd.DataFrame(rows, columns=["response", "withheld", "value", "std", "repeats", "std_used"])
+    used_std = scatter_of(whole)
     columns = {
         "mode": list(whole.names),
         "withheld": [name in held.modes for name in whole.names],
-        **{name: getattr(whole, name) for name in MODE_COLUMNS[2:-1]},
+        **{name: getattr(whole, name) for name in MODE_COLUMNS[2:-3]},
         "repeats": whole.counts("freq"),
+        "freq_std_used": used_std.freq * whole.natural_freq,
+        "damping_std_used": used_std.damping * whole.damping_ratio,
     }
     return pd.DataFrame(columns, columns=list(MODE_COLUMNS))
 
@@ -140,8 +152,11 @@ def sensors_table(measured: MeasuredModes, withheld: Sequence[str]) -> pd.DataFr
 
 
 def assumptions_table(study: Study) -> pd.DataFrame:
-    """What the model assumes, adopted values and limits of parameters included: ``item, value, unit, reason``."""
-    rows = [(a.item, a.value, a.unit, a.reason) for a in study.model.assumptions]
+    """What is assumed of the model, of its parameters' values and limits, and of the measurement's scatter.
+
+    Columns ``item, value, unit, reason``.
+    """
+    rows = [(a.item, a.value, a.unit, a.reason) for a in (*study.model.assumptions, *assumed_scatter(study))]
     rows += [(p.name, f"{p.value:g}", p.unit, p.assumed) for p in study.model.space.parameters if p.assumed]
     return pd.DataFrame(rows, columns=["item", "value", "unit", "reason"])
 

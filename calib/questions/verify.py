@@ -12,13 +12,14 @@ from scipy import stats
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
+from calib.correlation.responses import response_rows
 from calib.correlation.scatter import Floors
 from calib.correlation.unused import group_table, withheld_errors
 from calib.freedom import KNOWN, behind, chance, effective_freedom, repeats_freedom
 from calib.missing.left_out import left_out
 from calib.questions.compare import responses_at
 from calib.study import Study, Targets
-from calib.updating.differences import DifferencedResponses, response_rows
+from calib.updating.differences import DifferencedResponses
 from calib.updating.identify import posterior
 
 ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")

@@ -3,42 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from calib.errors import EvaluationError, InputError
 from calib.space import Parameter, ParameterSpace
-
-
-class ResponseRow(NamedTuple):
-    """What one entry of the residual compares.
-
-    Attributes
-    ----------
-    mode : str
-        Empty.
-    kind : str
-        Beginning of the name up to the first underscore where several responses share it, else ``response``.
-    sensor : str
-        Name of the response.
-    """
-
-    mode: str
-    kind: str
-    sensor: str
-
-
-def response_rows(names: Iterable[str]) -> tuple[ResponseRow, ...]:
-    """Rows of the residual of some plain responses, in their order."""
-    names = tuple(names)
-    heads = {name: name.split("_", 1)[0] for name in names if "_" in name}
-    shared = Counter(heads.values())
-    kinds = {name: head for name, head in heads.items() if head and shared[head] > 1}
-    return tuple(ResponseRow("", kinds.get(name, "response"), name) for name in names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +45,21 @@ class DifferencedResponses:
                     f"the target {name!r} is 0 and its standard deviation unknown", place="targets", remedy="give one"
                 )
 
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviation of every target, (n_rows,); the assumed share where none is known."""
+        return np.array([std or self.unknown_std * abs(value) for value, std in self.targets.values()])
+
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """(measured - model)/std of every target; EvaluationError for a response that is missing or not finite."""
         answer = self.evaluate(values)
         out = np.empty(len(self.targets))
-        for k, (name, (value, std)) in enumerate(self.targets.items()):
+        for k, (name, (value, _)) in enumerate(self.targets.items()):
             response = float(answer.get(name, math.nan))
             if not math.isfinite(response):
                 raise EvaluationError(f"the response {name!r} is {response}")
-            out[k] = (value - response) / (std or self.unknown_std * abs(value))
-        return out
+            out[k] = value - response
+        return out / self.std
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Central differences, two evaluations a parameter; whole-number parameters count as fixed."""

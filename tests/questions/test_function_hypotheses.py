@@ -239,17 +239,16 @@ def test_kinds_are_the_shared_beginnings_of_names():
     kinds = ["freq", "freq", "shape", "shape", *["response"] * 5]
     assert [row.kind for row in hypotheses.rows] == kinds and {row.mode for row in hypotheses.rows} == {""}
     assert hypotheses.scatter_freedom == {"freq": 6.0, "shape": 6.0, "response": 15.0}
-    assert hypotheses.fitted_factors == {} and hypotheses.assumptions == ()
+    assert hypotheses.fitted_factors == {}
 
 
-def test_an_unknown_scatter_is_one_percent_and_said_to_be():
+def test_an_unknown_scatter_is_one_percent():
     model = FunctionModel("curved", ParameterSpace((Parameter("x", 1.0, 0.0, 2.0),)), curved)
     targets = {"a": (2.0, None), "b": (1.0, 0.5), "c": (1.0, 0.1), "d": (1.0, 0.1)}
     hypotheses = FunctionHypotheses(model, targets, model.space, (effect("phi"),))
     residual = hypotheses.question(()).residual({"x": 0.0})
     np.testing.assert_allclose(residual[:2], [(2.0 - 1.0) / 0.02, 1.0 / 0.5])
-    (assumed,) = hypotheses.assumptions
-    assert assumed.item == "scatter of a" and (assumed.value, assumed.unit) == ("1", "%")
+    np.testing.assert_allclose(hypotheses.relative_std, [0.01, 0.5, 0.1, 0.1])
     assert set(hypotheses.scatter_freedom.values()) == {math.inf}
 
 

@@ -44,7 +44,7 @@ def test_the_scatter_of_a_sensor_is_the_root_mean_square_over_its_modes(guyed):
 def test_plain_responses_are_told_with_their_scatter(chain):
     study = chain[0]
     table = measured_table(study)
-    assert list(table.columns) == ["response", "withheld", "value", "std", "repeats"]
+    assert list(table.columns) == ["response", "withheld", "value", "std", "repeats", "std_used"]
     assert dict(zip(table["response"], table["value"], strict=True)) == {n: v for n, (v, _) in study.targets.items()}
     assert not table["withheld"].any()
 

@@ -18,7 +18,8 @@ def assumptions(answers: Answers) -> Section | None:
             (str(r["item"]), f"{r['value']} {'' if r['unit'] == '-' else r['unit']}".strip(), str(r["reason"]))
             for r in table.to_dict("records")
         )
-        blocks.append(Words(f"{counted(len(rows), 'number')} of the model are assumed and not published or measured."))
+        told = f"{counted(len(rows), 'number')} of model and scatter are assumed and not published or measured."
+        blocks.append(Words(told))
         blocks.append(Table("Assumptions", ("item", "value", "why"), rows, (1, 2)))
     elif answers.has("assumptions"):
         blocks.append(Words("The model names no assumptions."))

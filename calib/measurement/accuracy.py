@@ -1,0 +1,153 @@
+"""How accurate a measurement is claimed to be, beside how well it repeats."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.errors import InputError
+
+KINDS = {"freq": "natural frequencies", "damping": "damping ratios", "shape": "shapes"}
+"""Kinds of a modal measurement, as a study names them."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One standard deviation that is claimed: a share of the value, or a number in its own unit.
+
+    Attributes
+    ----------
+    share : float
+        Of the value; of a shape, of its largest entry.
+    own : float
+        In the value's own unit: Hz, a damping ratio, parts of a shape's largest entry, the unit of a plain response.
+    """
+
+    share: float = 0.0
+    own: float = 0.0
+
+    @classmethod
+    def of(cls, given: str | float) -> Claim:
+        """From ``"1 %"`` or a number in the value's own unit; ValueError for anything else."""
+        if isinstance(given, str):
+            match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*%\s*", given)
+            try:
+                share = float(match.group(1)) / 100 if match else math.nan
+            except ValueError:
+                share = math.nan
+            if not 0 < share < 1:
+                raise ValueError(f"the accuracy {given!r} is no share such as '1 %'")
+            return cls(share=share)
+        if not (math.isfinite(given) and given > 0):
+            raise ValueError(f"the accuracy {given} is no positive number")
+        return cls(own=float(given))
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is claimed."""
+        return self.share > 0 or self.own > 0
+
+    def relative(self, values: np.ndarray) -> np.ndarray:
+        """Standard deviations over the values, in the shape of the values."""
+        size = np.abs(np.asarray(values, dtype=float))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(self.share + (self.own / size if self.own else 0.0 * size))
+
+    def words(self, unit: str = "") -> str:
+        """Such as ``1 %``."""
+        return f"{100 * self.share:g} %" if self.share else f"{self.own:g}{f' {unit}' if unit else ''}"
+
+
+NOTHING = Claim()
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What a modal measurement claims by kind; nothing by default.
+
+    It is added to the repeatability in squares: repeats do not show what all of them share, such as a calibration
+    factor, the mass of sensors or the way of hanging.
+
+    Attributes
+    ----------
+    freq, damping, shape : Claim
+    """
+
+    freq: Claim = NOTHING
+    damping: Claim = NOTHING
+    shape: Claim = NOTHING
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is claimed."""
+        return self.freq.given or self.damping.given or self.shape.given
+
+    @classmethod
+    def of(cls, given: str | float | Mapping[str, str | float] | None) -> Accuracy:
+        """From one share for all kinds, or by kind; ValueError for what is no such thing."""
+        if given is None:
+            return cls()
+        if not isinstance(given, Mapping):
+            if not isinstance(given, str):
+                raise ValueError("one accuracy for all kinds is a share such as '1 %'; give numbers by kind")
+            return cls(*(Claim.of(given),) * 3)
+        for name in given:
+            if name not in KINDS:
+                raise ValueError(f"there is no accuracy of {name!r}; the kinds are {', '.join(KINDS)}")
+        return cls(**{name: Claim.of(value) for name, value in given.items()})
+
+    @property
+    def words(self) -> str:
+        """Such as ``1 % of natural frequencies, 3 % of shapes``; empty when nothing is claimed."""
+        units = {"freq": "Hz", "damping": "", "shape": ""}
+        claims = {name: getattr(self, name) for name in KINDS}
+        return ", ".join(f"{c.words(units[name])} of {KINDS[name]}" for name, c in claims.items() if c.given)
+
+
+NONE_CLAIMED = Accuracy()
+
+Plain = Mapping[str, tuple[float, float | None]]
+
+
+def widened(
+    targets: Plain, kinds: Mapping[str, str], given: str | float | Mapping[str, str | float] | None
+) -> dict[str, tuple[float, float | None]]:
+    """Plain responses with a claimed accuracy added to their standard deviations in squares.
+
+    Parameters
+    ----------
+    targets : mapping from response name to (value, std or None)
+    kinds : mapping from response name to kind
+        See `calib.updating.differences.response_rows`.
+    given
+        A share for all responses, or shares and numbers by the name of a response or of a kind; a name goes first.
+
+    Raises
+    ------
+    InputError
+        For a name that is none, or a share of a value that is 0.
+    """
+    if given is None:
+        return dict(targets)
+    by_name = dict(given) if isinstance(given, Mapping) else dict.fromkeys(targets, given)
+    for name in by_name:
+        if name not in targets and name not in kinds.values():
+            raise InputError(
+                f"there is no response or kind {name!r} to have an accuracy", place="measurement",
+                remedy=f"the responses are {', '.join(targets)}",
+            )  # fmt: skip
+    out = {}
+    for name, (value, std) in targets.items():
+        claimed = by_name.get(name, by_name.get(kinds[name]))
+        if claimed is None:
+            out[name] = (value, std)
+            continue
+        claim = Claim.of(claimed)
+        more = claim.share * abs(value) + claim.own
+        total = math.hypot(std or 0.0, more)
+        out[name] = (value, total if total > 0 else None)
+    return out

@@ -1,0 +1,46 @@
+"""What standard deviations the answers of a study rest on: stated, claimed as accuracy, or assumed."""
+
+from __future__ import annotations
+
+from calib.correlation.scatter import assumptions
+from calib.structure.model import Assumption
+from calib.study import Study
+from calib.updating.differences import DifferencedResponses
+
+
+def assumed_scatter(study: Study) -> tuple[Assumption, ...]:
+    """Standard deviations that nobody stated and that calibration and explanation take; nothing when all are stated."""
+    if study.measured is not None:
+        return assumptions(study.measured)
+    unknown = [name for name, (_, std) in study.targets.items() if not std]
+    if not unknown:
+        return ()
+    value = f"{100 * DifferencedResponses.unknown_std:g}"
+    reason = "no standard deviation and no accuracy is stated"
+    return (Assumption("standard deviation of " + ", ".join(unknown), value, "% of each", reason),)
+
+
+def assumed_words(study: Study) -> str:
+    """The same in a few words, such as ``standard deviation of natural frequencies 0.5 % of each``; empty for none."""
+    return "; ".join(f"{a.item} {a.value} {a.unit} ({a.reason})" for a in assumed_scatter(study))
+
+
+def scatter_notes(study: Study) -> tuple[str, ...]:
+    """What a reader must know of the standard deviations: the accuracy that is claimed, and what is assumed."""
+    out = []
+    if study.settings.measurement.accuracy is not None:
+        out.append(f"Accuracy claimed, added to the scatter in squares: {accuracy_words(study)}.")
+    told = assumed_words(study)
+    if told:
+        out.append(f"Nobody stated it, so calibration and explanation assume, and rest on: {told}.")
+    return tuple(out)
+
+
+def accuracy_words(study: Study) -> str:
+    """The claimed accuracy as it stands in the study; ``none`` without."""
+    given = study.settings.measurement.accuracy
+    if given is None:
+        return "none"
+    if isinstance(given, dict):
+        return ", ".join(f"{value} of {name}" for name, value in given.items())
+    return f"{given} of every value"

@@ -1,0 +1,133 @@
+"""Standard deviations that are claimed or assumed: one number for every question, and told wherever it is used."""
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.correlation.residual import ModalResidual
+from calib.correlation.scatter import scatter_of
+from calib.errors import InputError
+from calib.ledger import Ledger
+from calib.measurement.accuracy import Accuracy, Claim, widened
+from calib.questions.calibrate import calibrate
+from calib.questions.compare import compare
+from calib.questions.explain import explain
+from calib.questions.scatter import assumed_scatter
+from calib.results import Results
+from calib.study import Study
+
+
+def bare_scatter(folder):
+    """The same files without standard deviations."""
+    for name, drop in (("modes.csv", "freq_std"), ("shapes.csv", "std")):
+        pd.read_csv(folder / name, comment="#").drop(columns=drop).to_csv(folder / name, index=False)
+    return folder
+
+
+def claiming(edited, folder, claim):
+    return edited(folder, 'std_of = "mean"', f'std_of = "mean"\naccuracy = {claim}')
+
+
+def calibrated(study, tmp_path):
+    results = Results.at(tmp_path / "results", study.name)
+    with Ledger.open(results.path / "ledger.sqlite") as ledger:
+        return calibrate(study, results, ledger, 1), results.path
+
+
+# -- what is claimed ---------------------------------------------------------------------------------------------------
+
+
+def test_a_claim_is_a_share_or_a_number_in_the_own_unit():
+    assert Claim.of("1 %") == Claim(share=0.01) and Claim.of("0.5%") == Claim(share=0.005)
+    assert Claim.of(0.02) == Claim(own=0.02)
+    np.testing.assert_allclose(Claim.of(0.02).relative(np.array([2.0, 4.0])), [0.01, 0.005])
+    for wrong in ("1", "one %", "-1 %", "0 %", "200 %", 0.0, -1.0, math.nan):
+        with pytest.raises(ValueError, match="accuracy"):
+            Claim.of(wrong)
+    assert Accuracy.of("2 %") == Accuracy(*(Claim(0.02),) * 3)
+    assert Accuracy.of({"damping": "10 %"}).damping.share == 0.1 and not Accuracy.of(None).given
+    with pytest.raises(ValueError, match="stiffness"):
+        Accuracy.of({"stiffness": "1 %"})
+
+
+def test_a_claim_is_added_in_squares_and_stands_alone_where_nothing_is_known(mast, edited, tmp_path):
+    study = Study.load(mast.write_study(tmp_path / "mast"))
+    claim = '{ freq = "1 %", shape = 0.02 }'
+    claimed = Study.load(claiming(edited, mast.write_study(tmp_path / "claimed"), claim))
+    before, after = scatter_of(study.measured), scatter_of(claimed.measured)
+    np.testing.assert_allclose(after.freq, np.hypot(before.freq, 0.01))
+    np.testing.assert_allclose(after.shape, np.hypot(before.shape, 0.02))
+    np.testing.assert_allclose(after.damping, before.damping)
+    alone = Study.load(claiming(edited, bare_scatter(mast.write_study(tmp_path / "alone")), '{ freq = "1 %" }'))
+    np.testing.assert_allclose(scatter_of(alone.measured).freq, np.hypot(0.01, 2e-4))
+    assert [a.item for a in assumed_scatter(alone)] == ["standard deviation of shapes"]
+    assert study.problem.fingerprint != claimed.problem.fingerprint
+
+
+def test_plain_responses_by_name_and_by_kind():
+    targets = {"freq_1": (10.0, 0.3), "freq_2": (20.0, None), "force": (-2.0, None)}
+    kinds = {"freq_1": "freq", "freq_2": "freq", "force": "response"}
+    assert widened(targets, kinds, None) == targets
+    every = widened(targets, kinds, "4 %")
+    assert every["freq_1"] == (10.0, pytest.approx(0.5)) and every["force"] == (-2.0, pytest.approx(0.08))
+    some = widened(targets, kinds, {"freq": "1 %", "freq_1": 0.4})
+    assert some == {"freq_1": (10.0, pytest.approx(0.5)), "freq_2": (20.0, pytest.approx(0.2)), "force": (-2.0, None)}
+    with pytest.raises(InputError, match="'mass'"):
+        widened(targets, kinds, {"mass": "1 %"})
+
+
+@pytest.mark.parametrize("claim", ["0.01", '"much"', '{ mass = "1 %" }', '{ freq = "-1 %" }'])
+def test_a_claim_that_is_none_is_refused(mast, edited, tmp_path, claim):
+    with pytest.raises(InputError, match="accuracy"):
+        Study.load(claiming(edited, mast.write_study(tmp_path / "mast"), claim))
+
+
+# -- where it is used --------------------------------------------------------------------------------------------------
+
+
+def test_compare_calibrate_and_explain_weigh_by_the_same_standard_deviation(mast, edited, tmp_path):
+    """A hidden guy rope moves frequencies by percents: accurate to a tenth only, nothing is told."""
+    stated = Study.load(mast.write_study(tmp_path / "stated", {"guy": 9000.0}))
+    rough = Study.load(claiming(edited, mast.write_study(tmp_path / "rough", {"guy": 9000.0}), '"10 %"'))
+    first, last = (calibrated(s, tmp_path)[0].best.judgement for s in (stated, rough))
+    assert first.fits is False and last.fits is True
+    results = Results.at(tmp_path / "results", "rough")
+    found = explain(rough, results)
+    assert found.verdict == "nothing_detectable"
+    assert found.findings.base.state.misfit == pytest.approx(last.misfit, rel=0.2)
+    table = compare(rough, results).comparison.where_it_fails().set_index(["kind", "what"])["in_scatter"]
+    error = pd.read_csv(results.path / "comparison_before.csv").set_index("mode")["freq_error"]
+    for mode, size in error.abs().items():
+        assert table["frequency", mode] == pytest.approx(size / np.hypot(0.1, 0.002), rel=0.01)
+    record = json.loads((results.path / "record.json").read_text())
+    assert "10 %" in record["accuracy"] and record["scatter_assumed"] == ""
+
+
+def test_what_is_assumed_stands_wherever_it_is_used(mast, tmp_path):
+    study = Study.load(bare_scatter(mast.write_study(tmp_path / "mast")))
+    assert {(a.item, a.value) for a in assumed_scatter(study)} == {
+        ("standard deviation of natural frequencies", "0.5"), ("standard deviation of shapes", "3")
+    }  # fmt: skip
+    answer, folder = calibrated(study, tmp_path)
+    assert answer.best.judgement.assumed and answer.best.judgement.assumed in answer.best.judgement.sentence
+    for name in ("parameters", "verdicts", "predictions", "data_errors"):
+        assert set(pd.read_csv(folder / f"{name}.csv")["scatter"]) == {"assumed"}, name
+    items = set(pd.read_csv(folder / "assumptions.csv")["item"])
+    assert {a.item for a in assumed_scatter(study)} <= items
+    assert json.loads((folder / "summary.json").read_text())["scatter_assumed"] == answer.best.judgement.assumed
+    measured = pd.read_csv(folder / "measured.csv")
+    assert measured["freq_std"].isna().all()
+    np.testing.assert_allclose(measured["freq_std_used"], ModalResidual(study.problem).scatter.freq
+                               * study.measured.natural_freq)  # fmt: skip
+
+
+def test_an_explanation_tells_at_which_accuracy_it_would_change(guyed, bare):
+    _, results, answer, _ = guyed
+    table = pd.read_csv(results.path / "accuracy.csv")
+    assert table["missing"].tolist() == [True] * (len(table) - 1) + [False]
+    assert answer.figures["accuracy_that_explains"] == table["accuracy"].iloc[-1] > 0.002
+    assert np.all(np.diff(table["misfit"]) < 0)
+    assert bare[2].tables["accuracy"].empty and bare[2].figures["accuracy_that_explains"] is None
