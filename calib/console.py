@@ -188,6 +188,7 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
         for c in answer.cases
     ]
     _table(("case", "search", "at full order", "reported", *counts, "time"), cases)
+    _print_points(answer)
     best = answer.best
     rows = []
     for r in answer.verdicts.to_dict("records"):
@@ -227,6 +228,19 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
         _table(("data", "rows", "rms", "of a right model", "p"), errors)
     for sentence in answer.contradictions:
         _out.print(sentence, style="yellow")
+
+
+def _print_points(answer: Calibration) -> None:
+    """Both criteria where searches and least squares ended, side by side."""
+    rows = [
+        (r["case"], r["point"], *(f"{r[name]:.5g}" for name in ("objective", "sum_of_squares", "prior", "total")))
+        for case in answer.cases
+        if case.search is not None and case.judgement.fit is not None
+        for r in case.points.to_dict("records")
+    ]
+    if rows:
+        say("What the search makes small (objective) and what least squares do (total), where each of them ended:")
+        _table(("case", "point", "objective", "sum of squares", "prior", "total"), rows, left=("point",))
 
 
 def tell_extension(extension: Extension) -> None:

@@ -41,7 +41,7 @@ class Calibration:
     ----------
     cases : tuple of CaseFound
     best : CaseFound
-        Of the lowest misfit.
+        Of the lowest sum of squares where least squares were fitted, of the lowest misfit else and among equals.
     before : Answer
         At the adopted values.
     parameters, verdicts : DataFrame
@@ -86,6 +86,7 @@ class Calibration:
         if not judgement.complete:
             out.append("Not all neighbours of these whole numbers were tried: another combination may fit better.")
         out += [judgement.sentence, *self.contradictions]
+        out += [_worsened(case) for case in self.cases if case.worsened]
         if self.search_agreement is None:
             out.append(self.agreement.sentence)
         else:
@@ -140,7 +141,7 @@ def calibrate(
     before = compare(study, results)
     finder = CaseFinder(study, home or results, ledger, workers, quick, progress)
     found = tuple((finder.by_search if chosen == "genetic" else finder.by_least_squares)(cases))
-    best = min(found, key=lambda case: case.result.misfit)
+    best = best_of(found)
     reported = [case.result for case in found]
     searched = [case.search for case in found if case.search is not None]
     parameters = _parameters(study, found, searched)
@@ -151,6 +152,7 @@ def calibrate(
     raw = agreement(searched, study.search_space, level) if searched and study.settings.calibration.polish else None
     write_answer(results, best.answer, "after")
     results.write_table("parameters", parameters)
+    results.write_table("points", pd.concat([case.points for case in found], ignore_index=True))
     results.write_table("verdicts", verdicts)
     results.write_table("confounded", best.judgement.identification.confounded)
     results.write_table("unseen_directions", best.judgement.identification.directions)
@@ -181,6 +183,31 @@ def calibrate(
     write_record(study, results, "calibrate", seeds, answer.sentences, quick)
     results.write_json("summary", summary)
     return answer
+
+
+_EQUAL = 0.1
+"""Difference of sums of squares that says nothing: a third of a standard deviation of one parameter."""
+
+
+def best_of(found: Sequence[CaseFound]) -> CaseFound:
+    """The case that is reported; see `Calibration.best`."""
+    fitted = [case for case in found if case.judgement.fit is not None] or list(found)
+    lowest = min(case.judgement.criterion for case in fitted)
+    alike = [case for case in fitted if case.judgement.criterion <= lowest + _EQUAL]
+    if fitted[0].judgement.fit is None:
+        alike = fitted
+    return min(alike, key=lambda case: case.result.misfit)
+
+
+def _worsened(case: CaseFound) -> str:
+    """What least squares have done to what the search had made small."""
+    before, after = case.points.set_index("point").loc[["search", "least squares"]].to_dict("records")
+    return (
+        f"In {case.name} least squares raised the misfit that the search makes small from {before['objective']:.3g} to "
+        f"{after['objective']:.3g}: they weigh by the scatter, damping and priors too, and lowered their own sum of "
+        f"squares from {before['total']:.4g} to {after['total']:.4g}. The search's values are in parameters.csv; "
+        "polish = false reports them."
+    )
 
 
 def _parameters(study: Study, found: Sequence[CaseFound], searched: Sequence[CaseResult]) -> pd.DataFrame:

@@ -17,7 +17,8 @@ from calib.errors import EvaluationError, InputError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.compare import Answer, answer_at, responses_at
-from calib.questions.judge import FitProgress, Judgement, RecordedResidual, fitted, judged
+from calib.questions.explained_fit import explained_fit
+from calib.questions.judge import FitProgress, Judgement, RecordedResidual, criteria, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
 from calib.results import Results
@@ -26,11 +27,15 @@ from calib.study import Study
 from calib.updating.cases import Case, CaseResult, run_case
 from calib.updating.genetic import GeneticSettings
 from calib.updating.objective import FrequencyMacObjective, ResponseObjective
+from calib.updating.whole_numbers import MixedResult, fit_mixed
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
 SearchProgress = Callable[[str, int, int, float], None]
 
 QUICK_STARTS = 2
+
+SEARCH, FITTED = "search", "least squares"
+"""Points of a case."""
 
 REFITS, POLISH_REFITS = 25, 12
 """Combinations of whole numbers fitted from a start, and after a search: its own and their nearest neighbours."""
@@ -52,6 +57,9 @@ class CaseFound:
         What is known about the parameters at the reported values.
     answer : Answer
         Model against measurement there.
+    points : DataFrame
+        Both criteria where the search and least squares ended, at full order: ``case, point, objective,
+        sum_of_squares, prior, total``; ``objective`` is what the search makes small, ``total`` what least squares do.
     """
 
     result: CaseResult
@@ -59,11 +67,17 @@ class CaseFound:
     search_full_order: float
     judgement: Judgement
     answer: Answer
+    points: pd.DataFrame
 
     @property
     def name(self) -> str:
         """Name of the case."""
         return self.result.name
+
+    @property
+    def worsened(self) -> bool:
+        """Whether least squares made worse what the search had made small, by more than a percent."""
+        return self.result.misfit > 1.01 * self.search_full_order  # NaN without a search
 
 
 def objective_of(study: Study) -> Objective:
@@ -117,6 +131,7 @@ class CaseFinder:
     workers: int | None
     quick: bool
     progress: SearchProgress
+    _shared: dict[str, MixedResult] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def exact(self) -> RecordedResidual:
@@ -125,12 +140,16 @@ class CaseFinder:
 
     @property
     def known(self) -> tuple[dict[str, float], ...]:
-        """Where the study says that least squares begins too."""
-        given = self.study.settings.calibration.begin_at
-        return (self.study.search_space.complete(given),) if given else ()
+        """Where least squares begins too: where the study says, and where an explanation has fitted the same model."""
+        space, given = self.study.search_space, self.study.settings.calibration.begin_at
+        explained = explained_fit(self.study, self.home)
+        return tuple(space.complete(start) for start in (given, explained) if start)
 
     def by_search(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
-        """Genetic algorithm, then least squares from its best point and from `known`, where the study wants them."""
+        """Genetic algorithm; least squares from its best point, `known` and the adopted values, where they are wanted.
+
+        From what the cases share least squares is fitted once.
+        """
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
         reduction = reduction_of(study, self.home)
@@ -149,10 +168,10 @@ class CaseFinder:
                         progress=partial(self.progress, case.name), certify=certify,
                     )  # fmt: skip
                     if study.settings.calibration.polish:
-                        judgement = self.polished(reduction, [search.values, *self.known], POLISH_REFITS)
+                        judgement = self.polished(reduction, [search.values], POLISH_REFITS, shared=True)
                     else:
                         judgement = judged(study, self.exact, search.values)
-                    yield _reported(study, objective, search, search, judgement)
+                    yield self.reported(objective, search, search, judgement)
                     before = reduction
                     reduction = None if reduction is None else reduction.after_case(search.values, self.home)
                     if reduction is not before:
@@ -166,7 +185,8 @@ class CaseFinder:
         count = min(given, QUICK_STARTS) if self.quick else given
         for case in cases:
             started = time.perf_counter()
-            starts = [*self.known, *(space.complete(x) for x in sample(space, count, case.seed).points)][:count]
+            drawn = [space.complete(x) for x in sample(space, count, case.seed).points]
+            starts = [*self.known, space.values, *drawn][: max(count, len(self.known) + 1)]
             steps = _Steps(case.name, count, self.progress)
             with _told(study):
                 judgement = self.polished(reduction, starts, REFITS, steps)
@@ -176,7 +196,7 @@ class CaseFinder:
                 name=case.name, values=judgement.values, misfit=np.nan, responses={}, convergence=steps.table(),
                 asked=asked, solved=asked, reused=0, infeasible=0, failed=0, seconds=time.perf_counter() - started,
             )  # fmt: skip
-            yield _reported(study, objective_of(study), here, None, judgement)
+            yield self.reported(objective_of(study), here, None, judgement)
 
     def polished(
         self,
@@ -184,12 +204,48 @@ class CaseFinder:
         starts: Sequence[dict[str, float]],
         refits: int,
         progress: FitProgress = lambda start, fits, misfit: None,
+        shared: bool = False,
     ) -> Judgement:
-        """Least squares from some points; first on a reduced basis where there is one, then at full order."""
+        """Least squares from some points; first on a reduced basis where there is one, then at full order.
+
+        ``shared`` adds the points that all cases have in common. Full order begins at the best of what the basis has
+        found and of `known`, so that it never ends above those.
+        """
+        study, exact = self.study, self.exact
+        residual = exact if reduction is None else RecordedResidual(reduction.problem, self.ledger)
+        common = self._in_common(residual, refits) if shared else None
+        near = fitted(study, residual, starts, refits, progress, shared=common)
         if reduction is None:
-            return fitted(self.study, self.exact, starts, refits, progress)
-        near = fitted(self.study, RecordedResidual(reduction.problem, self.ledger), starts, refits, progress)
-        return fitted(self.study, self.exact, [near.values], 1, before=near)
+            return near
+        begin = min((near.values, *self.known), key=lambda values: sum(criteria(study, exact, values)))
+        return fitted(study, exact, [begin], 1, before=near)
+
+    def _in_common(self, residual: RecordedResidual, refits: int) -> MixedResult | None:
+        """Fits from the points that all cases share, once; None when none of them can be evaluated."""
+        key, space = residual.problem.fingerprint, self.study.search_space
+        if key not in self._shared:
+            try:
+                self._shared[key] = fit_mixed(residual, space, [*self.known, space.values], refits=refits)
+            except EvaluationError:
+                return None
+        return self._shared[key]
+
+    def reported(
+        self, objective: Objective, result: CaseResult, search: CaseResult | None, judgement: Judgement
+    ) -> CaseFound:
+        """The case at its final values, solved at full order whatever the search worked on."""
+        problem = self.study.problem
+        answer = answer_at(self.study, judgement.values)
+        responses = responses_at(problem, judgement.values)
+        final = replace(result, values=judgement.values, misfit=objective(responses), responses=responses)
+        full, points = float("nan"), []
+        if search is not None:
+            full = objective(responses_at(problem, search.values))
+            points.append((final.name, SEARCH, full, *criteria(self.study, self.exact, search.values)))
+        points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))
+        table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])
+        table["total"] = table["sum_of_squares"] + table["prior"]
+        return CaseFound(final, search, full, judgement, answer, table)
 
 
 def _as_it_is(outcome: Outcome) -> Outcome:
@@ -222,14 +278,3 @@ def _told(study: Study) -> Iterator[None]:
         yield
     except EvaluationError as fault:
         raise InputError(str(fault), place=study.file, remedy="check the model over the search limits") from None
-
-
-def _reported(
-    study: Study, objective: Objective, result: CaseResult, search: CaseResult | None, judgement: Judgement
-) -> CaseFound:
-    """The case at its final values, solved at full order whatever the search worked on."""
-    answer = answer_at(study, judgement.values)
-    responses = responses_at(study.problem, judgement.values)
-    final = replace(result, values=judgement.values, misfit=objective(responses), responses=responses)
-    full = float("nan") if search is None else objective(responses_at(study.problem, search.values))
-    return CaseFound(final, search, full, judgement, answer)

@@ -37,6 +37,7 @@ from calib.missing.verdict import GROUPS as WORDS
 from calib.missing.verdict import sentences
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
+from calib.questions.explained_fit import write_explained_fits
 from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
@@ -186,6 +187,7 @@ def explain(
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
         results.write_table(name, table)
+    write_explained_fits(study, results, found)
     seeds = {"probabilities": given.seed, "reduction": study.settings.reduction.seed}
     write_record(study, results, "explain", seeds)
     results.write_json("explanation", summary(study, answer))

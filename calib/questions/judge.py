@@ -13,6 +13,7 @@ import pandas as pd
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.responses import response_rows
+from calib.errors import EvaluationError
 from calib.freedom import effective_freedom, repeats_freedom
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, overall
@@ -23,7 +24,7 @@ from calib.questions.scatter import assumed_words
 from calib.space import ParameterSpace
 from calib.study import Problem, Study
 from calib.updating.differences import DifferencedResponses
-from calib.updating.gauss_newton import FitResult
+from calib.updating.gauss_newton import FitResult, Prior
 from calib.updating.identify import Identification, identify, prediction_interval
 from calib.updating.verdicts import parameter_verdicts, whole_number_std
 from calib.updating.whole_numbers import MixedResult, fit_mixed
@@ -113,8 +114,8 @@ class Judgement:
     ----------
     values : dict
         All parameters, each in its own unit.
-    misfit : float
-        Sum of squares of the whitened residual.
+    misfit, prior_misfit : float
+        Sums of squares of the whitened residual and of the priors'; least squares make their sum small.
     freedom : float
         Effective degrees of freedom of the residual; see `calib.freedom.effective_freedom`.
     p_fit : float
@@ -141,6 +142,7 @@ class Judgement:
 
     values: dict[str, float]
     misfit: float
+    prior_misfit: float
     freedom: float
     p_fit: float
     alpha: float
@@ -160,6 +162,11 @@ class Judgement:
             return table.assign(scatter="stated")
         words = table["sentence"].where(table["std"].isna(), table["sentence"] + " The scatter behind it is assumed.")
         return table.assign(scatter="assumed", sentence=words)
+
+    @property
+    def criterion(self) -> float:
+        """What least squares make small: data and priors."""
+        return self.misfit + self.prior_misfit
 
     @property
     def fits(self) -> bool | None:
@@ -185,6 +192,17 @@ class Judgement:
         return told + f"{few}the model does not fit within the scatter{rests}; something is missing; {wider}."
 
 
+def criteria(study: Study, residual: RecordedResidual, values: Mapping[str, float]) -> tuple[float, float]:
+    """Sums of squares of data and priors at some values; infinite where the model cannot be evaluated."""
+    names = [p.name for p in study.search_space.free if not p.integer]
+    try:
+        vector = residual.residual(values)
+    except EvaluationError:
+        return math.inf, math.inf
+    own = Prior.of(study.search_space).residual(values, names)
+    return float(vector @ vector), float(own @ own)
+
+
 def fitted(
     study: Study,
     residual: RecordedResidual,
@@ -192,14 +210,17 @@ def fitted(
     refits: int,
     progress: FitProgress = lambda start, fits, misfit: None,
     before: Judgement | None = None,
+    shared: MixedResult | None = None,
 ) -> Judgement:
     """The best least-squares fit from several starts, with the study's limits, constraints and priors.
 
     ``refits`` bounds the combinations of whole-number parameters tried from every start; ``before`` is an earlier fit
-    that tried them, for a last one that tries no more.
+    that tried them, for a last one that tries no more; ``shared`` are fits of the same residual from further starts.
     """
     space = study.search_space
     found: MixedResult = fit_mixed(residual, space, starts, refits=refits, progress=progress)
+    if shared is not None:
+        found = found.joined(shared)
     if before is not None:
         return _judged(study, residual, found.best.values, found.best, before.profiles, before.complete)
     profiles = {p.name: found.profile(p.name) for p in space.free if p.integer}
@@ -228,7 +249,7 @@ def _judged(
     taken = {name: sd for name, sd in study.adopted_sd.items() if sd > 0}
     held = residual.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
     prior_sd, factors = np.array([space[n].prior_width for n in names]), residual.fitted_factors
-    misfit = float(vector @ vector)
+    misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
     freedom = effective_freedom(slope, prior_sd, sum(factors.values()))
     p_fit = overall(*goodness(_Fitted(vector, slope, prior_sd), residual.rows, factors, residual.scatter_freedom))
     alpha = study.settings.explain.alpha
@@ -240,9 +261,9 @@ def _judged(
     identification = identify(space, names, slope / birge, values=values, held=None if held is None else held / birge)
     predictions = residual.predictions(values, names, identification.posterior.covariance)
     return Judgement(
-        values=values, misfit=misfit, freedom=freedom, p_fit=p_fit, alpha=alpha, birge=birge,
-        identification=identification, profiles=profiles, whole=whole, complete=complete, predictions=predictions,
-        fit=fit, assumed=assumed_words(study),
+        values=values, misfit=misfit, prior_misfit=float(own @ own), freedom=freedom, p_fit=p_fit, alpha=alpha,
+        birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
+        predictions=predictions, fit=fit, assumed=assumed_words(study),
     )  # fmt: skip
 
 

@@ -35,6 +35,17 @@ class MixedResult:
     combinations: pd.DataFrame
     exhausted: tuple[int, ...]
 
+    def joined(self, other: MixedResult) -> MixedResult:
+        """The result together with one from other starts of the same problem, whose numbers follow on."""
+        n = len(self.by_start)
+        more = other.combinations.assign(start=other.combinations["start"] + n)
+        return MixedResult(
+            min((self.best, other.best), key=lambda r: r.misfit),
+            (*self.by_start, *other.by_start),
+            pd.concat([self.combinations, more], ignore_index=True),
+            (*self.exhausted, *(k + n for k in other.exhausted)),
+        )
+
     @property
     def complete(self) -> bool:
         """Whether all neighbours of the best whole numbers were tried."""

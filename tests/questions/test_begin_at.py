@@ -1,12 +1,17 @@
 """Where least squares begins beside where a search has ended."""
 
+import shutil
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
+from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.questions.calibrate import calibrate
 from calib.questions.case import CaseFinder
+from calib.questions.explained_fit import explained_fit
+from calib.questions.extend import extend
 from calib.results import Results
 from calib.study import Study
 
@@ -60,14 +65,95 @@ def test_least_squares_end_in_the_valley_they_begin_in(study, tmp_path, valley):
 def test_a_search_is_followed_from_its_end_and_from_what_is_known(study, tmp_path, monkeypatch):
     asked, polished = [], CaseFinder.polished
 
-    def watched(self, reduction, starts, *rest):
+    def watched(self, reduction, starts, *rest, **more):
         asked.append(starts)
-        return polished(self, reduction, starts, *rest)
+        return polished(self, reduction, starts, *rest, **more)
 
     monkeypatch.setattr(CaseFinder, "polished", watched)
     small = "population = 4\ngenerations = 2\n"
     answer(study(small), tmp_path, "genetic")
     found = answer(study(small + "begin_at = { a = 1.9 }"), tmp_path, "genetic")
-    assert [len(starts) for starts in asked] == [1, 2] and asked[1][1]["a"] == 1.9
+    assert [len(starts) for starts in asked] == [1, 1]
     assert asked[0][0] == asked[1][0]  # the search itself does not know it
     assert found.best.result.values["a"] == pytest.approx(VALLEYS[1], abs=0.01)
+
+
+# -- where a search ended, and what least squares make of it -----------------------------------------------------------
+
+BETWEEN = """
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+def between():
+    space = ParameterSpace((Parameter("a", 1.0, 0.0, 3.0, "-"),))
+    return FunctionModel("between", space, lambda v: {"y": v["a"], "z": v["a"]})
+"""
+
+
+def test_both_points_stand_side_by_side_where_least_squares_serve_another_aim(study, tmp_path):
+    """Errors of a share are least at a = 1; by standard deviations only z = 2 counts."""
+    loaded = study("population = 12\ngenerations = 12")
+    (tmp_path / "model.py").write_text(BETWEEN.replace("between()", "wave()"))
+    (tmp_path / "measured.csv").write_text("response,value,std\ny,1.0,10.0\nz,2.0,0.01\n")
+    found = answer(Study.load(loaded.file), tmp_path, "genetic")
+    table = pd.read_csv(tmp_path / "results" / tmp_path.name / "points.csv").set_index("point")
+    assert table["objective"]["search"] == pytest.approx(0.5, abs=0.05)
+    assert table["objective"]["least squares"] == pytest.approx(1.0, abs=1e-3)
+    assert table["total"]["least squares"] < table["total"]["search"]
+    for point, values in (("search", found.best.search.values), ("least squares", found.best.result.values)):
+        a = values["a"]
+        assert table["objective"][point] == pytest.approx(abs(a - 1) + abs(a - 2) / 2, rel=1e-6)
+        assert table["sum_of_squares"][point] == pytest.approx(((a - 1) / 10) ** 2 + ((a - 2) / 0.01) ** 2, rel=1e-6)
+        assert table["prior"][point] == pytest.approx(((a - 1) * 12**0.5 / 3) ** 2, rel=1e-6)
+    assert found.best.worsened and sum(found.best.name in s and "raised the misfit" in s for s in found.sentences) == 1
+
+
+def test_least_squares_begin_at_the_adopted_values_too(study, tmp_path):
+    """A search of two generations ends near the first valley; the adopted values are near the second."""
+    study("population = 4\ngenerations = 2")
+    with (tmp_path / "study.toml").open("a") as stream:
+        stream.write("[parameters]\na = { value = 1.7, search = [-3.0, 3.0] }\n")
+    found = answer(Study.load(tmp_path), tmp_path, "genetic")
+    assert found.best.result.values["a"] == pytest.approx(VALLEYS[1], abs=0.01)
+
+
+def test_the_reported_case_is_that_of_the_lowest_sum_of_squares(study, tmp_path):
+    loaded = study("population = 4\ngenerations = 2")
+    text = (tmp_path / "study.toml").read_text().replace('{ name = "A", seed = 1 }', ", ".join(
+        f'{{ name = "{name}", seed = {k} }}' for k, name in enumerate("ABC")))  # fmt: skip
+    (tmp_path / "study.toml").write_text(text)
+    found = answer(Study.load(loaded.file), tmp_path, "genetic")
+    assert len(found.cases) == 3
+    assert found.best.judgement.criterion <= min(c.judgement.criterion for c in found.cases) + 0.1
+
+
+# -- what an explanation has fitted ------------------------------------------------------------------------------------
+
+
+def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(guyed, tmp_path):
+    study, explained, told, _ = guyed
+    results = Results.at(tmp_path / "results", study.name)
+    shutil.copy(explained.path / "explained_fits.csv", results.path)
+    base, chosen = told.findings.base.state, told.findings.chosen.state
+    start = explained_fit(study, results)
+    assert start == pytest.approx({name: base.values[name] for name in study.search_space.free_names})
+    for one, state in ((study, base), (Study.load(extend(study, ["guy"], tmp_path / "mast_guy").file), chosen)):
+        own = Results.at(tmp_path / "results", one.name)
+        assert explained_fit(one, own) == pytest.approx({n: state.values[n] for n in one.search_space.free_names})
+        with Ledger.open(own.path / "ledger.sqlite") as ledger:
+            assert CaseFinder(one, own, ledger, 1, True, lambda *_: None).known == (
+                one.search_space.complete(explained_fit(one, own)),
+            )
+            found = calibrate(one, own, ledger, 1, quick=True)
+        assert found.best.judgement.criterion <= state.misfit * (1 + 1e-9)
+
+
+def test_a_fit_of_another_model_is_no_start(guyed, tmp_path):
+    study = guyed[0]
+    results = Results.at(tmp_path / "results", study.name)
+    assert explained_fit(study, results) == {}
+    (results.path / "explained_fits.csv").write_text("effects,parameter,value\nlamp,E,200\n")
+    assert explained_fit(study, results) == {}
+    (results.path / "explained_fits.csv").write_text("effects,parameter,value\n,E,many\n")
+    with pytest.raises(InputError, match="explain the study again"):
+        explained_fit(study, results)

@@ -47,6 +47,7 @@ def section(answers: Answers) -> Section | None:
     blocks: list[Block] = [
         Words(f"{counted(cases, 'case')} by {_method(answers)}; the values of case {best} are reported."),
         *_cases(answers),
+        *_points(answers),
         *(Words(words, "told") for words in answers.sentences("calibrate")),
         Terms(TERMS),
         *_verdicts(answers, best),
@@ -82,6 +83,19 @@ def _cases(answers: Answers) -> list[Block]:
     heads = ("case", "seed", "misfit of the search", "misfit reported", "mean error, %", "mean MAC", "asked", "solved",
              "infeasible", "failed", "time, s")  # fmt: skip
     return [Table("The cases", heads, rows)] if rows else []
+
+
+def _points(answers: Answers) -> list[Block]:
+    numbers = ["objective", "sum_of_squares", "prior", "total"]
+    table = answers.table("points", ["case", "point"], numbers)
+    if table is None or table["point"].nunique() < 2:
+        return []
+    rows = tuple(
+        (str(r["case"]), str(r["point"]), *(significant(r[name], 5) for name in numbers))
+        for r in table.to_dict("records")
+    )
+    heads = ("case", "point", "objective of the search", "sum of squares", "of the priors", "total of least squares")
+    return [Table("Both criteria where the search and where least squares ended, at full order", heads, rows, (1,))]
 
 
 def _known(value: float | None) -> float:
