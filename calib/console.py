@@ -203,6 +203,7 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     for sentence in answer.sentences:
         if sentence not in answer.contradictions:  # told at the end, beside the errors they rest on
             say(sentence)
+    _print_suspects(best.judgement.suspects)
     say(f"\nAfter calibration (case {best.name}):")
     _print_answer(best.answer)
     for warning in best.answer.warnings:
@@ -243,6 +244,18 @@ def _print_points(answer: Calibration) -> None:
         _table(("case", "point", "objective", "sum of squares", "prior", "total"), rows, left=("point",))
 
 
+def _print_suspects(table: pd.DataFrame) -> None:
+    """Data without each of which everything fits."""
+    guilty = table[table["explains"].astype(bool)].head(WORST_SHOWN)
+    if len(guilty):
+        rows = [
+            (r["what"], str(r["rows"]), _number(r["chi2"], 1), f"{r['p']:.2g}", f"{r['p_fit_without']:.2g}")
+            for r in guilty.to_dict("records")
+        ]
+        say("\nWithout any one of these everything fits, to first order:")
+        _table(("left out", "rows", "lowers the sum of squares by", "p", "p of the fit without"), rows)
+
+
 def tell_extension(extension: Extension) -> None:
     """The new study that was written, and what to ask of it."""
     effects, folder = extension.effects, extension.file.parent
@@ -280,6 +293,7 @@ def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None
         _out.print(note, style="yellow")
     _out.print(f"\n{answer.verdict}", style="bold")
     say(answer.sentence)
+    _print_suspects(answer.tables["suspects_explained"])
     say()
     rows = []
     for r in answer.effects.to_dict("records"):

@@ -172,7 +172,8 @@ class ReductionSettings(_Section):
 class CalibrationSettings(_Section):
     """``[calibration]``.
 
-    ``begin_at`` names values of parameters from which least squares begins too, beside where a search ended.
+    ``begin_at`` names values of parameters from which least squares begins too, beside where a search ended;
+    ``polish`` tells whether least squares follow a search at all.
     """
 
     method: Literal["genetic", "gauss-newton"] = "genetic"

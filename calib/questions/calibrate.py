@@ -16,6 +16,7 @@ from calib.correlation.problem import FunctionProblem
 from calib.correlation.scatter import known_scatter
 from calib.errors import EvaluationError, InputError
 from calib.ledger import Ledger
+from calib.missing.suspect import sentence as suspect_sentence
 from calib.questions.case import CaseFinder, CaseFound, SearchProgress
 from calib.questions.compare import Answer, compare, write_answer, write_model_modes
 from calib.questions.contradiction import contradictions, every_response
@@ -85,7 +86,7 @@ class Calibration:
             out.append(f"Whole numbers, judged by how much worse their neighbours fit: {whole}.")
         if not judgement.complete:
             out.append("Not all neighbours of these whole numbers were tried: another combination may fit better.")
-        out += [judgement.sentence, *self.contradictions]
+        out += filter(None, [judgement.sentence, suspect_sentence(judgement.suspects), *self.contradictions])
         out += [_worsened(case) for case in self.cases if case.worsened]
         if self.search_agreement is None:
             out.append(self.agreement.sentence)
@@ -154,6 +155,7 @@ def calibrate(
     results.write_table("parameters", parameters)
     results.write_table("points", pd.concat([case.points for case in found], ignore_index=True))
     results.write_table("verdicts", verdicts)
+    results.write_table("suspects_calibrated", best.judgement.suspects)
     results.write_table("confounded", best.judgement.identification.confounded)
     results.write_table("unseen_directions", best.judgement.identification.directions)
     rests = "assumed" if best.judgement.assumed else "stated"

@@ -26,6 +26,8 @@ from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Hypotheses, Scaled
 from calib.missing.left_out import left_out
 from calib.missing.profile import profile_interval
+from calib.missing.suspect import sentence as suspect_sentence
+from calib.missing.suspect import suspects
 from calib.missing.tables import (
     confounding_table,
     effects_table,
@@ -37,7 +39,7 @@ from calib.missing.verdict import GROUPS as WORDS
 from calib.missing.verdict import sentences
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
-from calib.questions.explained_fit import write_explained_fits
+from calib.questions.explained_fit import TABLE, explained_fits
 from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
@@ -187,7 +189,6 @@ def explain(
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
         results.write_table(name, table)
-    write_explained_fits(study, results, found)
     seeds = {"probabilities": given.seed, "reduction": study.settings.reduction.seed}
     write_record(study, results, "explain", seeds)
     results.write_json("explanation", summary(study, answer))
@@ -216,8 +217,10 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     h, seed = side.hypotheses, side.study.settings.explain.seed
     accuracy = less_accurate(found, h.rows, side.relative_std, h.fitted_factors, h.scatter_freedom, seed)
     assumed = assumed_words(side.study)
+    suspected = suspects(found.base.state, h.rows, h.fitted_factors, h.scatter_freedom, found.alpha)
     rests = f"All this rests on an assumed scatter: {assumed}." if assumed else ""
-    words = (*sentences(found, effects, errors, advice), *filter(None, (accuracy_sentence(accuracy), rests)))
+    more = (suspect_sentence(suspected), accuracy_sentence(accuracy), rests)
+    words = (*sentences(found, effects, errors, advice), *filter(None, more))
     errors = errors.assign(scatter="assumed" if assumed else "stated")
     figures |= {"accuracy": accuracy_words(side.study), "scatter_assumed": assumed}
     figures |= {"accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at}
@@ -231,6 +234,8 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
         "tried": tried_table(found),
         "next_measurement": next_table,
         "accuracy": accuracy,
+        "suspects_explained": suspected,
+        TABLE: explained_fits(side.study, found),
         **side.tables(stages),
     }
     if budget is not None:

@@ -18,15 +18,15 @@ COLUMNS = ("effects", "parameter", "value")
 """``effects``: those of the model that was fitted, by name and in the order of the alphabet."""
 
 
-def write_explained_fits(study: Study, results: Results, found: Findings) -> None:
-    """Write the base fit and, where there is one, that with the chosen effects, into a folder of results."""
+def explained_fits(study: Study, found: Findings) -> pd.DataFrame:
+    """The base fit and, where there is one, that with the chosen effects; columns `COLUMNS`."""
     fits = [found.base, *([] if found.chosen is None else [found.chosen])]
     rows = []
     for trial in fits:
         space = trial.state.question.space
         effects = _key(*study.settings.with_effects, *trial.names)
         rows += [(effects, name, trial.state.values[name]) for name in space.free_names]
-    results.write_table(TABLE, pd.DataFrame(rows, columns=list(COLUMNS)))
+    return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 def explained_fit(study: Study, home: Results) -> Mapping[str, float]:

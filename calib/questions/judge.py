@@ -18,6 +18,7 @@ from calib.freedom import effective_freedom, repeats_freedom
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, overall
 from calib.missing.hypotheses import Label
+from calib.missing.suspect import suspects
 from calib.outcome import Outcome
 from calib.questions.compare import responses_at
 from calib.questions.scatter import assumed_words
@@ -136,6 +137,8 @@ class Judgement:
         ``mode, natural_freq, std, lower, upper``.
     fit : FitResult or None
         The least-squares fit that led here.
+    suspects : DataFrame
+        Data without which everything fits; see `calib.missing.suspect.suspects`.
     assumed : str
         Standard deviations that nobody stated and this rests on; see `calib.questions.scatter.assumed_words`.
     """
@@ -153,6 +156,7 @@ class Judgement:
     complete: bool
     predictions: pd.DataFrame
     fit: FitResult | None
+    suspects: pd.DataFrame
     assumed: str = ""
 
     def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
@@ -251,8 +255,8 @@ def _judged(
     prior_sd, factors = np.array([space[n].prior_width for n in names]), residual.fitted_factors
     misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
     freedom = effective_freedom(slope, prior_sd, sum(factors.values()))
-    p_fit = overall(*goodness(_Fitted(vector, slope, prior_sd), residual.rows, factors, residual.scatter_freedom))
-    alpha = study.settings.explain.alpha
+    at, alpha = _Fitted(vector, slope, prior_sd), study.settings.explain.alpha
+    p_fit = overall(*goodness(at, residual.rows, factors, residual.scatter_freedom))
     birge = max(math.sqrt(misfit / max(freedom, 1.0)), 1.0) if p_fit <= alpha else 1.0
     whole = {
         name: whole_number_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
@@ -264,6 +268,7 @@ def _judged(
         values=values, misfit=misfit, prior_misfit=float(own @ own), freedom=freedom, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, assumed=assumed_words(study),
+        suspects=suspects(at, residual.rows, factors, residual.scatter_freedom, alpha),
     )  # fmt: skip
 
 

@@ -1,6 +1,5 @@
 """Where least squares begins beside where a search has ended."""
 
-import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -10,7 +9,7 @@ from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.questions.calibrate import calibrate
 from calib.questions.case import CaseFinder
-from calib.questions.explained_fit import explained_fit
+from calib.questions.explained_fit import explained_fit, explained_fits
 from calib.questions.extend import extend
 from calib.results import Results
 from calib.study import Study
@@ -131,9 +130,9 @@ def test_the_reported_case_is_that_of_the_lowest_sum_of_squares(study, tmp_path)
 
 
 def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(guyed, tmp_path):
-    study, explained, told, _ = guyed
+    study, _, told, _ = guyed
     results = Results.at(tmp_path / "results", study.name)
-    shutil.copy(explained.path / "explained_fits.csv", results.path)
+    results.write_table("explained_fits", explained_fits(study, told.findings))
     base, chosen = told.findings.base.state, told.findings.chosen.state
     start = explained_fit(study, results)
     assert start == pytest.approx({name: base.values[name] for name in study.search_space.free_names})

@@ -21,6 +21,7 @@ KEYS = {
     "chosen",
     "adequacy_p_family", "adequacy_p_fit",
     "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "evaluations", "begun_anew",
+    "accuracy", "scatter_assumed", "accuracy_that_explains",
     "evaluations_intervals", "evaluations_advice", "errors", "seconds",
 }  # fmt: skip
 

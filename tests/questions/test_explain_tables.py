@@ -15,8 +15,9 @@ from calib.results import Results
 from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
-ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired"]
-COMMON = {"effects", "errors", "atoms", "confounding", "strain", "misfit_kinds", "tried", "next_measurement"}
+ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired", "scatter"]
+COMMON = {"effects", "errors", "atoms", "confounding", "strain", "misfit_kinds", "tried", "next_measurement",
+          "accuracy", "explained_fits", "suspects_explained"}  # fmt: skip
 MODAL = COMMON | {"sensor_misfit", "unpaired", "mesh_points", "mesh_elements"}
 GROUND = {"measured", "assumptions", "parameter_space", "repeat_disagreements"}
 """What every answer stands on."""

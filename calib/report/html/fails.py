@@ -9,7 +9,7 @@ from plotly.subplots import make_subplots
 from calib.report.html.answers import STAGES, Answers
 from calib.report.html.compared import COLOURS
 from calib.report.html.look import PATTERNS, add_matrix, filled, name_axis, new, number_axis, shown
-from calib.report.html.numbers import chance, fixed, significant
+from calib.report.html.numbers import chance, fixed, flag, significant
 from calib.report.html.page import Block, Plot, Section, Table, Words
 from calib.report.html.space import AXES_TOLD, add_dots, new_space
 from calib.report.mesh import rest_lines
@@ -26,8 +26,24 @@ _LEAST_FREEDOM = 0.5
 
 def section(answers: Answers) -> Section | None:
     """Every comparison over its scatter, worst first; what is left of the fit by mode and kind, and by sensor."""
-    blocks = [*_worst(answers), *_kinds(answers), *_sensors(answers), *_responses(answers)]
+    blocks = [*_worst(answers), *_kinds(answers), *_sensors(answers), *_responses(answers), *_suspects(answers)]
     return Section("fails", "Where it fails", tuple(blocks)) if blocks else None
+
+
+def _suspects(answers: Answers) -> list[Block]:
+    """Data without each of which everything fits, after a calibration and where an explanation began."""
+    blocks: list[Block] = []
+    for name, which in (("suspects_calibrated", "the calibrated model"), ("suspects_explained", "the model explained")):
+        table = answers.table(name, ["what"], ["rows", "chi2", "p", "p_fit_without"], flags=["explains"])
+        guilty = [] if table is None else table[table["explains"].map(flag)].to_dict("records")
+        rows = tuple(
+            (str(r["what"]), fixed(r["rows"], 0), *(significant(r[n], 3) for n in ("chi2", "p", "p_fit_without")))
+            for r in guilty
+        )
+        heads = ("left out", "rows", "lowers the sum of squares by", "p", "p of the fit without it")
+        if rows:
+            blocks.append(Table(f"Without any one of these {which} fits everything else, to first order", heads, rows))
+    return blocks
 
 
 def _worst(answers: Answers) -> list[Block]:

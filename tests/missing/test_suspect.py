@@ -1,0 +1,96 @@
+"""Single bad data: against fits without them, by their rates, and where two or none are to blame."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.missing.goodness import goodness, overall
+from calib.missing.suspect import data_of, sentence, suspects
+
+
+def linear(toy, spoilt, seed=1, modes=6, sensors=6):
+    """A fitted right model, with rows moved by so many standard deviations, and the data after that."""
+    made = toy(modes=modes, sensors=sensors).drawn(np.random.default_rng(seed))
+    data = made.data.copy()
+    for k, size in spoilt.items():
+        data[k] += size * made.sd[k]
+    return replace(made, data=data)
+
+
+def table_of(made):
+    return suspects(made.calibrated(), made.rows, {}, {})
+
+
+def row_of(made, mode, kind, sensor=None):
+    return next(
+        k for k, row in enumerate(made.rows) if (row.mode, row.kind) == (mode, kind) and sensor in (None, row.sensor)
+    )
+
+
+def test_every_value_shape_mode_and_sensor_is_left_out(toy):
+    made = toy(modes=3, sensors=4)
+    data = data_of(made.rows)
+    kinds = [d.kind for d in data]
+    assert {k: kinds.count(k) for k in kinds} == {"value": 3 * (2 + 4), "shape": 3, "mode": 3, "sensor": 4}
+    every = [tuple(d.rows) for d in data]
+    assert len(set(every)) == len(every)
+    for d in data:
+        if d.kind == "mode":
+            assert {made.rows[k].mode for k in d.rows} == {d.what.removeprefix("mode ")}
+
+
+def test_one_bad_value_is_named_and_nothing_else(toy):
+    bad = row_of(toy(modes=6, sensors=6), "M2", "frequency")
+    made = linear(toy, {bad: 15.0})
+    table = table_of(made)
+    assert table["what"][0] == "frequency of M2" and table["explains"][0]
+    guilty = table[table["explains"]]
+    assert set(guilty["what"]) <= {"frequency of M2", "mode M2"}  # the mode holds the value
+    assert "frequency of M2" in sentence(table)
+
+
+def test_the_closed_form_is_a_fit_without_the_datum(toy):
+    """Rows are taken away and the linear fit is made anew."""
+    made = linear(toy, {row_of(toy(modes=6, sensors=6), "M2", "frequency"): 15.0})
+    near = made.calibrated()
+    state = near.elsewhere({}, near.residual)
+    table = suspects(state, made.rows, {}, {}).set_index("what")
+    for datum in data_of(made.rows):
+        weight = np.ones(len(made.rows))
+        weight[datum.rows] = 0.0
+        less = replace(state, residual=weight * state.residual, slope=weight[:, None] * state.slope)
+        alone = less.elsewhere({}, less.residual)
+        assert table["chi2"][datum.what] == pytest.approx(state.misfit - alone.misfit, rel=1e-9, abs=1e-9)
+        if np.isfinite(table["p_fit_without"][datum.what]):
+            kept = np.delete(np.arange(len(made.rows)), datum.rows)
+            rest = replace(alone, residual=alone.residual[kept], slope=alone.slope[kept])
+            expected = overall(*goodness(rest, [made.rows[k] for k in kept], {}, {}))
+            assert table["p_fit_without"][datum.what] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_bad_sensor_is_named(toy):
+    plain = toy(modes=6, sensors=6)
+    name = next(row.sensor for row in plain.rows if row.kind == "shape")
+    rng = np.random.default_rng(3)
+    spoilt = {k: 6.0 * rng.choice([-1, 1]) for k, row in enumerate(plain.rows) if row.sensor == name}
+    table = table_of(linear(toy, spoilt))
+    assert table[table["explains"]]["what"].tolist() == [f"sensor {name}"]
+
+
+def test_two_bad_values_are_not_blamed_on_one(toy):
+    plain = toy(modes=6, sensors=6)
+    spoilt = {row_of(plain, "M1", "frequency"): 15.0, row_of(plain, "M4", "damping"): -15.0}
+    table = table_of(linear(toy, spoilt))
+    assert len(table) and not table["explains"].any() and sentence(table) == ""
+
+
+def test_where_everything_fits_nobody_is_asked(toy):
+    """And where chance alone makes a fit fail, a datum is blamed at most at the level."""
+    blamed = 0
+    for seed in range(150):
+        table = table_of(linear(toy, {}, seed, modes=4, sensors=4))
+        blamed += len(table) > 0 and bool(table["explains"].any())
+    assert blamed <= 6  # 99.9 % of a binomial of 150 at the level 1 %
+    made = linear(toy, {}, 1)
+    assert overall(*goodness(made.calibrated(), made.rows, {}, {})) > 0.01 and table_of(made).empty
