@@ -7,6 +7,9 @@ from calib.structure.model import Assumption
 from calib.study import Study
 from calib.updating.differences import DifferencedResponses
 
+_LISTED = 4
+"""Responses that are told by name."""
+
 
 def assumed_scatter(study: Study) -> tuple[Assumption, ...]:
     """Standard deviations that nobody stated and that calibration and explanation take; nothing when all are stated."""
@@ -17,7 +20,8 @@ def assumed_scatter(study: Study) -> tuple[Assumption, ...]:
         return ()
     value = f"{100 * DifferencedResponses.unknown_std:g}"
     reason = "no standard deviation and no accuracy is stated"
-    return (Assumption("standard deviation of " + ", ".join(unknown), value, "% of each", reason),)
+    listed = ", ".join(unknown) if len(unknown) <= _LISTED else f"{unknown[0]} and {len(unknown) - 1} more responses"
+    return (Assumption(f"standard deviation of {listed}", value, "% of each", reason),)
 
 
 def assumed_words(study: Study) -> str:
