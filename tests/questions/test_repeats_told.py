@@ -1,5 +1,8 @@
 """A repeat that disagrees is named where model and measurement are compared."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,9 +10,12 @@ import pytest
 from calib.correlation.scatter import scatter_of
 from calib.example import write_example
 from calib.questions.compare import compare
+from calib.questions.explain import explain
 from calib.questions.record import check_repeats
 from calib.results import Results
 from calib.study import Study
+
+CHAIN = Path(__file__).parents[2] / "studies/five_mass_chain"
 
 
 @pytest.fixture
@@ -55,3 +61,22 @@ def test_a_turned_channel_in_one_repeat(example, tmp_path):
     swollen, clean = (scatter_of(s.measured).shape.mean() for s in (plain, study))
     assert swollen > 3 * clean
     assert plain.measured.fingerprint != study.measured.fingerprint
+
+
+def test_an_outlying_response_is_told_by_an_explanation(tmp_path):
+    folder = tmp_path / "chain"
+    shutil.copytree(CHAIN, folder)
+    given = pd.read_csv(folder / "measured.csv", comment="#")
+    rng = np.random.default_rng(2)
+    runs = []
+    for k in range(6):
+        own = given["value"] + np.sqrt(6) * given["std"] * rng.normal(size=len(given))
+        own[0] *= 1.5 if k == 3 else 1.0
+        runs.append(pd.DataFrame({"response": given["response"], "value": own, "repeat": k}))
+    pd.concat([*runs[:5], runs[5].drop(index=1)]).to_csv(folder / "measured.csv", index=False)
+    study = Study.load(folder)
+    assert [(d.mode, d.left_out) for d in study.disagreements] == [(given["response"][0], True)]
+    assert study.repeats == 5
+    assert [study.responses.counts[n] for n in given["response"][:3]] == [5, 5, 6]
+    answer = explain(study, Results.at(tmp_path / "results", study.name))
+    assert check_repeats(study)[0] in answer.notes
