@@ -54,7 +54,7 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
     for k, case in enumerate(cases):
         rows = table[table["case"] == case].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(cases) - 1) / 2) * height
-        lengths = 100.0 * _searched(rows).to_numpy(dtype=float)
+        lengths = 100.0 * searched(rows).to_numpy(dtype=float)
         bars = ax.barh(y, lengths, height * 0.92, color=CASES[k % len(CASES)], label=str(case))
         for bar, name in zip(bars, names, strict=True):
             if unstable[name]:
@@ -100,25 +100,41 @@ def _write_bar_values(ax: Axes, rows: pd.DataFrame, y: np.ndarray) -> None:
             _beside(ax, at, plain(value).replace("-", "−"), 0, "black", fontsize=6.5, gid="bar value")
 
 
-def _searched(table: pd.DataFrame) -> pd.Series[float]:
-    """Place between the limits that a search found, or the final one where there is none."""
+def searched(table: pd.DataFrame) -> pd.Series[float]:
+    """Place between the limits (0 to 1) that a search found, or the final one where there is none."""
     if "search_value" not in table:
         return table["ratio"].astype(float)
     span = table["upper"].astype(float) - table["lower"].astype(float)
     return ((table["search_value"].astype(float) - table["lower"].astype(float)) / span).fillna(table["ratio"])
 
 
-def _mark_final(ax: Axes, table: pd.DataFrame, names: list[str], best_case: str | None) -> bool:
-    """The best case's final values with two standard deviations, where they are told apart from the search's."""
+def final_places(table: pd.DataFrame, best_case: str | None) -> pd.DataFrame | None:
+    """Where the reported case ended after least squares; None where no search came before, which would be told apart.
+
+    Returns
+    -------
+    DataFrame or None
+        ``place`` between the limits (0 to 1) and ``reach``, two standard deviations on that scale (0 where unknown),
+        by parameter.
+    """
     if "search_value" not in table or table["search_value"].isna().all() or best_case is None:
-        return False
-    best = table[table["case"] == best_case].set_index("parameter").reindex(names)
+        return None
+    best = table[table["case"] == best_case].set_index("parameter")
     span = best["upper"].astype(float) - best["lower"].astype(float)
-    reach = (200.0 * best["std"].astype(float) / span).fillna(0.0)
+    reach = (2.0 * best["std"].astype(float) / span).fillna(0.0)
+    return pd.DataFrame({"place": best["ratio"].astype(float), "reach": reach})
+
+
+def _mark_final(ax: Axes, table: pd.DataFrame, names: list[str], best_case: str | None) -> bool:
+    """The reported case's final values with two standard deviations, where they are told apart from the search's."""
+    final = final_places(table, best_case)
+    if final is None:
+        return False
+    final = final.reindex(names)
     ax.errorbar(
-        100.0 * best["ratio"].astype(float),
+        100.0 * final["place"],
         np.arange(len(names)),
-        xerr=reach,
+        xerr=100.0 * final["reach"],
         fmt="D",
         markersize=4.5,
         color="black",
@@ -175,7 +191,7 @@ def _beside(ax: Axes, row: float, text: str, shift: float, colour: str, far: flo
 def _legend(
     ax: Axes, cases: list[str], best_case: str | None, any_unstable: bool, any_bound: bool, final: bool
 ) -> None:
-    note = " (best; values at the right)" if len(cases) > 1 else " (values at the right)"
+    note = " (reported; values at the right)" if len(cases) > 1 else " (values at the right)"
     handles: list[Artist] = [
         Patch(color=CASES[k % len(CASES)], label=f"{case}{note if case == best_case else ''}")
         for k, case in enumerate(cases)

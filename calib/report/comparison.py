@@ -50,7 +50,7 @@ def draw_frequency_error(
     series = _series(before, after)
     values = {name: 100.0 * table["freq_error"] for name, table in series.items()}
     labels = {
-        name: f"{name}: mean |error| {_mean(errors.abs(), '{:.1f} %')}{_paired(errors)}"
+        name: f"{name}: mean |error| {_mean(errors.abs(), '{:.2f} %')}{_paired(errors)}"
         for name, errors in values.items()
     }
     ax.axhline(0.0, color="black", linewidth=0.8)

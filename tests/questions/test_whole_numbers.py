@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from calib import cli
 from calib.questions import case
+from calib.updating.verdicts import identified_sentence
 
 MODEL = """
 from calib.function import FunctionModel
@@ -46,3 +48,5 @@ def test_a_search_over_whole_numbers_that_was_cut_short_says_so(tmp_path, monkey
     out = " ".join(capsys.readouterr().out.split())
     assert (UNTRIED in out) == (refits == 2)
     assert "by how much worse their neighbours fit: n." in out
+    verdicts = pd.read_csv("results/plain/gauss-newton/verdicts.csv")  # whole numbers count among all that were fitted
+    assert len(verdicts) == 2 and identified_sentence(verdicts) in out and "of 1 parameters" not in out

@@ -86,7 +86,7 @@ def test_unknown_stability_is_no_verdict(parameters):
 def test_values_of_the_best_case(parameters):
     ax = draw_parameters(parameters.assign(stable=True), best_case="GB1")
     assert words(ax) == ["1.5 MN/m", "−0.25"]
-    assert "GB1 (best; values at the right)" in legend(ax)
+    assert "GB1 (reported; values at the right)" in legend(ax)
 
 
 def test_one_case_writes_its_values_unasked(parameters):

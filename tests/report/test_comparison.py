@@ -24,7 +24,7 @@ def test_bars_are_the_errors_in_percent(before, after):
     np.testing.assert_allclose(heights(first), 100 * before["freq_error"])
     np.testing.assert_allclose(heights(second), 100 * after["freq_error"])
     assert [t.get_text() for t in ax.get_xticklabels()] == ["1BT\n6.95 Hz", "2BT\n10.83 Hz", "3BT\n13.20 Hz"]
-    assert legend(ax) == ["before: mean |error| 10.0 %, 2 of 3 paired", "after: mean |error| 1.0 %"]
+    assert legend(ax) == ["before: mean |error| 10.00 %, 2 of 3 paired", "after: mean |error| 1.00 %"]
 
 
 def test_an_unpaired_mode_is_marked_where_its_bar_would_stand(before, after):

@@ -110,7 +110,7 @@ def test_figures_show_the_tables(folder, saved, before, convergence):
         [bar.get_height() for bar in saved["comparison"].axes[0].containers[0]], 100 * before["freq_error"]
     )
     np.testing.assert_array_equal(saved["convergence"].axes[0].lines[0].get_ydata(), convergence["best"][:3])
-    assert "GB2 (best; values at the right)" in [
+    assert "GB2 (reported; values at the right)" in [
         t.get_text() for t in saved["parameters"].axes[0].get_legend().get_texts()
     ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from calib.report.calibration import final_places, searched
 from calib.report.html.answers import Answers
 from calib.report.html.compared import error_plot, mac_plot, mode_table, plain_blocks
 from calib.report.html.look import name_axis, new, number_axis, shown
@@ -135,14 +136,21 @@ def _parameter_plot(table: pd.DataFrame, best: str) -> Plot:
             )
             for n, r in rows.iterrows()
         ]
-        error = rows["std"] / (rows["upper"] - rows["lower"]) if case == best else pd.Series(np.nan, names)
         shift = (k - (len(cases) - 1) / 2) * min(0.14, 0.7 / len(cases))
         figure.add_scatter(
-            x=rows["ratio"].to_numpy(dtype=float), y=np.arange(len(names)) + shift, mode="markers", hovertext=words,
+            x=searched(rows).to_numpy(dtype=float), y=np.arange(len(names)) + shift, mode="markers", hovertext=words,
             hoverinfo="text", showlegend=True,
-            name=shown(f"{case} (reported; bars: ± 1 std)" if case == best else case),
+            name=shown(f"{case} (reported)" if case == best else case),
             marker={"color": CASES[k % len(CASES)], "size": 9, "symbol": _SYMBOLS[k % len(_SYMBOLS)]},
-            error_x={"type": "data", "array": error.to_numpy(dtype=float), "visible": case == best, "thickness": 1.5},
+        )  # fmt: skip
+    final = final_places(table, best)
+    if final is not None:
+        final = final.reindex(names)
+        figure.add_scatter(
+            x=final["place"].to_numpy(), y=np.arange(len(names)), mode="markers", hoverinfo="skip", showlegend=True,
+            name=shown(f"{best} after least squares (± 2 std)"),
+            marker={"color": "black", "size": 8, "symbol": "diamond"},
+            error_x={"type": "data", "array": final["reach"].to_numpy(), "thickness": 1.5},
         )  # fmt: skip
     figure.update_layout(
         xaxis=number_axis("place between the limits of the search: 0 is the lower, 1 the upper", range=[-0.05, 1.05]),
@@ -150,7 +158,8 @@ def _parameter_plot(table: pd.DataFrame, best: str) -> Plot:
     )
     bound = table[(table["case"] == best) & table["on_bound"].map(flag)]["parameter"].tolist()
     told = f"At a limit: {', '.join(bound)}." if bound else "None lies at a limit."
-    caption = f"Parameters found by every case, between their limits. {told}"
+    what = "Parameters found by every case" if final is None else "Parameters that every search found"
+    caption = f"{what}, between their limits. {told}"
     rows = table[table["case"] == best]
     places = ", ".join(f"{n} {fixed(v, 2)}" for n, v in zip(rows["parameter"], rows["ratio"], strict=True))
     return Plot("parameters", caption, f"Dots. Places in case {best}: {places}. {told}", figure)

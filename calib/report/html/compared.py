@@ -142,8 +142,9 @@ def _shapes(answers: Answers) -> list[Block]:
         f"rest; blue: the model; red with threads: what the sensors measured. {AXES_TOLD} Real parts are shown; "
         "measurement and model have the same scale."
     )
-    words = "; ".join(mode["words"] for mode in found["stages"][-1]["modes"])
-    return [Shapes("mode-shapes", caption, f"Mode shapes {found['stages'][-1]['name']}: {words}.", found)]
+    shown = found["stages"][0]  # with which the page opens it
+    words = "; ".join(mode["words"] for mode in shown["modes"])
+    return [Shapes("mode-shapes", caption, f"Mode shapes {shown['name']}: {words}.", found)]
 
 
 def comac_plot(answers: Answers) -> list[Plot]:

@@ -133,7 +133,8 @@ def _calibrated(answers: Answers) -> list[tuple[str, str]]:
         out.append((f"mean MAC, calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
     verdicts = answers.table("verdicts", ["parameter"], flags=["identified"])
     if verdicts is not None:
-        out.append(("parameters identified", f"{sum(map(flag, verdicts['identified']))} of {len(verdicts)}"))
+        judged = verdicts["identified"].dropna()  # as the sentences count
+        out.append(("parameters identified", f"{sum(map(flag, judged))} of {len(judged)}"))
     return out
 
 

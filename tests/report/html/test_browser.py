@@ -86,7 +86,7 @@ def test_every_figure_is_drawn_and_moves_without_a_fault(everything, tmp_path):
     assert told["empty"] == [] and told["silent"] == [] and told["loaded"] == [] and not told["wide"]
     assert told["moved"] and told["held"]
     assert told["other"].startswith("B1z: measured")
-    assert told["label"] == f"Mode shape after calibration: {told['other']}"
+    assert told["label"] == f"Mode shape before calibration: {told['other']}"
 
 
 def test_a_study_without_modes_is_drawn_too(plain, tmp_path):

@@ -66,7 +66,7 @@ function drawShapes(figure, content) {
   const play = figure.querySelector("button.play"), facts = figure.querySelector("span.facts");
   const colours = content.colours;
   content.stages.forEach((stage, k) => stages.add(new Option(stage.name, k)));
-  stages.value = content.stages.length - 1;
+  stages.value = 0;  // the section it stands in is about the model before anything was fitted
   stages.parentElement.hidden = content.stages.length === 1;
   content.stages[0].modes.forEach((mode, k) => modes.add(new Option(mode.name, k)));
   let started = null, request = null, held = false;

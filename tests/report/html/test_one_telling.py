@@ -1,0 +1,73 @@
+"""A number that is told in several places of the page, the figures and the tables is one number."""
+
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.container import BarContainer
+
+from calib.report.calibration import draw_parameters, final_places
+from calib.report.comparison import draw_frequency_error
+from calib.report.frequencies import draw_frequencies
+from calib.report.html.numbers import percent
+from calib.report.html.page import Plot, Shapes
+from calib.report.html.summary import summary
+from calib.updating.verdicts import identified_sentence
+
+
+@pytest.fixture
+def parameters(everything):
+    return pd.read_csv(everything / "parameters.csv")
+
+
+def test_identified_parameters_are_counted_once(everything, answers):
+    verdicts = pd.read_csv(everything / "verdicts.csv")
+    said = json.loads((everything / "record.json").read_text())["questions"]["calibrate"]["sentences"]
+    counted = f"{verdicts['identified'].sum()} of {len(verdicts)}"
+    assert dict(summary(answers).facts)["parameters identified"] == counted
+    assert [s for s in said if "parameters are identified" in s] == [identified_sentence(verdicts)]
+    assert identified_sentence(verdicts).startswith(counted)
+
+
+def test_the_picture_of_the_parameters_is_that_of_the_page(folder, parameters, blocks):
+    span = parameters["upper"] - parameters["lower"]
+    shifted = parameters.assign(search_value=parameters["value"] + 0.1 * span * (1 - 2 * (parameters["ratio"] > 0.5)))
+    other = shifted.assign(case="A2", search_value=parameters["lower"] + 0.3 * span)
+    pd.concat([shifted, other]).to_csv(folder / "parameters.csv", index=False)
+    found, best = pd.read_csv(folder / "parameters.csv"), parameters["case"].iloc[0]
+    ax, plot = draw_parameters(found, best_case=best), blocks(folder, Plot)["parameters"].figure
+    bars = [container for container in ax.containers if isinstance(container, BarContainer)]
+    assert len(bars) == 2 and len(plot.data) == 3
+    for own, dots in zip(bars, plot.data, strict=False):
+        assert own.get_label() in dots.name
+        np.testing.assert_allclose([bar.get_width() / 100 for bar in own], dots.x, rtol=1e-6)
+    (diamonds,) = [line for line in ax.lines if line.get_marker() == "D"]
+    np.testing.assert_allclose(np.asarray(diamonds.get_xdata(), dtype=float) / 100, plot.data[2].x, rtol=1e-9)
+    np.testing.assert_allclose(plot.data[2].x, parameters["ratio"], rtol=1e-9)
+    np.testing.assert_allclose(plot.data[2].error_x.array, 2 * parameters["std"] / span, rtol=1e-6)
+
+
+def test_without_a_search_there_is_one_state_to_show(parameters):
+    assert final_places(parameters.assign(search_value=np.nan), parameters["case"].iloc[0]) is None
+
+
+def test_the_mean_error_has_one_value_and_one_rounding(everything, answers):
+    told = json.loads((everything / "summary.json").read_text())
+    tables = {s: pd.read_csv(everything / f"comparison_{s}.csv") for s in ("before", "after")}
+    words = [t.get_text() for t in draw_frequency_error(tables["before"], tables["after"]).get_legend().get_texts()]
+    fact = dict(summary(answers).facts)
+    (label,) = [name for name in fact if name.startswith("mean frequency error")]
+    for stage, text in zip(tables, words, strict=True):
+        number = percent(told[f"mean_freq_error_{stage}"])
+        assert percent(tables[stage]["freq_error"].abs().mean()) == number
+        assert re.findall(r"[\d.]+(?= %)", text) == [number] and number in fact[label]
+    every = draw_frequencies(pd.read_csv(everything / "modes.csv"))
+    assert not any("%" in t.get_text() for t in every.get_legend().get_texts())  # withheld modes have another mean
+
+
+def test_the_viewer_opens_with_the_stage_of_its_section(everything, blocks):
+    shapes = blocks(everything, Shapes)["mode-shapes"]
+    assert [stage["name"] for stage in shapes.scene["stages"]] == ["before calibration", "after calibration"]
+    assert "before calibration" in shapes.alt
