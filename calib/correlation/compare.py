@@ -256,7 +256,7 @@ class Comparison:
         n = self.measured.n_modes
         words = [f"{n - len(lost)} of {n} measured modes are paired" + (f"; not {', '.join(lost)}." if lost else ".")]
         if len(lost) < n:
-            words.append(f"The mean absolute frequency error is {100 * np.nanmean(np.abs(self.freq_error)):.1f} %.")
+            words.append(f"The mean absolute frequency error is {100 * np.nanmean(np.abs(self.freq_error)):.2f} %.")
         allowed, found = self.noise_mac(), self.pairing.mac
         both = np.isfinite(allowed) & np.isfinite(found)
         if both.any():

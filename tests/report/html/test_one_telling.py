@@ -71,3 +71,13 @@ def test_the_viewer_opens_with_the_stage_of_its_section(everything, blocks):
     shapes = blocks(everything, Shapes)["mode-shapes"]
     assert [stage["name"] for stage in shapes.scene["stages"]] == ["before calibration", "after calibration"]
     assert "before calibration" in shapes.alt
+
+
+def test_the_sentence_of_a_comparison_rounds_as_everything_else_does(everything):
+    told = json.loads((everything / "summary.json").read_text())
+    (said,) = [
+        words
+        for words in json.loads((everything / "record.json").read_text())["questions"]["compare"]["sentences"]
+        if "frequency error" in words
+    ]
+    assert f"{percent(told['mean_freq_error_before'])} %" in said
