@@ -15,7 +15,7 @@ from calib.missing.alike import Group, grouped
 from calib.missing.anew import anew, led_astray
 from calib.missing.evidence import CREDIBLE, at_lower
 from calib.missing.findings import Check, Findings, Trial
-from calib.missing.goodness import goodness, noise_scale, overall
+from calib.missing.goodness import by_sensor, goodness, noise_scale, overall
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.left_out import left_out
 from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
@@ -148,7 +148,10 @@ class _Decision:
                 credible = dict.fromkeys(name for t in pair for name in t.names)
                 return self.done(plain, "two_effects", pair[0], pair_check, tuple(credible))
         partial = best.ln_evidence > needed and not best.implausible and best_check.p_family <= alpha
-        return self.done(plain, "partial" if partial else "none_explains", best, best_check)
+        if partial:
+            return self.done(plain, "partial", best, best_check)
+        # A fit that is bad although nothing stands out is no organised misfit.
+        return self.done(plain, "misfit_unlocated" if check.p_family > alpha else "none_explains", best, best_check)
 
     def accepted(self, trial: Trial, check: Check, needed: float) -> bool:
         """Whether an effect may be named."""
@@ -246,4 +249,5 @@ class _Decision:
             kinds=kinds,
             modes=modes,
             p_fit=overall(kinds, modes),
+            sensors=by_sensor(trial.state, hypotheses.rows, hypotheses.fitted_factors, freedom),
         )

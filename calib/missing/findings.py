@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import pandas as pd
 
@@ -24,6 +24,8 @@ class Check:
     kinds, modes : DataFrame
         Goodness of fit.
     p_fit : float
+    sensors : DataFrame
+        Misfit by sensor, worst first.
     """
 
     named: Scores
@@ -33,6 +35,7 @@ class Check:
     kinds: pd.DataFrame
     modes: pd.DataFrame
     p_fit: float
+    sensors: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property
     def p_family(self) -> float:
@@ -83,7 +86,8 @@ class Findings:
     ----------
     verdict : str
         ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``unconfirmed`` (what would be named
-        fits, but withheld data contradict it), ``partial``, ``none_explains`` or ``noise_underestimated``.
+        fits, but withheld data contradict it), ``partial``, ``none_explains``, ``misfit_unlocated`` (the fit
+        is bad, and no effect or local change stands out) or ``noise_underestimated``.
     base : Trial
         Without effects.
     base_check : Check

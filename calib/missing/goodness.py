@@ -83,6 +83,28 @@ def _numbered(names: Sequence[_Name]) -> tuple[list[_Name], np.ndarray]:
     return list(numbers), np.array([numbers[name] for name in names], dtype=int)
 
 
+def by_sensor(
+    state: Fit,
+    rows: Sequence[Label],
+    fitted_factors: Mapping[tuple[str, str], int],
+    scatter_freedom: Mapping[str, float],
+) -> pd.DataFrame:
+    """Sum of squares of every sensor, or plain response, over all modes: ``sensor, chi2, freedom, p``, worst first.
+
+    Factors fitted to a shape are shared by its rows. ``p`` is that of one sensor; among n it counts n times.
+    """
+    blocks, which = _numbered([(row.mode, row.kind) for row in rows])
+    share = np.array([fitted_factors.get(block, 0) for block in blocks]) / np.bincount(which)
+    freedom = row_freedom(state.slope, state.prior_sd) - share[which]
+    names, of = _numbered([(row.sensor, row.kind) for row in rows])
+    table = pd.DataFrame(names, columns=["sensor", "kind"])
+    table["chi2"], table["freedom"] = np.bincount(of, state.residual**2), np.bincount(of, freedom)
+    scatter = np.array([min(scatter_freedom.get(kind, np.inf), KNOWN) for kind in table["kind"]])
+    table["p"] = chance(table["chi2"].to_numpy(), table["freedom"].to_numpy(), scatter)
+    table = table[table["sensor"] != ""].drop(columns="kind")
+    return table.sort_values(["p", "chi2"], ascending=[True, False], ignore_index=True, kind="stable")
+
+
 def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
     """Chance of the worst kind or the worst single-mode shape being as bad as found (Bonferroni)."""
     shapes = modes.loc[modes["kind"] == "shape", "p"]

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from calib.effect import Effect
-from calib.missing.findings import Findings
+from calib.missing.findings import Check, Findings
 from calib.missing.held_out import CONTRADICTED, contradicting
 from calib.missing.tables import UNTESTED
 
@@ -47,6 +47,7 @@ def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advi
         "unconfirmed": _unconfirmed,
         "partial": _partial,
         "none_explains": _none,
+        "misfit_unlocated": _unlocated,
     }[found.verdict](found, effects)
     if found.noise_scale != 1 and found.verdict != "noise_underestimated":
         parts.append(f"The scatter was taken {found.noise_scale:.2g} times as large as stated.")
@@ -55,9 +56,9 @@ def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advi
     if found.verdict == "unconfirmed":
         parts += _contradicted(errors)
     parts += _unseen(effects, found.chosen.names if found.names_something and found.chosen is not None else ())
-    if advice and found.verdict != "noise_underestimated":
+    if advice and found.verdict not in ("noise_underestimated", "misfit_unlocated"):
         parts.append(advice)
-    if found.verdict in ("partial", "none_explains") and not found.begun_anew:
+    if found.verdict in ("partial", "none_explains", "misfit_unlocated") and not found.begun_anew:
         parts.append("Fits began from the base model, which nothing strains; each may be a local fit.")
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         parts.append("Explanations outside the library cannot be excluded.")
@@ -253,6 +254,33 @@ def _none(found: Findings, effects: pd.DataFrame) -> list[str]:
     if found.chosen is not None:
         out.append(f"The best attempt, {_titled(effects, found.chosen.names[0])}, is not believed: {_why_not(found)}.")
     return [*out, _rest(found)]
+
+
+def _unlocated(found: Findings, effects: pd.DataFrame) -> list[str]:
+    return [
+        f"The misfit is beyond the scatter, but no effect and no local change stands out: {_family(found)}.",
+        f"It is largest {_where(found.base_check)}.",
+        "Look at that measurement first: its channel, its repeats, and whether it scatters more than stated.",
+    ]
+
+
+def _where(check: Check) -> str:
+    """The worst sensor and the worst mode of a fit, each with the chance of the worst one being as bad."""
+    told = []
+    if len(check.sensors):
+        worst = check.sensors.iloc[0]
+        times = math.sqrt(float(worst["chi2"]) / max(float(worst["freedom"]), 1.0))
+        told.append(f"at {worst['sensor']} ({times:.1f} times its scatter, {_of_many(worst['p'], len(check.sensors))})")
+    modes = check.modes[check.modes["mode"] != ""]
+    if len(modes):
+        last = modes.sort_values("p", kind="stable").iloc[0]
+        told.append(f"in the {last['kind']} of mode {last['mode']} ({_of_many(last['p'], len(modes))})")
+    return " and ".join(told)
+
+
+def _of_many(p: float, count: int) -> str:
+    """Chance of the worst one of several, in words."""
+    return f"{_p(min(1.0, float(p) * count))} as the worst of {count}"
 
 
 def _why_not(found: Findings) -> str:

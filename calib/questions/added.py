@@ -83,6 +83,7 @@ def write_nothing_added(found: Findings, results: Results) -> Added:
         "unconfirmed": f"What fits, {named}, is not confirmed: withheld data contradict it, so nothing is added. "
         "'calib extend' adds it all the same.",
         "partial": "What was tried explains a part only and may stand in for something else, so nothing is added.",
+        "misfit_unlocated": "No effect stands out, so nothing is added: look at the measurement that fits worst.",
         "none_explains": "No effect of the library explains what is missing, so nothing is added.",
     }
     nothing = pd.DataFrame()

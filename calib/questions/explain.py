@@ -312,6 +312,8 @@ def _next(side: Side, found: Findings, effects: pd.DataFrame) -> tuple[pd.DataFr
     table = advise(prospects)
     pair = None if prospects.rivals is None else prospects.rivals.names
     unseen = effects.loc[~effects["visible"].astype(bool), "name"].tolist()
+    if found.verdict == "none_explains" and found.atom is not None:
+        unseen = [name for name in found.atom.names if name in prospects.effects]  # what is unexplained, not the unseen
     return table, advice_sentence(table, pair, unseen)
 
 

@@ -109,6 +109,8 @@ class ModalSide:
         withheld = {name: freq for name, freq in withheld.items() if name in held}
         candidates = [e for g in found.groups for e in g.effects]
         named = found.base_check.named
+        if found.verdict == "none_explains" and found.atom is not None:  # to see where what is unexplained lies
+            candidates, named = list(found.atom.effects), found.base_check.atoms
         own = self.study.settings.explain
         return modal_prospects(
             self.hypotheses, found.believed, candidates, named, found.noise_scale, withheld, own.draws, own.seed

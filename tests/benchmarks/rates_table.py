@@ -88,7 +88,7 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
         return r["outcome"] == "right"
 
     def none(r: Row) -> bool:
-        return r["verdict"] == "none_explains"
+        return r["verdict"] in ("none_explains", "misfit_unlocated")
 
     def some(r: Row) -> bool:
         return r["verdict"] != "nothing_detectable"
@@ -204,7 +204,11 @@ def _complaint(r: Row) -> str:
         return f"false alarm ({r['verdict']})"
     if r["group"] == "noise" and r["verdict"] not in ("nothing_detectable", "noise_underestimated"):
         return f"not cleared ({r['verdict']})"
-    if r["group"] in ("outside", "removed") and score(r) >= DETECTABLE and r["verdict"] != "none_explains":
+    if (
+        r["group"] in ("outside", "removed")
+        and score(r) >= DETECTABLE
+        and r["verdict"] not in ("none_explains", "misfit_unlocated")
+    ):
         return f"outside: {r['verdict']}"
     if r["group"] == "pair" and score(r) >= DETECTABLE and r["outcome"] != "right":
         return f"pair: {r['outcome']}"

@@ -11,7 +11,15 @@ from calib.missing.explain import _Decision, explain
 from calib.missing.refits import DEFAULT, PAIRS_OF_BEST, Refits, Settings
 from calib.missing.score import DETECTABLE, scores
 
-VERDICTS = {"nothing_detectable", "effect", "indistinguishable", "two_effects", "partial", "none_explains"}
+VERDICTS = {
+    "nothing_detectable",
+    "effect",
+    "indistinguishable",
+    "two_effects",
+    "partial",
+    "none_explains",
+    "misfit_unlocated",
+}
 
 
 # -- pairs -------------------------------------------------------------------------------------------------------------

@@ -75,6 +75,8 @@ def test_only_what_is_named_without_a_rival_is_added():
         ("two_effects", "cannot tell between guy and lamp, so none of them is added"),
         ("partial", "explains a part only"),
         ("none_explains", "No effect of the library explains"),
+        ("misfit_unlocated", "look at the measurement that fits worst"),
+        ("unconfirmed", "What fits, guy, is not confirmed"),
     ],
 )
 def test_why_nothing_is_added_is_told_and_written(verdict, words, tmp_path):

@@ -94,7 +94,7 @@ def test_what_is_in_no_library_is_not_named(run, name):
     row = run(name, 0)
     no_wrong_name(row)
     assert min(row["visible"]) >= 6
-    assert row["verdict"] in ("none_explains", "partial") and row["credible"] == []
+    assert row["verdict"] in ("none_explains", "partial", "misfit_unlocated") and row["credible"] == []
 
 
 @pytest.mark.parametrize("number", [pytest.param(0, marks=pytest.mark.slow), 1])

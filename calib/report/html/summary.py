@@ -66,6 +66,7 @@ def _explanation(answers: Answers) -> str:
         "unconfirmed": f"{' and '.join(chosen)} would fit, but withheld data contradict it: nothing is named.",
         "partial": f"Something is missing in the model; {' and '.join(chosen) or 'an effect'} explains a part only.",
         "none_explains": "Something is missing in the model that no effect of the library explains.",
+        "misfit_unlocated": "The misfit is beyond the scatter, but nothing stands out that could be missing.",
         "nothing_detectable": "Nothing is missing in the model that these data could show.",
         "noise_underestimated": "The scatter of the measurement seems to be understated; nothing can be named.",
     }

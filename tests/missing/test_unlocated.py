@@ -1,0 +1,50 @@
+"""A fit that is bad although nothing stands out has a verdict of its own; it names what fits worst."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.missing.explain import explain
+from calib.missing.goodness import by_sensor
+from calib.missing.tables import effects_table
+from calib.missing.verdict import sentences
+
+
+@pytest.fixture(scope="module")
+def spoiled(toy):
+    """The channel S7 is off in mode M5, in a direction that no parameter, effect or local change has."""
+    made = toy(effects=3, atoms=3, sensors=20)
+    own = np.array([(row.mode, row.kind) == ("M5", "shape") for row in made.rows]) * 1.5
+    own[[k for k, row in enumerate(made.rows) if (row.mode, row.sensor) == ("M5", "S7")]] = 14.0
+    known = np.column_stack(list(made.columns.values()))
+    hidden = own - known @ np.linalg.lstsq(known, own, rcond=None)[0]
+    return replace(made, columns={**made.columns, "hidden": hidden})
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_the_worst_sensor_and_mode_are_named(spoiled, seed):
+    one = spoiled.drawn(np.random.default_rng(seed), {"hidden": 1.0})
+    found = explain(one)
+    assert found.base_check.p_family > 0.01 > found.base_check.p_fit
+    assert found.verdict == "misfit_unlocated" and found.credible == () and not found.names_something
+    assert found.base_check.sensors.iloc[0]["sensor"] == "S7"
+    text = " ".join(sentences(found, effects_table(found, {}, {}), effects_table(found, {}, {}).head(0), "Advice."))
+    assert "at S7 (" in text and "of mode M5" in text and "nan" not in text
+    assert "Advice." not in text and "(score" not in text  # no place of no significance
+
+
+def test_what_stands_out_is_not_unlocated(toy):
+    found = explain(toy(atoms=12).drawn(np.random.default_rng(1), {"A7": 1.5}))
+    assert found.base_check.p_family < 0.01 and found.verdict == "none_explains"
+
+
+def test_misfit_by_sensor_adds_up(toy):
+    one = toy().drawn(np.random.default_rng(3), {})
+    state = one.calibrated()
+    table = by_sensor(state, one.rows, {("M0", "shape"): 2}, {})
+    shapes = np.array([row.kind == "shape" for row in one.rows])
+    assert table["chi2"].sum() == pytest.approx(np.sum(state.residual[shapes] ** 2))
+    plain = by_sensor(state, one.rows, {}, {})
+    assert plain["freedom"].sum() - table["freedom"].sum() == pytest.approx(2.0)
+    assert set(table["sensor"]) == {f"S{k}" for k in range(10)} and table["p"].is_monotonic_increasing
