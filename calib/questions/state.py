@@ -28,10 +28,11 @@ def _of_stages(*stages: str) -> tuple[str, ...]:
 _MESH = ("mesh_points.csv", "mesh_elements.csv")
 _ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv")
 _MEASURES = ("sensitivity", "partial", "influence", "selection", "sensitivity_samples", "input_correlation")
-_CALIBRATED = ("parameters", "verdicts", "confounded", "unseen_directions", "predictions", "convergence", "modes",
-               "responses", "data_errors", "versions")  # fmt: skip
-_EXPLAINED = ("effects", "atoms", "confounding", "strain", "tried", "misfit_kinds", "sensor_misfit", "response_misfit",
-              "unpaired", "errors", "next_measurement", "discretisation", "versions")  # fmt: skip
+_CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "confounded", "unseen_directions",
+               "predictions", "convergence", "modes", "responses", "data_errors", "versions")  # fmt: skip
+_EXPLAINED = ("effects", "accuracy", "explained_fits", "suspects_explained", "atoms", "confounding", "strain", "tried",
+              "misfit_kinds", "sensor_misfit", "response_misfit", "unpaired", "errors", "next_measurement",
+              "discretisation", "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {
     "compare": (*RECORDED, *_MESH, *_of_stages("before"), "sensor_check.csv"),
     "sensitivity": (*RECORDED, *(f"{name}.csv" for name in _MEASURES)),
