@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -14,8 +13,10 @@ import pandas as pd
 
 from calib import __version__
 from calib.correlation.scatter import scatter_of
+from calib.errors import InputError
 from calib.measurement.disagreements import COLUMNS
 from calib.measurement.modal import MeasuredModes
+from calib.named_values import ANY, read_json
 from calib.questions.scatter import accuracy_words, assumed_scatter, assumed_words, scatter_notes
 from calib.questions.state import made_from
 from calib.results import Results
@@ -164,11 +165,14 @@ def assumptions_table(study: Study) -> pd.DataFrame:
 def questions_of(results: Results) -> dict[str, dict[str, Any]]:
     """Questions of the folder's record, the one asked last at the end; none when there is no readable record."""
     try:
-        questions = json.loads((results.path / "record.json").read_text("utf-8"))["questions"]
-    except (OSError, ValueError, KeyError, TypeError):
+        record = read_json(results.path / "record.json", {"questions": {ANY: _ASKED}})
+    except InputError:
         return {}
-    told = questions if isinstance(questions, dict) else {}
-    return {question: asked for question, asked in told.items() if isinstance(asked, dict)}
+    return dict(record.get("questions", {}))
+
+
+_ASKED = {"quick": bool, "made_from": {"files": {ANY: str}, "stated": {ANY: str}, "selected": [str]}}
+"""Kinds of what later commands read of a question."""
 
 
 def _installed() -> dict[str, str]:

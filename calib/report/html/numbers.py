@@ -19,9 +19,9 @@ def fixed(value: float, digits: int, sign: bool = False) -> str:
     return words.replace("-", "−")
 
 
-def percent(share: float, digits: int = 2, sign: bool = False) -> str:
+def percent(share: float | None, digits: int = 2, sign: bool = False) -> str:
     """A share in per cent, without the unit when it stands in the head of a column."""
-    return fixed(100.0 * share, digits, sign)
+    return fixed(math.nan if share is None else 100.0 * share, digits, sign)
 
 
 def significant(value: float, digits: int = 4) -> str:

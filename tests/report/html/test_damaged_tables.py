@@ -1,0 +1,73 @@
+"""Damaged tables and records among results are told or refused in one sentence: a few hundred of them.
+
+`tests/benchmarks/damaged_tables.py` tries ten thousand.
+"""
+
+import importlib
+import json
+import random
+import sys
+from pathlib import Path
+
+import pytest
+
+from calib.errors import InputError
+from calib.report.draw import draw_all
+from calib.report.html.answers import Answers
+from calib.report.html.summary import summary
+from calib.report.html.write import sections
+
+BENCH = Path(__file__).resolve().parents[2] / "benchmarks"
+VALUES = ("x", 7, -1.5, None, True, [], {}, [1], ["a"], {"a": 1}, [[]])
+
+
+@pytest.fixture(scope="module")
+def damaged_tables():
+    """The script of the benchmark."""
+    sys.path.insert(0, str(BENCH))
+    try:
+        yield importlib.import_module("damaged_tables")
+    finally:
+        sys.path.remove(str(BENCH))
+
+
+def test_damaged_tables_are_read_or_refused(damaged_tables, everything, plain, tmp_path):
+    studies = [(home.parent.parent / home.name, home) for home in (everything, plain)]
+    studies[1] = (plain.parent.parent / "chain", plain)
+    bench = damaged_tables.Bench(tmp_path, *studies)
+    found = [bench.trial(number)[0] for number in range(300)]
+    assert set(found) == {"read", "refused"} and found.count("read") > 50 and found.count("refused") > 50
+
+
+def changed(value, rng):
+    """Named values with one of them, however deep, of another kind."""
+    if isinstance(value, dict) and value and rng.random() < 0.8:
+        key = rng.choice(sorted(value))
+        return {**value, key: changed(value[key], rng)}
+    if isinstance(value, list) and value and rng.random() < 0.5:
+        return [changed(value[0], rng), *value[1:]]
+    return rng.choice(VALUES)
+
+
+@pytest.mark.parametrize("name", ["record", "summary", "explanation"])
+def test_values_of_another_kind_are_told_or_refused(folder, name):
+    path = folder / f"{name}.json"
+    whole = json.loads(path.read_text())
+    refused = 0
+    for number in range(40):
+        path.write_text(json.dumps(changed(whole, random.Random(f"{name} {number}"))))
+        answers = Answers(folder, "Damaged", True)
+        try:
+            summary(answers), sections(answers)
+        except InputError as fault:
+            assert path.name in str(fault) and "\n" not in str(fault)
+            refused += 1
+    assert refused > 3
+
+
+def test_a_row_that_is_there_twice_is_refused_by_its_line(folder):
+    path = folder / "parameters.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, lines[-1], ""]))
+    with pytest.raises(InputError, match=rf"parameters\.csv, line {len(lines) + 1}"):
+        draw_all(folder, "Damaged", True)
