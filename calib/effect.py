@@ -38,6 +38,8 @@ class Effect:
         Strength and nuisance parameters at which the effect's fingerprint is taken by difference; needed with nuisance
         parameters, which have no meaning at strength 0 (Davies 1987). Without a grid the fingerprint is the
         derivative at the base model.
+    part : str
+        What of the model the strength scales, as one more than it; empty for an effect that adds something.
 
     Raises
     ------
@@ -53,6 +55,7 @@ class Effect:
     build: Callable[[Any], Any]
     nuisance: tuple[Parameter, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ()
+    part: str = ""
 
     def __post_init__(self) -> None:
         place, p = f"effect {self.name}", self.strength

@@ -146,7 +146,8 @@ class _Decision:
             pair_check = self.check(pair[0], self.beside(pair[0], able))
             if pair_check.adequate(alpha) and self.told_by_data(pair[0]) and self.predicts(pair[0], base):
                 credible = dict.fromkeys(name for t in pair for name in t.names)
-                return self.done(plain, "two_effects", pair[0], pair_check, tuple(credible))
+                both = self.done(plain, "two_effects", pair[0], pair_check, tuple(credible))
+                return both.unconfirmed() if both.unrivalled else both
         partial = best.ln_evidence > needed and not best.implausible and best_check.p_family <= alpha
         if partial:
             return self.done(plain, "partial", best, best_check)
@@ -185,7 +186,8 @@ class _Decision:
             for name in (t.names[0], *(n for n in alike.get(t.names[0], ()) if n not in fitted))
         )
         found = replace(found, trials=tuple(singles))
-        return self.done(found, "effect" if len(credible) == 1 else "indistinguishable", best, check, credible)
+        done = self.done(found, "effect" if len(credible) == 1 else "indistinguishable", best, check, credible)
+        return done.unconfirmed() if done.unrivalled else done
 
     def done(
         self, found: Findings, verdict: str, chosen: Trial, check: Check, credible: tuple[str, ...] = ()

@@ -86,8 +86,8 @@ class Findings:
     ----------
     verdict : str
         ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``unconfirmed`` (what would be named
-        fits, but withheld data contradict it), ``partial``, ``none_explains``, ``misfit_unlocated`` (the fit
-        is bad, and no effect or local change stands out) or ``noise_underestimated``.
+        fits, but withheld data contradict it or it had no unnamed rival), ``partial``, ``none_explains``,
+        ``misfit_unlocated`` (the fit is bad, and no effect or local change stands out) or ``noise_underestimated``.
     base : Trial
         Without effects.
     base_check : Check
@@ -136,6 +136,11 @@ class Findings:
     def names_something(self) -> bool:
         """Whether the verdict names what is missing."""
         return self.verdict in ("effect", "indistinguishable", "two_effects")
+
+    @property
+    def unrivalled(self) -> bool:
+        """Whether no unnamed local change could be told from the parameters, so that a wrong name would not show."""
+        return not (self.base_check.atoms.size > 0).any()
 
     def unconfirmed(self) -> Findings:
         """The same without a name: what fits is the best attempt."""

@@ -237,13 +237,32 @@ class Refits:
         return out
 
     def best_atom(self, base: Trial, found: Scores, named: Scores, singles: Sequence[Trial]) -> Trial | None:
-        """The unnamed local change with the largest score, fitted; not one that only says what the best effect says."""
+        """The unnamed local change with the largest score, fitted; not one that only says what the best effect says.
+
+        A change of a part comes before something added at a sensor: that must fit clearly better.
+        """
         usable = np.array(found.strength)
         column = named.unit[:, named.best(singles[0].names[0])]
         usable[np.abs(found.unit.T @ column) > SAME] = -np.inf
-        if not len(usable) or not usable.max() > 0:
-            return None
-        name = found.owners[int(np.argmax(usable))]
+        scales = np.array([bool(self._by_name[n].part) for n in found.owners], dtype=bool)
+        part, other = (
+            int(np.argmax(np.where(own, usable, -np.inf))) if own.any() else None for own in (scales, ~scales)
+        )
+        first, second = (
+            0.0 if k is None else max(float(usable[k]), 0.0) ** 2 / 2 for k in (part, other)
+        )  # fmt: skip
+        atom = None
+        if part is not None and first > 0:
+            atom = self._local(found.owners[part], base, found, singles)
+        clearly = second > first + CREDIBLE and not (atom is not None and self.spent())
+        if other is not None and (clearly or (atom is None and second > 0)):
+            rival = self._local(found.owners[other], base, found, singles)
+            if rival is not None and (atom is None or rival.ln_evidence > atom.ln_evidence + CREDIBLE):
+                return rival
+        return atom
+
+    def _local(self, name: str, base: Trial, found: Scores, singles: Sequence[Trial]) -> Trial | None:
+        """One local change fitted, to the end where it comes near the best effect."""
         first = self.starts(base.state, found, name)[0]
         atom = self.best_of((name,), [first], base)
         if self.spent():

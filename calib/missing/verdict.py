@@ -10,6 +10,7 @@ import pandas as pd
 from calib.effect import Effect
 from calib.missing.findings import Check, Findings
 from calib.missing.held_out import CONTRADICTED, contradicting
+from calib.missing.local import local_change
 from calib.missing.tables import UNTESTED
 
 _LEAST = 1 / 4000
@@ -199,8 +200,9 @@ def _unconfirmed(found: Findings, effects: pd.DataFrame) -> list[str]:
         f"{_titled(effects, e.name)}, {_strength(effects, e.name)}" for e in found.chosen.effects
     )
     return [
-        f"What fits is not confirmed by data that no fit has seen: {_family(found)}.",
+        f"What fits is not confirmed{'' if found.unrivalled else ' by data that no fit has seen'}: {_family(found)}.",
         f"Fits, not confirmed: {named}.",
+        "Nothing in the model could be changed by itself, so a wrong name cannot be excluded." * found.unrivalled,
     ]
 
 
@@ -208,6 +210,8 @@ def _contradicted(errors: pd.DataFrame) -> list[str]:
     """What the withheld data say of the best attempt."""
     numbers = {(str(r["group"]), str(r["stage"])): r for r in errors.to_dict("records")}
     against = contradicting(errors, "attempt")
+    if not against:
+        return []
     told = []
     for group in against:
         before, after = numbers[group, "before"], numbers[group, "attempt"]
@@ -228,12 +232,8 @@ def _rest(found: Findings) -> str:
         return ""
     better = found.chosen is None or atom.ln_evidence > found.chosen.ln_evidence
     words = "fits better than every listed effect" if better else "is where an unnamed local change would help most"
-    title = atom.effects[0].title
-    what = f"A {title}" if title.startswith("change of ") else f"A change of the {title}"
-    scores = found.base_check.atoms
-    name = atom.names[0]
-    score = f" (score {scores.z[scores.best(name)]:.1f})" if name in scores.owners else ""
-    return f"{what}{score} {words}; that is a place to look at, not a cause."
+    told = local_change(atom).told
+    return f"{told[0].upper()}{told[1:]}, {words}; that is a place to look at, not a cause."
 
 
 def _partial(found: Findings, effects: pd.DataFrame) -> list[str]:

@@ -80,7 +80,8 @@ def write_nothing_added(found: Findings, results: Results) -> Added:
         "noise_underestimated": "The scatter of the measurement has to be mended first, so nothing is added.",
         "indistinguishable": untold,
         "two_effects": untold,
-        "unconfirmed": f"What fits, {named}, is not confirmed: withheld data contradict it, so nothing is added. "
+        "unconfirmed": f"What fits, {named}, is not confirmed: "
+        f"{'it had no unnamed rival' if found.unrivalled else 'withheld data contradict it'}, so nothing is added. "
         "'calib extend' adds it all the same.",
         "partial": "What was tried explains a part only and may stand in for something else, so nothing is added.",
         "misfit_unlocated": "No effect stands out, so nothing is added: look at the measurement that fits worst.",

@@ -25,6 +25,7 @@ from calib.missing.findings import Findings, Trial
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Hypotheses, Scaled
 from calib.missing.left_out import left_out
+from calib.missing.local import local_change
 from calib.missing.profile import profile_interval
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.suspect import suspects
@@ -326,6 +327,12 @@ def _atoms(side: Side, found: Findings) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["atom", "kind", "x", "y", "z", "sensor", "score", "gamma"])
 
 
+def _local_change(atom: Trial) -> dict[str, object]:
+    change = local_change(atom)
+    unit = change.effect.strength.unit
+    return {"name": change.effect.name, "value": change.value, "low": change.low, "high": change.high, "unit": unit}
+
+
 def summary(study: Study, answer: Explanation) -> dict[str, object]:
     """``explanation.json``."""
     found, check = answer.findings, answer.findings.base_check
@@ -356,6 +363,7 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "noise_scale": found.noise_scale,
         "measured_noise_scale": found.measured_scale,
         "local_changes": len(set(check.atoms.owners)),
+        "local_change": None if found.atom is None else _local_change(found.atom),
         "evaluations": found.evaluations,
         "begun_anew": found.begun_anew,
         "errors": errors,

@@ -23,6 +23,8 @@ LOCAL = 0.1
 """Plausible stiffness of a grounded spring, over the local stiffness at the reference values."""
 HEAVY = 0.01
 """Plausible added mass, over the mass of the model that moves in that direction."""
+LEAST = {"stiffness": -0.9, "damping": -1.0, "mass": -0.9}
+"""Smallest relative change of a part: a damper may be dead, but without its springs or masses there is no model."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,8 @@ class Atom:
     Attributes
     ----------
     effect : Effect
-        Its strength is signed: relative for a part, in N/m or kg at a sensor.
+        Its strength is relative and of either sign for a part; in N/m or kg at a sensor, where only what is added can
+        exist.
     kind : {"stiffness", "damping", "mass"}
     place : (3,) float
         m.
@@ -90,8 +93,9 @@ def _scaled(part: Part) -> Atom:
             return Addition(stiffness=term)
         return Addition(damping=term) if part.kind == "damping" else Addition(mass=term)
 
-    strength = Parameter(name, 0.0, -0.9, 9.0, "-", prior_sd=RELATIVE)
-    return Atom(_effect(name, strength, build, "scales it by one more than this"), part.kind, part.place)
+    strength = Parameter(name, 0.0, LEAST[part.kind], 9.0, "-", prior_sd=RELATIVE)
+    effect = replace(_effect(name, strength, build, "scales it by one more than this"), part=name)
+    return Atom(effect, part.kind, part.place)
 
 
 def _at_sensor(sensor: Sensor, row: np.ndarray, kind: str, size: float) -> Atom:
@@ -102,7 +106,7 @@ def _at_sensor(sensor: Sensor, row: np.ndarray, kind: str, size: float) -> Atom:
         term = (outer_term(name, [row], Monomial(1.0, ((name, 1.0),)), model.n_dof - len(row)),)
         return Addition(stiffness=term) if kind == "stiffness" else Addition(mass=term)
 
-    strength = Parameter(name, 0.0, -5 * size, 20 * size, unit, prior_sd=size)
+    strength = Parameter(name, 0.0, 0.0, 20 * size, unit, prior_sd=size)
     assert sensor.point is not None
     return Atom(_effect(name, strength, build, f"{words} of this size"), kind, sensor.point, sensor.name)
 

@@ -169,7 +169,8 @@ def make_effect() -> Callable[..., Effect]:
 def toy() -> Callable[..., Toy]:
     """Parameters P0.., effects E0.., unnamed changes A0.. of random directions, one unit of the size given.
 
-    Parameters act on all modes, what may be missing mostly on two.
+    Parameters act on all modes, what may be missing mostly on two. Without unnamed changes nothing would be named: in
+    their place stands one that acts everywhere.
     """
 
     def make(
@@ -215,6 +216,9 @@ def toy() -> Callable[..., Toy]:
             named.append(effect("hung", nuisance=(nuisance,), grid=grid))
             place = np.array([int(row.mode[1:]) for row in rows], dtype=float)
             bumps["hung"] = Bump(column(2 * size, local=False), place, "at")
+        if not local:
+            local = [effect("bland", signed=True)]
+            columns["bland"] = size * np.random.default_rng([seed, 1]).standard_normal(n) / np.sqrt(n)
         return Toy(
             rows=rows,
             base=ParameterSpace(tuple(own)),

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from calib.missing.explain import explain
+from calib.missing.local import local_change
 from calib.missing.tables import effects_table
 from calib.missing.verdict import sentences
 
@@ -279,9 +280,10 @@ def test_what_nothing_explains_is_told_with_the_place_to_look_at(cases):
     found = cases["none_explains"]
     text = told(found)
     assert text.startswith("Organised misfit that no listed effect explains: ")
-    scores = found.base_check.atoms
-    score = f"(score {scores.z[scores.best('A7')]:.1f})"
-    assert f"A change of the A7 {score} fits better than every listed effect; that is a place to look at" in text
+    change = local_change(found.atom)
+    assert change.effect.name == "A7" and change.low < change.value < change.high
+    size = f"A7, about {change.value:.2g} [{change.low:.2g}, {change.high:.2g}]"
+    assert f"{size}, fits better than every listed effect; that is a place to look at" in text
     assert "is not believed" in text and "Look for" not in text and "95 %" not in text
 
 
@@ -302,7 +304,7 @@ def test_a_best_attempt_that_leaves_nothing_is_not_said_to_leave_something(toy):
             break
     assert found.chosen_check.passes(0.01) and not found.chosen.implausible
     text = told(found)
-    assert "A change of the A5 (score " in text and "fits better than every listed effect" in text
+    assert "A5, about " in text and "fits better than every listed effect" in text
     assert "still has p" not in text
 
 

@@ -38,7 +38,8 @@ def test_every_term_of_a_model_without_parts_and_two_for_every_sensor(ladder):
     assert names == [*list(TERMS)[:4], "damping of ends", "mass of fixed", "mass of mass", *at_sensors]
     assert [a.sensor for a in found] == [""] * 7 + ["1x", "1x", "8x", "8x", "13x", "13x"]
     assert [a.kind for a in found[-4:]] == ["stiffness", "mass"] * 2
-    assert all(a.effect.signed and not a.effect.grid and not a.effect.nuisance for a in found)
+    assert all(a.effect.signed == (not a.sensor) and not a.effect.grid and not a.effect.nuisance for a in found)
+    assert all(a.effect.part == ("" if a.sensor else a.effect.name) for a in found)
     assert named(found)["grounded spring at sensor 8x"].place == (8.0, 0.0, 0.0)
     assert named(found)["stiffness of ends"].place == pytest.approx((9.5, 0.0, 0.0))
     assert len(atoms(ladder(N), [], POINT, 1.0)) == 7
@@ -72,7 +73,8 @@ def test_a_part_scaled_is_its_parameter_scaled(ladder, name):
         expected = model.matrices({**POINT, TERMS[name]: factor * POINT[TERMS[name]]})
         for a, b in zip(found, expected, strict=True):
             np.testing.assert_allclose(a.toarray(), b.toarray(), rtol=1e-12, atol=1e-9)
-    assert atom.plausible == RELATIVE and atom.strength.unit == "-" and atom.strength.lower > -1
+    assert atom.plausible == RELATIVE and atom.strength.unit == "-"
+    assert atom.strength.lower == (-1 if name.startswith("damping") else -0.9)
 
 
 @pytest.mark.parametrize("name", TERMS)

@@ -63,7 +63,7 @@ def _explanation(answers: Answers) -> str:
         "effect": f"Something is missing in the model, and it is named: {' and '.join(chosen)}.",
         "two_effects": f"Two things are missing in the model, and they are named: {' and '.join(chosen)}.",
         "indistinguishable": f"Something is missing in the model; these data cannot tell which: {'; '.join(credible)}.",
-        "unconfirmed": f"{' and '.join(chosen)} would fit, but withheld data contradict it: nothing is named.",
+        "unconfirmed": f"{' and '.join(chosen)} would fit, but that is not confirmed: nothing is named.",
         "partial": f"Something is missing in the model; {' and '.join(chosen) or 'an effect'} explains a part only.",
         "none_explains": "Something is missing in the model that no effect of the library explains.",
         "misfit_unlocated": "The misfit is beyond the scatter, but nothing stands out that could be missing.",
