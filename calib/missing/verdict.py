@@ -233,7 +233,7 @@ def _rest(found: Findings) -> str:
     better = found.chosen is None or atom.ln_evidence > found.chosen.ln_evidence
     words = "fits better than every listed effect" if better else "is where an unnamed local change would help most"
     told = local_change(atom).told
-    return f"{told[0].upper()}{told[1:]}, {words}; that is a place to look at, not a cause."
+    return f"A local change, {told}, {words}; that is a place to look at, not a cause."
 
 
 def _partial(found: Findings, effects: pd.DataFrame) -> list[str]:

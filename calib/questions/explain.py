@@ -323,7 +323,8 @@ def _atoms(side: Side, found: Findings) -> pd.DataFrame:
     rows = []
     for k, name in enumerate(scores.owners):
         kind, place, sensor = places[name]
-        rows.append((name, kind, *place, sensor, scores.z[k], scores.gamma[k]))
+        score = scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0)  # of the other sign it cannot exist
+        rows.append((name, kind, *place, sensor, score, scores.gamma[k]))
     return pd.DataFrame(rows, columns=["atom", "kind", "x", "y", "z", "sensor", "score", "gamma"])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -16,14 +16,13 @@ from calib.errors import EvaluationError, InputError
 from calib.freedom import repeats_freedom
 from calib.function import FunctionModel, extend_function
 from calib.outcome import attempt
+from calib.questions.function_atoms import Remembered, function_atoms
 from calib.questions.hypotheses import question_space
-from calib.space import Parameter, ParameterSpace
+from calib.space import ParameterSpace
 from calib.updating.differences import DifferencedResponses, difference
 
 LEAST_RESPONSES = 4
 """Fewer responses cannot tell an effect from a parameter."""
-RELATIVE = 0.3
-"""Plausible relative change of a parameter that is held."""
 _ROUNDING = 1e-6
 """Change of the residual at strength 0 up to which it counts as none."""
 
@@ -86,7 +85,11 @@ class Answers:
     @property
     def evaluations(self) -> int:
         """Calls of the function so far, failed ones included."""
-        return len(self._found)
+        return self._function.calls
+
+    @cached_property
+    def _function(self) -> Remembered:
+        return Remembered(self.model.function)
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Vector (n_rows,) at all parameters of the model and of any effects; EvaluationError at a failed point."""
@@ -98,7 +101,8 @@ class Answers:
 
     def _ask(self, active: tuple[str, ...], values: Mapping[str, float]) -> np.ndarray:
         if active not in self._problems:
-            extended = extend_function(self.model, [self.by_name[name] for name in active])
+            model = replace(self.model, function=self._function)
+            extended = extend_function(model, [self.by_name[name] for name in active])
             self._problems[active] = FunctionProblem(extended.space, extended.function, self.targets, "")
         problem = self._problems[active]
         given = {name: float(values[name]) for name in problem.space.names}
@@ -237,12 +241,8 @@ class FunctionHypotheses:
 
     @cached_property
     def atoms(self) -> tuple[Effect, ...]:
-        """Unnamed changes: every parameter that is held, by a share of its value.
-
-        Those that are fitted, that take whole numbers or that are 0 have none.
-        """
-        held = (p for p in self.space.parameters if p.distribution == "fixed" and not p.integer and p.value != 0)
-        return tuple(_atom(p) for p in held)
+        """Unnamed changes, see `function_atoms`."""
+        return function_atoms(self.space, {name: value for name, (value, _) in self.targets.items()})
 
     @property
     def evaluations(self) -> int:
@@ -287,17 +287,3 @@ class FunctionHypotheses:
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
         """None: plain responses are told by their names."""
         return frozenset()
-
-
-def _atom(p: Parameter) -> Effect:
-    name = f"change of {p.name}"
-
-    def build(model: FunctionModel) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
-        def changed(values: Mapping[str, float]) -> Mapping[str, float]:
-            rest = {n: v for n, v in values.items() if n != name}
-            return model.function(rest | {p.name: values[p.name] * (1 + values[name])})
-
-        return changed
-
-    strength = Parameter(name, 0.0, -0.9, 9.0, "-", prior_sd=RELATIVE)
-    return Effect(name, name, f"{p.name} is held at {p.value:g} {p.unit}", "its true value", strength, build)

@@ -1,8 +1,12 @@
 """How often the search for a missing effect is right on the five-mass chain, a model without matrices.
 
     python tests/benchmarks/chain_rates.py --runs 200
+    python tests/benchmarks/chain_rates.py --runs 40 --bare
+    python tests/benchmarks/chain_rates.py --runs 40 --bare --outside
 
-Every run draws springs, damping, the strength of the hidden effect and the scatter anew; seeds are fixed.
+Every run draws springs, damping, the strength of the hidden effect and the scatter anew; seeds are fixed. With --bare
+masses and single dampers are inside the function and no parameter is declared fixed, as in most functions of users.
+With --outside the hidden effect is taken out of the library: whatever is named then is wrong.
 """
 
 from __future__ import annotations
@@ -14,13 +18,16 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import argparse
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 from rates_subject import ROOT
 
+from calib.function import FunctionModel
 from calib.loading import module_of
 from calib.missing.explain import Settings, explain
 from calib.questions.function_hypotheses import FunctionHypotheses
+from calib.space import ParameterSpace
 from calib.study import Study
 
 FOLDER = ROOT / "studies/five_mass_chain"
@@ -32,9 +39,15 @@ def main() -> None:
     """Run and print the table."""
     arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     arguments.add_argument("--runs", type=int, default=200, help="runs of each row (default 200)")
+    arguments.add_argument("--bare", action="store_true", help="no parameter is declared fixed")
+    arguments.add_argument("--outside", action="store_true", help="the hidden effect is in no library")
     given = arguments.parse_args()
     study, twin = Study.load(FOLDER), module_of(FOLDER / "make_twin.py")
-    hidden = ["", *(e.name for e in twin.chain_effects() if e.name not in twin.INVISIBLE)]
+    hidden = [e.name for e in twin.chain_effects() if e.name not in twin.INVISIBLE]
+    hidden = hidden if given.outside else ["", *hidden]
+    model, space = study.model, study.search_space
+    if given.bare:
+        model, space = bare(model, space)
     print(f"{'hidden':20s}" + "".join(f"{c:>18s}" for c in COLUMNS) + f"{'calls (mean)':>14s}{'(most)':>8s}")
     for name in hidden:
         counts: Counter[str] = Counter()
@@ -43,12 +56,20 @@ def main() -> None:
             rng = np.random.default_rng([seed, *name.encode()])
             targets = twin.measure(twin.twin_responses(twin.draw(rng, name)), rng)
             repeats = study.settings.measurement.repeats
-            asked = FunctionHypotheses(study.model, targets, study.search_space, study.candidates, repeats=repeats)
+            library = tuple(e for e in study.candidates if not (given.outside and e.name == name))
+            asked = FunctionHypotheses(model, targets, space, library, repeats=repeats)
             found = explain(asked, Settings(budget=np.inf))
             counts[_outcome(found.verdict, found.credible, name)] += 1
             calls.append(found.evaluations)
         cells = "".join(f"{counts[c]:18d}" for c in COLUMNS)
         print(f"{name or 'nothing':20s}{cells}{np.mean(calls):14.0f}{max(calls):8d}", flush=True)
+
+
+def bare(model: FunctionModel, space: ParameterSpace) -> tuple[FunctionModel, ParameterSpace]:
+    """The same function of the fitted parameters alone, and their space."""
+    held = {p.name: p.value for p in space.parameters if p.distribution == "fixed"}
+    own = ParameterSpace(space.free)
+    return replace(model, space=own, function=lambda values: model.function(held | dict(values))), own
 
 
 def _outcome(verdict: str, credible: tuple[str, ...], hidden: str) -> str:

@@ -304,7 +304,7 @@ def test_a_best_attempt_that_leaves_nothing_is_not_said_to_leave_something(toy):
             break
     assert found.chosen_check.passes(0.01) and not found.chosen.implausible
     text = told(found)
-    assert "A5, about " in text and "fits better than every listed effect" in text
+    assert "A local change, A5, about " in text and "fits better than every listed effect" in text
     assert "still has p" not in text
 
 

@@ -263,23 +263,60 @@ def test_too_few_responses_are_refused(count, free):
     FunctionHypotheses(model, enough, space, (effect("phi"),))
 
 
-def test_local_changes_are_those_of_held_parameters():
+def test_every_input_and_every_response_may_be_off():
     space = ParameterSpace(
         (
             Parameter("free", 1.0, 0.0, 2.0),
             Parameter("held", 2.0, 0.0, 4.0, distribution="fixed"),
-            Parameter("nothing", 0.0, -1.0, 1.0, distribution="fixed"),
+            Parameter("nothing", 0.0, -1.0, 3.0, distribution="fixed"),
+            Parameter("void", 0.0, 0.0, 0.0, distribution="fixed"),
             Parameter("count", 3.0, 1.0, 4.0, distribution="fixed", integer=True),
         )
     )
-    model = FunctionModel("x", space, lambda v: {f"r{k}": v["held"] + k for k in range(4)})
-    hypotheses = FunctionHypotheses(model, {f"r{k}": (0.0, 1.0) for k in range(4)}, space, (effect("phi"),))
-    (atom,) = hypotheses.atoms
-    assert atom.name == "change of held" and atom.signed and atom.plausible == 0.3
-    residual = hypotheses.question((atom.name,)).residual({"free": 1.0, atom.name: 0.5})
-    np.testing.assert_allclose(residual, [-3.0, -4.0, -5.0, -6.0])
+    model = FunctionModel("x", space, lambda v: {f"r{k}": v["held"] + k + v["nothing"] for k in range(4)})
+    hypotheses = FunctionHypotheses(model, {f"r{k}": (3.0, 1.0) for k in range(4)}, space, (effect("phi"),))
+    atoms = {a.name: a for a in hypotheses.atoms}
+    assert list(atoms) == ["change of held", "change of nothing", *(f"offset of r{k}" for k in range(4))]
+    assert all(a.signed for a in atoms.values()) and atoms["change of held"].plausible == 0.3
+    assert [a.part for a in atoms.values()] == ["held", *[""] * 5]
+    base = np.array([1.0, 0.0, -1.0, -2.0])
+    for name, size, expected in (
+        ("change of held", 0.5, base - 1),
+        ("change of nothing", 0.25, base - 1),
+        ("offset of r2", 0.5, base - [0, 0, 1.5, 0]),
+    ):
+        residual = hypotheses.question((name,)).residual({"free": 1.0, name: size})
+        np.testing.assert_allclose(residual, expected)
     with pytest.raises(InputError, match="no effect 'unknown'"):
         hypotheses.question(("unknown",))
+
+
+def test_fitted_parameters_may_be_off_for_one_group_of_responses():
+    space = ParameterSpace((Parameter("k", 2.0, 0.0, 4.0), Parameter("about", 0.0, -1.0, 1.0)))
+    asked = []
+
+    def answer(v):
+        asked.append(v)
+        return {"freq_1": v["k"], "freq_2": 2 * v["k"], "damping_1": v["k"] + v["about"], "damping_2": v["about"]}
+
+    targets = {"freq_1": (2.0, 1.0), "freq_2": (4.0, 1.0), "damping_1": (2.0, 1.0), "damping_2": (0.0, 1.0)}
+    hypotheses = FunctionHypotheses(FunctionModel("x", space, answer), targets, space, (effect("phi"),))
+    assert [a.name for a in hypotheses.atoms] == [
+        "change of k in freq", "change of k in damping", "change of about in freq", "change of about in damping",
+        "offset of freq", "offset of damping",
+    ]  # fmt: skip
+    point = {"k": 2.0, "about": 0.0}
+    for name, size, expected in (
+        ("change of k in freq", 0.5, [-1, -2, 0, 0]),
+        ("change of k in damping", 0.5, [0, 0, -1, 0]),
+        ("change of about in damping", 0.5, [0, 0, -1, -1]),
+        ("offset of freq", 0.1, [-0.3, -0.3, 0, 0]),
+    ):
+        np.testing.assert_allclose(hypotheses.question((name,)).residual({**point, name: size}), expected, atol=1e-12)
+    # All groups of responses share the points at which a parameter is moved.
+    before = len(asked)
+    hypotheses.question(()).jacobian(point, [a.name for a in hypotheses.atoms])
+    assert len(asked) == before + 2 * 2 and hypotheses.evaluations == len(asked)
 
 
 def test_a_changed_parameter_is_changed_for_effects_too():

@@ -1,0 +1,128 @@
+"""Unnamed local changes of a plain function: of what goes in, of how groups of responses feel it, of what comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.correlation.responses import response_rows
+from calib.effect import Effect
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+RELATIVE = 0.3
+"""Plausible relative change of a parameter."""
+OFFSET = 0.1
+"""Plausible offset of a group of responses, over the mean size of their measured values."""
+
+OFFSET_OF = "offset of "
+"""How the names of offsets begin."""
+
+Function = Callable[[Mapping[str, float]], Mapping[str, float]]
+
+
+def blocks_of(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Responses that may be off together: those of one kind, or each by itself where all are of one kind."""
+    kinds = {row.sensor: row.kind for row in response_rows(names)}
+    if len(set(kinds.values())) == 1:
+        return {name: (name,) for name in names}
+    return {kind: tuple(n for n in names if kinds[n] == kind) for kind in dict.fromkeys(kinds.values())}
+
+
+def function_atoms(space: ParameterSpace, measured: Mapping[str, float]) -> tuple[Effect, ...]:
+    """What may be off in a function by itself, whole numbers aside.
+
+    Every parameter that is held, changed; every parameter that is fitted, changed for one block of responses only,
+    where that differs from an offset; and an offset of every block.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        Free are the parameters that a calibration would fit.
+    measured : mapping
+        Measured value of every response.
+    """
+    blocks = blocks_of(list(measured))
+    moving = [p for p in space.parameters if not p.integer and (p.value != 0 or p.upper > p.lower)]
+    out = [_change(p, f"change of {p.name}", None) for p in moving if p.distribution == "fixed"]
+    if len(blocks) < len(measured):
+        out += [
+            _change(p, f"change of {p.name} in {block}", own)
+            for p in moving
+            if p.distribution != "fixed"
+            for block, own in blocks.items()
+        ]
+    for block, own in blocks.items():
+        size = float(np.mean([abs(measured[name]) for name in own])) or 1.0
+        out.append(_offset(block, own, size))
+    return tuple(out)
+
+
+def _change(p: Parameter, name: str, block: Collection[str] | None) -> Effect:
+    """A parameter changed by a share of its value, or of its range where that is 0; for some responses or for all."""
+    span = 0.0 if p.value != 0 else p.upper - p.lower
+
+    def build(model: FunctionModel) -> Function:
+        def changed(values: Mapping[str, float]) -> Mapping[str, float]:
+            rest = {n: v for n, v in values.items() if n != name}
+            own = values[p.name]
+            moved = model.function(rest | {p.name: own + values[name] * (span or own)})
+            if block is None or values[name] == 0:
+                return moved
+            return {n: moved[n] if n in block else v for n, v in model.function(rest).items()}
+
+        return changed
+
+    strength = Parameter(name, 0.0, -1.0 if span else -0.9, 1.0 if span else 9.0, "-", prior_sd=RELATIVE)
+    held = f"{p.name} is held at {p.value:g} {p.unit}" if block is None else f"{p.name} is one for all responses"
+    part = "" if span else name.removeprefix("change of ")
+    return Effect(name, name, held, "its true value", strength, build, part=part)
+
+
+def _offset(block: str, own: Collection[str], size: float) -> Effect:
+    name = f"{OFFSET_OF}{block}"
+
+    def build(model: FunctionModel) -> Function:
+        def shifted(values: Mapping[str, float]) -> Mapping[str, float]:
+            rest = {n: v for n, v in values.items() if n != name}
+            return {n: r + values[name] * size * (n in own) for n, r in model.function(rest).items()}
+
+        return shifted
+
+    strength = Parameter(name, 0.0, -1.0, 1.0, "-", prior_sd=OFFSET, description=f"over {size:.3g}")
+    return Effect(name, name, f"what is said of {block} has no offset", "how it was measured", strength, build)
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """A function whose answers are kept: local changes ask for the same points again and again.
+
+    Attributes
+    ----------
+    function : callable
+    """
+
+    function: Function
+    _found: dict[tuple[tuple[str, float], ...], Mapping[str, float] | Exception] = field(
+        init=False, repr=False, default_factory=dict
+    )
+
+    @property
+    def calls(self) -> int:
+        """Calls so far, failed ones included."""
+        return len(self._found)
+
+    def __call__(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """The function's answer; what it raised, it raises again."""
+        key = tuple(sorted((n, float(v)) for n, v in values.items()))
+        if key not in self._found:
+            try:
+                self._found[key] = dict(self.function(dict(values)))
+            except Exception as fault:
+                self._found[key] = fault
+        found = self._found[key]
+        if isinstance(found, Exception):
+            raise found
+        return dict(found)
