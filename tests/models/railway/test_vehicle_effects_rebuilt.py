@@ -1,0 +1,53 @@
+"""Every effect of the vehicle against a vehicle that is rebuilt with it: the library's strength is that of the mesh."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import ModalResidual
+from calib.correlation.scatter import Floors
+from calib.loading import module_of
+from calib.structure.extend import extend
+from models.railway import vehicle_effects
+
+EFFECTS = {e.name: e for e in vehicle_effects()}
+rebuilt = module_of(Path(__file__).with_name("rebuilt_vehicle.py"))
+MODES = 12
+BOUNDS = {"floor_joint": (0.15, 0.2), "window_corners": (0.1, 0.12)}
+"""How far the strength may be off, and what may be left, where the library softens what surely bends and no more."""
+STEP = 0.05
+"""Relative change of the strength by which the slope of what it does is taken."""
+
+
+@pytest.fixture(scope="module")
+def plain(effect_checks, rigid_car, vehicle_sensors):
+    return effect_checks.noise_free(rigid_car, vehicle_sensors, rigid_car.modes({}, MODES), range(MODES))
+
+
+def changes(model, plain, values, more):
+    """What a model's modes differ by from those of the vehicle as it is, in units of the scatter."""
+    problem = ModalProblem(model, plain, mode_count=MODES + 4 + more, threshold=0.1)
+    return ModalResidual(problem, Floors(freq=0.0, damping=0.0, shape=0.0)).residual(values)
+
+
+def test_every_effect_is_rebuilt():
+    assert set(rebuilt.VEHICLES) == set(EFFECTS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(EFFECTS))
+def test_the_strength_found_is_the_one_built_in(rigid_car, plain, name):
+    effect = EFFECTS[name]
+    truth = dict(effect.grid[len(effect.grid) // 2]) if effect.grid else {name: effect.plausible}
+    model, bodies = extend(rigid_car, [effect]), 60 if name == "soft_seats" else 1
+    added = model.n_dof - rigid_car.n_dof
+    built = changes(rebuilt.VEHICLES[name](truth, 1), plain, {}, added + bodies)
+    told = changes(model, plain, truth, added)
+    more = changes(model, plain, {**truth, name: (1 + STEP) * truth[name]}, added)
+    slope = (more - told) / STEP
+    off, std = float(slope @ (built - told) / (slope @ slope)), 1 / float(np.linalg.norm(slope))
+    nearly, left = BOUNDS.get(name, (0.02, 0.02))
+    assert abs(off) < nearly and abs(off) < 1.96 * std
+    assert np.linalg.norm(built - told) < left * np.linalg.norm(built)
