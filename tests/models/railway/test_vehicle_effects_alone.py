@@ -41,6 +41,7 @@ def test_a_rise_of_the_whole_works_against_nothing_but_what_stands_on_the_ground
 def test_soft_floor_joint_gives_its_share_of_a_strip_that_bends_evenly(alone, energy):
     # Turned by kappa (|z| - 1.1) beyond the cross-beams' inner ends: energy lost is share EI kappa^2 width.
     share, kappa = 0.4, 1e-3
+
     def turned(x, y, z):
         beyond = kappa * np.maximum(np.abs(z) - 1.1, 0)
         return 0, -(beyond**2) / (2 * kappa), 0, np.sign(z) * beyond, 0, 0
