@@ -6,7 +6,8 @@
 
 Every run draws springs, damping, the strength of the hidden effect and the scatter anew; seeds are fixed. With --bare
 masses and single dampers are inside the function and no parameter is declared fixed, as in most functions of users.
-With --outside the hidden effect is taken out of the library: whatever is named then is wrong.
+With --outside the hidden effect is taken out of the library, or nothing is hidden and the measurement is at fault:
+whatever is named then is wrong.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import argparse
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -32,6 +34,11 @@ from calib.study import Study
 
 FOLDER = ROOT / "studies/five_mass_chain"
 NAMING = ("effect", "indistinguishable", "two_effects")
+FAULTS: dict[str, tuple[str, float, float]] = {
+    "damping too high": ("damping", 0.003, 0.010),
+    "frequency too high": ("freq", 0.05, 0.20),
+}
+"""Kind of response that is off by a constant, and the range of it."""
 COLUMNS = ("right", "with a false one", "rival left in", "none or partial", "nothing", "wrong")
 
 
@@ -44,7 +51,7 @@ def main() -> None:
     given = arguments.parse_args()
     study, twin = Study.load(FOLDER), module_of(FOLDER / "make_twin.py")
     hidden = [e.name for e in twin.chain_effects() if e.name not in twin.INVISIBLE]
-    hidden = hidden if given.outside else ["", *hidden]
+    hidden = [*hidden, *FAULTS] if given.outside else ["", *hidden]
     model, space = study.model, study.search_space
     if given.bare:
         model, space = bare(model, space)
@@ -54,7 +61,8 @@ def main() -> None:
         calls = []
         for seed in range(given.runs):
             rng = np.random.default_rng([seed, *name.encode()])
-            targets = twin.measure(twin.twin_responses(twin.draw(rng, name)), rng)
+            exact = twin.twin_responses(twin.draw(rng, "" if name in FAULTS else name))
+            targets = twin.measure(faulty(exact, name, rng), rng)
             repeats = study.settings.measurement.repeats
             library = tuple(e for e in study.candidates if not (given.outside and e.name == name))
             asked = FunctionHypotheses(model, targets, space, library, repeats=repeats)
@@ -63,6 +71,13 @@ def main() -> None:
             calls.append(found.evaluations)
         cells = "".join(f"{counts[c]:18d}" for c in COLUMNS)
         print(f"{name or 'nothing':20s}{cells}{np.mean(calls):14.0f}{max(calls):8d}", flush=True)
+
+
+def faulty(exact: Mapping[str, float], fault: str, rng: np.random.Generator) -> dict[str, float]:
+    """Responses with a fault of the measurement; as they are for any other name."""
+    kind, low, high = FAULTS.get(fault, ("", 0.0, 0.0))
+    off = rng.uniform(low, high) if kind else 0.0
+    return {name: value + off * (name.split("_")[0] == kind) for name, value in exact.items()}
 
 
 def bare(model: FunctionModel, space: ParameterSpace) -> tuple[FunctionModel, ParameterSpace]:

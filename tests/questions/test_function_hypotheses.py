@@ -1,6 +1,7 @@
 """The search for a missing effect of a plain function, against closed forms and with functions that fail."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +9,13 @@ import pytest
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel
+from calib.loading import module_of
 from calib.missing.explain import Settings, explain
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.space import Parameter, ParameterSpace
+from calib.study import Study
 
+CHAIN = Path(__file__).resolve().parents[2] / "studies" / "five_mass_chain"
 STD = 0.01
 N, P, E = 14, 3, 5
 
@@ -317,6 +321,22 @@ def test_fitted_parameters_may_be_off_for_one_group_of_responses():
     before = len(asked)
     hypotheses.question(()).jacobian(point, [a.name for a in hypotheses.atoms])
     assert len(asked) == before + 2 * 2 and hypotheses.evaluations == len(asked)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_damping_that_is_read_too_high_is_no_damper(seed):
+    """Of a function that declares no parameter fixed; a damper to the ground would explain much of it."""
+    study = Study.load(CHAIN)
+    twin = module_of(CHAIN / "make_twin.py")
+    held = {p.name: p.value for p in study.search_space.parameters if p.distribution == "fixed"}
+    space = ParameterSpace(study.search_space.free)
+    model = FunctionModel("bare chain", space, lambda values: study.model.function(held | dict(values)))
+    rng = np.random.default_rng([seed, *b"damping"])
+    exact = twin.twin_responses(twin.draw(rng, ""))
+    off = rng.uniform(0.003, 0.010)
+    targets = twin.measure({n: v + off * n.startswith("damping") for n, v in exact.items()}, rng)
+    found = explain(FunctionHypotheses(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
+    assert found.verdict == "none_explains" and found.credible == ()
 
 
 def test_a_changed_parameter_is_changed_for_effects_too():
