@@ -21,6 +21,7 @@ from calib.questions import explain as explanation
 from calib.questions import extend as extension
 from calib.questions import phases, places
 from calib.questions import sensitivity as influence
+from calib.questions.isolation import isolated
 from calib.questions.reduction import fingerprints
 from calib.questions.stale import stale_answers
 from calib.questions.versions import write_versions
@@ -229,11 +230,11 @@ def _main(
 
 
 def _load(path: Path, root: Path, workers: int | None = None, quick: bool = False) -> Study:
-    """The study; one whose values it takes over comes first, unless its answer is there."""
+    """The study, its function in a child process; one whose values it takes over comes first, if it has no answer."""
     *earlier, asked = phases.in_order(path)
     taken = phases.Found({}, {})
     for file in earlier:
-        study = Study.load(file, *taken)
+        study = isolated(Study.load(file, *taken))
         found = phases.values_found(study, root, quick)
         if found is None:
             console.say(f"{study.settings.title} comes first: {path} takes over what it finds.")
@@ -242,7 +243,7 @@ def _load(path: Path, root: Path, workers: int | None = None, quick: bool = Fals
             _draw(study, folder, root)
             found = phases.values_found(study, root, quick)
         taken = found or phases.Found({}, {})
-    return Study.load(asked, *taken)
+    return isolated(Study.load(asked, *taken))
 
 
 # -- verbs, once the study is read -------------------------------------------------------------------------------------
@@ -405,7 +406,7 @@ def answer(arguments: list[str]) -> int:
             console.complain(interrupt.WORDS)
         return code
     except InputError as fault:
-        console.complain(str(fault))
+        console.complain_of_input(fault, arguments)
         return 2
     except Exception as fault:
         console.complain_of_unexpected(fault, arguments)

@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from calib import __version__
+from calib.errors import InputError
 from calib.missing.findings import Findings
 from calib.missing.verdict import rounded
 from calib.questions.added import WORDS, Added, by_group
@@ -72,8 +73,22 @@ def complain(text: str) -> None:
     _err.print(f"calib: {text}")
 
 
+def complain_of_input(fault: InputError, arguments: list[str]) -> None:
+    """One line for what the user has to mend; the traceback of a fault in his own code goes to the log."""
+    text = str(fault)
+    log = None if fault.__cause__ is None else _log(arguments)
+    complain(text if log is None else f"{text.rstrip('.')}; the traceback is in {log}.")
+
+
 def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:
     """One line for what should not happen; its traceback goes to a log in the current directory."""
+    log = _log(arguments)
+    if log is not None:
+        complain(f"unexpected {type(fault).__name__}: {fault}; the details are in {log}")
+
+
+def _log(arguments: list[str]) -> Path | None:
+    """Put the traceback of what is being handled into a log in the current directory; where it cannot be, tell it."""
     log = Path.cwd() / "calib-error.log"
     stamp = datetime.now(UTC).isoformat(timespec="seconds")
     text = f"{stamp} calib {__version__}: {' '.join(arguments)}\n{traceback.format_exc()}\n"
@@ -82,8 +97,8 @@ def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:
             stream.write(text)
     except OSError:
         complain(text)
-    else:
-        complain(f"unexpected {type(fault).__name__}: {fault}; the details are in {log}")
+        return None
+    return log
 
 
 def head(study: Study, verb: str) -> None:
@@ -142,8 +157,9 @@ def tell_comparison(study: Study, answer: Answer, folder: Results) -> None:
 
 def tell_sensitivity(study: Study, answer: Sensitivity, folder: Results) -> None:
     """Which parameters matter."""
-    behind, selected = answer.sentences
-    say(behind)
+    behind, *why, selected = answer.sentences
+    for sentence in (behind, *why):
+        say(sentence)
     rows = [
         (
             r["parameter"],

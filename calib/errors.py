@@ -40,5 +40,9 @@ def _rebuild_input_error(kind: type[InputError], problem: str, place: str | None
     return kind(problem, place=place, remedy=remedy)
 
 
+class ToleranceError(InputError):
+    """A reduced basis does not reach its tolerance; whoever asked may go on with the full model."""
+
+
 class EvaluationError(RuntimeError):
     """The model cannot be evaluated at this point (singular stiffness, no convergence); recorded as a failed row."""

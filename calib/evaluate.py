@@ -33,8 +33,8 @@ class BatchEvaluator(Protocol):
     """Anything that evaluates batches; `Evaluator` is the one used outside tests."""
 
     @property
-    def workers(self) -> int:
-        """Worker processes; 1 evaluates in this process."""
+    def isolated(self) -> bool:
+        """Whether points are evaluated in other processes: one that ends its process takes nothing with it."""
         ...
 
     def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = _unheard) -> list[Outcome]:
@@ -54,10 +54,13 @@ class Evaluator:
         Builds the evaluation function; it is called once in this process (one worker) or once in every worker process,
         for which it must be picklable.
     workers : int
-        1 evaluates in this process. A point that kills its process is survived only with more.
+        1 evaluates in this process, unless ``isolated``.
     time_limit : float, optional
         Seconds after which a point is given up and its process ended; such a failure is the machine's (another time it
-        may be less busy). Only worker processes can be ended: with one worker nothing is limited.
+        may be less busy). Only worker processes can be ended: in this process nothing is limited.
+    isolated : bool
+        Whether one worker is a process of its own, too; several always are. Only there a point that kills its process
+        is survived.
 
     Raises
     ------
@@ -65,7 +68,7 @@ class Evaluator:
         When ``workers`` is below 1 or the limit is not positive.
     """
 
-    def __init__(self, source: Source, workers: int = 1, time_limit: float | None = None):
+    def __init__(self, source: Source, workers: int = 1, time_limit: float | None = None, isolated: bool = False):
         if workers < 1:
             raise InputError(f"{workers} workers are asked", place="workers", remedy="ask for at least 1")
         if time_limit is not None and not 0 < time_limit < math.inf:
@@ -74,6 +77,7 @@ class Evaluator:
             )
         self.source = source
         self.workers = workers
+        self.isolated = isolated or workers > 1
         self.time_limit = time_limit
         self._function: Function | None = None
         self._pool: ProcessPoolExecutor | None = None
@@ -104,8 +108,8 @@ class Evaluator:
         Returns
         -------
         list of Outcome
-            In the order given. When a worker process dies, the points without an answer are tried again one by one;
-            one that kills again has failed. One that takes too long has failed, too.
+            In the order given. When a worker process dies, the point that was under way has failed; of several, those
+            have that end a process alone, too. One that takes too long has failed, too.
 
         Raises
         ------
@@ -115,7 +119,7 @@ class Evaluator:
         """
         if not points:
             return []
-        if self.workers == 1:
+        if not self.isolated:
             return self._serial(points, arrived)
         try:
             return self._parallel(points, arrived)
@@ -145,7 +149,7 @@ class Evaluator:
         return [self._alone(v, arrived) if o is None else o for v, o in zip(points, outcomes, strict=True)]
 
     def _round(self, points: Sequence[Mapping[str, float]], outcomes: list[Outcome | None], arrived: Arrived) -> bool:
-        """Fill in the missing outcomes; True when that was cut short by a point that took too long."""
+        """Fill in the missing outcomes; True when a point took too long or ended its process, and others are left."""
         numbers: dict[Future[Outcome | Exception], int] = {}
         late: dict[int, float] = {}
 
@@ -170,7 +174,25 @@ class Evaluator:
             known(k, _failed(points[k], f"{TOOK_TOO_LONG} {self.time_limit:g} s", late[k]))
         if not late and any(outcome is None for outcome in outcomes):
             self._stop(at_once=True)
+            late = self._died(points, outcomes, known)
         return bool(late)
+
+    def _died(
+        self,
+        points: Sequence[Mapping[str, float]],
+        outcomes: Sequence[Outcome | None],
+        known: Callable[[int, Outcome], None],
+    ) -> dict[int, float]:
+        """Settle the points that were under way when a process ended; of several each is tried alone."""
+        board = self._board
+        seen = {} if board is None else {k: s for k, s in board.late(0.0).items() if outcomes[k] is None}
+        if len(seen) == 1:
+            for k, seconds in seen.items():
+                known(k, _failed(points[k], WORKER_DIED, seconds))
+        else:
+            for k in seen:
+                known(k, self._alone(points[k], _unheard))
+        return seen
 
     def _patience(self) -> float | None:
         """Seconds between two looks at what takes too long."""

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from calib.effect import Effect
 from calib.errors import InputError
+from calib.fingerprint import digest_of
 from calib.space import ParameterSpace
 from calib.structure.model import Assumption
 
@@ -34,13 +32,8 @@ class FunctionModel:
 
     @property
     def fingerprint(self) -> str:
-        """Hash over the source file that holds the function; a change anywhere in it makes old results stale."""
-        digest = hashlib.sha256(self.name.encode())
-        try:
-            digest.update(Path(inspect.getfile(self.function)).read_bytes())
-        except (TypeError, OSError):  # built-in or interactively defined: only its name is left to tell it by
-            digest.update(repr(getattr(self.function, "__qualname__", self.function)).encode())
-        return digest.hexdigest()[:16]
+        """Hash over the function: the file that holds it, its code, and all that it holds (closure, defaults)."""
+        return digest_of(self.name, self.function)[:16]
 
 
 def extend_function(model: FunctionModel, effects: Sequence[Effect]) -> FunctionModel:

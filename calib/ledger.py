@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import os
+import random
 import shutil
 import sqlite3
 import time
@@ -21,6 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
+import numpy as np
 import pandas as pd
 
 from calib.errors import InputError
@@ -62,6 +64,14 @@ _SCHEMA = (
     "CREATE TRIGGER evaluation_remains BEFORE DELETE ON evaluation BEGIN SELECT RAISE(ABORT, 'append-only'); END",
     f"PRAGMA user_version = {_VERSION}",
 )
+
+# Ledgers made before there were vectors get the table when they are opened.
+_VECTORS = """CREATE TABLE IF NOT EXISTS vector (
+    fingerprint TEXT NOT NULL,
+    key TEXT NOT NULL,
+    name TEXT NOT NULL,
+    numbers BLOB NOT NULL,
+    PRIMARY KEY (fingerprint, key, name)) WITHOUT ROWID"""
 
 
 def key_of(values: Mapping[str, float]) -> str:
@@ -142,6 +152,7 @@ class Ledger:
             if self._is_new():
                 for statement in _SCHEMA:
                     self._database.execute(statement)
+            self._database.execute(_VECTORS)
 
     def _is_new(self) -> bool:
         """Whether there is nothing in the file yet; InputError for anything else than a ledger of this version."""
@@ -237,13 +248,46 @@ class Ledger:
         """
         keys = [key_of(values) for values in points]
         known = self.lookup(fingerprint, keys)
-        if evaluator.workers > 1:
+        if evaluator.isolated:
             known = {k: o for k, o in known.items() if not o.transient or (fingerprint, k) in self._tried}
         new = {key: values for key, values in zip(keys, points, strict=True) if key not in known}
         if new:
             outcomes = evaluator.evaluate(list(new.values()), lambda outcome: self.append(fingerprint, [outcome]))
             known |= dict(zip(new, outcomes, strict=True))
         return [known[key] for key in keys]
+
+    def stored(self, fingerprint: str) -> Outcome | None:
+        """One of the points that were evaluated without failure; None without any.
+
+        Which one is drawn, with their number as the seed: it depends on what is stored and not on when.
+        """
+        with _explaining(self.path):
+            rows = self._database.execute(
+                "SELECT DISTINCT key FROM evaluation WHERE fingerprint = ? AND status = 'ok' ORDER BY key",
+                (fingerprint,),
+            ).fetchall()
+        if not rows:
+            return None
+        (key,) = random.Random(len(rows)).choice(rows)
+        return self.lookup(fingerprint, [key])[key]
+
+    def stored_at(self, fingerprint: str, values: Mapping[str, float]) -> str:
+        """Day and time (UTC) at which a point was last evaluated; empty when it never was."""
+        with _explaining(self.path):
+            (created,) = self._database.execute(
+                "SELECT MAX(created) FROM evaluation WHERE fingerprint = ? AND key = ?", (fingerprint, key_of(values))
+            ).fetchone()
+        return "" if created is None else f"{datetime.fromisoformat(created):%Y-%m-%d %H:%M} UTC"
+
+    def failed(self, fingerprint: str) -> list[Outcome]:
+        """All points whose last attempt failed, in the order of their keys."""
+        with _explaining(self.path):
+            rows = self._database.execute(
+                "SELECT DISTINCT key FROM evaluation WHERE fingerprint = ? AND status = 'failed' ORDER BY key",
+                (fingerprint,),
+            ).fetchall()
+        found = self.lookup(fingerprint, [key for (key,) in rows])
+        return [found[key] for (key,) in rows if found[key].status == "failed"]
 
     def count(self, fingerprint: str) -> int:
         """Number of points evaluated with this state of model and measurement."""
@@ -252,6 +296,32 @@ class Ledger:
     def other_fingerprints(self, *current: str) -> int:
         """Number of rows that belong to other states of model and measurement than the current ones."""
         return self._number(f"SELECT COUNT(*) FROM evaluation WHERE fingerprint NOT IN ({_marks(current)})", *current)
+
+    # -- vectors -------------------------------------------------------------------------------------------------------
+
+    def vectors(self, fingerprint: str, key: str, names: Sequence[str]) -> dict[str, np.ndarray]:
+        """What is kept of these vectors at one point: its residual, say, and derivatives of that."""
+        found: dict[str, np.ndarray] = {}
+        with _explaining(self.path):
+            for part in _parts(list(names)):
+                rows = self._database.execute(
+                    f"SELECT name, numbers FROM vector WHERE fingerprint = ? AND key = ? AND name IN ({_marks(part)})",
+                    (fingerprint, key, *part),
+                )
+                for name, numbers in rows:
+                    try:
+                        found[name] = np.frombuffer(numbers, dtype="<f8").astype(float)
+                    except (ValueError, TypeError):
+                        raise _explained(sqlite3.DatabaseError("malformed"), self.path) from None
+        return found
+
+    def keep_vectors(self, fingerprint: str, key: str, vectors: Mapping[str, np.ndarray]) -> None:
+        """Add vectors of one point, each (n,), in one transaction; one that is kept already stays."""
+        with self._transaction():
+            self._database.executemany(
+                "INSERT OR IGNORE INTO vector (fingerprint, key, name, numbers) VALUES (?, ?, ?, ?)",
+                [(fingerprint, key, n, np.asarray(v, dtype="<f8").tobytes()) for n, v in vectors.items()],
+            )
 
     # -- history -------------------------------------------------------------------------------------------------------
 

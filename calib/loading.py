@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import difflib
-import functools
 import hashlib
 import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -17,10 +16,14 @@ from typing import Any
 
 from calib.effect import Effect
 from calib.errors import InputError
+from calib.fingerprint import digest_of
 from calib.function import FunctionModel, extend_function
+from calib.neighbours import Neighbours
+from calib.outcome import told
 from calib.settings import StudySettings
 from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
+from calib.structure.soundness import require_sound
 
 Model = StructuralModel | FunctionModel
 Place = Callable[..., str]
@@ -43,7 +46,7 @@ class Sources:
     settings: StudySettings
     folder: Path
     place: Place
-    _modules: dict[Path, ModuleType] = field(init=False, repr=False, compare=False, default_factory=dict)
+    _entered: list[bool] = field(init=False, repr=False, compare=False, default_factory=list)
 
     def model(self) -> Model:
         """The model without effects; InputError for whatever is wrong with it."""
@@ -55,6 +58,11 @@ class Sources:
                 place=place,
                 remedy="return a StructuralModel or a FunctionModel",
             )
+        if isinstance(model, StructuralModel):
+            try:
+                require_sound(model)
+            except InputError as fault:
+                raise InputError(fault.problem, place=f"{place}, {fault.place}", remedy=fault.remedy) from None
         return model
 
     def finer(self) -> StructuralModel | None:
@@ -121,38 +129,59 @@ class Sources:
         build = getattr(self._module(key, where), name, None)
         if not callable(build):
             raise InputError(f"{where!r} has no function {name!r}", place=place, remedy=f"correct the key {key!r}")
+        mismatch = _mismatch(build, options)
+        if mismatch is not None:
+            with_options = "with these model_options" if key == "model" else "without arguments"
+            raise InputError(f"{name} cannot be called {with_options} ({mismatch})", place=place)
         try:
             return build(**options)
         except InputError:
             raise
-        except TypeError as fault:
-            words = f"{name} cannot be called with these model_options" if key == "model" else f"{name} failed"
-            raise InputError(f"{words} ({fault})", place=place) from None
         except (Exception, SystemExit) as fault:
             # The function is the user's own: its mistakes are input, told without our traceback.
-            raise InputError(f"{name} failed with {type(fault).__name__}: {fault}", place=place) from fault
+            raise InputError(f"{name} failed with {told(fault)}", place=place) from fault
 
     def _module(self, key: str, where: str) -> ModuleType:
         place, remedy = self.place(key), f"correct the key {key!r}"
         what = "model" if key == "model" else "library of effects"
         try:
+            if not self._entered:
+                named = [
+                    self.folder / key.rpartition(":")[0] for key in (self.settings.model, self.settings.effects or "")
+                ]
+                own = [path.parent.resolve() for path in named if path.suffix == ".py"]
+                _NEIGHBOURS.enter(list(dict.fromkeys([self.folder, *own])))
+                self._entered.append(True)
             if not where.endswith(".py"):
                 return importlib.import_module(where)
             path = self.folder / where
-            if path in self._modules:  # a second run would make other classes of the same names
-                return self._modules[path]
             if not path.is_file():
                 raise InputError(f"there is no {what} file {where!r}", place=place, remedy=remedy)
-            self._modules[path] = module_of(path)
-            return self._modules[path]
+            return _NEIGHBOURS.module(path)  # a second run would make other classes of the same names
         except ModuleNotFoundError as fault:
             if fault.name and where.startswith(fault.name):
                 raise InputError(f"unknown {what}: there is no module {where!r}", place=place, remedy=remedy) from None
-            raise InputError(f"{where!r} needs the module {fault.name!r}", place=place, remedy="install it") from None
+            raise InputError(
+                f"{where!r} needs the module {fault.name!r}", place=place,
+                remedy="install it, or put its file into the study's folder",
+            ) from None  # fmt: skip
         except InputError:
             raise
         except (Exception, SystemExit) as fault:
-            raise InputError(f"{where!r} failed with {type(fault).__name__}: {fault}", place=place) from fault
+            raise InputError(f"{where!r} failed with {told(fault)}", place=place) from fault
+
+
+def _mismatch(build: Callable[..., Any], options: Mapping[str, Any]) -> TypeError | None:
+    """Why a function cannot take these options; None where it can, or, being built-in, does not tell."""
+    try:
+        signature = inspect.signature(build)
+    except (TypeError, ValueError):
+        return None
+    try:
+        signature.bind(**options)
+    except TypeError as fault:
+        return fault
+    return None
 
 
 def module_of(path: Path) -> ModuleType:
@@ -165,6 +194,9 @@ def module_of(path: Path) -> ModuleType:
     sys.modules[unique] = module
     spec.loader.exec_module(module)
     return module
+
+
+_NEIGHBOURS = Neighbours(module_of)
 
 
 def pick(library: Sequence[Effect], name: str, place: str) -> Effect:
@@ -191,29 +223,12 @@ def with_effects(base: Model, effects: Sequence[Effect], place: str) -> Model:
         raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
     except (Exception, SystemExit) as fault:
         names = ", ".join(repr(effect.name) for effect in effects)
-        raise InputError(f"adding {names} failed with {type(fault).__name__}: {fault}", place=place) from fault
+        raise InputError(f"adding {names} failed with {told(fault)}", place=place) from fault
 
 
 def fingerprint_of(base: FunctionModel, effects: Sequence[Effect], extended: FunctionModel) -> str:
-    """Hash over the sources of a function and of the effects added to it; without effects that of the function."""
+    """Hash over a function and the effects added to it, with all they hold; without effects that of the function."""
     if not effects:
         return base.fingerprint
-    digest = hashlib.sha256(base.fingerprint.encode())
-    digest.update(repr([effect.name for effect in effects]).encode())
-    for source in _sources([extended.function, *(effect.build for effect in effects)]):
-        digest.update(source)
-    return digest.hexdigest()[:16]
-
-
-def _sources(functions: Iterable[Callable[..., Any]]) -> list[bytes]:
-    """Content of the files that hold the functions, each once; a name where there is no file."""
-    found: dict[bytes, None] = {}
-    for function in functions:
-        while isinstance(function, functools.partial):
-            function = function.func
-        holder = function if hasattr(function, "__qualname__") else type(function)
-        try:
-            found[Path(inspect.getfile(holder)).read_bytes()] = None
-        except (TypeError, OSError):  # built-in or interactively defined
-            found[holder.__qualname__.encode()] = None
-    return list(found)
+    names, builds = [effect.name for effect in effects], [effect.build for effect in effects]
+    return digest_of(base.fingerprint, names, extended.function, builds)[:16]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import sysconfig
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -34,6 +36,8 @@ class Outcome:
         Why it failed, one line; empty when it did not.
     seconds : float
         Time of the evaluation; ignored by comparisons.
+    trace : str
+        Traceback of what went wrong in a user's code, where that was just now; ignored by comparisons, and not kept.
     """
 
     values: dict[str, float]
@@ -41,6 +45,7 @@ class Outcome:
     responses: dict[str, float]
     error: str = ""
     seconds: float = field(default=0.0, compare=False)
+    trace: str = field(default="", compare=False, repr=False)
 
     @property
     def transient(self) -> bool:
@@ -64,7 +69,7 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
     """
     given = {str(name): float(value) for name, value in values.items()}
     responses: dict[str, float] = {}
-    error = ""
+    error = trace = ""
     started = time.perf_counter()
     try:
         with _directory_kept():
@@ -77,12 +82,43 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
         error = OUT_OF_MEMORY
     except EvaluationError as fault:
         error = _one_line(str(fault)) or "it cannot be evaluated"
+        trace = "\n".join(getattr(fault, "__notes__", ()))
     except BaseException as fault:  # sys.exit, or a panic in foreign code, must not end the study
-        error = _one_line(f"{type(fault).__name__}: {fault}")
+        error, trace = told(fault), "".join(traceback.format_exception(fault))[-_TRACE:]
     seconds = time.perf_counter() - started
     if error:
-        return Outcome(given, "failed", {}, error, seconds)
+        return Outcome(given, "failed", {}, error, seconds, trace)
     return Outcome(given, "ok", responses, "", seconds)
+
+
+def failure(outcome: Outcome) -> EvaluationError:
+    """A failed outcome as an exception, with its traceback as a note."""
+    fault = EvaluationError(outcome.error)
+    if outcome.trace:
+        fault.add_note(outcome.trace)
+    return fault
+
+
+def told(fault: BaseException) -> str:
+    """An exception in one line, with file and line of the user's code where it came up."""
+    words, place = f"{type(fault).__name__}: {fault}", _place_of(fault)
+    return _one_line(words) + (f" ({place})" if place else "")
+
+
+def _place_of(fault: BaseException) -> str:
+    if isinstance(fault, SyntaxError):  # which tells its place by itself
+        return ""
+    frames = traceback.extract_tb(fault.__traceback__)
+    own = [frame for frame in frames if not frame.filename.startswith(("<", *_NOT_THE_USERS))]
+    return f"{os.path.basename(own[-1].filename)}, line {own[-1].lineno}" if own else ""
+
+
+_NOT_THE_USERS = (
+    os.path.dirname(os.path.abspath(__file__)) + os.sep,
+    *(sysconfig.get_path(kind) + os.sep for kind in ("stdlib", "purelib", "platlib")),
+)
+_TRACE = 10_000
+"""Characters of a traceback that are passed on; its end tells most."""
 
 
 @contextlib.contextmanager

@@ -228,11 +228,15 @@ class ExplainSettings(_Section):
 
 
 class StudySettings(_Section):
-    """The whole file."""
+    """The whole file.
+
+    ``depends_on`` names files, relative to the study's folder, that the model reads: input of a solver, tables.
+    """
 
     title: str
     model: PathText = Field(pattern=FUNCTION)
     model_options: dict[str, Any] = {}
+    depends_on: tuple[PathText, ...] = ()
     effects: PathText | None = Field(default=None, pattern=FUNCTION)
     with_effects: tuple[str, ...] = ()
     extended_from: PathText | None = None

@@ -12,6 +12,7 @@ from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.responses import response_rows
 from calib.effect import Effect
 from calib.errors import InputError
+from calib.fingerprint import code_files, digest_of, digest_of_files
 from calib.function import FunctionModel
 from calib.limits import parameter_hints, search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, with_effects
@@ -75,7 +76,7 @@ class StudyFile:
         given, folder = self.settings, self.file.resolve().parent
         code = [where for f in (given.model, given.effects or "") if (where := f.rpartition(":")[0]).endswith(".py")]
         data = given.measurement
-        files = [*code, *data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
+        files = [*code, *data.files, *data.shapes, *filter(None, [data.sensors, data.responses]), *given.depends_on]
         return {file: (folder / file).resolve() for file in files}
 
 
@@ -236,14 +237,40 @@ class EvaluationSource:
 
     def __call__(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
         """The function from named values to named responses."""
-        problem = Study.load(Path(self.path), dict(self.adopted)).problem
+        study = Study.load(Path(self.path), dict(self.adopted))
+        problem = study.problem
         if self.basis and isinstance(problem, ModalProblem):
             problem = problem.reduced(Basis.load(Path(self.basis)))
         if problem.fingerprint != self.fingerprint:
             raise InputError(
-                "the study or its model changed while it was running", place=self.path, remedy="start the command again"
+                "the study or its model changed while it was running, or the model holds something that is another one "
+                "each time it is built (a temporary folder, a time stamp)",
+                place=self.path,
+                remedy="start the command again, or make inside the function what is new for every call",
             )
-        return problem.evaluate
+        return _Extendable(study).evaluate if isinstance(problem, FunctionProblem) else problem.evaluate
+
+
+@dataclass(frozen=True, eq=False)
+class _Extendable:
+    """The function of a study with those effects of its library whose parameters are among the values."""
+
+    study: Study
+    _problems: dict[tuple[str, ...], FunctionProblem] = field(init=False, repr=False, default_factory=dict)
+
+    def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
+        """As `FunctionProblem.evaluate`; effects are built one upon the other in the order of the values."""
+        owner = {name: effect for effect in self.study.candidates for name in effect.names}
+        effects = {owner[name].name: owner[name] for name in values if name in owner}
+        key = tuple(effects)
+        if key not in self._problems:
+            model, problem = (
+                with_effects(self.study.model, tuple(effects.values()), str(self.study.file)),
+                self.study.problem,
+            )
+            assert isinstance(model, FunctionModel) and isinstance(problem, FunctionProblem)
+            self._problems[key] = replace(problem, space=model.space, function=model.function)
+        return self._problems[key].evaluate(values)
 
 
 def study_file(path: Path) -> Path:
@@ -281,13 +308,15 @@ class _Reader:
         taken = self.settings.adopted.parameters if self.settings.adopted else ()
         initial = {**space.values, **{name: model.space[name].value for name in taken}}
         model = replace(model, space=space)
+        for name in self.settings.depends_on:
+            self._path(name, "depends_on")
         whole, responses = self._measurement(model)
         whole_targets = {} if responses is None else responses.targets
         measured, targets = self._used(whole, whole_targets)
         problem: Problem
         if isinstance(model, FunctionModel):
             assert isinstance(base, FunctionModel)
-            mark = fingerprint_of(base, included, model)
+            mark = self._fingerprint(fingerprint_of(base, included, model))
             problem = FunctionProblem(space, model.function, targets, mark, self._repeats(responses))
         else:
             assert measured is not None and not isinstance(base, FunctionModel)
@@ -300,6 +329,17 @@ class _Reader:
             whole, whole_targets, library, dict(adopted), {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial,
             hints, responses,
         )  # fmt: skip
+
+    def _fingerprint(self, function: str) -> str:
+        """That of a function, its options, all code in the study's folder, and the files that it depends on."""
+        given, folder = self.settings, self.folder
+        files = code_files(folder)
+        for named in (given.model, given.effects or ""):
+            path = (folder / named.rpartition(":")[0]).resolve()
+            if path.suffix == ".py" and not path.is_relative_to(folder):
+                files += sorted(path.parent.glob("*.py"))
+        files += [self._path(name, "depends_on") for name in given.depends_on]
+        return digest_of(function, given.model_options, digest_of_files(files, folder))[:16]
 
     # -- measurement ---------------------------------------------------------------------------------------------------
 

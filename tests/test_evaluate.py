@@ -110,6 +110,9 @@ def fails(fault):
     return attempt(function, {"x": 1.0})
 
 
+RAISED = fails.__code__.co_firstlineno + 2
+
+
 @pytest.mark.parametrize(
     ("fault", "text"),
     [
@@ -123,7 +126,13 @@ def fails(fault):
 )
 def test_a_failure_is_a_row(fault, text):
     outcome = fails(fault)
-    assert (outcome.status, outcome.error, outcome.responses, outcome.values) == ("failed", text, {}, {"x": 1.0})
+    where = "" if isinstance(fault, EvaluationError | MemoryError) else f" (test_evaluate.py, line {RAISED})"
+    assert (outcome.status, outcome.error, outcome.responses, outcome.values) == (
+        "failed",
+        text + where,
+        {},
+        {"x": 1.0},
+    )
     assert outcome.transient == (text == OUT_OF_MEMORY)
 
 

@@ -31,8 +31,8 @@ def ok(**values):
 class Counting:
     """An evaluator that counts, and answers some points as told."""
 
-    def __init__(self, workers=1, **answers):
-        self.workers, self.answers, self.batches = workers, answers, []
+    def __init__(self, isolated=False, **answers):
+        self.isolated, self.answers, self.batches = isolated, answers, []
 
     def evaluate(self, points, arrived=lambda outcome: None):
         self.batches.append([p["x"] for p in points])
@@ -102,16 +102,16 @@ def test_failures_are_final_unless_the_machine_failed(tmp_path):
 
     path = tmp_path / "ledger.sqlite"
     batch = [{"x": 1.0}, {"x": 2.0}, {"x": 3.0}]
-    evaluator = Counting(2, x1=failed(1.0, "singular"), x2=failed(2.0, WORKER_DIED), x3=failed(3.0, OUT_OF_MEMORY))
+    evaluator = Counting(True, x1=failed(1.0, "singular"), x2=failed(2.0, WORKER_DIED), x3=failed(3.0, OUT_OF_MEMORY))
     with Ledger.open(path) as ledger:
         for _ in range(3):  # once in a run is enough
             assert [o.status for o in ledger.evaluate("f", batch, evaluator)] == ["failed"] * 3
     assert len(evaluator.batches) == 1
     with Ledger.open(path) as ledger:  # not in this process, which it could end
-        serial = Counting(1)
+        serial = Counting()
         assert ledger.evaluate("f", batch, serial)[1].error == WORKER_DIED and not serial.batches
     with Ledger.open(path) as ledger:
-        evaluator = Counting(2)
+        evaluator = Counting(True)
         assert [o.status for o in ledger.evaluate("f", batch, evaluator)] == ["failed", "ok", "ok"]
         assert evaluator.batches == [[2.0, 3.0]]
     with Ledger.open(path) as ledger:

@@ -362,7 +362,7 @@ LIBRARIES = [
     ("def library(): return [1]", "library returns list of int; return a tuple of Effect"),
     ("def library(): return (1, 'x')", "library returns tuple of int, str"),
     ("def library(): return 1 / 0", "library failed with ZeroDivisionError"),
-    ("def library(n): return ()", "library failed (library() missing 1"),
+    ("def library(n): return ()", "library cannot be called without arguments"),
     ("import not_there_at_all", "'effects.py' needs the module 'not_there_at_all'"),
     (RIG_EFFECTS.replace('"hung_freq", 30.0', '"top_mass", 30.0').replace('"hung_freq": ', '"top_mass": '),
      "the effects 'top_mass' and 'hung_mass' both have a parameter 'top_mass'"),

@@ -20,7 +20,7 @@ def elements_table(mesh: Mesh) -> pd.DataFrame:
     """
     shells = set(mesh.face_groups)
     alone = np.array([group not in shells for group in mesh.groups], dtype=bool)
-    lines = pd.DataFrame(mesh.lines[alone], columns=["a", "b"]).astype("Int64")
+    lines = pd.DataFrame(np.reshape(mesh.lines, (-1, 2))[alone], columns=["a", "b"]).astype("Int64")
     lines.insert(0, "group", [group for group in mesh.groups if group not in shells])
     faces = pd.DataFrame(mesh.faces, columns=["a", "b", "c", "d"]).astype("Int64")
     faces.insert(0, "group", list(mesh.face_groups))

@@ -12,6 +12,7 @@ import numpy as np
 from calib.correlation.compare import Comparison
 from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import USUAL, Floors, Scatter, scatter_of
+from calib.fingerprint import digest_of
 from calib.freedom import repeats_freedom
 from calib.mac import is_real
 from calib.structure.derivatives import ModeDerivatives, mode_derivatives
@@ -24,6 +25,9 @@ derivative is a difference of terms that grow as 1/root, here a thousandfold, wh
 """
 _LEAST_RATIO = 1e-6
 """Damping ratios of the model below this count as this, so that their logarithm stays finite."""
+
+_DEFINITION = "modal residual 1"
+"""Part of the fingerprint; to be counted up whenever the same modes would give another residual or derivative."""
 
 Kind = Literal["frequency", "damping", "shape"]
 
@@ -128,6 +132,13 @@ class ModalResidual:
         return tuple(out)
 
     @property
+    def fingerprint(self) -> str:
+        """Hash that changes whenever the residual or its derivatives at the same named values could."""
+        scatter = (self.scatter.freq, self.scatter.damping, self.scatter.shape)
+        told = (self.rows, self._damped, self._parts, self.factor_sensors)
+        return digest_of(_DEFINITION, self.problem.fingerprint, scatter, told)[:16]
+
+    @property
     def kinds(self) -> np.ndarray:
         """Kind of every row, shape (n_rows,), str."""
         return np.array([row.kind for row in self.rows])
@@ -198,7 +209,11 @@ class ModalResidual:
         return out
 
     def freq_jacobian(
-        self, values: Mapping[str, float], names: Sequence[str], every: bool = False
+        self,
+        values: Mapping[str, float],
+        names: Sequence[str],
+        every: bool = False,
+        found: Comparison | None = None,
     ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
         """Model frequencies with their relative derivatives, for prediction intervals.
 
@@ -208,6 +223,8 @@ class ModalResidual:
         names : sequence of str
         every : bool
             All model modes; otherwise those paired.
+        found : Comparison, optional
+            At `regular` of these values, where it is at hand.
 
         Returns
         -------
@@ -218,7 +235,7 @@ class ModalResidual:
         jacobian : ndarray (n_modes, n_params)
             Of ``ln natural_freq``, per one of each parameter's own unit.
         """
-        found = self.problem.compare(self.regular(values, names))
+        found = self.problem.compare(self.regular(values, names)) if found is None else found
         index = found.pairing.model_index
         owner = {int(index[i]): self.problem.measured.names[i] for i in found.pairing.paired}
         chosen = list(range(found.modes.n_modes)) if every else [int(index[i]) for i in found.pairing.paired]

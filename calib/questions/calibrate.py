@@ -21,9 +21,13 @@ from calib.questions.case import CaseFinder, CaseFound, SearchProgress
 from calib.questions.compare import Answer, compare, write_answer, write_model_modes
 from calib.questions.contradiction import contradictions, every_response
 from calib.questions.every_mode import all_stages, every_mode
+from calib.questions.failures import reasons_sentence, stored_reasons
 from calib.questions.places import ADDED
 from calib.questions.record import write_record
+from calib.questions.recorded import recorded
+from calib.questions.reduction import fingerprints
 from calib.questions.scatter import accuracy_words
+from calib.questions.stored import confirmed
 from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.space import ParameterSpace
@@ -57,6 +61,8 @@ class Calibration:
         ``data_errors.csv``; None for a model that fails beside the optimum.
     responses : DataFrame or None
         ``responses.csv``; None where none is withheld.
+    notes : tuple of str
+        Why evaluations failed, and what a search worked on other than told.
     """
 
     cases: tuple[CaseFound, ...]
@@ -69,6 +75,7 @@ class Calibration:
     modes: pd.DataFrame | None = None
     errors: pd.DataFrame | None = None
     responses: pd.DataFrame | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def contradictions(self) -> tuple[str, ...]:
@@ -78,7 +85,7 @@ class Calibration:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What is identified, whether the model fits, and whether the cases agree."""
+        """What is identified, whether the model fits, whether the cases agree, and what happened on the way."""
         judgement = self.best.judgement
         whole = ", ".join(judgement.whole)
         out = [*self.before.scatter, identified_sentence(self.verdicts), *judgement.identification.sentences()]
@@ -95,7 +102,7 @@ class Calibration:
             out.append(f"After least squares, which also weighs the priors: {self.agreement.sentence}")
         if self.agreement.verdict == "several solutions":
             out.append("Identified therefore means: around the reported solution; the others are just as good.")
-        return tuple(out)
+        return (*out, *self.notes)
 
 
 def fingerprint(study: Study) -> str:
@@ -139,8 +146,10 @@ def calibrate(
     started = time.perf_counter()
     chosen: Method = method or study.settings.calibration.method
     cases = chosen_cases(study, only)
+    seconds = confirmed(study, ledger)
+    study = recorded(study, ledger)
     before = compare(study, results)
-    finder = CaseFinder(study, home or results, ledger, workers, quick, progress)
+    finder = CaseFinder(study, home or results, ledger, workers, quick, progress, seconds)
     found = tuple((finder.by_search if chosen == "genetic" else finder.by_least_squares)(cases))
     best = best_of(found)
     reported = [case.result for case in found]
@@ -178,7 +187,9 @@ def calibrate(
         if study.settings.withheld.responses:
             responses = every_response(study, study.model.space.values, best.judgement.values)
             results.write_table("responses", responses)
-    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses)
+    failed = reasons_sentence(study, *stored_reasons(ledger, fingerprints(study, finder.home)))
+    notes = tuple(filter(None, [*finder.notes, failed]))
+    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses, notes)
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
     summary["contradictions"] = list(answer.contradictions)
     seeds = {**{case.name: case.seed for case in cases}, "reduction": study.settings.reduction.seed}

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
-from calib.errors import EvaluationError, InputError
+from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.compare import Answer, answer_at, responses_at
@@ -21,6 +21,7 @@ from calib.questions.explained_fit import explained_fit
 from calib.questions.judge import FitProgress, Judgement, RecordedResidual, criteria, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
+from calib.questions.stored import confirm
 from calib.results import Results
 from calib.sensitivity.sampling import sample
 from calib.study import Study
@@ -123,6 +124,10 @@ class CaseFinder:
     quick : bool
         A smaller search for a first look.
     progress : SearchProgress
+    seconds : float or None
+        How long one evaluation of the study's problem takes, where that is known.
+    notes : list of str
+        What a search worked on other than the study asks.
     """
 
     study: Study
@@ -131,6 +136,8 @@ class CaseFinder:
     workers: int | None
     quick: bool
     progress: SearchProgress
+    seconds: float | None = None
+    notes: list[str] = field(init=False, repr=False, default_factory=list)
     _shared: dict[str, MixedResult] = field(init=False, repr=False, default_factory=dict)
 
     @property
@@ -152,14 +159,15 @@ class CaseFinder:
         """
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
-        reduction = reduction_of(study, self.home)
+        reduction = self._reduction()
         remaining = list(cases)
         while remaining:
             problem = study.problem if reduction is None else reduction.problem
             basis = None if reduction is None else reduction.path
             certify = _as_it_is if reduction is None else reduction.certifier(self.ledger)
             count = settings.population * settings.generations
-            with open_evaluator(study, self.workers, count, problem, basis) as evaluator, _told(study):
+            seconds = self.seconds if reduction is None else None
+            with open_evaluator(study, self.workers, count, problem, basis, seconds) as evaluator, _told(study):
                 while remaining:
                     case = remaining.pop(0)
                     initial = sample(space, settings.population, case.seed).points
@@ -180,7 +188,7 @@ class CaseFinder:
     def by_least_squares(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
         """Least squares from several starting points, the cases' own."""
         study, space = self.study, self.study.search_space
-        reduction = reduction_of(study, self.home)
+        reduction = self._reduction()
         given = study.settings.calibration.starts
         count = min(given, QUICK_STARTS) if self.quick else given
         for case in cases:
@@ -197,6 +205,14 @@ class CaseFinder:
                 asked=asked, solved=asked, reused=0, infeasible=0, failed=0, seconds=time.perf_counter() - started,
             )  # fmt: skip
             yield self.reported(objective_of(study), here, None, judgement)
+
+    def _reduction(self) -> Reduction | None:
+        """The basis of a search; none where it does not reach its tolerance, which is told."""
+        try:
+            return reduction_of(self.study, self.home)
+        except ToleranceError as fault:
+            self.notes.append(f"Searched at full order: {fault.problem}.")
+            return None
 
     def polished(
         self,
@@ -235,12 +251,15 @@ class CaseFinder:
     ) -> CaseFound:
         """The case at its final values, solved at full order whatever the search worked on."""
         problem = self.study.problem
+        plain = isinstance(problem, FunctionProblem)
+        if search is not None and plain:
+            confirm(self.study, self.ledger, Outcome(search.values, "ok", search.responses))
         answer = answer_at(self.study, judgement.values)
         responses = responses_at(problem, judgement.values)
         final = replace(result, values=judgement.values, misfit=objective(responses), responses=responses)
         full, points = float("nan"), []
         if search is not None:
-            full = objective(responses_at(problem, search.values))
+            full = objective(search.responses if plain else responses_at(problem, search.values))
             points.append((final.name, SEARCH, full, *criteria(self.study, self.exact, search.values)))
         points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))
         table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])

@@ -17,7 +17,7 @@ from calib.correlation.units import frequency_hint, response_hints
 from calib.errors import EvaluationError, InputError
 from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
-from calib.outcome import attempt
+from calib.outcome import attempt, failure
 from calib.questions.record import write_record
 from calib.questions.scatter import scatter_notes
 from calib.results import Results
@@ -151,7 +151,7 @@ def responses_at(problem: Problem, values: Mapping[str, float]) -> dict[str, flo
     """Responses of a problem whose model may be the user's own: whatever goes wrong in it is an EvaluationError."""
     outcome = attempt(problem.evaluate, values)
     if outcome.status == "failed":
-        raise EvaluationError(outcome.error)
+        raise failure(outcome)
     return outcome.responses
 
 
@@ -184,7 +184,7 @@ def compare(study: Study, results: Results) -> Answer:
             f"the model cannot be evaluated at its adopted values: {fault}",
             place=study.file,
             remedy="check parameter values, supports and mode_count",
-        ) from None
+        ) from (fault if getattr(fault, "__notes__", ()) else None)
     write_answer(results, answer, "before")
     findings = [(f.kind, " ".join(f.sensors), f.mac_before, f.mac_after, f.sentence) for f in answer.findings]
     columns = ["kind", "sensors", "mac_before", "mac_after", "sentence"]

@@ -332,6 +332,10 @@ def _move_paths(document: Any, old: Path, new: Path, leading: Leading) -> Iterat
         if where.endswith(".py") and moved(where) != where:
             document[key] = f"{moved(where)}:{function}"
             yield where, moved(where)
+    for k, path in enumerate(str(p) for p in document.get("depends_on", ())):
+        if moved(path) != path:
+            document["depends_on"][k] = moved(path)
+            yield path, moved(path)
     if "adopted" in document and moved(path := str(document["adopted"]["study"])) != path:
         document["adopted"]["study"] = moved(path)
         yield path, moved(path)

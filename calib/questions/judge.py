@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -19,8 +20,8 @@ from calib.ledger import Ledger
 from calib.missing.goodness import goodness, overall
 from calib.missing.hypotheses import Label
 from calib.missing.suspect import suspects
-from calib.outcome import Outcome
 from calib.questions.compare import responses_at
+from calib.questions.recorded import RecordedModes, recorded_problem
 from calib.questions.scatter import assumed_words
 from calib.space import ParameterSpace
 from calib.study import Problem, Study
@@ -36,7 +37,7 @@ Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class RecordedResidual:
-    """The whitened residual of a problem, every point of which goes into the ledger.
+    """The whitened residual of a problem; no point that the ledger knows is solved again, and every other goes into it.
 
     Attributes
     ----------
@@ -47,25 +48,21 @@ class RecordedResidual:
 
     problem: Problem
     ledger: Ledger
-    _inner: ModalResidual | DifferencedResponses = field(init=False, repr=False)
+    _inner: RecordedModes | DifferencedResponses = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         problem = self.problem
-        inner: ModalResidual | DifferencedResponses
+        inner: RecordedModes | DifferencedResponses
         if isinstance(problem, FunctionProblem):
-            inner = DifferencedResponses(self._responses, problem.targets, problem.space)
+            known = recorded_problem(problem, self.ledger)
+            inner = DifferencedResponses(partial(responses_at, known), problem.targets, problem.space)
         else:
-            inner = ModalResidual(problem)
+            inner = RecordedModes(ModalResidual(problem), self.ledger)
         object.__setattr__(self, "_inner", inner)
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Vector (n_rows,) at named values; EvaluationError where the model cannot be solved."""
-        problem = self.problem
-        if isinstance(self._inner, DifferencedResponses) or isinstance(problem, FunctionProblem):
-            return self._inner.residual(values)
-        found = problem.compare(values)
-        self._record(found.values, problem.responses(found))
-        return self._inner.of(found)
+        return self._inner.residual(values)
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params)."""
@@ -74,18 +71,22 @@ class RecordedResidual:
     @property
     def rows(self) -> Sequence[Label]:
         """What every entry compares, length n_rows."""
-        return response_rows(self._inner.targets) if isinstance(self._inner, DifferencedResponses) else self._inner.rows
+        return (
+            response_rows(self._inner.targets)
+            if isinstance(self._inner, DifferencedResponses)
+            else self._inner.inner.rows
+        )
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
         """Real numbers by (mode, kind) that scale and turn shapes; they are no degrees of freedom."""
-        return {} if isinstance(self._inner, DifferencedResponses) else self._inner.fitted_factors
+        return {} if isinstance(self._inner, DifferencedResponses) else self._inner.inner.fitted_factors
 
     @property
     def scatter_freedom(self) -> Mapping[str, float]:
         """Degrees of freedom behind the standard deviations of each kind; infinite where they are known."""
-        if isinstance(self._inner, ModalResidual):
-            return self._inner.scatter_freedom
+        if isinstance(self._inner, RecordedModes):
+            return self._inner.inner.scatter_freedom
         assert isinstance(self.problem, FunctionProblem)
         return repeats_freedom((row.kind for row in self.rows), self.problem.repeats)
 
@@ -93,18 +94,8 @@ class RecordedResidual:
         """Frequencies at named values with 95 % intervals from the scatter of the parameters; empty without modes."""
         if isinstance(self._inner, DifferencedResponses):
             return pd.DataFrame(columns=["mode", "natural_freq", "std", "lower", "upper"])
-        labels, freq, slope = self._inner.freq_jacobian(values, names, every=True)
+        labels, freq, slope = self._inner.freq_jacobian(values, names)
         return prediction_interval(labels, freq, slope, covariance)
-
-    def _responses(self, values: Mapping[str, float]) -> Mapping[str, float]:
-        problem = self.problem
-        responses = responses_at(problem, values)
-        self._record(problem.space.complete(values), responses)
-        return responses
-
-    def _record(self, values: Mapping[str, float], responses: Mapping[str, float]) -> None:
-        outcome = Outcome(dict(values), "ok", dict(responses))
-        self.ledger.append(self.problem.fingerprint, [outcome])
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -10,7 +11,7 @@ from pathlib import Path
 from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import Floors
 from calib.effect import Effect
-from calib.errors import InputError
+from calib.errors import InputError, ToleranceError
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.reduction import Wanted, reduction_of, training, worthwhile
 from calib.results import Results
@@ -49,7 +50,8 @@ def modal_hypotheses(
 
         with training(study):
             space, wanted = study.search_space, Wanted.of(study)
-            basis = kept_basis(model, space, effects, plain, wanted, results.path, search_basis)
+            with contextlib.suppress(ToleranceError):  # then the full model is asked, and `ModalSide` says so
+                basis = kept_basis(model, space, effects, plain, wanted, results.path, search_basis)
     variants = Variants(model, effects, plain, basis)
     return ModalHypotheses(problem, variants, study.search_space, Floors()), local
 

@@ -21,6 +21,7 @@ from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import modal_hypotheses
 from calib.questions.prospects import modal_prospects
+from calib.questions.reduction import worthwhile
 from calib.questions.scatter import scatter_notes
 from calib.questions.verify import modal_errors
 from calib.results import Results
@@ -66,7 +67,11 @@ class ModalSide:
         return DEFAULT.budget
 
     def notes(self) -> list[str]:
-        """What scatter is claimed or had to be assumed."""
+        """What was asked at full order against the study's wish, and what scatter had to be assumed."""
+        whole = worthwhile(self.study) and self.hypotheses.variants.basis is None
+        return ["No reduced basis reached its tolerance: the full model was asked."] * whole + self._scatter_notes()
+
+    def _scatter_notes(self) -> list[str]:
         measured = self.study.measured
         stated = measured is not None and measured.n_repeats == 1 and np.isfinite(measured.freq_std).any()
         once = ["There are no repeats: the scatter is the one the file states."] if stated else []

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-from calib.correlation.problem import ModalProblem
+from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.errors import InputError
 from calib.evaluate import Evaluator
 from calib.ledger import Ledger
-from calib.outcome import attempt
+from calib.questions.isolation import ChildFunction
+from calib.questions.recorded import asked_anew, unrecorded
 from calib.results import Results
 from calib.study import EvaluationSource, Problem, Study, StudyFile, shell_argument
 from calib.written import LOG
@@ -102,9 +104,16 @@ def is_modal(study: Study) -> bool:
 
 
 def open_evaluator(
-    study: Study, workers: int | None, count: int, problem: Problem | None = None, basis: Path | None = None
-) -> Evaluator:
+    study: Study,
+    workers: int | None,
+    count: int,
+    problem: Problem | None = None,
+    basis: Path | None = None,
+    seconds: float | None = None,
+) -> AbstractContextManager[Evaluator]:
     """An evaluator for a study, or for its reduced problem; workers are only started when they pay for their start.
+
+    One worker of a study whose function runs in a child process is that child.
 
     Parameters
     ----------
@@ -117,12 +126,17 @@ def open_evaluator(
         Default that of the study.
     basis : Path, optional
         File of the basis that ``problem`` is reduced to, for the workers to read.
+    seconds : float, optional
+        How long one evaluation takes; tried out where it is not known.
     """
-    asked = problem or study.problem
+    asked = unrecorded(problem or study.problem)
     chosen = workers
     if chosen is None:
-        worthwhile = attempt(asked.evaluate, study.model.space.values).seconds * count > _WORTHWHILE
-        chosen = available_cores() if worthwhile else 1
+        if seconds is None:
+            seconds = asked_anew(asked, study.model.space.values).seconds
+        chosen = available_cores() if seconds * count > _WORTHWHILE else 1
+    if chosen == 1 and isinstance(asked, FunctionProblem) and isinstance(asked.function, ChildFunction):
+        return nullcontext(asked.function.evaluator)
     source = EvaluationSource(
         str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve()),
         tuple(study.adopted.items()),

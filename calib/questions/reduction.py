@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.correlation.problem import ModalProblem
-from calib.errors import EvaluationError, InputError
+from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.evaluate import Evaluator
 from calib.ledger import Ledger
 from calib.outcome import Outcome
@@ -132,7 +134,15 @@ class Reduction:
 
 
 def reduction_of(study: Study, home: Results) -> Reduction | None:
-    """Train a basis for a study's search, or load the one trained before; None where full order is fast enough."""
+    """Train a basis for a study's search, or load the one trained before; None where full order is fast enough.
+
+    Raises
+    ------
+    ToleranceError
+        When a basis does not reach its tolerance; that is remembered, so that it is not tried again.
+    InputError
+        When the model cannot be solved somewhere.
+    """
     problem = study.problem
     if not worthwhile(study):
         return None
@@ -141,9 +151,30 @@ def reduction_of(study: Study, home: Results) -> Reduction | None:
     basis = _loaded(path) if path.exists() else None
     if basis is not None and _serves(basis, problem.model, study.search_space, wanted):
         return _reduced(problem, basis, path, wanted.tolerance)
+    asked = hashlib.sha256(repr((problem.model.fingerprint, wanted, study.search_space)).encode()).hexdigest()[:16]
+    _raise_known(home, asked)
     with training(study):
-        basis = wanted.trained(problem.model, study.search_space)
+        try:
+            basis = wanted.trained(problem.model, study.search_space)
+        except ToleranceError as fault:
+            home.write_json(_UNREACHED, {"asked": asked, "problem": fault.problem})
+            raise
     return _on(problem, basis, home, wanted.tolerance)
+
+
+_UNREACHED = "basis_unreached"
+"""Name of the table that tells of a basis that did not reach its tolerance."""
+
+
+def _raise_known(home: Results, asked: str) -> None:
+    """ToleranceError where the same training has failed before."""
+    try:
+        known = json.loads((home.path / f"{_UNREACHED}.json").read_text("utf-8"))
+        same = known["asked"] == asked
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    if same:
+        raise ToleranceError(str(known.get("problem")), place="reduced model")
 
 
 def _serves(basis: Basis, model: StructuralModel, space: ParameterSpace, wanted: Wanted) -> bool:

@@ -14,8 +14,10 @@ from calib.correlation.problem import FunctionProblem
 from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
+from calib.questions.failures import reasons, reasons_sentence
 from calib.questions.places import QUICK_SAMPLES, open_evaluator
 from calib.questions.record import write_record
+from calib.questions.stored import confirmed
 from calib.results import Results
 from calib.sensitivity.sampling import sample
 from calib.sensitivity.selection import Assessment, assess
@@ -48,6 +50,8 @@ class Sensitivity:
         Part of the drawn points that kept the constraints.
     noise_floor : float
         Largest rank correlation that chance alone would give in the whole table, 95 %.
+    why_failed : str
+        The commonest reasons of failures; empty without any.
     """
 
     assessment: Assessment
@@ -56,15 +60,17 @@ class Sensitivity:
     unpaired: int
     acceptance: float
     noise_floor: float
+    why_failed: str = ""
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """How many samples stand behind the measures, and what these select."""
+        """How many samples stand behind the measures, why some failed, and what they select."""
         samples = f"{self.samples} sample{'s' * (self.samples != 1)}"
         return (
             f"{samples} kept the constraints (acceptance {100 * self.acceptance:.0f} %), {self.failed} failed, "
             f"{self.unpaired} left a mode unpaired. "
             f"Chance alone gives rank correlations up to {self.noise_floor:.2f}.",
+            *([self.why_failed] if self.why_failed else []),
             self.assessment.sentence,
         )
 
@@ -98,7 +104,8 @@ def sensitivity(
     complete = int((~y.isna().any(axis=1)).sum())
     floor = noise_floor(max(complete, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
     unpaired = int(y.isna().any(axis=1).sum()) - failed
-    answer = Sensitivity(assessment, count, failed, unpaired, drawn.acceptance, floor)
+    why = reasons_sentence(study, reasons(outcomes), len(outcomes))
+    answer = Sensitivity(assessment, count, failed, unpaired, drawn.acceptance, floor, why)
     write_record(study, results, "sensitivity", {"samples": settings.seed}, answer.sentences, quick)
     return answer
 
@@ -195,12 +202,17 @@ def _evaluate(
     progress: SampleProgress,
 ) -> list[Outcome]:
     outcomes: list[Outcome] = []
-    with open_evaluator(study, workers, len(points)) as evaluator:
+    seconds = confirmed(study, ledger)
+    with open_evaluator(study, workers, len(points), seconds=seconds) as evaluator:
         for start in range(0, len(points), _BATCH):
             outcomes += ledger.evaluate(study.problem.fingerprint, points[start : start + _BATCH], evaluator)
             progress(len(outcomes), len(points))
     if all(o.status != "ok" for o in outcomes):
-        raise InputError(f"all {len(points)} samples failed: {outcomes[0].error}", place=study.file)
+        raise InputError(
+            reasons_sentence(study, reasons(outcomes), len(outcomes)),
+            place=study.file,
+            remedy="check the model over the limits of its parameters",
+        )
     return outcomes
 
 

@@ -107,7 +107,14 @@ def motions(mesh: Mesh, deflection: pd.DataFrame) -> np.ndarray:
 
 
 def pieces(mesh: Mesh) -> Pieces:
-    """Return faces, their borders, and lines; a line along the edge of faces, such as a stiffener, is not drawn."""
+    """Return faces, their borders, and lines; a line along the edge of faces, such as a stiffener, is not drawn.
+
+    A mesh without elements, as matrices of another program may come with, is drawn as its points: each is a line that
+    ends where it begins.
+    """
+    if mesh.elements.empty:
+        alone = np.repeat(np.arange(len(mesh.points))[:, None], 4, axis=1)
+        return Pieces(alone, np.full(len(alone), LINE), np.full(len(alone), "points"))
     corners, group = _corners(mesh), mesh.elements["group"].to_numpy(dtype=str)
     of_face = mesh.elements["c"].notna().to_numpy()
     faces = corners[of_face]

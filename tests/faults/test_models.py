@@ -121,7 +121,7 @@ def test_every_fault_in_this_process_is_a_row(faulty, here):
     faulty(11)
     assert cli.answer(["sensitivity", "faulty", "--workers", "1"]) == 0
     check_rows(11)
-    assert len(evaluations()) == 24
+    assert len(evaluations()) == 25  # and the adopted values
     assert Path.cwd() == here and Path("results/faulty/sensitivity.csv").exists()
     assert cli.answer(["calibrate", "faulty", "--workers", "1"]) == 0
     summary = json.loads(Path("results/faulty/summary.json").read_text())
@@ -136,7 +136,7 @@ def test_every_fault_in_worker_processes_is_a_row(faulty):
     study.write_text(study.read_text().replace("[calibration]", "[calibration]\ntime_limit = 2.0", 1))
     assert cli.answer(["sensitivity", "faulty", "--workers", "2"]) == 0
     check_rows(14)
-    assert len(evaluations()) == 30
+    assert len(evaluations()) == 31
     assert cli.answer(["calibrate", "faulty", "--workers", "2"]) == 0
     check_rows(14)
 
@@ -147,7 +147,7 @@ def test_a_model_that_fails_at_its_adopted_values(plain, capsys):
         capsys.readouterr()
         assert cli.answer([verb, "plain"]) == 2
         said = capsys.readouterr().err
-        assert "at its adopted values: SystemExit: 0" in said and said.count("\n") == 1
+        assert "at its adopted values: SystemExit: 0 (model.py, line " in said and said.count("\n") == 1
 
 
 def test_a_model_that_leaves_for_another_directory(plain, here, monkeypatch):

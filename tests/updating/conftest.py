@@ -40,7 +40,7 @@ def model(values: Mapping[str, float]) -> dict[str, float]:
 class Serial:
     """An evaluator in this process that remembers what it was asked."""
 
-    workers = 1
+    isolated = False
 
     def __init__(self, function: Callable[[Mapping[str, float]], Mapping[str, float]] = model, pause: float = 0.0):
         self.function, self.pause, self.points, self.batches = function, pause, [], 0

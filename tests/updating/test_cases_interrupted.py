@@ -138,7 +138,7 @@ def test_stopped_by_the_keyboard(tmp_path, uninterrupted, search):
 
 def test_a_failure_of_the_machine_is_mended_by_the_next_run(tmp_path, uninterrupted, search):
     class Unlucky(search.evaluator):
-        workers = 2
+        isolated = True
 
         def evaluate(self, points, arrived):
             given = super().evaluate(points)
@@ -151,7 +151,7 @@ def test_a_failure_of_the_machine_is_mended_by_the_next_run(tmp_path, uninterrup
     unlucky = search_all(search, path, Unlucky())
     assert unlucky[0].failed > uninterrupted[0][0].failed
     healthy = search.evaluator()
-    healthy.workers = 2
+    healthy.isolated = True
     mended = search_all(search, path, healthy)
     assert mended[0].misfit == uninterrupted[0][0].misfit
     assert mended[0].failed == uninterrupted[0][0].failed

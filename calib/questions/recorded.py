@@ -1,0 +1,157 @@
+"""Problems that read the ledger before they solve, and write into it what they have solved."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.correlation.compare import Comparison
+from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.residual import ModalResidual
+from calib.errors import EvaluationError
+from calib.evaluate import BatchEvaluator
+from calib.ledger import Ledger, key_of
+from calib.outcome import Outcome, attempt, failure
+from calib.questions.isolation import evaluator_of
+from calib.study import Study
+
+_REMEMBERED = 8
+"""Solved points kept with their modes, so that a derivative does not solve them again."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFunction:
+    """The function of a problem, asked only where the ledger does not know the answer.
+
+    Attributes
+    ----------
+    asked : callable
+        The function itself.
+    fingerprint : str
+        Of the problem.
+    ledger : Ledger
+    evaluator : BatchEvaluator
+        Of that problem.
+    """
+
+    asked: Callable[[Mapping[str, float]], Mapping[str, float]]
+    fingerprint: str
+    ledger: Ledger
+    evaluator: BatchEvaluator
+
+    def __call__(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Named responses; EvaluationError where the function fails, or did."""
+        (outcome,) = self.ledger.evaluate(self.fingerprint, [values], self.evaluator)
+        if outcome.status == "failed":
+            raise failure(outcome)
+        return outcome.responses
+
+
+def recorded_problem(problem: FunctionProblem, ledger: Ledger) -> FunctionProblem:
+    """The same problem behind a ledger; one that is behind one stays as it is."""
+    if isinstance(problem.function, RecordedFunction):
+        return problem
+    asked = RecordedFunction(problem.function, problem.fingerprint, ledger, evaluator_of(problem))
+    return replace(problem, function=asked)
+
+
+def recorded(study: Study, ledger: Ledger) -> Study:
+    """The study with a plain function behind the ledger; what else is told needs modes, which no ledger keeps."""
+    if not isinstance(study.problem, FunctionProblem):
+        return study
+    return replace(study, problem=recorded_problem(study.problem, ledger))
+
+
+def unrecorded(problem: FunctionProblem | ModalProblem) -> FunctionProblem | ModalProblem:
+    """The same problem, to be asked anew whatever a ledger knows."""
+    if isinstance(problem, FunctionProblem) and isinstance(problem.function, RecordedFunction):
+        return replace(problem, function=problem.function.asked)
+    return problem
+
+
+def asked_anew(problem: FunctionProblem | ModalProblem, values: Mapping[str, float]) -> Outcome:
+    """One point, whatever a ledger knows of it; its seconds are those of the model, not of a process that starts."""
+    problem = unrecorded(problem)
+    if isinstance(problem, FunctionProblem):
+        return evaluator_of(problem).evaluate([values])[0]
+    return attempt(problem.evaluate, values)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedModes:
+    """The whitened residual of modes and its derivatives; the ledger keeps both, since they need modes.
+
+    Attributes
+    ----------
+    inner : ModalResidual
+    ledger : Ledger
+    """
+
+    inner: ModalResidual
+    ledger: Ledger
+    _identity: str = field(init=False, repr=False)
+    _solved: dict[str, Comparison] = field(init=False, repr=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_identity", self.inner.fingerprint)
+
+    @property
+    def problem(self) -> ModalProblem:
+        """What is solved."""
+        return self.inner.problem
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Vector (n_rows,); EvaluationError where the model cannot be solved, or could not be."""
+        complete = self.problem.space.complete(values)
+        key = key_of(complete)
+        known = self.ledger.vectors(self._identity, key, [""])
+        if "" not in known:
+            known = {"": self.inner.of(self.at(complete))}
+            self.ledger.keep_vectors(self._identity, key, known)
+        return known[""]
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params)."""
+        complete = self.problem.space.complete(values)
+        key = key_of(complete)
+        known = self.ledger.vectors(self._identity, key, names)
+        new = [name for name in names if name not in known]
+        if new:
+            found = self.at(self.inner.regular(complete, new))
+            slope = self.inner.slope_of(found, new, self.inner.derivatives(found, new))
+            columns = dict(zip(new, slope.T, strict=True))
+            self.ledger.keep_vectors(self._identity, key, columns)
+            known = known | columns
+        return np.column_stack([known[name] for name in names]) if names else np.zeros((self.inner.n_rows, 0))
+
+    def freq_jacobian(
+        self, values: Mapping[str, float], names: Sequence[str]
+    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+        """As `ModalResidual.freq_jacobian` of all model modes."""
+        found = self.at(self.inner.regular(self.problem.space.complete(values), names))
+        return self.inner.freq_jacobian(values, names, every=True, found=found)
+
+    def at(self, values: Mapping[str, float]) -> Comparison:
+        """Model against measurement at all parameters; a point that could not be solved is not tried again."""
+        key, identity = key_of(values), self.problem.fingerprint
+        if key in self._solved:
+            return self._solved[key]
+        before = self.ledger.lookup(identity, [key]).get(key)
+        if before is not None and before.status == "failed" and not before.transient:
+            raise EvaluationError(before.error)
+        started = time.perf_counter()
+        try:
+            found = self.problem.compare(values)
+        except EvaluationError as fault:
+            outcome = Outcome(dict(values), "failed", {}, str(fault), time.perf_counter() - started)
+            self.ledger.append(identity, [outcome])
+            raise
+        seconds = time.perf_counter() - started
+        self.ledger.append(identity, [Outcome(dict(values), "ok", self.problem.responses(found), "", seconds)])
+        while len(self._solved) >= _REMEMBERED:
+            del self._solved[next(iter(self._solved))]
+        self._solved[key] = found
+        return found

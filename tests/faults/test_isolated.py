@@ -1,0 +1,96 @@
+"""Models that end their process or never answer, without a word about workers: rows, and the command goes on."""
+
+import json
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from calib import cli
+from calib.outcome import TOOK_TOO_LONG, WORKER_DIED
+
+MODEL = """
+import ctypes, os, time
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)))
+
+def answer(values):
+    if values["a"] > 2.75:
+        {fault}
+    return {{"y": values["a"] + values["b"], "z": values["a"]}}
+
+def model():
+    return FunctionModel("faults", SPACE, answer)
+"""
+STUDY = """
+title = "Faults"
+model = "model.py:model"
+selection = ["a", "b"]
+[measurement]
+responses = "measured.csv"
+[sensitivity]
+samples = 8
+[calibration]
+starts = 2
+time_limit = 1.0
+population = 6
+generations = 3
+cases = [{ name = "A1", seed = 1 }]
+"""
+FAULTS = {
+    "os._exit(3)": WORKER_DIED,
+    "ctypes.string_at(0)": WORKER_DIED,
+    "time.sleep(1000)": f"{TOOK_TOO_LONG} 1 s",
+}
+
+
+@pytest.fixture
+def faults(here, monkeypatch):
+    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
+
+    def make(fault: str) -> None:
+        Path("faults").mkdir()
+        Path("faults/model.py").write_text(MODEL.format(fault=fault))
+        Path("faults/study.toml").write_text(STUDY)
+        Path("faults/measured.csv").write_text("response,value,std\ny,3.0,0.1\nz,1.0,0.1\n")
+
+    return make
+
+
+def rows():
+    with sqlite3.connect("results/faults/ledger.sqlite") as database:
+        found = database.execute("SELECT parameters, status, error FROM evaluation").fetchall()
+    return [(json.loads(p)["a"], status, error) for p, status, error in found]
+
+
+@pytest.mark.parametrize("more", [[], ["--workers", "1"]])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_point_that_ends_its_process_is_a_row_whatever_the_workers(faults, fault, more, runner):
+    if more and fault == "ctypes.string_at(0)":
+        pytest.skip("as good as the other end of a process")
+    faults(fault)
+    run = runner.fork("sensitivity", "faults", *more)  # were it to end this process, the run would tell
+    assert run.wait() == 0, run.err
+    found = rows()
+    assert len(found) == 9 and any(a > 2.75 for a, _, _ in found)
+    for a, status, error in found:
+        assert (status, error) == (("failed", FAULTS[fault]) if a > 2.75 else ("ok", "")), a
+    assert run.nobody_left()
+
+
+def test_least_squares_survives_such_a_point_too(faults, runner):
+    faults("os._exit(3)")
+    for method in ("gauss-newton", "genetic"):
+        run = runner.fork("calibrate", "faults", "--method", method)
+        assert run.wait() == 0, run.err
+    assert any(status == "failed" for _, status, _ in rows())
+
+
+def test_adopted_values_that_end_the_process_are_told(faults, capsys):
+    faults("os._exit(3)")
+    study = Path("faults/study.toml")
+    study.write_text(study.read_text() + "[parameters.a]\nvalue = 2.9\n")
+    assert cli.answer(["compare", "faults"]) == 2
+    assert WORKER_DIED in capsys.readouterr().err

@@ -1,0 +1,135 @@
+"""Mistakes in the user's own code: file, line and exception on the screen, the traceback in the log."""
+
+from pathlib import Path
+
+import pytest
+
+from calib import cli
+from calib.errors import InputError
+from calib.study import Study
+
+LOG = Path("calib-error.log")
+
+
+def told(capsys, *arguments):
+    capsys.readouterr()
+    assert cli.answer(list(arguments)) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "Traceback" not in said
+    return said
+
+
+def line_of(file: Path, text: str) -> int:
+    return next(k for k, line in enumerate(file.read_text().splitlines(), 1) if text in line)
+
+
+@pytest.fixture
+def edited(plain):
+    """The plain study with something done before its model is returned."""
+
+    def edit(old: str, new: str) -> Path:
+        folder = plain("def answer(values):\n    return {'y': values['a'], 'z': values['b']}\n")
+        file = folder / "model.py"
+        text = file.read_text()
+        assert old in text
+        file.write_text(text.replace(old, new, 1))
+        return folder
+
+    return edit
+
+
+BUILD = 'return FunctionModel("plain", SPACE, answer)'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "kind"),
+    [
+        (BUILD, f"{{}}['nothing']  # here\n    {BUILD}", "KeyError"),
+        (BUILD, f"len(5)  # here\n    {BUILD}", "TypeError"),
+        ("import numpy as np", "import numpy as np\n1 / 0  # here", "ZeroDivisionError"),
+        (BUILD, f"np.linalg.inv(np.zeros((2, 2)))  # here\n    {BUILD}", "LinAlgError"),
+    ],
+)
+def test_an_exception_while_a_model_is_built(edited, capsys, old, new, kind):
+    folder = edited(old, new)
+    said = told(capsys, "compare", str(folder))
+    assert f"model.py, line {line_of(folder / 'model.py', '# here')}" in said and kind in said
+    assert "model_options" not in said
+    assert "# here" in LOG.read_text() and kind in LOG.read_text()
+
+
+@pytest.mark.parametrize("options", ["{ colour = 1 }", "{ first = 1, second = 2 }"])
+def test_options_that_a_model_does_not_take(edited, capsys, options):
+    folder = edited("def model():", "def model(first=1):")
+    study = folder / "study.toml"
+    study.write_text(study.read_text().replace("selection", f"model_options = {options}\nselection", 1))
+    assert "model_options" in told(capsys, "compare", str(folder))
+    assert not LOG.exists()
+
+
+def test_an_exception_while_a_model_is_evaluated(edited, capsys):
+    folder = edited("return {'y': values['a'],", "return {'y': values['c'],  # here\n           ")
+    said = told(capsys, "compare", str(folder))
+    assert f"KeyError: 'c' (model.py, line {line_of(folder / 'model.py', '# here')})" in said
+    assert "# here" in LOG.read_text()
+
+
+EFFECTS = """
+{head}
+from calib.effect import Effect
+from calib.space import Parameter
+
+def library():
+    strength = Parameter("bend", 0.0, -1.0, 1.0, prior_sd=0.5)
+    return (Effect("bend", "a bend", "It is straight.", "Bends.", strength, lambda model: {build}),)
+"""
+
+
+@pytest.mark.parametrize(
+    ("head", "own"),
+    [
+        ("from model import answer as own, SPACE\nimport model", "model.answer is own"),
+        ("from shapes.round import own", "own({}) == 3"),
+        ("import flat", "flat.own({}) == 4"),
+    ],
+)
+def test_code_of_a_study_imports_what_stands_beside_it(edited, head, own):
+    folder = edited(BUILD, BUILD)
+    (folder / "shapes").mkdir()
+    (folder / "shapes/round.py").write_text("def own(values):\n    return 3\n")
+    (folder / "flat.py").write_text("def own(values):\n    return 4\n")
+    (folder / "effects.py").write_text(EFFECTS.format(head=head, build=f"model.function if {own} else 0"))
+    study = folder / "study.toml"
+    study.write_text('effects = "effects.py:library"\nwith_effects = ["bend"]\n' + study.read_text())
+    # `model` inside the effect is the argument there; the module's own function is compared by another name.
+    text = (folder / "effects.py").read_text()
+    (folder / "effects.py").write_text(text.replace("model.answer is own", "__import__('model').answer is own"))
+    loaded = Study.load(folder)
+    assert [effect.name for effect in loaded.included] == ["bend"]
+    assert loaded.problem.evaluate({"a": 2.0, "b": 1.5}) == {"y": 2.0, "z": 1.5}
+
+
+def test_equal_names_in_two_studies_are_two_modules(edited, tmp_path):
+    folder = edited("import numpy as np", "import numpy as np\nimport flat")
+    text = (folder / "model.py").read_text().replace("'y': values['a']", "'y': flat.SIZE")
+    (folder / "model.py").write_text(text)
+    found = []
+    for name, size in (("one", 1.0), ("two", 2.0), ("one", 1.0)):
+        target = tmp_path / name
+        if not target.exists():
+            target.mkdir()
+            for file in folder.iterdir():
+                if file.is_file():
+                    (target / file.name).write_text(file.read_text())
+            (target / "flat.py").write_text(f"SIZE = {size}\n")
+        found.append(Study.load(target).problem.evaluate({})["y"])
+    assert found == [1.0, 2.0, 1.0]
+    (tmp_path / "one/flat.py").write_text("SIZE = 12345.0\n")
+    assert Study.load(tmp_path / "one").problem.evaluate({})["y"] == 12345.0
+
+
+def test_a_module_that_is_nowhere(edited):
+    folder = edited("import numpy as np", "import numpy as np\nimport nowhere_at_all")
+    with pytest.raises(InputError, match="nowhere_at_all") as caught:
+        Study.load(folder)
+    assert "study's folder" in caught.value.remedy
