@@ -179,14 +179,14 @@ def test_withheld_data_are_told_and_enter_no_fit(guyed, capsys, edit, explanatio
     assert "B3x" not in set(misfit["mode"]) and "2x" not in set(misfit["sensor"])
 
 
-def test_without_repeats_a_note_says_which_scatter_is_assumed(here, write_study, capsys, explanation):
+def test_without_repeats_the_assumed_scatter_is_told(here, write_study, capsys, explanation):
     folder = write_study(Path("mast"))
     for name, drop in (("modes.csv", "freq_std"), ("shapes.csv", "std")):
         pd.read_csv(folder / name, comment="#").drop(columns=drop).to_csv(folder / name, index=False)
     assert cli.answer(["explain", "mast"]) == 0
-    out = capsys.readouterr().out
-    assert "There are no repeats and no standard deviations: a scatter of 0.5 % of frequencies" in out
-    assert "Probabilities are as good as this assumption." in explanation()["notes"][0]
+    assumed = explanation()["scatter_assumed"]
+    assert "natural frequencies 0.5 %" in assumed and "shapes 3 %" in assumed
+    assert assumed in " ".join(capsys.readouterr().out.split()) and assumed in explanation()["sentence"]
 
 
 def test_frequencies_alone_can_be_explained(here, write_study, capsys, edit, explanation):
