@@ -6,10 +6,10 @@ import contextlib
 import math
 import multiprocessing
 import pickle
+import queue
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor
-from concurrent.futures import wait as wait_for
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
 from typing import Protocol
@@ -81,6 +81,7 @@ class Evaluator:
         self.time_limit = time_limit
         self._function: Function | None = None
         self._pool: ProcessPoolExecutor | None = None
+        self._ended: queue.SimpleQueue[Future[Outcome | Exception]] = queue.SimpleQueue()
         self._board: worker.Board | None = None
 
     def __enter__(self) -> Evaluator:
@@ -162,7 +163,8 @@ class Evaluator:
                 numbers[self._submit(worker.work, k, points[k])] = k
         waiting = set(numbers)
         while waiting:
-            done, waiting = wait_for(waiting, timeout=self._patience(), return_when=FIRST_COMPLETED)
+            done = waiting & self._finished()
+            waiting -= done
             late = self._late() if waiting else {}
             if late:
                 self._stop(at_once=True)  # by which the others are over, too
@@ -176,6 +178,19 @@ class Evaluator:
             self._stop(at_once=True)
             late = self._died(points, outcomes, known)
         return bool(late)
+
+    def _finished(self) -> set[Future[Outcome | Exception]]:
+        """Wait for a task to end, no longer than between two looks at what takes too long; all that have by then.
+
+        `concurrent.futures.wait` takes the locks of all tasks it waits for: an interrupt among them leaves one taken,
+        and the pool never ends. This queue may be interrupted anywhere.
+        """
+        found = set()
+        with contextlib.suppress(queue.Empty):
+            found.add(self._ended.get(timeout=self._patience()))
+            while True:
+                found.add(self._ended.get_nowait())
+        return found
 
     def _died(
         self,
@@ -233,7 +248,9 @@ class Evaluator:
             self._pool = ProcessPoolExecutor(self.workers, context, worker.start, (self.source, self._board))
         # Processes are started on demand, while a task is handed over.
         with interrupt.held(), worker.environment():
-            return self._pool.submit(task, number, dict(values))
+            future = self._pool.submit(task, number, dict(values))
+            future.add_done_callback(self._ended.put)
+        return future
 
     def _stop(self, at_once: bool) -> None:
         pool, self._pool = self._pool, None

@@ -54,7 +54,7 @@ def test_groups_are_told_in_their_order_with_both_stages():
 
 def found(verdict, *names, credible=()):
     chosen = SimpleNamespace(names=names) if names else None
-    return SimpleNamespace(verdict=verdict, chosen=chosen, credible=credible or names)
+    return SimpleNamespace(verdict=verdict, chosen=chosen, credible=credible or names, unrivalled=False)
 
 
 def test_only_what_is_named_without_a_rival_is_added():

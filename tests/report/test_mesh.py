@@ -58,8 +58,12 @@ def test_near_pieces_are_drawn_last_with_their_own_colour_and_width(pixels):
     assert list(drawn.get_linewidth()) == [1.0, 2.0, 3.0]
 
 
-def test_a_mesh_without_elements_has_no_pieces(mesh):
-    assert not len(pieces(Mesh(mesh.points, mesh.elements.iloc[:0])).kind)
+def test_a_mesh_without_elements_is_drawn_as_its_points(mesh):
+    drawn = pieces(Mesh(mesh.points, mesh.elements.iloc[:0]))
+    np.testing.assert_array_equal(drawn.corners, np.repeat(np.arange(len(mesh.points))[:, None], 4, axis=1))
+
+
+def test_nothing_to_draw_adds_nothing(mesh):
     ax = new_axes(None)
     draw_pieces(ax, np.zeros((0, 4, 3)), *[np.zeros(0)] * 4, "none")
     assert not ax.collections
