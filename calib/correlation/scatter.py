@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.errors import InputError
+from calib.freedom import POOL_BELOW
 from calib.mac import is_real
 from calib.measurement.accuracy import KINDS
 from calib.measurement.modal import MeasuredModes
 from calib.structure.model import Assumption
-
-POOL_BELOW = 10
-"""With fewer repeats the scatter of a single number is itself too uncertain (34 % with five) and is pooled."""
 
 
 @dataclass(frozen=True)
