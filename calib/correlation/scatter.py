@@ -130,7 +130,9 @@ def known_scatter(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | 
 
 
 def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float = 1.0) -> np.ndarray:
-    """Degrees of freedom of the repeats behind the standard deviations of `scatter_of`; infinite for a single repeat.
+    """Degrees of freedom of the repeats behind the standard deviations of `scatter_of`.
+
+    Infinite for a single repeat, and for a kind of which no repeat tells a scatter.
 
     Parameters
     ----------
@@ -142,8 +144,6 @@ def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float =
     repeats = measured.n_repeats
     if repeats == 1:
         return np.full(np.shape(own), np.inf)
-    if repeats >= POOL_BELOW:
-        return np.asarray(own, dtype=float) * (repeats - 1)
     if kind == "shape":
         known = np.isfinite(measured.shapes) & np.isfinite(measured.shape_std)
         parts = np.where(is_real(measured.shapes), 1, 2)
@@ -153,8 +153,12 @@ def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float =
         known = np.isfinite(measured.freq_std if kind == "frequency" else measured.damping_std)
         count = int(known.sum())
         behind = measured.counts("freq" if kind == "frequency" else "damping")[known]
-    each = float(np.mean(behind - 1.0)) if behind.size else repeats - 1.0
-    return np.full(np.shape(own), max(count, 1) * max(each, 1.0))
+    if not behind.size:
+        return np.full(np.shape(own), np.inf)
+    each = max(float(np.mean(behind - 1.0)), 1.0)
+    if repeats >= POOL_BELOW:
+        return np.asarray(own, dtype=float) * each
+    return np.full(np.shape(own), max(count, 1) * each)
 
 
 def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assumption, ...]:
