@@ -19,6 +19,7 @@ from calib.freedom import effective_freedom, repeats_freedom
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, overall
 from calib.missing.hypotheses import Label
+from calib.missing.suspect import COLUMNS as SUSPECT_COLUMNS
 from calib.missing.suspect import suspects
 from calib.questions.compare import responses_at
 from calib.questions.recorded import RecordedModes, recorded_problem
@@ -129,7 +130,7 @@ class Judgement:
     fit : FitResult or None
         The least-squares fit that led here.
     suspects : DataFrame
-        Data without which everything fits; see `calib.missing.suspect.suspects`.
+        Data without which everything fits, see `calib.missing.suspect.suspects`; empty without a converged fit.
     assumed : str
         Standard deviations that nobody stated and this rests on; see `calib.questions.scatter.assumed_words`.
     """
@@ -255,11 +256,15 @@ def _judged(
     }
     identification = identify(space, names, slope / birge, values=values, held=None if held is None else held / birge)
     predictions = residual.predictions(values, names, identification.posterior.covariance)
+    suspected = pd.DataFrame(columns=list(SUSPECT_COLUMNS))
+    if fit is not None and fit.converged:
+        # Elsewhere than at the optimum a residual is what the search has left.
+        suspected = suspects(at, residual.rows, factors, residual.scatter_freedom, alpha)
     return Judgement(
         values=values, misfit=misfit, prior_misfit=float(own @ own), freedom=freedom, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, assumed=assumed_words(study),
-        suspects=suspects(at, residual.rows, factors, residual.scatter_freedom, alpha),
+        suspects=suspected,
     )  # fmt: skip
 
 
