@@ -168,6 +168,8 @@ def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assump
     """
     damped = measured.damping_ratio > 0
     names = np.array(measured.names, dtype=object)
+    own = scatter_of(measured, floors)
+    taken = {"freq": own.freq, "damping": own.damping[damped], "shape": own.shape[np.isfinite(measured.shapes)]}
     kinds = (
         ("freq", _relative(measured.freq_std, measured.natural_freq), floors.unknown_freq, "of each"),
         ("damping", _relative(measured.damping_std, measured.damping_ratio)[damped], floors.unknown_damping, "of each"),
@@ -182,12 +184,13 @@ def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assump
         if lost.all():
             out.append(Assumption(item, f"{100 * unknown:g}", f"% {base}", "no scatter and no accuracy is stated"))
             continue
-        common = 100 * math.sqrt(float(np.mean(std[~lost] ** 2)))
+        used = 100 * np.unique(np.round(taken[name][lost], 6))
+        common = f"{used[0]:.2g}" if len(used) == 1 else f"{used[0]:.2g} to {used[-1]:.2g}"
         which = "some entries"
         if name != "shape":
             which = ", ".join((names if name == "freq" else names[damped])[lost])
         reason = f"none is stated for {which}: that of the others"
-        out.append(Assumption(item, f"{common:.2g}", f"% {base}", reason))
+        out.append(Assumption(item, common, f"% {base}", reason))
     return tuple(out)
 
 
