@@ -11,6 +11,9 @@ from scipy import stats
 KNOWN = 1e9
 """Degrees of freedom that stand for a scatter without an error of its own."""
 
+POOL_BELOW = 10
+"""With fewer repeats the scatter of a single number is itself too uncertain (34 % with five) and is pooled."""
+
 _ZERO = 1e-13
 
 

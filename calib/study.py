@@ -369,6 +369,7 @@ class _Reader:
         if given.responses:
             responses = read_responses(self._path(given.responses, "measurement", "responses"), given.pooling)
             kinds = {row.sensor: row.kind for row in response_rows(responses.targets)}
+            responses = responses.pooled(kinds)
             try:
                 return None, replace(responses, targets=widened(responses.targets, kinds, given.accuracy))
             except InputError as fault:

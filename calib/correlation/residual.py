@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
@@ -11,9 +12,8 @@ import numpy as np
 
 from calib.correlation.compare import Comparison
 from calib.correlation.problem import ModalProblem
-from calib.correlation.scatter import USUAL, Floors, Scatter, scatter_of
+from calib.correlation.scatter import USUAL, Floors, Scatter, freedom_behind, scatter_of
 from calib.fingerprint import digest_of
-from calib.freedom import repeats_freedom
 from calib.mac import is_real
 from calib.structure.derivatives import ModeDerivatives, mode_derivatives
 
@@ -173,7 +173,9 @@ class ModalResidual:
     @property
     def scatter_freedom(self) -> dict[str, float]:
         """Degrees of freedom behind the scatter of each kind of row; infinite where it is known."""
-        return repeats_freedom(self.kinds.tolist(), self.problem.measured.n_repeats, {"shape": self.n_fitted_factors})
+        counts = Counter(self.kinds.tolist())
+        counts["shape"] -= self.n_fitted_factors
+        return {k: float(freedom_behind(self.problem.measured, k, n)) for k, n in counts.items() if n > 0}
 
     def n_fitted_factors_of(self, modes: Collection[str]) -> int:
         """The same for some measured modes."""

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.errors import InputError
+from calib.freedom import POOL_BELOW
 from calib.mac import is_real
 from calib.measurement.accuracy import KINDS
 from calib.measurement.modal import MeasuredModes
 from calib.structure.model import Assumption
-
-POOL_BELOW = 10
-"""With fewer repeats the scatter of a single number is itself too uncertain (34 % with five) and is pooled."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +130,9 @@ def known_scatter(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | 
 
 
 def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float = 1.0) -> np.ndarray:
-    """Degrees of freedom of the repeats behind the standard deviations of `scatter_of`; infinite for a single repeat.
+    """Degrees of freedom of the repeats behind the standard deviations of `scatter_of`.
+
+    Infinite for a single repeat, and for a kind of which no repeat tells a scatter.
 
     Parameters
     ----------
@@ -144,8 +144,6 @@ def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float =
     repeats = measured.n_repeats
     if repeats == 1:
         return np.full(np.shape(own), np.inf)
-    if repeats >= POOL_BELOW:
-        return np.asarray(own, dtype=float) * (repeats - 1)
     if kind == "shape":
         known = np.isfinite(measured.shapes) & np.isfinite(measured.shape_std)
         parts = np.where(is_real(measured.shapes), 1, 2)
@@ -155,8 +153,12 @@ def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float =
         known = np.isfinite(measured.freq_std if kind == "frequency" else measured.damping_std)
         count = int(known.sum())
         behind = measured.counts("freq" if kind == "frequency" else "damping")[known]
-    each = float(np.mean(behind - 1.0)) if behind.size else repeats - 1.0
-    return np.full(np.shape(own), max(count, 1) * max(each, 1.0))
+    if not behind.size:
+        return np.full(np.shape(own), np.inf)
+    each = max(float(np.mean(behind - 1.0)), 1.0)
+    if repeats >= POOL_BELOW:
+        return np.asarray(own, dtype=float) * each
+    return np.full(np.shape(own), max(count, 1) * each)
 
 
 def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assumption, ...]:
@@ -166,6 +168,8 @@ def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assump
     """
     damped = measured.damping_ratio > 0
     names = np.array(measured.names, dtype=object)
+    own = scatter_of(measured, floors)
+    taken = {"freq": own.freq, "damping": own.damping[damped], "shape": own.shape[np.isfinite(measured.shapes)]}
     kinds = (
         ("freq", _relative(measured.freq_std, measured.natural_freq), floors.unknown_freq, "of each"),
         ("damping", _relative(measured.damping_std, measured.damping_ratio)[damped], floors.unknown_damping, "of each"),
@@ -180,12 +184,13 @@ def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assump
         if lost.all():
             out.append(Assumption(item, f"{100 * unknown:g}", f"% {base}", "no scatter and no accuracy is stated"))
             continue
-        common = 100 * math.sqrt(float(np.mean(std[~lost] ** 2)))
+        used = 100 * np.unique(np.round(taken[name][lost], 6))
+        common = f"{used[0]:.2g}" if len(used) == 1 else f"{used[0]:.2g} to {used[-1]:.2g}"
         which = "some entries"
         if name != "shape":
             which = ", ".join((names if name == "freq" else names[damped])[lost])
         reason = f"none is stated for {which}: that of the others"
-        out.append(Assumption(item, f"{common:.2g}", f"% {base}", reason))
+        out.append(Assumption(item, common, f"% {base}", reason))
     return tuple(out)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from calib.freedom import POOL_BELOW
 from calib.measurement.average import mean_and_std
 from calib.measurement.csv_format import ONE, read_responses_csv
 from calib.measurement.disagreements import Disagreement, Pooling, value_disagreements
@@ -36,6 +37,36 @@ class MeasuredResponses:
     def repeats(self) -> int | None:
         """Repeats behind the response with the fewest of at least two; None where nothing is known of repeats."""
         return min((n for n in self.counts.values() if n > 1), default=None)
+
+    def pooled(self, kinds: Mapping[str, str]) -> MeasuredResponses:
+        """The same with the relative scatter of fewer than ten repeats pooled over the responses of each kind.
+
+        The scatter of one response over a few repeats is too uncertain to weigh it by. Each response takes its share of
+        the pooled scatter by its own number of repeats, also one whose repeats are equal. A value that is smaller than
+        its own scatter has no relative one and stays as it is, as does one that is in a single repeat.
+
+        Parameters
+        ----------
+        kinds : mapping from response name to kind
+            See `calib.correlation.responses.response_rows`.
+        """
+        if self.repeats is None or self.repeats >= POOL_BELOW:
+            return self
+        square: dict[str, list[tuple[float, float]]] = {}
+        repeated = [n for n in self.targets if self.counts[n] > 1 and _relative(self, n) < 1.0]
+        for name in repeated:
+            if (relative := _relative(self, name)) > 0:
+                square.setdefault(kinds[name], []).append((relative**2, self.counts[name] - 1.0))
+        targets = dict(self.targets)
+        for name in repeated:
+            if kinds[name] in square:
+                each, freedom = zip(*square[kinds[name]], strict=True)
+                value = targets[name][0]
+                targets[name] = (
+                    value,
+                    abs(value) * float(np.sqrt(np.average(each, weights=freedom) / self.counts[name])),
+                )
+        return replace(self, targets=targets)
 
 
 def read_responses(path: Path, pooling: Pooling = "robust") -> MeasuredResponses:
@@ -82,3 +113,9 @@ def read_responses(path: Path, pooling: Pooling = "robust") -> MeasuredResponses
         own = float(std[k]) if std[k] > 0 else None
         targets[name] = (float(mean[k]), given[name][0] if len(given[name]) == 1 else own)
     return MeasuredResponses(targets, dict(zip(names, counts.tolist(), strict=True)), tuple(found), tuple(notes))
+
+
+def _relative(measured: MeasuredResponses, name: str) -> float:
+    """Standard deviation of one repeat of a response over its value; 0 where the repeats are equal."""
+    value, std = measured.targets[name]
+    return (std or 0.0) * float(np.sqrt(measured.counts[name])) / abs(value) if value else float("inf")

@@ -51,11 +51,12 @@ def less_accurate(
     Returns
     -------
     DataFrame
-        `COLUMNS`; ``missing`` tells whether the tests still say so. Empty for a verdict that nothing is detectable.
+        `COLUMNS`; ``missing`` tells whether the tests still say so. Empty for a verdict that
+        nothing is detectable, with the scatter as stated or as it was found.
     """
     lines: list[tuple[float, float, float, float, float, bool]] = []
     own = np.asarray(relative_std, dtype=float) * found.noise_scale
-    for accuracy in grid if found.verdict != "nothing_detectable" else ():
+    for accuracy in grid if found.verdict not in ("nothing_detectable", "noise_underestimated") else ():
         with np.errstate(invalid="ignore"):
             weight = np.where(np.isfinite(own), own / np.hypot(own, accuracy), 1.0)
         state = _weighted(found.base.state, weight)

@@ -19,7 +19,7 @@ class Group:
     Attributes
     ----------
     effect : Effect
-        The one of the largest score.
+        The one of the largest score of a sign that its strength may have.
     others : tuple of Effect
         Those that look the same.
     """
@@ -45,21 +45,25 @@ def grouped(effects: Sequence[Effect], found: Scores, threshold: float) -> tuple
     expect between them is ``z^2 (1 - rho^2)/2``; below `CREDIBLE` (odds of 20:1) they are joined. However alike they
     are, a signal that is strong enough tells them apart. A negative correlation joins only effects whose strength may
     have either sign: otherwise the sign tells them apart. Effects that depend on nuisance parameters are never joined,
-    since their fingerprint is no single direction.
+    since their fingerprint is no single direction. Nor is one whose score has the sign that its strength cannot have
+    joined to one that the signal speaks for.
 
-    The effect of the largest score leads its group, of equal ones the first by name: the order of the library joins
-    nothing. Groups are told in that order.
+    The effect of the largest score of a possible sign leads its group, of equal ones the first by name: the order of
+    the library joins nothing. Groups are told in that order.
     """
     usable = [e for e in effects if not e.nuisance]
     columns = [found.best(e.name) for e in usable]
-    alike, strength = correlation(found, columns), np.abs(found.z[columns])
+    alike, size = correlation(found, columns), np.abs(found.z[columns])
+    strength = np.maximum(found.strength[columns], 0.0)
     taken: dict[str, str] = {}
     leaders: list[int] = []
-    for k in sorted(range(len(usable)), key=lambda k: (-strength[k], usable[k].name)):
+    for k in sorted(range(len(usable)), key=lambda k: (-strength[k], -size[k], usable[k].name)):
         for a in leaders:
             rho = float(alike[a, k])
             same = rho > threshold or (rho < -threshold and usable[a].signed and usable[k].signed)
-            if same and expected_ln_bayes(float(strength[a]), rho) < CREDIBLE:
+            # A score against the only sign that an effect may have promises nothing of what its size says.
+            wrong = strength[k] < size[k] and (strength[a] ** 2 - strength[k] ** 2) / 2 >= CREDIBLE
+            if same and not wrong and expected_ln_bayes(float(size[a]), rho) < CREDIBLE:
                 taken[usable[k].name] = usable[a].name
                 break
         else:

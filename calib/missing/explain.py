@@ -14,7 +14,7 @@ from calib.freedom import effective_freedom
 from calib.missing.alike import Group, grouped
 from calib.missing.anew import anew, led_astray
 from calib.missing.evidence import CREDIBLE, at_lower
-from calib.missing.findings import Check, Findings, Trial
+from calib.missing.findings import LEAST_FREEDOM, Check, Findings, Trial
 from calib.missing.goodness import by_sensor, goodness, noise_scale, overall
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.left_out import left_out
@@ -24,8 +24,6 @@ from calib.missing.state import State, nearest_whole
 
 LEAST_MODES = 4
 """Fewer modes cannot tell an effect from a parameter."""
-LEAST_FREEDOM = 2 - 1e-6
-"""Effective degrees of freedom that a fit must leave for a name; priors take a little of the last one."""
 GUARD = 1.11
 """Factor on the scatter from which it counts as understated (two and a half standard errors with 8 modes)."""
 

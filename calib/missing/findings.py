@@ -11,6 +11,9 @@ from calib.missing.alike import Group
 from calib.missing.score import Scores
 from calib.missing.state import State
 
+LEAST_FREEDOM = 2 - 1e-6
+"""Effective degrees of freedom that a fit must leave for a name; priors take a little of the last one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Check:
@@ -41,6 +44,11 @@ class Check:
     def p_family(self) -> float:
         """Of the largest score among named effects and local changes."""
         return min(1.0, 2 * min(self.p_named, self.p_atoms))
+
+    @property
+    def freedom(self) -> float:
+        """Effective degrees of freedom that the fit leaves."""
+        return float(self.kinds["freedom"].sum())
 
     def passes(self, alpha: float) -> bool:
         """Whether nothing seems missing."""

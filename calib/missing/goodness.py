@@ -112,6 +112,19 @@ def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
     return float(min(1.0, len(tests) * min(tests)))
 
 
+def misfit_factor(kinds: pd.DataFrame, modes: pd.DataFrame, level: float) -> float:
+    """Factor on the scatter with which the worst of what fails the test of `overall` would be as a right model has it.
+
+    The largest root of chi2 over the degrees of freedom (Birge 1932), of kinds and of shapes of single modes; 1 where
+    nothing fails.
+    """
+    shapes = modes[modes["kind"] == "shape"]
+    parts = ((kinds, len(kinds) + 1), (shapes, (len(kinds) + 1) * len(shapes)))
+    failing = [table[table["p"] * among <= level] for table, among in parts]
+    squares = [(t["chi2"] / np.maximum(t["freedom"], 1.0)).max() for t in failing if len(t)]
+    return float(np.sqrt(max(squares, default=1.0)))
+
+
 def noise_scale(modes: pd.DataFrame) -> float:
     """Common factor on the scatter that the shapes of all modes ask for: root of the median of chi2 over freedom.
 

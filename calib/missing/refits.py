@@ -141,8 +141,7 @@ class Refits:
         """The most promising effects, fitted, and those that look the same as what fits well; best first."""
         plausible = np.array([self._by_name[n].plausible for n in named.owners])
         promise = ln_bayes_linear(named.strength, named.size, plausible)
-        leading = [g.effect.name for g in groups]
-        by_effect = {name: max(promise[k] for k, n in enumerate(named.owners) if n == name) for name in leading}
+        by_effect = {g.effect.name: max(promise[k] for k, n in enumerate(named.owners) if n in g.names) for g in groups}
         order = sorted(by_effect, key=lambda n: (-by_effect[n], n))[: self.settings.refits]
         out: list[Trial] = []
         for name in order:

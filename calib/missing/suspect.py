@@ -20,6 +20,10 @@ LEVEL = 0.01
 """Chance of calling a datum bad when none is, over all that are left out in turn."""
 _LEAST = 2.0
 """Degrees of freedom without a datum below which nothing can be said to fit."""
+_FOLLOWED = 0.02
+"""Part of a value's variance left by the parameters below which the others do not predict it."""
+_SINGULAR = 1e-9
+"""The same of any combination of several values, below which their prediction is rounding."""
 
 
 class Datum(NamedTuple):
@@ -88,7 +92,8 @@ def suspects(
     model. ``p`` is the chance of such a value of chi2_b times the number of data that were tried (Bonferroni, as in the
     test of studentised residuals; Cook and Weisberg 1982); ``p_fit_without`` is that of goodness of fit without b, NaN
     where p is above the level. A datum explains the misfit when the first is below and the second above the level: it
-    is improbable by itself, and without it everything fits.
+    is improbable by itself, and without it everything fits. A single value that the parameters follow nearly everywhere
+    is not asked: its residual is what the search has left.
 
     Parameters
     ----------
@@ -114,10 +119,9 @@ def suspects(
         b, others = datum.rows, np.setdiff1d(np.arange(len(e)), datum.rows)
         here = unit[b]
         inverse = np.eye(len(b)) - here @ covariance @ here.T
-        try:
-            predicted = la.solve(inverse, e[b], assume_a="pos")
-        except (la.LinAlgError, la.LinAlgWarning):
+        if np.linalg.eigvalsh(inverse)[0] < (_FOLLOWED if len(b) == 1 else _SINGULAR):
             continue  # a parameter stands on these data alone
+        predicted = la.solve(inverse, e[b], assume_a="pos")
         chi2 = float(e[b] @ predicted)
         lost = _factors(datum, rows, fitted_factors)
         freedom = float(max(len(b) - lost, 1))

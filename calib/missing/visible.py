@@ -18,6 +18,8 @@ _ASKED = 12
 """Residuals asked of the model for one sign of a strength."""
 _CLOSE = 1.1
 """Ratio of the ends of the bracket that is close enough."""
+_INWARD = (1.0, 0.99, 0.95, 0.9, 0.8, 0.65, 0.5, 0.3, 0.1)
+"""Parts of the limit that are asked in turn until the model can be evaluated."""
 _LEAST = 1e-4
 """Part of the limit below which nothing is looked for."""
 
@@ -37,7 +39,8 @@ def visible_within_limits(
     """The same asked of the model itself, up to the limits of the strength; infinite when not even these show.
 
     A share by which something is softer, for instance, changes the data far more at its end than its derivative says.
-    The other parameters may follow to first order. The strength is bracketed to 10 %.
+    The other parameters may follow to first order. The strength is bracketed to 10 %. Where the model fails at a limit
+    the largest strength takes its place that can be evaluated.
 
     Parameters
     ----------
@@ -56,15 +59,17 @@ def visible_within_limits(
 def _onset(question: Question, state: State, effect: Effect, end: float, nuisance: Mapping[str, float]) -> float:
     start = effect.strength.value
 
-    def shown(part: float) -> float:
-        """Length of the change that the parameters cannot absorb, over what is detectable; 0 where there is none."""
+    def shown(part: float) -> float | None:
+        """Length of the change that the parameters cannot absorb, over what is detectable; None where a model fails."""
         try:
             there = question.residual({**state.values, **nuisance, effect.name: start + part * (end - start)})
         except EvaluationError:
-            return 0.0
+            return None
         return float(np.linalg.norm(state.outside((state.residual - there)[:, None]))) / DETECTABLE
 
-    high, above = 1.0, shown(1.0)
+    # A model that fails at its limit tells nothing of smaller strengths: from there the next that it can be asked for.
+    reached = ((part, size) for part in _INWARD if (size := shown(part)) is not None)
+    high, above = next(reached, (1.0, 0.0))
     if above < 1:
         return math.inf
     low, below = 0.0, 0.0
@@ -76,6 +81,6 @@ def _onset(question: Question, state: State, effect: Effect, end: float, nuisanc
             part = low * (high / low) ** min(max(share, 0.15), 0.85)
         else:
             part = low + (high - low) / 2 if low else high * min(max(0.7 / above, 0.1), 0.7)
-        size = shown(part)
+        size = shown(part) or 0.0
         low, below, high, above = (low, below, part, size) if size >= 1 else (part, size, high, above)
     return high * abs(end - start)

@@ -17,8 +17,9 @@ from calib.correlation.responses import response_rows
 from calib.errors import EvaluationError
 from calib.freedom import effective_freedom, repeats_freedom
 from calib.ledger import Ledger
-from calib.missing.goodness import goodness, overall
+from calib.missing.goodness import goodness, misfit_factor, overall
 from calib.missing.hypotheses import Label
+from calib.missing.suspect import COLUMNS as SUSPECT_COLUMNS
 from calib.missing.suspect import suspects
 from calib.questions.compare import responses_at
 from calib.questions.recorded import RecordedModes, recorded_problem
@@ -115,8 +116,9 @@ class Judgement:
     alpha : float
         Level of that test.
     birge : float
-        Factor on the scatter with which the misfit would be what a right model has, where the model does not fit
-        (Birge 1932), else 1; standard deviations, shares and predictions hold for the scatter so scaled.
+        Factor on the scatter with which the worst kind of data would be as a right model has it, where the model does
+        not fit (see `calib.missing.goodness.misfit_factor`), else 1; standard deviations, shares and predictions hold
+        for the scatter so scaled.
     identification : Identification
     profiles : mapping from str to (numbers, misfits)
         Lowest misfit of each whole number that was tried; empty without fits.
@@ -129,7 +131,7 @@ class Judgement:
     fit : FitResult or None
         The least-squares fit that led here.
     suspects : DataFrame
-        Data without which everything fits; see `calib.missing.suspect.suspects`.
+        Data without which everything fits, see `calib.missing.suspect.suspects`; empty without a converged fit.
     assumed : str
         Standard deviations that nobody stated and this rests on; see `calib.questions.scatter.assumed_words`.
     """
@@ -247,19 +249,23 @@ def _judged(
     misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
     freedom = effective_freedom(slope, prior_sd, sum(factors.values()))
     at, alpha = _Fitted(vector, slope, prior_sd), study.settings.explain.alpha
-    p_fit = overall(*goodness(at, residual.rows, factors, residual.scatter_freedom))
-    birge = max(math.sqrt(misfit / max(freedom, 1.0)), 1.0) if p_fit <= alpha else 1.0
+    kinds, modes = goodness(at, residual.rows, factors, residual.scatter_freedom)
+    p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, alpha)
     whole = {
         name: whole_number_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
         for name, (numbers, misfits) in profiles.items()
     }
     identification = identify(space, names, slope / birge, values=values, held=None if held is None else held / birge)
     predictions = residual.predictions(values, names, identification.posterior.covariance)
+    suspected = pd.DataFrame(columns=list(SUSPECT_COLUMNS))
+    if fit is not None and fit.converged:
+        # Elsewhere than at the optimum a residual is what the search has left.
+        suspected = suspects(at, residual.rows, factors, residual.scatter_freedom, alpha)
     return Judgement(
         values=values, misfit=misfit, prior_misfit=float(own @ own), freedom=freedom, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, assumed=assumed_words(study),
-        suspects=suspects(at, residual.rows, factors, residual.scatter_freedom, alpha),
+        suspects=suspected,
     )  # fmt: skip
 
 

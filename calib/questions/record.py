@@ -99,9 +99,9 @@ def measured_table(study: Study) -> pd.DataFrame:
 
     Of modes `MODE_COLUMNS`: frequencies and their standard deviations in Hz, damping as a ratio, and the number of
     repeats behind the frequency; of plain responses ``response, withheld, value, std, repeats, std_used``. Standard
-    deviations are those of the mean over the repeats, of plain responses with the accuracy that is claimed. Those
-    ``used`` are what calibration and explanation weigh by: pooled, with accuracy and floors, and assumed where nothing
-    is known.
+    deviations are those of the mean over the repeats, of plain responses pooled and with the accuracy that is claimed.
+    Those ``used`` are what calibration and explanation weigh by: pooled, with accuracy and floors, and assumed where
+    nothing is known.
     """
     held, whole = study.settings.withheld, study.whole
     if whole is None:

@@ -86,6 +86,8 @@ def central_jacobian(
         Over the range between the limits.
     """
     complete = space.complete(dict(values))
+    if not names:
+        return np.zeros((len(residual(complete)), 0))
     return np.column_stack([difference(residual, complete, space[name], step) for name in names])
 
 

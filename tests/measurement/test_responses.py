@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputError
+from calib.freedom import chance, repeats_freedom
 from calib.measurement.read import read_measurement
 from calib.measurement.responses import read_responses
 
@@ -112,3 +113,53 @@ def test_tables_that_do_not_fit_together_are_refused(tmp_path):
         read_measurement([more, modes])
     with pytest.raises(InputError, match="the tables hold 3"):
         read_measurement([modes], repeats=2)
+
+
+def test_few_repeats_are_pooled_over_the_responses_of_a_kind(tmp_path):
+    path = tmp_path / "r.csv"
+    lacking = {(0, "freq_2"), (1, "sag"), (2, "sag"), (3, "sag"), (4, "sag")}
+    kept = table(path, 5, change=lambda k, n, v: None if (k, n) in lacking else 7.0 if n == "zeta_1" else v)
+    read = read_responses(path, "plain")
+    kinds = {name: "freq" if name.startswith("freq") else "other" for name in VALUES}
+    found = read.pooled(kinds)
+    a, b = (np.var(kept[n], ddof=1) / np.mean(kept[n]) ** 2 for n in ("freq_1", "freq_2"))
+    common = (4 * a + 3 * b) / 7
+    for name, n in (("freq_1", 5), ("freq_2", 4)):
+        assert found.targets[name][1] == pytest.approx(np.mean(kept[name]) * np.sqrt(common / n))
+    # Of the others only one scatters: that of a single repeat stays unknown, and equal repeats take it.
+    relative = read.targets["mass"][1] / read.targets["mass"][0]
+    assert found.targets["mass"][1] == pytest.approx(read.targets["mass"][1])
+    assert found.targets["sag"] == read.targets["sag"] and found.targets["sag"][1] is None
+    assert found.targets["zeta_1"][1] == pytest.approx(7.0 * relative)
+    assert {n: v for n, (v, _) in found.targets.items()} == {n: v for n, (v, _) in read.targets.items()}
+
+
+def test_ten_repeats_and_values_within_their_scatter_are_not_pooled(tmp_path):
+    path = tmp_path / "r.csv"
+    table(path, 10)
+    read = read_responses(path)
+    assert read.pooled(dict.fromkeys(VALUES, "response")) is read
+    path.write_text("response,value,repeat\na,1,1\na,-1.2,2\nb,10,1\nb,10.1,2\nc,20,1\nc,20.1,2\n")
+    read = read_responses(path)
+    found = read.pooled(dict.fromkeys("abc", "response"))
+    assert found.targets["a"] == read.targets["a"]
+    assert found.targets["b"][1] / found.targets["b"][0] == pytest.approx(found.targets["c"][1] / found.targets["c"][0])
+
+
+@pytest.mark.parametrize(("repeats", "count"), [(2, 8), (5, 20)])
+def test_a_right_model_is_rejected_as_often_as_the_level_says(tmp_path, repeats, count):
+    """Drawn repeats of a known truth, which fits itself: the chance is that of the draws alone."""
+    path, level, runs = tmp_path / "r.csv", 0.05, 300
+    rng = np.random.default_rng(4)
+    truth = np.linspace(5, 50, count)
+    kinds = {f"r_{k}": "r" for k in range(count)}
+    rejected = 0
+    for _ in range(runs):
+        values = truth * (1 + 0.01 * rng.normal(size=(repeats, count)))
+        rows = [f"r_{k},{v!r},{i}" for i, own in enumerate(values.tolist()) for k, v in enumerate(own)]
+        path.write_text("response,value,repeat\n" + "\n".join(rows) + "\n")
+        found = read_responses(path, "plain").pooled(kinds)
+        mean, std = np.array(list(found.targets.values())).T
+        scatter = repeats_freedom(kinds.values(), found.repeats)["r"]
+        rejected += bool(chance(np.sum(((mean - truth) / std) ** 2), count, scatter) < level)
+    assert rejected / runs < level + 3 * np.sqrt(level * (1 - level) / runs)

@@ -107,3 +107,16 @@ def test_what_the_parameters_absorb_is_like_nothing(toy):
     columns = {**toy.columns, "E0": toy.columns["P0"] * 1e-8, "E1": toy.columns["P0"] * 1e-8}
     toy = replace(toy, columns=columns)
     assert len(grouped(toy.effects, found(toy), 0.98)) == 3
+
+
+def test_a_score_of_an_impossible_sign_neither_leads_nor_joins(apart, make_effect):
+    """E0 explains the data with the sign that it cannot have; E2 looks the same and may have either."""
+    toy = mixed(apart, "E2", "E0", 0.9999)
+    toy = replace(toy, effects=tuple(make_effect(e.name, signed=e.name == "E2") for e in toy.effects))
+    toy = replace(toy, data=-40.0 * toy.columns["E0"] / np.linalg.norm(toy.columns["E0"]))
+    at = found(toy)
+    assert at.z[at.best("E0")] < -35 and at.strength[at.best("E2")] > 35
+    groups = names(grouped(toy.effects, at, 0.98))
+    assert groups["E2"] == () and groups["E0"] == ()
+    still = replace(toy, data=0.02 * toy.data)  # below one standard deviation the sign tells nothing
+    assert len(grouped(still.effects, found(still), 0.98)) == 3

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from calib.missing.goodness import goodness, noise_scale, overall
+from calib.missing.goodness import goodness, misfit_factor, noise_scale, overall
 
 
 def tables(toy, state, factors=None, freedom=None):
@@ -172,3 +172,22 @@ def test_one_spoiled_mode_does_not_raise_the_factor(toy):
 def test_few_shapes_tell_no_factor(toy, more, factors):
     toy = toy(**more).drawn(np.random.default_rng(9))
     assert np.isnan(noise_scale(tables(toy, toy.calibrated(), factors)[1]))
+
+
+def test_the_factor_is_that_of_the_worst_that_fails(toy):
+    """Frequencies fail among many shapes that are better than they should be: the total is that of a right model."""
+    toy = toy(modes=6, sensors=6).drawn(np.random.default_rng(1))
+    state = toy.calibrated()
+    kind = np.array([row.kind for row in toy.rows])
+    size = np.select([kind == "frequency", kind == "shape"], [6.0, 0.3], 1.0)
+    unit = np.where(np.arange(len(kind)) % 2, size, -size)
+    kinds, modes = tables(toy, replace(state, residual=unit))
+    assert overall(kinds, modes) < 0.01 and kinds["chi2"].sum() < 6 * kinds["freedom"].sum()
+    line = kinds.set_index("kind").loc["frequency"]
+    assert misfit_factor(kinds, modes, 0.01) == pytest.approx(np.sqrt(line["chi2"] / line["freedom"]))
+    fine = tables(toy, replace(state, residual=0.5 * np.sign(unit)))
+    assert misfit_factor(*fine, 0.01) == 1.0 and overall(*fine) > 0.01
+    shapes = modes.assign(
+        p=np.where((modes["mode"] == "M2") & (modes["kind"] == "shape"), 1e-9, 1.0), chi2=30.0, freedom=3.0
+    )
+    assert misfit_factor(kinds.assign(p=1.0), shapes, 0.01) == pytest.approx(np.sqrt(10.0))

@@ -1,6 +1,6 @@
 """Single bad data: against fits without them, by their rates, and where two or none are to blame."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -94,3 +94,26 @@ def test_where_everything_fits_nobody_is_asked(toy):
     assert blamed <= 6  # 99.9 % of a binomial of 150 at the level 1 %
     made = linear(toy, {}, 1)
     assert overall(*goodness(made.calibrated(), made.rows, {}, {})) > 0.01 and table_of(made).empty
+
+
+def test_a_value_that_a_parameter_follows_nearly_everywhere_is_not_accused(toy):
+    """The search ended eight standard deviations of the value beside the optimum."""
+    made = linear(toy, {})
+    state = made.calibrated()
+    k = row_of(made, "M0", "frequency")
+    slope = np.where(np.arange(len(made.rows))[:, None] == k, 0.0, state.slope)
+    own = 100.0 * (np.arange(len(made.rows)) == k)
+    own[row_of(made, "M1", "frequency")] = 10.0
+    slope = np.column_stack([slope, own])
+    residual = np.where(np.arange(len(made.rows)) == k, 8.0, state.residual)
+    fit = _Fit(residual, slope, np.append(state.prior_sd, np.inf))
+    assert overall(*goodness(fit, made.rows, {}, {})) < 0.01
+    table = suspects(fit, made.rows, {}, {})
+    assert "frequency of M0" not in set(table["what"])
+
+
+@dataclass(frozen=True)
+class _Fit:
+    residual: np.ndarray
+    slope: np.ndarray
+    prior_sd: np.ndarray

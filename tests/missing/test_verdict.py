@@ -293,6 +293,9 @@ def test_the_reason_against_the_best_attempt_is_told(cases):
     assert left <= 0.01 and f"is not believed: what is left still has {with_p(left)}." in told(found)
     strained = replace(found, chosen=replace(found.chosen, implausible="P1 had to move +5.0 prior standard deviations"))
     assert "is not believed: P1 had to move +5.0 prior standard deviations." in told(strained)
+    kinds = found.chosen_check.kinds
+    few = replace(found.chosen_check, p_named=1.0, p_atoms=1.0, p_fit=1.0, kinds=kinds.assign(freedom=1.4 / len(kinds)))
+    assert "it leaves 1.4 effective degrees of freedom" in told(replace(found, chosen_check=few))
 
 
 def test_a_best_attempt_that_leaves_nothing_is_not_said_to_leave_something(toy):

@@ -90,13 +90,15 @@ def test_the_easier_of_two_signs_counts(blind):
     assert asked(blind, -1.0, 8.2, lambda s: s if s > 0 else 3 * s) == pytest.approx(4.0, rel=0.1)
 
 
-def test_where_the_model_fails_nothing_shows(blind):
+@pytest.mark.parametrize(("last", "limit", "shows"), [(9.7, 10.0, True), (5.0, 8.0, True), (0.0, 8.0, False)])
+def test_a_model_that_fails_at_its_limit_is_asked_below_it(blind, last, limit, shows):
     def fails(s):
-        if s > 5.0:
+        if s > last:
             raise EvaluationError("singular")
         return s
 
-    assert asked(blind, 0.0, 8.0, fails) == math.inf
+    found = asked(blind, 0.0, limit, fails)
+    assert 4.0 <= found <= 4.0 * 1.1 if shows else found == math.inf
 
 
 def test_a_strength_that_was_found_is_not_told_to_be_invisible(toy):

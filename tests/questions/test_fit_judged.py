@@ -10,6 +10,7 @@ from calib.ledger import Ledger
 from calib.questions.calibrate import calibrate
 from calib.questions.explain import explain
 from calib.questions.extend import extend
+from calib.questions.judge import RecordedResidual, judged
 from calib.results import Results
 from calib.study import Study
 
@@ -133,3 +134,16 @@ def test_a_model_that_is_rejected_identifies_what_a_scatter_as_large_as_its_misf
     np.testing.assert_allclose(after["std"], scale * before["std"], rtol=0.03)  # the priors help a little
     assert before["identified"].all() and not after["identified"]["a"]
     assert after["not_identified"]["a"] == "wide"
+
+
+def test_nothing_is_accused_where_nothing_was_fitted(line, tmp_path):
+    """One value is spoilt: a fit names it, the same values without a fit do not."""
+    y = around(0.1)
+    y[5] += 2.0
+    found = line(y)
+    assert found.best.judgement.suspects["what"][0] == "y_5"
+    study = Study.load(tmp_path / "line")
+    with Ledger.open(tmp_path / "other.sqlite") as ledger:
+        beside = judged(study, RecordedResidual(study.problem, ledger), found.best.judgement.values)
+    assert beside.p_fit == pytest.approx(found.best.judgement.p_fit) and beside.fits is False
+    assert beside.suspects.empty

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from calib.correlation.residual import ModalResidual
-from calib.correlation.scatter import Floors
+from calib.correlation.scatter import Floors, freedom_behind
 from calib.missing.state import fitted
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.verify import ERROR_COLUMNS, errors_at, modal_errors, plain_errors
@@ -174,6 +174,17 @@ def test_freedom_behind_the_scatter_is_that_of_the_repeats_less_the_factors(stud
     assert ModalResidual(study.problem).scatter_freedom == KNOWN
     repeated = replace(study.problem, measured=replace(measured, n_repeats=5))
     assert ModalResidual(repeated).scatter_freedom == {"frequency": 4 * 5.0, "shape": 4 * (50.0 - 5.0)}
+
+
+def test_freedom_behind_is_the_same_for_the_fit_and_for_the_comparison(study):
+    """Ten repeats, of which some values have fewer: what stands behind the fit counts the repeats of each value."""
+    measured = study.problem.measured
+    held = np.array([3] + [10] * (measured.n_modes - 1))
+    for repeats, counts in ((10, held), (5, np.minimum(held, 5))):
+        told = replace(measured, n_repeats=repeats, freq_count=counts)
+        found = ModalResidual(replace(study.problem, measured=told)).scatter_freedom
+        assert found["frequency"] == pytest.approx(np.sum(counts - 1.0))
+        assert found["frequency"] == freedom_behind(told, "frequency", measured.n_modes)
 
 
 # -- plain -------------------------------------------------------------------------------------------------------------

@@ -101,3 +101,9 @@ def test_whole_and_held_parameters_have_no_derivative():
     space = ParameterSpace((Parameter("p0", 1.0, 0.0, 4.0), WHOLE))
     matrix = central_jacobian(cubic(), space, values, ("n", "p0"))
     np.testing.assert_allclose(matrix, [[0.0, 12.0], [0.0, 2.0]], rtol=1e-6)
+
+
+def test_without_a_continuous_parameter_the_derivative_has_no_columns():
+    space = ParameterSpace((Parameter("n", 2.0, 1.0, 4.0, "-", integer=True),))
+    asked = DifferencedResponses(lambda v: {"a": v["n"], "b": 2 * v["n"]}, {"a": (2.0, 0.1), "b": (4.0, 0.1)}, space)
+    assert asked.jacobian({"n": 2.0}, ()).shape == (2, 0)
