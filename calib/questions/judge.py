@@ -116,7 +116,8 @@ class Judgement:
         Level of that test.
     birge : float
         Factor on the scatter with which the misfit would be what a right model has, where the model does not fit
-        (Birge 1932), else 1; standard deviations, shares and predictions hold for the scatter so scaled.
+        (Birge 1932), else 1; standard deviations, shares and predictions hold for the scatter so scaled, what the data
+        see of combined changes for the scatter as stated.
     identification : Identification
     profiles : mapping from str to (numbers, misfits)
         Lowest misfit of each whole number that was tried; empty without fits.
@@ -253,7 +254,7 @@ def _judged(
         name: whole_number_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
         for name, (numbers, misfits) in profiles.items()
     }
-    identification = identify(space, names, slope / birge, values=values, held=None if held is None else held / birge)
+    identification = identify(space, names, slope, values=values, held=held, birge=birge)
     predictions = residual.predictions(values, names, identification.posterior.covariance)
     return Judgement(
         values=values, misfit=misfit, prior_misfit=float(own @ own), freedom=freedom, p_fit=p_fit, alpha=alpha,
