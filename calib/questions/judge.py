@@ -242,7 +242,7 @@ def _judged(
         vector, slope = fit.residual, fit.jacobian
     else:
         vector, slope = residual.residual(values), residual.jacobian(values, names)
-    taken = {name: sd for name, sd in study.adopted_sd.items() if sd > 0}
+    taken = study.held_sd
     held = residual.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
     prior_sd, factors = np.array([space[n].prior_width for n in names]), residual.fitted_factors
     misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)

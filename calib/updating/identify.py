@@ -113,6 +113,31 @@ def posterior(
     return Posterior(tuple(names), covariance, std, correlation, np.clip(share, 0.0, 1.0))
 
 
+def with_held(known: Posterior, jacobian: np.ndarray, held: np.ndarray | None) -> np.ndarray:
+    """Covariance of the estimates together with held parameters that are known with a scatter only.
+
+    What predicts other data errs by both, and they are correlated: ``[[V + B B^T, B], [B^T, I]]`` with the shift B of
+    `posterior`.
+
+    Parameters
+    ----------
+    known : Posterior
+        Of the same residual, nothing held.
+    jacobian : ndarray (n_rows, n_params)
+    held : ndarray (n_rows, n_held) or None
+        Change of the whitened residual by one standard deviation of each held parameter.
+
+    Returns
+    -------
+    ndarray (n_params + n_held, n_params + n_held)
+        In the parameters' own units; held ones in their standard deviations.
+    """
+    if held is None or not held.shape[1]:
+        return known.covariance
+    shift = -known.covariance @ (jacobian.T @ held)
+    return np.block([[known.covariance + shift @ shift.T, shift], [shift.T, np.eye(held.shape[1])]])
+
+
 @dataclass(frozen=True, eq=False)
 class Identification:
     """What can be told about the parameters.
