@@ -226,15 +226,17 @@ def _worsened(case: CaseFound) -> str:
 def _parameters(study: Study, found: Sequence[CaseFound], searched: Sequence[CaseResult]) -> pd.DataFrame:
     """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
 
-    ``spread`` and ``stable`` are those of the genetic searches before any least squares, or of the fits without one.
+    ``spread`` and ``stable`` are those of the genetic searches before any least squares, or of the fits without one;
+    ``search_value`` is told where least squares followed a search.
     """
     space = study.search_space
     table = parameters_table([case.result for case in found], space)
+    table["search_value"] = np.nan
     if searched:
         raw = parameters_table(searched, space)
-        table["spread"], table["stable"], table["search_value"] = raw["spread"], raw["stable"], raw["value"]
-    else:
-        table["search_value"] = np.nan
+        table["spread"], table["stable"] = raw["spread"], raw["stable"]
+        if any(case.judgement.fit is not None for case in found):
+            table["search_value"] = raw["value"]
     each = [case.judgement.verdicts(space, {}).assign(case=case.name) for case in found]
     known = _without_whole(pd.concat(each), space)
     columns = ["case", "parameter", "std", "identified", "scatter"]

@@ -61,6 +61,7 @@ class CaseFound:
     points : DataFrame
         Both criteria where the search and least squares ended, at full order: ``case, point, objective,
         sum_of_squares, prior, total``; ``objective`` is what the search makes small, ``total`` what least squares do.
+        A row for each of the two that ran.
     """
 
     result: CaseResult
@@ -261,7 +262,8 @@ class CaseFinder:
         if search is not None:
             full = objective(search.responses if plain else responses_at(problem, search.values))
             points.append((final.name, SEARCH, full, *criteria(self.study, self.exact, search.values)))
-        points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))
+        if judgement.fit is not None:
+            points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))
         table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])
         table["total"] = table["sum_of_squares"] + table["prior"]
         return CaseFound(final, search, full, judgement, answer, table)

@@ -11,6 +11,10 @@ from calib.questions.calibrate import calibrate
 from calib.questions.case import CaseFinder
 from calib.questions.explained_fit import explained_fit, explained_fits
 from calib.questions.extend import extend
+from calib.report.calibration import draw_parameters
+from calib.report.html.answers import Answers
+from calib.report.html.calibrated import section
+from calib.report.html.page import Plot, Table, Words
 from calib.results import Results
 from calib.study import Study
 
@@ -105,6 +109,26 @@ def test_both_points_stand_side_by_side_where_least_squares_serve_another_aim(st
         assert table["sum_of_squares"][point] == pytest.approx(((a - 1) / 10) ** 2 + ((a - 2) / 0.01) ** 2, rel=1e-6)
         assert table["prior"][point] == pytest.approx(((a - 1) * 12**0.5 / 3) ** 2, rel=1e-6)
     assert found.best.worsened and sum(found.best.name in s and "raised the misfit" in s for s in found.sentences) == 1
+
+
+def test_least_squares_that_did_not_run_are_told_nowhere(study, tmp_path):
+    """The search's values are reported as they are: one point a case, one state in the figures and on the page."""
+    loaded = study("population = 6\ngenerations = 3\npolish = false")
+    found = answer(loaded, tmp_path, "genetic")
+    folder = tmp_path / "results" / loaded.name
+    assert found.best.judgement.fit is None and not found.best.worsened
+    assert pd.read_csv(folder / "points.csv")["point"].tolist() == ["search"]
+    table = pd.read_csv(folder / "parameters.csv")
+    assert table["value"].item() == pytest.approx(found.best.search.values["a"], rel=1e-9)
+    assert table["search_value"].isna().all()
+    ax = draw_parameters(table, best_case="A")
+    assert not [line for line in ax.lines if line.get_gid() == "final"]
+    blocks = section(Answers(folder, "Two valleys", True)).blocks
+    (plot,) = [block for block in blocks if isinstance(block, Plot) and block.name == "parameters"]
+    assert len(plot.figure.data) == 1
+    assert not [block for block in blocks if isinstance(block, Table) and "Both criteria" in block.caption]
+    told = [block.text for block in blocks if isinstance(block, Words)]
+    assert told and not [words for words in told if "least squares" in words]
 
 
 def test_least_squares_begin_at_the_adopted_values_too(study, tmp_path):
