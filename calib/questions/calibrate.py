@@ -255,11 +255,10 @@ def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
 def expected_misfit(study: Study, answer: Answer) -> float:
     """Misfit that a perfect model would show on average from the measurement's scatter alone; 0 where unknown."""
     settings = study.settings.calibration
+    errors = float(np.nan_to_num(_noise_errors(study)).sum())
     if isinstance(study.problem, FunctionProblem):
-        return float(sum((std or 0.0) / abs(value) for value, std in study.problem.targets.values()) * _MEAN_ABSOLUTE)
-    measured = study.problem.measured
-    relative = np.nan_to_num(known_scatter(measured).freq)
-    total = settings.weight_freq * _MEAN_ABSOLUTE * float(relative.sum())
+        return errors
+    measured, total = study.problem.measured, settings.weight_freq * errors
     if measured.has_shapes and answer.comparison is not None:
         total += settings.weight_mac * float(np.nansum(1.0 - answer.comparison.noise_mac()))
     return total
@@ -267,6 +266,17 @@ def expected_misfit(study: Study, answer: Answer) -> float:
 
 _MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))
 """Mean absolute value of a standard normal variate."""
+
+
+def _noise_errors(study: Study) -> np.ndarray:
+    """Mean relative error of each frequency or plain response that the scatter alone leaves a perfect model.
+
+    It is the scatter that calibration weighs by, accuracy and floors included; NaN where it would be assumed.
+    """
+    if isinstance(study.problem, FunctionProblem):
+        targets = study.problem.targets.values()
+        return _MEAN_ABSOLUTE * np.array([std / abs(value) if std else np.nan for value, std in targets])
+    return _MEAN_ABSOLUTE * known_scatter(study.problem.measured).freq
 
 
 def _summary(
@@ -297,6 +307,7 @@ def _summary(
         "mean_freq_error_after": best.answer.mean_freq_error,
         "mean_mac_before": before.mean_mac,
         "mean_mac_after": best.answer.mean_mac,
+        "noise_freq_error": float(np.mean(_noise_errors(study))),
         "noise_mac": best.answer.noise_mac,
         "whitened_misfit": best.judgement.misfit,
         "degrees_of_freedom": best.judgement.freedom,
