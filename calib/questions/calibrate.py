@@ -81,7 +81,7 @@ class Calibration:
     def contradictions(self) -> tuple[str, ...]:
         """What withheld data say against it."""
         each = self.modes if self.responses is None else self.responses
-        return () if self.errors is None else contradictions(self.errors, each)
+        return () if self.errors is None else contradictions(self.errors, each, self.best.judgement.assumed)
 
     @property
     def sentences(self) -> tuple[str, ...]:
