@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TypeAlias
 
 import numpy as np
@@ -146,7 +146,7 @@ class CaseFinder:
         """The residual at full order."""
         return RecordedResidual(self.study.problem, self.ledger)
 
-    @property
+    @cached_property
     def known(self) -> tuple[dict[str, float], ...]:
         """Where least squares begins too: where the study says, and where an explanation has fitted the same model."""
         space, given = self.study.search_space, self.study.settings.calibration.begin_at

@@ -1,5 +1,6 @@
 """Where least squares begins beside where a search has ended."""
 
+import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -11,6 +12,7 @@ from calib.questions.calibrate import calibrate
 from calib.questions.case import CaseFinder
 from calib.questions.explained_fit import explained_fit, explained_fits
 from calib.questions.extend import extend
+from calib.questions.record import write_record
 from calib.report.calibration import draw_parameters
 from calib.report.html.answers import Answers
 from calib.report.html.calibrated import section
@@ -169,6 +171,22 @@ def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(gu
             )
             found = calibrate(one, own, ledger, 1, quick=True)
         assert found.best.judgement.criterion <= state.misfit * (1 + 1e-9)
+
+
+def test_the_fit_of_an_explanation_of_another_state_is_no_start(guyed, tmp_path):
+    """Neither for its own study nor for the one that was extended from it."""
+    study, _, told, _ = guyed
+    shutil.copytree(study.file.resolve().parent, tmp_path / "mast")
+    own = Study.load(tmp_path / "mast")
+    results = Results.at(tmp_path / "results", "mast")
+    results.write_table("explained_fits", explained_fits(own, told.findings))
+    write_record(own, results, "explain", {})
+    wider = Study.load(extend(own, ["guy"], tmp_path / "mast_guy").file)
+    beside = Results.at(tmp_path / "results", "mast_guy")
+    assert explained_fit(own, results) and explained_fit(wider, beside)
+    modes = pd.read_csv(tmp_path / "mast" / "modes.csv", comment="#")
+    modes.assign(freq=1.01 * modes["freq"]).to_csv(tmp_path / "mast" / "modes.csv", index=False)
+    assert explained_fit(Study.load(own.file), results) == {} == explained_fit(wider, beside)
 
 
 def test_a_fit_of_another_model_is_no_start(guyed, tmp_path):
