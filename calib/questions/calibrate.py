@@ -63,6 +63,9 @@ class Calibration:
         ``responses.csv``; None where none is withheld.
     notes : tuple of str
         Why evaluations failed, and what a search worked on other than told.
+    retried : int
+        Points asked again since the command began; see `calib.ledger.Ledger`. No part of the answer, which does not
+        depend on it.
     """
 
     cases: tuple[CaseFound, ...]
@@ -76,6 +79,7 @@ class Calibration:
     errors: pd.DataFrame | None = None
     responses: pd.DataFrame | None = None
     notes: tuple[str, ...] = ()
+    retried: int = 0
 
     @property
     def contradictions(self) -> tuple[str, ...]:
@@ -189,7 +193,8 @@ def calibrate(
             results.write_table("responses", responses)
     failed = reasons_sentence(study, *stored_reasons(ledger, fingerprints(study, finder.home)))
     notes = tuple(filter(None, [*finder.notes, failed]))
-    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses, notes)
+    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses, notes,
+                         ledger.retried)  # fmt: skip
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
     summary["contradictions"] = list(answer.contradictions)
     seeds = {**{case.name: case.seed for case in cases}, "reduction": study.settings.reduction.seed}
