@@ -219,6 +219,11 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     for sentence in answer.sentences:
         if sentence not in answer.contradictions:  # told at the end, beside the errors they rest on
             say(sentence)
+    if answer.retried:
+        say(
+            f"Asked again, as by every command: {_count(answer.retried, 'point')} at which a process had died, or "
+            "run out of memory or of time_limit."
+        )
     _print_suspects(best.judgement.suspects)
     say(f"\nAfter calibration (case {best.name}):")
     _print_answer(best.answer)

@@ -99,10 +99,18 @@ class Asked:
 
 
 class Ledger:
-    """The evaluations of one study, made with `Ledger.open`."""
+    """The evaluations of one study, made with `Ledger.open`.
+
+    Attributes
+    ----------
+    path : Path
+    retried : int
+        Points asked again since it was opened, because a process died there, or ran out of memory or time.
+    """
 
     def __init__(self, path: Path, database: sqlite3.Connection):
         self.path = path
+        self.retried = 0
         self._database = database
         self._tried: set[tuple[str, str]] = set()
 
@@ -249,7 +257,9 @@ class Ledger:
         keys = [key_of(values) for values in points]
         known = self.lookup(fingerprint, keys)
         if evaluator.isolated:
-            known = {k: o for k, o in known.items() if not o.transient or (fingerprint, k) in self._tried}
+            again = [k for k, o in known.items() if o.transient and (fingerprint, k) not in self._tried]
+            self.retried += len(again)
+            known = {k: o for k, o in known.items() if k not in again}
         new = {key: values for key, values in zip(keys, points, strict=True) if key not in known}
         if new:
             outcomes = evaluator.evaluate(list(new.values()), lambda outcome: self.append(fingerprint, [outcome]))

@@ -132,6 +132,11 @@ class Study(StudyFile):
     hints: tuple[str, ...] = ()
     responses: MeasuredResponses | None = None
 
+    @property
+    def held_sd(self) -> dict[str, float]:
+        """Standard deviations of the held parameters that are known with a scatter only."""
+        return {name: sd for name, sd in self.adopted_sd.items() if sd > 0}
+
     def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
         """Everything that was measured, as it was read when the study was."""
         return self.whole, self.responses

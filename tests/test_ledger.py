@@ -69,6 +69,19 @@ def test_states_of_the_model_do_not_mix(ledger):
     assert ledger.lookup("two", [key_of({"x": 2.0})]) == {}
 
 
+def test_what_is_asked_again_is_counted_from_the_opening(tmp_path):
+    """A point that killed its process costs its time once a command; a failure of its own never again."""
+    dead, wrong = (Outcome({"x": x}, "failed", {}, why, 0.1) for x, why in ((1.0, WORKER_DIED), (2.0, "no root")))
+    batch = [{"x": x} for x in (1.0, 2.0, 3.0, 1.0)]
+    for command, (asked, retried) in enumerate((([1.0, 2.0, 3.0], 0), ([1.0], 1), ([1.0], 1))):
+        evaluator = Counting(isolated=True, x1=dead, x2=wrong)
+        with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+            for _ in range(2):
+                told = [o.error for o in ledger.evaluate("f", batch, evaluator)]
+                assert told == [WORKER_DIED, "no root", "", WORKER_DIED]
+            assert (evaluator.batches, ledger.retried) == ([asked], retried), command
+
+
 def test_a_known_point_is_never_evaluated_again(ledger):
     evaluator = Counting()
     batch = [{"x": float(k)} for k in (3, 1, 3, 2)]

@@ -57,9 +57,10 @@ def withheld_errors(
     values : mapping
         Fitted values.
     names : sequence of str
-        Fitted parameters, length n_params, whole-number ones left out.
+        Parameters that are known with a scatter only, length n_params: fitted ones, whole-number ones left out, and
+        held ones.
     covariance : ndarray (n_params, n_params)
-        Of the fitted parameters given the used data, in their own units.
+        Of their errors given the used data, in their own units.
     floors, pool
         As in `ModalResidual`.
     scatter_freedom : mapping from str to float, optional

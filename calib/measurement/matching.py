@@ -71,10 +71,7 @@ def match_modes(sources: Sequence[str], freqs: Sequence[np.ndarray], shapes: Seq
     """
     columns: list[dict[int, int]] = [{0: k} for k in range(len(freqs[0]))]
     for r in range(1, len(freqs)):
-        score = np.zeros((len(freqs[r]), len(columns)))
-        for c, members in enumerate(columns):
-            parts = [_scores(freqs[r], shapes[r], freqs[j][k], shapes[j][:, [k]]) for j, k in members.items()]
-            score[:, c] = np.mean(parts, axis=0)
+        score = _mean_scores(columns, freqs, shapes, r)
         score[score < SCORE_LEAST] = 0.0
         rows, cols = linear_sum_assignment(score, maximize=True)
         chosen = {int(i): int(c) for i, c in zip(rows, cols, strict=True) if score[i, c] > 0}
@@ -99,11 +96,25 @@ def match_modes(sources: Sequence[str], freqs: Sequence[np.ndarray], shapes: Seq
     return Matching(index, tuple((r, k, order.index(c), agreement) for r, k, c, agreement in aside))
 
 
-def _scores(freq: np.ndarray, shapes: np.ndarray, other_freq: float, other: np.ndarray) -> np.ndarray:
-    """Scores of the modes of one repeat with one mode of another repeat, (n_modes,)."""
-    closeness = 1.0 - ((freq / other_freq - 1.0) / FREQ_FARTHEST) ** 2
-    agreement = mac(shapes, other)[:, 0]
-    shared = (np.isfinite(shapes) & np.isfinite(other)).sum(axis=0)
+def _mean_scores(
+    columns: Sequence[dict[int, int]], freqs: Sequence[np.ndarray], shapes: Sequence[np.ndarray], repeat: int
+) -> np.ndarray:
+    """Scores of the modes of one repeat with the columns found so far, (n_modes, n_columns)."""
+    known = [(j, k) for members in columns for j, k in members.items()]
+    if not known:
+        return np.zeros((len(freqs[repeat]), 0))
+    # All members at once, those of one column side by side: repeats come by the hundred.
+    others = np.stack([shapes[j][:, k] for j, k in known], axis=1)
+    scores = _scores(freqs[repeat], shapes[repeat], np.array([freqs[j][k] for j, k in known]), others)
+    sizes = np.array([len(members) for members in columns])
+    return np.asarray(np.add.reduceat(scores, np.cumsum(sizes) - sizes, axis=1) / sizes)
+
+
+def _scores(freq: np.ndarray, shapes: np.ndarray, other_freq: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Scores of the modes of one repeat with modes of other repeats, (n_modes, n_others)."""
+    closeness = 1.0 - ((freq[:, None] / other_freq - 1.0) / FREQ_FARTHEST) ** 2
+    agreement = mac(shapes, others)
+    shared = np.isfinite(shapes).astype(float).T @ np.isfinite(others).astype(float)
     agreement = np.where(shared < SENSORS_FEWEST, 1.0, np.where(agreement < MAC_LEAST, 0.0, agreement))
     return np.asarray(np.maximum(closeness, 0.0) * agreement)
 

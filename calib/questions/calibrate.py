@@ -63,6 +63,9 @@ class Calibration:
         ``responses.csv``; None where none is withheld.
     notes : tuple of str
         Why evaluations failed, and what a search worked on other than told.
+    retried : int
+        Points asked again since the command began; see `calib.ledger.Ledger`. No part of the answer, which does not
+        depend on it.
     """
 
     cases: tuple[CaseFound, ...]
@@ -76,12 +79,13 @@ class Calibration:
     errors: pd.DataFrame | None = None
     responses: pd.DataFrame | None = None
     notes: tuple[str, ...] = ()
+    retried: int = 0
 
     @property
     def contradictions(self) -> tuple[str, ...]:
         """What withheld data say against it."""
         each = self.modes if self.responses is None else self.responses
-        return () if self.errors is None else contradictions(self.errors, each)
+        return () if self.errors is None else contradictions(self.errors, each, self.best.judgement.assumed)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -189,7 +193,8 @@ def calibrate(
             results.write_table("responses", responses)
     failed = reasons_sentence(study, *stored_reasons(ledger, fingerprints(study, finder.home)))
     notes = tuple(filter(None, [*finder.notes, failed]))
-    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses, notes)
+    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses, notes,
+                         ledger.retried)  # fmt: skip
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
     summary["contradictions"] = list(answer.contradictions)
     seeds = {**{case.name: case.seed for case in cases}, "reduction": study.settings.reduction.seed}
@@ -226,15 +231,17 @@ def _worsened(case: CaseFound) -> str:
 def _parameters(study: Study, found: Sequence[CaseFound], searched: Sequence[CaseResult]) -> pd.DataFrame:
     """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
 
-    ``spread`` and ``stable`` are those of the genetic searches before any least squares, or of the fits without one.
+    ``spread`` and ``stable`` are those of the genetic searches before any least squares, or of the fits without one;
+    ``search_value`` is told where least squares followed a search.
     """
     space = study.search_space
     table = parameters_table([case.result for case in found], space)
+    table["search_value"] = np.nan
     if searched:
         raw = parameters_table(searched, space)
-        table["spread"], table["stable"], table["search_value"] = raw["spread"], raw["stable"], raw["value"]
-    else:
-        table["search_value"] = np.nan
+        table["spread"], table["stable"] = raw["spread"], raw["stable"]
+        if any(case.judgement.fit is not None for case in found):
+            table["search_value"] = raw["value"]
     each = [case.judgement.verdicts(space, {}).assign(case=case.name) for case in found]
     known = _without_whole(pd.concat(each), space)
     columns = ["case", "parameter", "std", "identified", "scatter"]
@@ -253,11 +260,10 @@ def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
 def expected_misfit(study: Study, answer: Answer) -> float:
     """Misfit that a perfect model would show on average from the measurement's scatter alone; 0 where unknown."""
     settings = study.settings.calibration
+    errors = float(np.nan_to_num(_noise_errors(study)).sum())
     if isinstance(study.problem, FunctionProblem):
-        return float(sum((std or 0.0) / abs(value) for value, std in study.problem.targets.values()) * _MEAN_ABSOLUTE)
-    measured = study.problem.measured
-    relative = np.nan_to_num(known_scatter(measured).freq)
-    total = settings.weight_freq * _MEAN_ABSOLUTE * float(relative.sum())
+        return errors
+    measured, total = study.problem.measured, settings.weight_freq * errors
     if measured.has_shapes and answer.comparison is not None:
         total += settings.weight_mac * float(np.nansum(1.0 - answer.comparison.noise_mac()))
     return total
@@ -265,6 +271,17 @@ def expected_misfit(study: Study, answer: Answer) -> float:
 
 _MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))
 """Mean absolute value of a standard normal variate."""
+
+
+def _noise_errors(study: Study) -> np.ndarray:
+    """Mean relative error of each frequency or plain response that the scatter alone leaves a perfect model.
+
+    It is the scatter that calibration weighs by, accuracy and floors included; NaN where it would be assumed.
+    """
+    if isinstance(study.problem, FunctionProblem):
+        targets = study.problem.targets.values()
+        return _MEAN_ABSOLUTE * np.array([std / abs(value) if std else np.nan for value, std in targets])
+    return _MEAN_ABSOLUTE * known_scatter(study.problem.measured).freq
 
 
 def _summary(
@@ -295,6 +312,7 @@ def _summary(
         "mean_freq_error_after": best.answer.mean_freq_error,
         "mean_mac_before": before.mean_mac,
         "mean_mac_after": best.answer.mean_mac,
+        "noise_freq_error": float(np.mean(_noise_errors(study))),
         "noise_mac": best.answer.noise_mac,
         "whitened_misfit": best.judgement.misfit,
         "degrees_of_freedom": best.judgement.freedom,

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TypeAlias
 
 import numpy as np
@@ -61,6 +61,7 @@ class CaseFound:
     points : DataFrame
         Both criteria where the search and least squares ended, at full order: ``case, point, objective,
         sum_of_squares, prior, total``; ``objective`` is what the search makes small, ``total`` what least squares do.
+        A row for each of the two that ran.
     """
 
     result: CaseResult
@@ -145,7 +146,7 @@ class CaseFinder:
         """The residual at full order."""
         return RecordedResidual(self.study.problem, self.ledger)
 
-    @property
+    @cached_property
     def known(self) -> tuple[dict[str, float], ...]:
         """Where least squares begins too: where the study says, and where an explanation has fitted the same model."""
         space, given = self.study.search_space, self.study.settings.calibration.begin_at
@@ -261,7 +262,8 @@ class CaseFinder:
         if search is not None:
             full = objective(search.responses if plain else responses_at(problem, search.values))
             points.append((final.name, SEARCH, full, *criteria(self.study, self.exact, search.values)))
-        points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))
+        if judgement.fit is not None:
+            points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))
         table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])
         table["total"] = table["sum_of_squares"] + table["prior"]
         return CaseFound(final, search, full, judgement, answer, table)

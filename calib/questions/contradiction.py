@@ -17,7 +17,7 @@ _NAMED = {"withheld_modes": "mode", "withheld_responses": "response"}
 """Groups whose data are told one by one, and the column that names them."""
 
 
-def contradictions(errors: pd.DataFrame, each: pd.DataFrame | None) -> tuple[str, ...]:
+def contradictions(errors: pd.DataFrame, each: pd.DataFrame | None, assumed: str = "") -> tuple[str, ...]:
     """One sentence for every group of withheld data that contradicts a calibrated model.
 
     A group does when ``p < CONTRADICTED``, one in a thousand (`calib.missing.held_out`): p is the chance that the sum
@@ -31,6 +31,8 @@ def contradictions(errors: pd.DataFrame, each: pd.DataFrame | None) -> tuple[str
         ``group, rms, expected, p`` of the calibrated model, rms in units of the scatter.
     each : DataFrame or None
         ``modes.csv`` or ``responses.csv``, which tell what of it is predicted no better than before the calibration.
+    assumed : str
+        Standard deviations that nobody stated and this rests on; see `calib.questions.scatter.assumed_words`.
     """
     out = []
     for row in errors[errors["group"].isin(contradicting(errors.assign(stage="after"), "after"))].to_dict("records"):
@@ -40,6 +42,7 @@ def contradictions(errors: pd.DataFrame, each: pd.DataFrame | None) -> tuple[str
             f"scatter, in a right model by {row['expected']:.2f} (p = {row['p']:.1g}); it is over-fitted "
             "or of the wrong class"
         )
+        words += f"; the scatter behind it is assumed: {assumed}" if assumed else ""
         worse = [] if each is None else _no_better(each, _NAMED.get(group, ""))
         out.append(f"{words}. No better than before the calibration: {', '.join(worse)}." if worse else f"{words}.")
     return tuple(out)

@@ -9,8 +9,9 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.missing.findings import Findings
+from calib.questions.stale import stale_answers
 from calib.results import Results
-from calib.study import Study, study_file
+from calib.study import Study, StudyFile, study_file
 from calib.table import read_rows
 
 TABLE = "explained_fits"
@@ -32,8 +33,8 @@ def explained_fits(study: Study, found: Findings) -> pd.DataFrame:
 def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
     """Values at which an explanation has fitted this study's model; empty without one.
 
-    They are those of the study's own explanation, or of the one of the study that it was extended from. As they are
-    nothing but a start, it does not matter when they come from another state of model or measurement.
+    They are those of the study's own explanation, or of the one of the study that it was extended from. An explanation
+    of another state of its study is none: its answer is shown nowhere, and starts nothing.
 
     Parameters
     ----------
@@ -41,15 +42,16 @@ def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
     home : Results
         Of the whole study; answers of the other study are in the folder beside it.
     """
-    folders = [home.path]
+    asked = [(study.file, home.path)]
     came_from = study.settings.extended_from
     if came_from is not None:
-        parent = study_file(study.file.resolve().parent / came_from).parent
-        folders.append(home.path.parent / Path(parent).name)
+        parent = study_file(study.file.resolve().parent / came_from)
+        asked.append((parent, home.path.parent / parent.parent.name))
     space, effects = study.search_space, _key(*study.settings.with_effects)
-    for folder in folders:
+    for file, folder in asked:
         found = {}
-        for name, value in _read(folder / f"{TABLE}.csv", effects):
+        rows = _read(folder / f"{TABLE}.csv", effects)
+        for name, value in rows if rows and _present(file, folder) else ():
             if name in space.free_names:
                 p = space[name]
                 inside = min(max(value, p.lower), p.upper)
@@ -57,6 +59,14 @@ def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
         if found:
             return found
     return {}
+
+
+def _present(file: Path, folder: Path) -> bool:
+    """Whether an explanation is of its study as that is now; it is not where the study cannot be read any more."""
+    try:
+        return "explain" not in stale_answers(StudyFile.read(file), Results(folder)).sentences
+    except InputError:
+        return False
 
 
 def _key(*names: str) -> str:

@@ -118,7 +118,7 @@ class Judgement:
     birge : float
         Factor on the scatter with which the worst kind of data would be as a right model has it, where the model does
         not fit (see `calib.missing.goodness.misfit_factor`), else 1; standard deviations, shares and predictions hold
-        for the scatter so scaled.
+        for the scatter so scaled, what the data see of combined changes for the scatter as stated.
     identification : Identification
     profiles : mapping from str to (numbers, misfits)
         Lowest misfit of each whole number that was tried; empty without fits.
@@ -243,7 +243,7 @@ def _judged(
         vector, slope = fit.residual, fit.jacobian
     else:
         vector, slope = residual.residual(values), residual.jacobian(values, names)
-    taken = {name: sd for name, sd in study.adopted_sd.items() if sd > 0}
+    taken = study.held_sd
     held = residual.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
     prior_sd, factors = np.array([space[n].prior_width for n in names]), residual.fitted_factors
     misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
@@ -255,7 +255,7 @@ def _judged(
         name: whole_number_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
         for name, (numbers, misfits) in profiles.items()
     }
-    identification = identify(space, names, slope / birge, values=values, held=None if held is None else held / birge)
+    identification = identify(space, names, slope, values=values, held=held, birge=birge)
     predictions = residual.predictions(values, names, identification.posterior.covariance)
     suspected = pd.DataFrame(columns=list(SUSPECT_COLUMNS))
     if fit is not None and fit.converged:

@@ -93,7 +93,7 @@ class ModalSide:
             )
             table = modal_errors(
                 fitted, everything, state.values, state.names, state.prior_sd, hypotheses.floors,
-                hypotheses.scatter_freedom, scale,
+                hypotheses.scatter_freedom, scale, self.study.held_sd,
             )  # fmt: skip
             parts.append(table.assign(stage=stage))
             full = ModalResidual(fitted, hypotheses.floors).residual(state.values) / scale

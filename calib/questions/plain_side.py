@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,8 +66,12 @@ class PlainSide:
         parts = []
         for stage, trial in stages.items():
             s = trial.state
-            withheld = {group: self._unseen(own, trial, scale) for group, own in withheld_targets(self.study).items()}
-            table = plain_errors(s.residual, -s.slope, s.names, s.prior_sd, labels, withheld, scatter)
+            groups = withheld_targets(self.study).items()
+            withheld = {group: self._whitened(own, trial, s.names, scale) for group, own in groups}
+            slope = -s.slope
+            if withheld and self.study.held_sd:  # no unknowns of the fit: their columns are not in its slope
+                slope = np.hstack([slope, self._whitened(self.study.targets, trial, (), scale)[1]])
+            table = plain_errors(s.residual, slope, s.names, s.prior_sd, labels, withheld, scatter)
             parts.append(table.assign(stage=stage))
         failures = self.hypotheses.failures
         notes = []
@@ -75,12 +80,15 @@ class PlainSide:
             notes = [f"{points}; the first{_with(failures[0])}: {failures[0].error}."]
         return pd.concat(parts, ignore_index=True), notes, {"failed": len(failures)}
 
-    def _unseen(self, targets: Targets, trial: Trial, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    def _whitened(
+        self, targets: Targets, trial: Trial, names: Sequence[str], scale: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `calib.questions.verify.whitened`; of the model with the trial's effects."""
         base, problem = self.study.model, self.study.problem
         assert isinstance(base, FunctionModel) and isinstance(problem, FunctionProblem)
         model = extend_function(replace(base, space=self.study.search_space), trial.effects)
         problem = replace(problem, space=model.space, function=model.function)
-        residual, jacobian = whitened(problem, targets, trial.state.values, trial.state.names)
+        residual, jacobian = whitened(problem, targets, trial.state.values, names, self.study.held_sd)
         return residual / scale, jacobian / scale
 
     def failing(self) -> set[str]:

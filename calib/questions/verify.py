@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,9 @@ from calib.missing.left_out import left_out
 from calib.questions.compare import responses_at
 from calib.study import Study, Targets
 from calib.updating.differences import DifferencedResponses
-from calib.updating.identify import posterior
+from calib.updating.identify import posterior, with_held
+
+_NONE: Mapping[str, float] = MappingProxyType({})
 
 ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
 
@@ -32,10 +35,12 @@ def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
     problem = study.problem
     if isinstance(problem, ModalProblem):
         freedom = ModalResidual(problem).scatter_freedom
-        return modal_errors(problem, study.whole_problem(), values, names, prior_sd, Floors(), freedom)
+        whole = study.whole_problem()
+        return modal_errors(problem, whole, values, names, prior_sd, Floors(), freedom, held_sd=study.held_sd)
     problem = replace(problem, space=study.search_space)
-    withheld = {group: whitened(problem, own, values, names) for group, own in withheld_targets(study).items()}
-    e, g = whitened(problem, problem.targets, values, names)
+    groups = withheld_targets(study).items()
+    withheld = {group: whitened(problem, own, values, names, study.held_sd) for group, own in groups}
+    e, g = whitened(problem, problem.targets, values, names, study.held_sd)
     return plain_errors(e, g, names, prior_sd, list(problem.targets), withheld, plain_scatter(problem))
 
 
@@ -45,14 +50,22 @@ def withheld_targets(study: Study) -> dict[str, Targets]:
 
 
 def whitened(
-    problem: FunctionProblem, targets: Targets, values: Mapping[str, float], names: Sequence[str]
+    problem: FunctionProblem,
+    targets: Targets,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    held_sd: Mapping[str, float] = _NONE,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened residual (n_targets,) of a function on some targets, and its derivative (n_targets, n_params)."""
+    """Whitened residual (n_targets,) of a function on some targets, and its derivative (n_targets, n_params + n_held).
+
+    The last columns are its changes by one standard deviation of each held parameter.
+    """
     if not targets:
-        return np.zeros(0), np.zeros((0, len(names)))
+        return np.zeros(0), np.zeros((0, len(names) + len(held_sd)))
     # The function may be the user's own: it is asked as everywhere else, whatever it does to its surroundings.
     asked = DifferencedResponses(partial(responses_at, replace(problem, targets=targets)), targets, problem.space)
-    return asked.residual(values), asked.jacobian(values, names)
+    unit = np.array([*np.ones(len(names)), *held_sd.values()])
+    return asked.residual(values), asked.jacobian(values, (*names, *held_sd)) * unit
 
 
 def plain_scatter(problem: FunctionProblem) -> float:
@@ -71,6 +84,7 @@ def modal_errors(
     floors: Floors,
     scatter_freedom: Mapping[str, float],
     scale: float = 1.0,
+    held_sd: Mapping[str, float] = _NONE,
 ) -> pd.DataFrame:
     """Errors of a fitted modal model by group of data, rms in units of the scatter.
 
@@ -90,6 +104,8 @@ def modal_errors(
         By kind of response; infinite where the scatter is known.
     scale : float
         Factor on the scatter.
+    held_sd : mapping from parameter name to float
+        Standard deviations of held parameters that are known with a scatter only; withheld data err by them too.
 
     Returns
     -------
@@ -110,8 +126,13 @@ def modal_errors(
     if whole is not None and (whole.measured.n_modes, len(whole.measured.sensors)) != (
         fitted.measured.n_modes, len(fitted.measured.sensors),
     ):  # fmt: skip
-        covariance = known.covariance / scale**2
-        withheld = withheld_errors(fitted, whole, values, names, covariance, floors, finite or None)
+        held = None
+        if held_sd:
+            held = residual.slope_of(found, tuple(held_sd), residual.derivatives(found, tuple(held_sd)))
+            held = held * list(held_sd.values()) / scale
+        unit = np.array([*np.ones(len(names)), *held_sd.values()])
+        covariance = with_held(known, jacobian, held) * np.outer(unit, unit) / scale**2
+        withheld = withheld_errors(fitted, whole, values, (*names, *held_sd), covariance, floors, finite or None)
         if scale != 1.0:
             withheld = _scaled(withheld, scale)
     freedom = effective_freedom(jacobian, prior_sd, residual.n_fitted_factors)
@@ -150,18 +171,19 @@ def plain_errors(
     ----------
     residual : ndarray (n_rows,)
         Whitened, of the responses that were used.
-    jacobian : ndarray (n_rows, n_params)
-        Its derivative.
+    jacobian : ndarray (n_rows, n_params + n_held)
+        Its derivative, and its changes by one standard deviation of each held parameter.
     names : sequence of str
     prior_sd : ndarray (n_params,)
     labels : sequence of str, length n_rows
         Names of the responses.
     withheld : mapping from group to (residual, jacobian)
-        Whitened residuals of withheld responses with their derivatives; empty groups are left out.
+        Whitened residuals of withheld responses with derivatives of the same columns; empty groups are left out.
     scatter : float
         Degrees of freedom behind the standard deviations; see `plain_scatter`.
     """
-    known = posterior(names, jacobian, prior_sd)
+    jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
+    known = with_held(posterior(names, jacobian, prior_sd), jacobian, held)
     predicted = left_out(residual, -jacobian, prior_sd, list(labels))
     freedom = effective_freedom(jacobian, prior_sd)
     p, p_left_out = float(chance(residual @ residual, freedom, scatter)), predicted.p({}, scatter)
@@ -171,7 +193,7 @@ def plain_errors(
     ]
     for group, (e, g) in withheld.items():
         if len(e):
-            covariance = np.eye(len(e)) + g @ known.covariance @ g.T
+            covariance = np.eye(len(e)) + g @ known @ g.T
             chi2 = float(e @ np.linalg.solve(covariance, e))
             expected = float(np.sqrt(np.trace(covariance) / len(e)))
             rows.append((group, len(e), _rms(e), expected, float(chance(chi2, len(e), scatter)), 0))

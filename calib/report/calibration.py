@@ -109,7 +109,7 @@ def searched(table: pd.DataFrame) -> pd.Series[float]:
 
 
 def final_places(table: pd.DataFrame, best_case: str | None) -> pd.DataFrame | None:
-    """Where the reported case ended after least squares; None where no search came before, which would be told apart.
+    """Where the reported case ended after least squares; None where these did not follow a search.
 
     Returns
     -------

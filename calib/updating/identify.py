@@ -113,6 +113,31 @@ def posterior(
     return Posterior(tuple(names), covariance, std, correlation, np.clip(share, 0.0, 1.0))
 
 
+def with_held(known: Posterior, jacobian: np.ndarray, held: np.ndarray | None) -> np.ndarray:
+    """Covariance of the estimates together with held parameters that are known with a scatter only.
+
+    What predicts other data errs by both, and they are correlated: ``[[V + B B^T, B], [B^T, I]]`` with the shift B of
+    `posterior`.
+
+    Parameters
+    ----------
+    known : Posterior
+        Of the same residual, nothing held.
+    jacobian : ndarray (n_rows, n_params)
+    held : ndarray (n_rows, n_held) or None
+        Change of the whitened residual by one standard deviation of each held parameter.
+
+    Returns
+    -------
+    ndarray (n_params + n_held, n_params + n_held)
+        In the parameters' own units; held ones in their standard deviations.
+    """
+    if held is None or not held.shape[1]:
+        return known.covariance
+    shift = -known.covariance @ (jacobian.T @ held)
+    return np.block([[known.covariance + shift @ shift.T, shift], [shift.T, np.eye(held.shape[1])]])
+
+
 @dataclass(frozen=True, eq=False)
 class Identification:
     """What can be told about the parameters.
@@ -128,10 +153,10 @@ class Identification:
     directions : DataFrame
         ``direction, signal, data_share, seen, parameters, words``; orthogonal combinations of parameters in units of
         their prior standard deviations, least visible first. ``signal`` is the change of the whitened residual by one
-        such unit.
+        such unit, over the scatter as stated: a model that does not fit makes no change harder to see.
     common_scale : float
-        Signal of all parameters together by 10 % of their values, over the scatter; NaN without values. Near 0, the
-        data see ratios only, such as those of stiffnesses to masses.
+        Signal of all parameters together by 10 % of their values, over the scatter as stated; NaN without values or
+        with fewer than two parameters. Near 0, the data see ratios only, such as those of stiffnesses to masses.
     """
 
     posterior: Posterior
@@ -165,7 +190,7 @@ class Identification:
         table = self.parameters
         out = self.confounded["words"].tolist()
         out += self.directions.loc[~self.directions["seen"], "words"].tolist()
-        if self.common_scale < SEEN:
+        if self.common_scale < SEEN:  # NaN where nothing is common
             out.append(
                 f"{', '.join(table['parameter'])} can all grow by the same factor without the data noticing: they see "
                 "ratios only. A known mass or stiffness would settle it."
@@ -206,6 +231,7 @@ def identify(
     values: Mapping[str, float] | None = None,
     threshold: float = CONFOUNDED,
     held: np.ndarray | None = None,
+    birge: float = 1.0,
 ) -> Identification:
     """Tell which parameters the data determine, and which they cannot tell apart.
 
@@ -217,8 +243,7 @@ def identify(
         Parameters of the columns, whole numbers left out: a derivative says nothing about them (see
         `whole_number_std`).
     jacobian : ndarray (n_rows, n_params)
-        Of the whitened residual at the optimum, per one of each parameter's own unit; of one whose scatter is scaled
-        by the misfit where the model does not fit (Birge 1932).
+        Of the whitened residual at the optimum, per one of each parameter's own unit, for the scatter as stated.
     prior_sd : ndarray (n_params,), optional
         Default the prior widths of the space; infinite without a prior.
     values : mapping, optional
@@ -227,10 +252,14 @@ def identify(
         Size of the correlation of a confounded pair.
     held : ndarray (n_rows, n_held), optional
         What one standard deviation of each held parameter does to the residual; see `posterior`.
+    birge : float
+        Factor on the scatter for which the posterior holds, above 1 where the model does not fit (Birge 1932). What
+        the data see of directions and of the common scale is told for the scatter as stated.
     """
     chosen = tuple(names)
     s = np.array([space[n].prior_width for n in chosen]) if prior_sd is None else np.asarray(prior_sd, dtype=float)
-    found = posterior(chosen, jacobian, s, held)
+    g = np.atleast_2d(np.asarray(jacobian, dtype=float))
+    found = posterior(chosen, g / birge, s, None if held is None else held / birge)
     span = np.array([space[n].upper - space[n].lower for n in chosen])
     relative = found.std / span
     told = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)
@@ -247,10 +276,10 @@ def identify(
         }
     )
     reach = np.where(np.isfinite(s), s, span / math.sqrt(12.0))
-    directions = _directions(chosen, np.atleast_2d(jacobian) * reach)
+    directions = _directions(chosen, g * reach)
     scale = math.nan
-    if values is not None:
-        scale = float(np.linalg.norm(np.atleast_2d(jacobian) @ (0.1 * np.array([values[n] for n in chosen]))))
+    if values is not None and len(chosen) > 1:
+        scale = float(np.linalg.norm(g @ (0.1 * np.array([values[n] for n in chosen]))))
     return Identification(found, parameters, _confounded(found, identified, threshold), directions, scale)
 
 

@@ -3,6 +3,7 @@ import pytest
 
 from calib.errors import InputError
 from calib.mac import mac
+from calib.measurement import matching
 from calib.measurement.matching import match_modes
 from calib.measurement.modal import Sensor
 from calib.measurement.read import read_measurement
@@ -42,6 +43,17 @@ def test_every_column_is_one_mode(seed):
     assert all(len(modes) == 1 for modes in truth)
     assert len(truth) == len(set().union(*(set(m) for _, _, m in repeats)))
     assert index[0, : len(repeats[0][0])].tolist() == list(range(len(repeats[0][0])))
+
+
+def test_many_repeats_are_scored_a_repeat_at_a_time(monkeypatch):
+    """One product of shapes a repeat, however many modes were found: no loop over pairs of modes."""
+    rng, asked = np.random.default_rng(5), []
+    repeats = [given(rng, range(len(FREQ)), rng.permutation(len(FREQ))) for _ in range(40)]
+    monkeypatch.setattr(matching, "mac", lambda x, y: asked.append(y.shape[1]) or mac(x, y))
+    index = match(repeats).index
+    assert asked == [len(FREQ) * k for k in range(1, 40)]
+    truth = [{modes[place] for (_, _, modes), place in zip(repeats, column, strict=True)} for column in index.T]
+    assert sorted(map(sorted, truth)) == [[mode] for mode in range(len(FREQ))]
 
 
 def test_one_mode_missing_and_another_at_the_end(tmp_path):

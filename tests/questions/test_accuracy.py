@@ -16,6 +16,9 @@ from calib.questions.calibrate import calibrate
 from calib.questions.compare import compare
 from calib.questions.explain import explain
 from calib.questions.scatter import assumed_scatter
+from calib.report.html.answers import Answers
+from calib.report.html.numbers import percent
+from calib.report.html.summary import summary
 from calib.results import Results
 from calib.study import Study
 
@@ -35,6 +38,12 @@ def calibrated(study, tmp_path):
     results = Results.at(tmp_path / "results", study.name)
     with Ledger.open(results.path / "ledger.sqlite") as ledger:
         return calibrate(study, results, ledger, 1), results.path
+
+
+def noise_told(folder):
+    """What the box at the top of the page says of frequency errors."""
+    (told,) = [number for what, number in summary(Answers(folder, "Mast", True)).facts if "frequency error" in what]
+    return told
 
 
 # -- what is claimed ---------------------------------------------------------------------------------------------------
@@ -104,6 +113,10 @@ def test_compare_calibrate_and_explain_weigh_by_the_same_standard_deviation(mast
         assert table["frequency", mode] == pytest.approx(size / np.hypot(0.1, 0.002), rel=1e-3)
     record = json.loads((results.path / "record.json").read_text())
     assert "10 %" in record["accuracy"] and record["scatter_assumed"] == ""
+    weighed = pd.read_csv(results.path / "measured.csv").eval("freq_std_used / natural_freq")
+    noise = json.loads((results.path / "summary.json").read_text())["noise_freq_error"]
+    assert noise == pytest.approx(weighed.mean() * math.sqrt(2 / math.pi), rel=1e-6) and noise > 0.07
+    assert f"(noise allows {percent(noise)} %)" in noise_told(results.path)
 
 
 def test_what_is_assumed_stands_wherever_it_is_used(mast, tmp_path):
@@ -118,6 +131,8 @@ def test_what_is_assumed_stands_wherever_it_is_used(mast, tmp_path):
     items = set(pd.read_csv(folder / "assumptions.csv")["item"])
     assert {a.item for a in assumed_scatter(study)} <= items
     assert json.loads((folder / "summary.json").read_text())["scatter_assumed"] == answer.best.judgement.assumed
+    assert json.loads((folder / "summary.json").read_text())["noise_freq_error"] is None
+    assert "noise allows" not in noise_told(folder)
     measured = pd.read_csv(folder / "measured.csv")
     assert measured["freq_std"].isna().all()
     np.testing.assert_allclose(measured["freq_std_used"], ModalResidual(study.problem).scatter.freq

@@ -1,5 +1,6 @@
 """Where least squares begins beside where a search has ended."""
 
+import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -11,6 +12,11 @@ from calib.questions.calibrate import calibrate
 from calib.questions.case import CaseFinder
 from calib.questions.explained_fit import explained_fit, explained_fits
 from calib.questions.extend import extend
+from calib.questions.record import write_record
+from calib.report.calibration import draw_parameters
+from calib.report.html.answers import Answers
+from calib.report.html.calibrated import section
+from calib.report.html.page import Plot, Table, Words
 from calib.results import Results
 from calib.study import Study
 
@@ -107,6 +113,26 @@ def test_both_points_stand_side_by_side_where_least_squares_serve_another_aim(st
     assert found.best.worsened and sum(found.best.name in s and "raised the misfit" in s for s in found.sentences) == 1
 
 
+def test_least_squares_that_did_not_run_are_told_nowhere(study, tmp_path):
+    """The search's values are reported as they are: one point a case, one state in the figures and on the page."""
+    loaded = study("population = 6\ngenerations = 3\npolish = false")
+    found = answer(loaded, tmp_path, "genetic")
+    folder = tmp_path / "results" / loaded.name
+    assert found.best.judgement.fit is None and not found.best.worsened
+    assert pd.read_csv(folder / "points.csv")["point"].tolist() == ["search"]
+    table = pd.read_csv(folder / "parameters.csv")
+    assert table["value"].item() == pytest.approx(found.best.search.values["a"], rel=1e-9)
+    assert table["search_value"].isna().all()
+    ax = draw_parameters(table, best_case="A")
+    assert not [line for line in ax.lines if line.get_gid() == "final"]
+    blocks = section(Answers(folder, "Two valleys", True)).blocks
+    (plot,) = [block for block in blocks if isinstance(block, Plot) and block.name == "parameters"]
+    assert len(plot.figure.data) == 1
+    assert not [block for block in blocks if isinstance(block, Table) and "Both criteria" in block.caption]
+    told = [block.text for block in blocks if isinstance(block, Words)]
+    assert told and not [words for words in told if "least squares" in words]
+
+
 def test_least_squares_begin_at_the_adopted_values_too(study, tmp_path):
     """A search of two generations ends near the first valley; the adopted values are near the second."""
     study("population = 4\ngenerations = 2")
@@ -145,6 +171,22 @@ def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(gu
             )
             found = calibrate(one, own, ledger, 1, quick=True)
         assert found.best.judgement.criterion <= state.misfit * (1 + 1e-9)
+
+
+def test_the_fit_of_an_explanation_of_another_state_is_no_start(guyed, tmp_path):
+    """Neither for its own study nor for the one that was extended from it."""
+    study, _, told, _ = guyed
+    shutil.copytree(study.file.resolve().parent, tmp_path / "mast")
+    own = Study.load(tmp_path / "mast")
+    results = Results.at(tmp_path / "results", "mast")
+    results.write_table("explained_fits", explained_fits(own, told.findings))
+    write_record(own, results, "explain", {})
+    wider = Study.load(extend(own, ["guy"], tmp_path / "mast_guy").file)
+    beside = Results.at(tmp_path / "results", "mast_guy")
+    assert explained_fit(own, results) and explained_fit(wider, beside)
+    modes = pd.read_csv(tmp_path / "mast" / "modes.csv", comment="#")
+    modes.assign(freq=1.01 * modes["freq"]).to_csv(tmp_path / "mast" / "modes.csv", index=False)
+    assert explained_fit(Study.load(own.file), results) == {} == explained_fit(wider, beside)
 
 
 def test_a_fit_of_another_model_is_no_start(guyed, tmp_path):

@@ -106,6 +106,15 @@ def test_the_rule_is_a_chance_and_names_what_is_no_better():
     assert contradictions(table.assign(p=0.0011), modes) == ()
 
 
+def test_a_contradiction_tells_that_its_scatter_is_assumed(tmp_path):
+    folder = line(tmp_path / "bent", 3.0)
+    rows = pd.read_csv(folder / "data.csv").drop(columns="std")
+    rows.to_csv(folder / "data.csv", index=False)
+    *_, answer = calibrated(folder)
+    assert answer.best.judgement.assumed
+    assert [answer.best.judgement.assumed in words for words in answer.contradictions] == [True]
+
+
 @pytest.mark.parametrize("key", ["modes", "sensors"])
 def test_plain_responses_are_withheld_by_their_own_key(tmp_path, key):
     folder = line(tmp_path / "line", 0.0)

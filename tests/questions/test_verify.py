@@ -252,6 +252,52 @@ def test_withheld_responses_are_judged_with_what_the_parameters_leave_open(linea
         assert table.loc[group, "p"] == pytest.approx(stats.chi2.sf(e @ np.linalg.solve(c, e), len(e)))
 
 
+def test_held_parameters_known_with_a_scatter_move_withheld_responses_too():
+    """Drawn anew each time, but held at their expectation: errors scatter by the covariance that p is of."""
+    rng = np.random.default_rng(6)
+    a, h, s = rng.standard_normal((8, 2)), 3.0 * rng.standard_normal((8, 2)), np.array([2.0, 1.0])
+    used, unseen = slice(0, 5), slice(5, 8)
+    v = np.linalg.inv(a[used].T @ a[used] + np.diag(1 / s**2))
+    truth, drawn = s * rng.standard_normal((4000, 2)), rng.standard_normal((4000, 2))
+    y = truth @ a.T + drawn @ h.T + rng.standard_normal((4000, 8))
+    e = y[:, unseen] - y[:, used] @ (a[unseen] @ v @ a[used].T).T
+    g = -np.hstack([a, h])
+    labels = [f"r{k}" for k in range(5)]
+
+    def told(error, jacobian=g):
+        own = {"withheld_responses": (error, jacobian[unseen])}
+        table = plain_errors(np.zeros(5), jacobian[used], ("a", "b"), s, labels, own)
+        return table.set_index("group").loc["withheld_responses"]
+
+    assert told(e[0])["expected"] == pytest.approx(math.sqrt(np.mean(e**2)), rel=0.03)
+    p = np.array([told(error)["p"] for error in e[:400]])
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+    ignored = np.array([told(error, g[:, :2])["p"] for error in e[:400]])
+    assert np.mean(ignored < 1e-3) > 0.1  # of right models, each of which would stand accused
+
+
+def test_a_mode_that_a_held_parameter_governs_does_not_contradict(study, state):
+    """One that the search fits otherwise is held off its true value, within a standard deviation of that size."""
+    name = state.names[0]
+    sd = 0.5 * abs(state.values[name])
+    values = {**state.values, name: state.values[name] + sd}
+    others = state.names[1:]
+
+    def table(held_sd):
+        return modal_errors(
+            study.problem, study.whole_problem(), values, others, state.prior_sd[1:], PLAIN, KNOWN, held_sd=held_sd
+        ).set_index("group")
+
+    bare, wide = table({}), table({name: sd})
+    groups = ["withheld_sensors", "withheld_modes"]
+    assert (wide.loc[groups, "p"] > bare.loc[groups, "p"]).all() and bare.loc["withheld_modes", "p"] < 1e-3
+    assert (wide.loc[groups, "expected"] > bare.loc[groups, "expected"]).all()
+    np.testing.assert_allclose(wide.loc[groups, "rms"], bare.loc[groups, "rms"])
+    own = replace(study, search_space=study.search_space.keep(others), adopted_sd={name: sd})
+    np.testing.assert_allclose(errors_at(own, values).set_index("group").loc[groups, "expected"],
+                               wide.loc[groups, "expected"])  # fmt: skip
+
+
 def test_as_many_unknowns_as_data_say_nothing_about_the_fit():
     rng = np.random.default_rng(5)
     a = rng.standard_normal((3, 3))

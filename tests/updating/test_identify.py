@@ -176,6 +176,30 @@ def test_any_chain_has_a_common_scale_until_one_mass_is_known():
     assert not any("by the same factor" in s for s in found.sentences())
 
 
+def test_a_bad_fit_hides_nothing_from_the_data():
+    """A misfit of 1e4 times the scatter makes parameters less certain; what the data see stays what they see."""
+    names = ("k1", "k2", "k3")
+    space = chain_space(names)
+    targets = {n: (f, 1e-3 * f) for n, f in chain_freq({}).items()}
+    g = DifferencedResponses(chain_freq, targets, space).jacobian({}, names)
+    held = g[:, :1] * 0.01 * K[0]
+    good = identify(space, names, g, values=space.values, held=held)
+    bad = identify(space, names, g, values=space.values, held=held, birge=1e4)
+    assert good.common_scale == bad.common_scale > 10 and bad.directions["seen"].all()
+    np.testing.assert_array_equal(good.directions["signal"], bad.directions["signal"])
+    assert not [s for s in bad.sentences() if s not in bad.confounded["words"].tolist()]
+    wider = posterior(names, g / 1e4, np.array([p.prior_sd for p in space.parameters]), held / 1e4)
+    np.testing.assert_allclose(bad.posterior.std, wider.std)
+    assert not bad.parameters["identified"].any()
+
+
+def test_one_parameter_alone_has_no_common_factor():
+    space = box("a", prior_sd=3.0)
+    found = identify(space, space.names, np.array([[1e-3]]), values={"a": 5.0})
+    assert np.isnan(found.common_scale)
+    assert found.sentences() == tuple(found.directions["words"])  # told once, as a direction
+
+
 # -- coverage ----------------------------------------------------------------------------------------------------------
 
 

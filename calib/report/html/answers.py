@@ -26,7 +26,8 @@ _FIGURES = {
     name: float
     for name in (
         *("misfit", "search_misfit", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before"),
-        *("mean_mac_after", "noise_mac", "seconds", "evaluations", "solved", "infeasible", "failed"),
+        *("mean_mac_after", "noise_freq_error", "noise_mac", "seconds", "evaluations", "solved", "infeasible"),
+        "failed",
     )
 }
 SUMMARY = {"best_case": str, "method": str, **_FIGURES, "cases": {ANY: _FIGURES}}

@@ -46,7 +46,7 @@ def section(answers: Answers) -> Section | None:
     best = str(answers.summary.get("best_case", table["case"].iloc[0]))
     cases = len(set(table["case"]))
     blocks: list[Block] = [
-        Words(f"{counted(cases, 'case')} by {_method(answers)}; the values of case {best} are reported."),
+        Words(f"{counted(cases, 'case')} by {_method(answers, table)}; the values of case {best} are reported."),
         *_cases(answers),
         *_points(answers),
         *(Words(words, "told") for words in answers.sentences("calibrate")),
@@ -60,9 +60,11 @@ def section(answers: Answers) -> Section | None:
     return Section("calibrated", "Cases and verdicts", tuple(blocks))
 
 
-def _method(answers: Answers) -> str:
-    genetic = answers.summary.get("method") == "genetic"
-    return "a genetic algorithm, then least squares" if genetic else "least squares from several starting points"
+def _method(answers: Answers, parameters: pd.DataFrame) -> str:
+    if answers.summary.get("method") != "genetic":
+        return "least squares from several starting points"
+    fitted = parameters["search_value"].notna().any()  # told where least squares followed
+    return "a genetic algorithm, then least squares" if fitted else "a genetic algorithm alone"
 
 
 def _cases(answers: Answers) -> list[Block]:

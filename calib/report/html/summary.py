@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
 
 from calib.report.html.answers import STAGES, Answers
@@ -125,8 +124,8 @@ def _calibrated(answers: Answers) -> list[tuple[str, str]]:
     added = answers.added if answers.added_names else {}
     errors += [added["mean_freq_error"]] if added else []
     more = f", with {' + '.join(answers.added_names)}" if added else ""
-    floor = _noise_of_errors(answers)
-    allowed = "" if pd.isna(floor) else f" (noise allows {percent(floor)} %)"
+    floor = told.get("noise_freq_error")
+    allowed = "" if floor is None else f" (noise allows {percent(floor)} %)"
     out = [(f"{label}, calibrated{more}", " → ".join(f"{percent(error)} %" for error in errors) + allowed)]
     if told.get("mean_mac_after") is not None:
         noise = "" if told.get("noise_mac") is None else f" (noise allows {fixed(told['noise_mac'], 3)})"
@@ -137,16 +136,6 @@ def _calibrated(answers: Answers) -> list[tuple[str, str]]:
         judged = verdicts["identified"].dropna()  # as the sentences count
         out.append(("parameters identified", f"{sum(map(flag, judged))} of {len(judged)}"))
     return out
-
-
-def _noise_of_errors(answers: Answers) -> float:
-    """Mean relative error of frequencies, or of plain responses, that noise alone would leave; NaN where unknown."""
-    value, std = ("value", "std") if answers.plain else ("natural_freq", "freq_std")
-    table = answers.table("measured", [], [value, std], flags=["withheld"])
-    if table is None:
-        return float("nan")
-    used = table[~table["withheld"].map(flag)]
-    return float((used[std] / used[value].abs()).mean(skipna=False) * np.sqrt(2 / np.pi))
 
 
 def _explained(answers: Answers) -> list[tuple[str, str]]:
