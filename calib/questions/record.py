@@ -89,7 +89,7 @@ def write_record(
         "accuracy": accuracy_words(study),
         "scatter_assumed": assumed_words(study),
         "notes": [*study.measurement_notes, *(note.removesuffix(".") for note in scatter_notes(study))],
-        "questions": {**{q: told for q, told in questions_of(results).items() if q != question}, question: asked},
+        "questions": {**_earlier(results, question), question: asked},
     }
     results.write_json("record", record)
 
@@ -169,6 +169,12 @@ def questions_of(results: Results) -> dict[str, dict[str, Any]]:
     except InputError:
         return {}
     return dict(record.get("questions", {}))
+
+
+def _earlier(results: Results, question: str) -> dict[str, dict[str, Any]]:
+    """Other questions of the folder's record; what was added ends with the answers it rests on."""
+    gone = {question} if results.has("added.json") else {question, "extend"}
+    return {name: told for name, told in questions_of(results).items() if name not in gone}
 
 
 _ASKED = {"quick": bool, "made_from": {"files": {ANY: str}, "stated": {ANY: str}, "selected": [str]}}
