@@ -285,6 +285,8 @@ def tell_extension(extension: Extension) -> None:
         say(f"Its model has {names} too; the study leaves the selection to 'calib sensitivity'.")
     for before, after in extension.moved:
         say(f"Not copied, still read from where it is: {before}, from there {after}.")
+    if extension.aside is not None:
+        say(f"The study that was there had been changed, and is kept as {extension.aside}, without its answers.")
 
 
 def tell_added(answer: Added, extension: Extension, folder: Results) -> None:
