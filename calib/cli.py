@@ -328,7 +328,7 @@ def _add(
     console.head(study, "extend")
     named = addition.to_add(found)
     if named is None:
-        console.say(addition.write_nothing_added(found, folder).sentence)
+        console.say(addition.write_nothing_added(study, found, folder, quick).sentence)
         return None
     begin_at = {n: v for n, v in named.state.values.items() if n in named.state.question.space.free_names}
     written = extension.extend_among(study, named.names, folder.path, begin_at)

@@ -19,7 +19,7 @@ from calib import __version__
 from calib.errors import InputError
 from calib.missing.findings import Findings
 from calib.missing.verdict import rounded
-from calib.questions.added import WORDS, Added, by_group
+from calib.questions.added import WORDS, Added, by_group, to_add
 from calib.questions.calibrate import Calibration
 from calib.questions.compare import Answer
 from calib.questions.explain import Explanation
@@ -290,6 +290,8 @@ def tell_extension(extension: Extension) -> None:
         say(f"Its model has {names} too; the study leaves the selection to 'calib sensitivity'.")
     for before, after in extension.moved:
         say(f"Not copied, still read from where it is: {before}, from there {after}.")
+    if extension.aside is not None:
+        say(f"The study that was there had been changed, and is kept as {extension.aside}, without its answers.")
 
 
 def tell_added(answer: Added, extension: Extension, folder: Results) -> None:
@@ -358,11 +360,10 @@ def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None
 
 
 def tell_what_to_add(study: Study, found: Findings) -> None:
-    """The command that adds what was named."""
-    if found.names_something and found.chosen is not None:
-        names = found.chosen.names if found.verdict == "two_effects" else found.credible[:1]
-        them = "them" if len(names) > 1 else "it"
-        say(f"Add {them} with: calib extend {shell_argument(study.file)} {' '.join(names)} --into FOLDER")
+    """The command that adds what was named, where it has no rival."""
+    if named := to_add(found):
+        them = "them" if len(named.names) > 1 else "it"
+        say(f"Add {them} with: calib extend {shell_argument(study.file)} {' '.join(named.names)} --into FOLDER")
 
 
 def tell_versions(versions: Versions) -> None:

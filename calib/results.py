@@ -86,9 +86,12 @@ class Results:
             )
 
     def belongs_to(self, study_file: Path) -> bool:
-        """Whether the folder is that study's; one that names no study is anybody's."""
+        """Whether the folder is that study's; one that names no study is anybody's.
+
+        A study that is written among the results of another is one, whichever part of them it lies in.
+        """
         known = owner(self.path)
-        return not known or study_file.resolve() in known
+        return not known or _one_place(study_file.resolve()) in map(_one_place, known)
 
     def write_table(self, name: str, table: pd.DataFrame, index: bool = False) -> Path:
         """Write ``name.csv`` for `calib.table.read_table`; floats keep ten digits. InputError when it cannot be."""
@@ -140,6 +143,15 @@ def owner(folder: Path) -> tuple[Path, ...]:
             "it does not tell whose results these are", place=folder / OWNER, remedy="move the folder away"
         ) from None
     return (Path(study), *([(folder.resolve() / leading).resolve()] if leading else []))
+
+
+def _one_place(study_file: Path) -> Path:
+    """Where a study that was written into a part of another's results, such as a quick look's, lies in the whole."""
+    folder = study_file.parent
+    part, home = folder.parent, folder.parent.parent
+    if not (part / OWNER).is_file() and (home / OWNER).is_file():
+        return home / folder.name / study_file.name
+    return study_file
 
 
 def _refuse_foreign(folder: Path) -> None:

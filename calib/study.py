@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -79,6 +80,12 @@ class StudyFile:
         files = [*code, *data.files, *data.shapes, *filter(None, [data.sensors, data.responses]), *given.depends_on]
         return {file: (folder / file).resolve() for file in files}
 
+    @property
+    def file_digests(self) -> Mapping[str, str]:
+        """Digests of the named files as they are now, by the path that the study writes; one that is gone has none."""
+        found = ((name, _digest_of_file(path)) for name, path in self.named_files.items())
+        return {name: digest for name, digest in found if digest}
+
 
 @dataclass(frozen=True)
 class Study(StudyFile):
@@ -115,6 +122,8 @@ class Study(StudyFile):
         Values that look like other units than the model's parameters are in.
     responses : MeasuredResponses or None
         The plain responses with nothing withheld and the repeats behind them; None for a model with modes.
+    read_files : mapping from path to digest
+        The named files as they were when the study was read; see `file_digests`.
     """
 
     model: Model
@@ -131,6 +140,7 @@ class Study(StudyFile):
     initial: Mapping[str, float] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
     responses: MeasuredResponses | None = None
+    read_files: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def held_sd(self) -> dict[str, float]:
@@ -215,8 +225,9 @@ class Study(StudyFile):
         ``adopted`` are values that an earlier study has found, where this one takes some over, and ``adopted_sd`` their
         standard deviations as far as they are known; see `calib.questions.phases`.
         """
-        file = study_file(path)
-        return _Reader(file, read_settings(file)).study(adopted, adopted_sd)
+        told = StudyFile.read(path)
+        read = told.file_digests  # before the code runs: what changes from here on is not what was read
+        return replace(_Reader(told.file, told.settings).study(adopted, adopted_sd), read_files=read)
 
 
 @dataclass(frozen=True)
@@ -276,6 +287,14 @@ class _Extendable:
             assert isinstance(model, FunctionModel) and isinstance(problem, FunctionProblem)
             self._problems[key] = replace(problem, space=model.space, function=model.function)
         return self._problems[key].evaluate(values)
+
+
+def _digest_of_file(path: Path) -> str:
+    """Of its content; empty for one that cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError:
+        return ""
 
 
 def study_file(path: Path) -> Path:

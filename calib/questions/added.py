@@ -67,7 +67,7 @@ def to_add(found: Findings) -> Trial | None:
     return found.chosen if set(found.credible) == set(found.chosen.names) else None
 
 
-def write_nothing_added(found: Findings, results: Results) -> Added:
+def write_nothing_added(study: Study, found: Findings, results: Results, quick: bool = False) -> Added:
     """Tell why nothing is added, and write it."""
     untold = (
         f"These data cannot tell between {' and '.join(found.credible)}, so none of them is "
@@ -88,7 +88,9 @@ def write_nothing_added(found: Findings, results: Results) -> Added:
         "none_explains": "No effect of the library explains what is missing, so nothing is added.",
     }
     nothing = pd.DataFrame()
-    return _written(Added((), reasons[found.verdict], "", nothing, nothing, nothing), results, effects=[])
+    answer = _written(Added((), reasons[found.verdict], "", nothing, nothing, nothing), results, effects=[])
+    write_record(study, results, "extend", {}, (answer.sentence,), quick)
+    return answer
 
 
 def write_added(
@@ -132,9 +134,10 @@ def write_added(
         results.write_table("added_modes", answer.modes)
     given = extended.settings
     seeds = {**{case.name: case.seed for case in given.calibration.cases}, "reduction": given.reduction.seed}
-    write_record(study, results, "extend", seeds, (answer.sentence,), quick)
     reached = {"mean_freq_error": after.best.answer.mean_freq_error, "mean_mac": after.best.answer.mean_mac}
-    return _written(answer, results, effects=strengths, study=str(extended.file.parent), quick=quick, **reached)
+    _written(answer, results, effects=strengths, study=str(extended.file.parent), quick=quick, **reached)
+    write_record(study, results, "extend", seeds, (answer.sentence,), quick)
+    return answer
 
 
 def _written(answer: Added, results: Results, **more: object) -> Added:

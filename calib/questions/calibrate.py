@@ -198,8 +198,9 @@ def calibrate(
     summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
     summary["contradictions"] = list(answer.contradictions)
     seeds = {**{case.name: case.seed for case in cases}, "reduction": study.settings.reduction.seed}
-    write_record(study, results, "calibrate", seeds, answer.sentences, quick)
+    options = [*(["--case", only] if only else []), *(["--method", method] if method else [])]
     results.write_json("summary", summary)
+    write_record(study, results, "calibrate", seeds, answer.sentences, quick, options)
     return answer
 
 

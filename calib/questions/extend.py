@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -44,12 +44,15 @@ class Extension:
         Their parameters that were added to the selection; none when the study leaves that to the sensitivity analysis.
     moved : tuple of (str, str)
         Paths that lead out of the study, as they were and as they lead to the same place from the new folder.
+    aside : Path or None
+        Where a study is now that was in the new one's place and had been changed; its answers are not moved with it.
     """
 
     file: Path
     effects: tuple[Effect, ...]
     selected: tuple[str, ...]
     moved: tuple[tuple[str, str], ...]
+    aside: Path | None = None
 
 
 def extend(study: Study, names: Sequence[str], folder: Path) -> Extension:
@@ -92,13 +95,15 @@ def extend_among(
     with _written(study, _candidates(study, names), folder, new, _anywhere, begin_at) as (draft, extension):
         if not new.is_dir() or _content(new) != _content(draft):
             with _draft_of(new, folder) as old:
-                aside = old / new.name if is_own_folder(new) else free_name(new, EARLIER)
+                own = is_own_folder(new)
+                aside = old / new.name if own else free_name(new, EARLIER)
                 try:
                     note_folder(draft, new.name)
                 except OSError as fault:
                     raise _unwritable(fault, folder) from None
                 if os.path.lexists(new):
                     _put(new, aside, folder)
+                    extension = extension if own else replace(extension, aside=folder.with_name(aside.name))
                 _put(draft, new, folder)
     return extension
 

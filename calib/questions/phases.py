@@ -59,19 +59,22 @@ def values_found(study: Study, root: Path, quick: bool = False) -> Found | None:
     ``root`` is where the folders with results are; a quick look is content with a quick answer.
     """
     home = Results(root / study.name)
-    found = _values(study, home, home)
-    return _values(study, Results(home.path / QUICK), home) if found is None and quick else found
+    found = _values(study, home)
+    return _values(study, Results(home.path / QUICK)) if found is None and quick else found
 
 
-def _values(study: Study, folder: Results, home: Results) -> Found | None:
-    """What a folder holds; None where the answer is missing or of another state, InputError where it is damaged."""
+def _values(study: Study, folder: Results) -> Found | None:
+    """What a folder holds; None where the answer is missing or of another state, InputError where it is damaged.
+
+    A selection that is left to the sensitivity analysis is that of the same folder.
+    """
     if not (folder.has("summary.json") and folder.has("parameters.csv")):
         return None
-    if isinstance(study.settings.selection, str) and not home.has("selection.csv"):
+    if isinstance(study.settings.selection, str) and not folder.has("selection.csv"):
         return None
     remedy = f"run 'calib calibrate {shell_argument(study.file)}' again"
     summary = read_json(folder.path / "summary.json", {"fingerprint": str, "best_case": str}, remedy=remedy)
-    chosen = selected_by_measures(study, home)
+    chosen = selected_by_measures(study, folder)
     if summary.get("fingerprint") != fingerprint(chosen):
         return None
     return _of_best_case(folder.path / "parameters.csv", str(summary.get("best_case")), chosen.search_space, remedy)

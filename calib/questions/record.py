@@ -40,6 +40,7 @@ def write_record(
     seeds: Mapping[str, int],
     sentences: Sequence[str] = (),
     quick: bool = False,
+    options: Sequence[str] = (),
 ) -> None:
     """Write what every answer of a study stands on, and add one question to ``record.json``.
 
@@ -59,6 +60,8 @@ def write_record(
         What was said about it.
     quick : bool
         Whether it was a small search for a first look.
+    options : sequence of str
+        Further options of the command that asked, as they are typed.
     """
     results.write_table("measured", measured_table(study))
     if study.whole is not None and study.whole.has_shapes:
@@ -70,6 +73,7 @@ def write_record(
     asked = {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "quick": quick,
+        "options": list(options),
         "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
         "seeds": dict(seeds),
         "made_from": made_from(study, question),
@@ -89,7 +93,7 @@ def write_record(
         "accuracy": accuracy_words(study),
         "scatter_assumed": assumed_words(study),
         "notes": [*study.measurement_notes, *(note.removesuffix(".") for note in scatter_notes(study))],
-        "questions": {**{q: told for q, told in questions_of(results).items() if q != question}, question: asked},
+        "questions": {**_earlier(results, question), question: asked},
     }
     results.write_json("record", record)
 
@@ -171,7 +175,13 @@ def questions_of(results: Results) -> dict[str, dict[str, Any]]:
     return dict(record.get("questions", {}))
 
 
-_ASKED = {"quick": bool, "made_from": {"files": {ANY: str}, "stated": {ANY: str}, "selected": [str]}}
+def _earlier(results: Results, question: str) -> dict[str, dict[str, Any]]:
+    """Other questions of the folder's record; what was added ends with the answers it rests on."""
+    gone = {question} if results.has("added.json") else {question, "extend"}
+    return {name: told for name, told in questions_of(results).items() if name not in gone}
+
+
+_ASKED = {"quick": bool, "options": [str], "made_from": {"files": {ANY: str}, "stated": {ANY: str}, "selected": [str]}}
 """Kinds of what later commands read of a question."""
 
 

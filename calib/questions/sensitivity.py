@@ -187,7 +187,8 @@ def screen(
     table = morris_effects(design, responses) if method == "morris" else sobol_shares(design, responses)
     results.write_table(method, table)
     said = f"{len(design.points)} points. {design.note}".rstrip()
-    write_record(study, results, f"sensitivity --method {method}", {"points": seed}, [said], quick)
+    options = ["--ignore-constraints"] * ignore_constraints
+    write_record(study, results, f"sensitivity --method {method}", {"points": seed}, [said], quick, options)
     return Screening(method, table, len(design.points), design.note)
 
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from calib.errors import InputError
+from calib.questions.places import QUICK
 from calib.questions.record import questions_of
 from calib.questions.sensitivity import selected_by_measures, selected_in
 from calib.questions.state import WRITES, changed, made_from, made_from_on_paper
@@ -51,36 +55,39 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
             continue
         then = told.get("made_from", {})
         if isinstance(study, Study):
-            now = made_from(_selecting(study, results) if question == "calibrate" else study, question)
+            now = made_from(_selecting(study, results, told) if question == "calibrate" else study, question)
         else:
-            now = made_from_on_paper(study, question, then, _selected(study, results))
+            now = made_from_on_paper(study, question, then, _selected(study, results, told))
         if found := changed(then, now):
             verb = "run" if question == "extend" else question
             quick = " --quick" if told.get("quick") else ""
+            options = "".join(f" {shlex.quote(option)}" for option in told.get("options", ()))
             sentences[question] = (
                 f"'{question}' was asked of an earlier state of {', '.join(found)}, and its answer is not shown; ask "
-                f"again with: calib {verb} {shell_argument(study.file)}{quick}{place}"
+                f"again with: calib {verb} {shell_argument(study.file)}{options}{quick}{place}"
             )
     return Stale(sentences, frozenset(file for file, question in writer.items() if question in sentences))
 
 
-def _selecting(study: Study, results: Results) -> Study:
+def _measured_in(results: Results, told: Mapping[str, Any]) -> Results | None:
+    """Where the selection is that a calibration in a folder takes: a quick look's, or that of the whole."""
+    home = results.path.parent
+    places = (results, Results(home / QUICK if told.get("quick") else home))
+    return next((place for place in places if place.has("selection.csv")), None)
+
+
+def _selecting(study: Study, results: Results, told: Mapping[str, Any]) -> Study:
     """The study with the parameters that a calibration would fit now."""
-    for home in (results, Results(results.path.parent)):
-        if home.has("selection.csv"):
-            try:
-                return selected_by_measures(study, home)
-            except InputError:
-                return study
+    if place := _measured_in(results, told):
+        with suppress(InputError):
+            return selected_by_measures(study, place)
     return study
 
 
-def _selected(study: StudyFile, results: Results) -> tuple[str, ...] | None:
+def _selected(study: StudyFile, results: Results, told: Mapping[str, Any]) -> tuple[str, ...] | None:
     """The parameters that the sensitivity analysis selects; None where the study names them, or it was not asked."""
-    for home in (results, Results(results.path.parent)):
-        if isinstance(study.settings.selection, str) and home.has("selection.csv"):
-            try:
-                return selected_in(home.path / "selection.csv")[0]
-            except InputError:
-                return None
+    place = _measured_in(results, told)
+    if place is not None and isinstance(study.settings.selection, str):
+        with suppress(InputError):
+            return selected_in(place.path / "selection.csv")[0]
     return None

@@ -73,7 +73,7 @@ def made_from(study: Study, question: str) -> dict[str, Any]:
         "model": _digest(model, study.model.space, given.with_effects),
         "settings": _digest(given.pairing.model_dump(), *_SETTINGS[question.partition(" ")[0]](study)),
         "code": __version__,
-        "files": _files(study),
+        "files": dict(study.read_files),
         "stated": _stated(study, question),
         "selected": list(study.search_space.free_names),
     }
@@ -96,9 +96,10 @@ def made_from_on_paper(
     selected : sequence of str or None
         What the sensitivity analysis selects now; None where the study names its selection, or nothing is known.
     """
-    files, stated = _files(study), _stated(study, question)
+    files, stated = dict(study.file_digests), _stated(study, question)
     old, said = then.get("files", {}), then.get("stated", {})
-    code = [name for name in {**old, **files} if name.endswith(".py") and old.get(name) != files.get(name)]
+    needed = study.settings.depends_on
+    code = [n for n in {**old, **files} if (n.endswith(".py") or n in needed) and old.get(n) != files.get(n)]
     of_effects = (study.settings.effects or "").rpartition(":")[0]
     asks_effects = question in ("explain", "extend")
     of_model = [name for name in code if name != of_effects or study.settings.with_effects]
@@ -136,10 +137,6 @@ def changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     return out + [f"calib itself ({then.get('code', 'unknown')}, now {now['code']})"] * ("code" in parts)
 
 
-def _files(study: StudyFile) -> dict[str, str]:
-    return {name: hashlib.sha256(path.read_bytes()).hexdigest()[:16] for name, path in study.named_files.items()}
-
-
 def _stated(study: StudyFile, question: str) -> dict[str, str]:
     """Digests of what a study's file says of its model, and of all else that a question depends on."""
     given = study.settings.model_dump()
@@ -154,13 +151,8 @@ def _of_calibration(study: Study) -> tuple[Any, ...]:
 
 def _of_explanation(study: Study) -> tuple[Any, ...]:
     effects = [(e.name, e.parameters, e.grid) for e in study.library]
-    own = [digest for name, digest in _code(study).items()]
+    own = [digest for name, digest in study.read_files.items() if name.endswith(".py")]
     return (*_of_calibration(study), study.settings.explain.model_dump(), effects, own)
-
-
-def _code(study: Study) -> dict[str, str]:
-    files = {name: path for name, path in study.named_files.items() if path.suffix == ".py"}
-    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
 
 
 _SETTINGS: Mapping[str, Callable[[Study], tuple[Any, ...]]] = {

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
+from calib.errors import InputError
 from calib.questions.places import results_of
 from calib.questions.record import questions_of
+from calib.questions.stale import stale_answers
 from calib.questions.state import measurement_digest
 from calib.results import Results
 from calib.settings import read_settings
@@ -40,7 +43,7 @@ def write_versions(study: StudyFile, root: Path) -> Versions:
     """Write ``versions.csv`` of a study that was extended from another; an empty table for any other.
 
     A version's errors are those of its last calibration, or of the base model of its explanation when it was never
-    calibrated; versions without either are left out, which a note says.
+    calibrated; versions without either, or with those of an earlier state only, are left out, which a note says.
 
     Parameters
     ----------
@@ -68,10 +71,10 @@ def write_versions(study: StudyFile, root: Path) -> Versions:
     parts, measurement = [], measurement_digest(study)
     for number, (name, effects, origin) in enumerate(reversed(chain), start=1):
         found = Results(root / name)
-        errors = _errors(found, measurement) if found.belongs_to(origin) else None
+        errors = _errors(found, measurement, _stale(origin, found)) if found.belongs_to(origin) else None
         if errors is None:
             command = f"calib explain {shell_argument(origin)} --results {shell_argument(root)}"
-            notes.append(f"Version {number} ({name}) has no errors under {root}: run '{command}'.")
+            notes.append(f"Version {number} ({name}) has no errors of its present state under {root}: run '{command}'.")
         else:
             parts.append(errors.assign(version=number, study=name, effects=" + ".join(effects)))
     if not parts:
@@ -81,14 +84,23 @@ def write_versions(study: StudyFile, root: Path) -> Versions:
     return Versions(table, tuple(notes))
 
 
-def _errors(results: Results, measurement: str) -> pd.DataFrame | None:
+def _stale(file: Path, results: Results) -> set[str]:
+    """Questions whose answers are of an earlier state of a version; every one where its measurement cannot be read."""
+    try:
+        return set(stale_answers(StudyFile.read(file), results).sentences)
+    except InputError:
+        return set(questions_of(results))
+
+
+def _errors(results: Results, measurement: str, stale: Collection[str]) -> pd.DataFrame | None:
     """Errors in that measurement; of answers that tell no measurement it is taken to be this one."""
     numbers = ["rms", "expected"]
     asked = {question: told.get("made_from", {}) for question, told in questions_of(results).items()}
     other = {question for question, made in asked.items() if made.get("measurement", measurement) != measurement}
-    if results.has("data_errors.csv") and "calibrate" not in other:
+    unusable = other.union(stale)
+    if results.has("data_errors.csv") and "calibrate" not in unusable:
         return read_table(results.path / "data_errors.csv", ["group"], numbers, unique="group", may_be_empty=True)
-    if results.has("errors.csv") and "explain" not in other:
+    if results.has("errors.csv") and "explain" not in unusable:
         both = ["group", "stage"]
         table = read_table(results.path / "errors.csv", both, numbers, unique=both, may_be_empty=True)
         return table[table["stage"] == "before"]

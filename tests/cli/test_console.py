@@ -1,7 +1,11 @@
 """What is said on the terminal."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
+import pytest
 
 from calib import console
 from calib.questions.sensitivity import Screening
@@ -16,3 +20,21 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
     console.tell_screening(Screening("morris", table, 12, ""), Results(tmp_path))
     first, second = (line.split() for line in capsys.readouterr().out.splitlines() if line[:2] in ("a ", "b "))
     assert first == ["b", "0.75", "y"] and second == "a no response: too few are known, or none changes".split()
+
+
+@pytest.mark.parametrize(
+    ("verdict", "names", "credible", "added"),
+    [
+        ("effect", ["guy"], ["guy"], "it: guy"),
+        ("two_effects", ["guy", "lamp"], ["guy", "lamp"], "them: guy lamp"),
+        ("two_effects", ["guy", "lamp"], ["guy", "lamp", "ice"], ""),
+        ("indistinguishable", ["guy"], ["guy", "lamp"], ""),
+    ],
+)
+def test_only_what_has_no_rival_is_to_be_added(capsys, verdict, names, credible, added):
+    chosen = SimpleNamespace(names=names)
+    found = SimpleNamespace(verdict=verdict, chosen=chosen, credible=credible, names_something=True)
+    console.tell_what_to_add(SimpleNamespace(file=Path("mast/study.toml")), found)
+    them, _, which = added.partition(": ")
+    told = f"Add {them} with: calib extend mast {which} --into FOLDER\n" if added else ""
+    assert capsys.readouterr().out == told

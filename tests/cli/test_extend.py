@@ -40,7 +40,7 @@ def test_report_says_which_versions_are_left_out(guyed, capsys):
     assert cli.answer(["report", "mast_2"]) == 0
     out = capsys.readouterr().out
     command = f"calib explain {Path('mast').resolve()} --results results"
-    assert f"Version 1 (mast) has no errors under results: run '{command}'." in out.splitlines()
+    assert f"Version 1 (mast) has no errors of its present state under results: run '{command}'." in out.splitlines()
     assert cli.answer(command.split()[1:]) == 0
     capsys.readouterr()
     assert cli.answer(["report", "mast_2"]) == 0

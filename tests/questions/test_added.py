@@ -7,7 +7,11 @@ import pandas as pd
 import pytest
 
 from calib.questions.added import by_group, conclusion, to_add, write_nothing_added
+from calib.questions.places import ADDED
+from calib.questions.record import questions_of, write_record
+from calib.questions.stale import stale_answers
 from calib.results import Results
+from calib.study import Study
 
 BETTER = "the model fits better and predicts better what no fit has seen"
 NO_BETTER = "the model fits better, predicts no better"
@@ -52,6 +56,11 @@ def test_groups_are_told_in_their_order_with_both_stages():
     assert list(table["rms_before"]) == [4, 3] and list(table["rms_after"]) == [1, 2]
 
 
+@pytest.fixture(scope="module")
+def study(mast, tmp_path_factory):
+    return Study.load(mast.write_study(tmp_path_factory.mktemp("added") / "mast"))
+
+
 def found(verdict, *names, credible=()):
     chosen = SimpleNamespace(names=names) if names else None
     return SimpleNamespace(verdict=verdict, chosen=chosen, credible=credible or names, unrivalled=False)
@@ -79,8 +88,27 @@ def test_only_what_is_named_without_a_rival_is_added():
         ("unconfirmed", "What fits, guy, is not confirmed"),
     ],
 )
-def test_why_nothing_is_added_is_told_and_written(verdict, words, tmp_path):
-    answer = write_nothing_added(found(verdict, "guy", credible=("guy", "lamp")), Results(tmp_path))
+def test_why_nothing_is_added_is_told_and_written(study, verdict, words, tmp_path):
+    answer = write_nothing_added(study, found(verdict, "guy", credible=("guy", "lamp")), Results(tmp_path))
     assert words in answer.sentence and answer.effects == () and answer.errors.empty
     told = json.loads((tmp_path / "added.json").read_text())
     assert told["sentence"] == answer.sentence and told["effects"] == [] and told["conclusion"] == ""
+
+
+def test_that_nothing_is_added_is_an_answer_of_the_state_it_was_asked_of(study, mast, edited, tmp_path):
+    results = Results(tmp_path)
+    other = Study.load(edited(mast.write_study(tmp_path / "mast"), '"E", "m_top", ', '"E", '))
+    write_nothing_added(study, found("none_explains"), results)
+    assert list(stale_answers(other, results).sentences) == ["extend"]
+    write_nothing_added(other, found("none_explains"), results)
+    assert not stale_answers(other, results).sentences
+
+
+def test_what_was_added_ends_with_the_answers_it_rests_on(study, tmp_path):
+    results = Results(tmp_path)
+    write_nothing_added(study, found("none_explains"), results)
+    write_record(study, results, "compare", {})
+    assert list(questions_of(results)) == ["extend", "compare"]
+    results.remove(*ADDED)
+    write_record(study, results, "compare", {})
+    assert list(questions_of(results)) == ["compare"]

@@ -46,14 +46,15 @@ def test_the_same_study_among_results_stays_and_another_is_kept_aside(rig, tree)
     Path(written, "results").mkdir()
     Path(written, "results/answer.csv").write_text("what the user asked of it")
     first = tree(written)
-    extend_among(study, ["top_cables"], Path("results"))
+    assert extend_among(study, ["top_cables"], Path("results")).aside is None
     assert tree(written) == first and there() == {"rig_extended"}
     (written / "notes.txt").write_text("changed by the user")
     changed = tree(written)
-    extend_among(study, ["low_cables"], Path("results"))
+    aside = Path(f"results/rig_extended{EARLIER}")
+    assert extend_among(study, ["low_cables"], Path("results")).aside == aside
     assert Study.load(written).settings.with_effects == ("low_cables",) and "notes.txt" not in tree(written)
     assert tree(f"results/rig_extended{EARLIER}") == changed and there() == {"rig_extended", f"rig_extended{EARLIER}"}
-    extend_among(study, ["top_cables"], Path("results"))
+    assert extend_among(study, ["top_cables"], Path("results")).aside is None
     assert Study.load(written).settings.with_effects == ("top_cables",)
     assert tree(f"results/rig_extended{EARLIER}") == changed and there() == {"rig_extended", f"rig_extended{EARLIER}"}
     (written / "model_notes.txt").write_text("changed again")

@@ -122,6 +122,15 @@ def test_a_quick_look_is_content_with_a_quick_answer(phases, capsys):
     assert capsys.readouterr().out.count("One comes first") == 2 and Path("results/one/summary.json").exists()
 
 
+def test_a_quick_look_takes_the_selection_of_a_quick_sensitivity_analysis(phases):
+    file = Path("one/study.toml")
+    file.write_text(file.read_text().replace('["a", "b"]', '"from sensitivity"') + "[sensitivity]\nsamples = 20\n")
+    assert cli.answer(["calibrate", "two", "--quick", "--workers", "1"]) == 0
+    assert Path("results/one/quick/selection.csv").exists() and not Path("results/one/selection.csv").exists()
+    found = values_found(Study.load(Path("one")), Path("results"), quick=True)
+    assert found.values["a"] == pytest.approx(2.3, abs=1e-3)
+
+
 def test_worker_processes_hold_the_values_too(phases):
     text = Path("two/study.toml").read_text().replace('method = "gauss-newton"', "population = 6\ngenerations = 3")
     Path("two/study.toml").write_text(text)

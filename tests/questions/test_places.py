@@ -1,9 +1,14 @@
 """Where answers are: every folder of them, and no study that a run has written among them."""
 
+import shutil
+
+import pytest
+
+from calib.errors import InputError
 from calib.questions.extend import extend_among
-from calib.questions.places import answers_of
+from calib.questions.places import answers_of, results_of
 from calib.results import Results
-from calib.study import Study
+from calib.study import Study, StudyFile
 
 
 def test_only_answers_count_as_answers(mast, tmp_path):
@@ -20,3 +25,19 @@ def test_only_answers_count_as_answers(mast, tmp_path):
     assert answers_of(study, tmp_path / "results") == (Results(home / "case_A1"), Results(home / "quick"))
     (home / "comparison_before.csv").write_text("mode\n")
     assert answers_of(study, tmp_path / "results")[0] == Results(home)
+
+
+@pytest.mark.parametrize("first", ["quick", ""])
+def test_an_extended_study_of_a_quick_look_and_of_a_whole_run_answer_in_one_place(mast, tmp_path, first):
+    root, origin = tmp_path / "results", mast.write_study(tmp_path / "mast")
+    results_of(StudyFile.read(origin), root).claim()
+    places = {part: root / "mast" / part / "mast_extended" for part in ("quick", "")}
+    for place in places.values():
+        shutil.copytree(origin, place)
+    second = {"quick": "", "": "quick"}[first]
+    results_of(StudyFile.read(places[first]), root, bool(first)).claim()
+    found = results_of(StudyFile.read(places[second]), root, bool(second))
+    assert found.path == root / "mast_extended" / second
+    shutil.copytree(origin, tmp_path / "other/mast_extended")
+    with pytest.raises(InputError, match="another study"):
+        results_of(StudyFile.read(tmp_path / "other/mast_extended"), root)

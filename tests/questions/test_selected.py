@@ -1,14 +1,18 @@
 """Which parameters are searched is read back from a table that the user may have opened and saved."""
 
+import io
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from calib import cli
 from calib.errors import InputError
+from calib.questions.record import write_record
 from calib.questions.sensitivity import selected_by_measures
+from calib.questions.stale import stale_answers
 from calib.results import Results
-from calib.study import Study
+from calib.study import Study, StudyFile
 
 MODEL = """
 from calib.function import FunctionModel
@@ -81,3 +85,21 @@ def test_a_spreadsheet_selects_what_its_user_meant(selected, yes, no):
 def test_a_selection_in_doubt_is_refused(selected, flags, names):
     with pytest.raises(InputError, match=r"selection\.csv"):
         selected(flags, names)
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_a_calibration_of_one_case_is_as_old_as_the_selection_it_takes(selected, quick):
+    root, study = Path("results"), Study.load(Path("plain"))
+    home, other = (Results.at(root, "plain", part) for part in (("quick", "") if quick else ("", "quick")))
+    results = Results.at(root, "plain", "quick-case_A1" if quick else "case_A1")
+    for place, chosen in ((home, "ab"), (other, "c")):
+        rows = "".join(f"{name},{name in chosen}\n" for name in "abc")
+        place.write_table("selection", pd.read_csv(io.StringIO(f"parameter,selected\n{rows}")))
+    fitted = selected_by_measures(study, home)
+    write_record(fitted, results, "calibrate", {}, (), quick, ["--case", "A1", "--method", "genetic"])
+    for now in (study, StudyFile.read(Path("plain"))):
+        assert not stale_answers(now, results).sentences
+    home.write_table("selection", pd.read_csv(io.StringIO("parameter,selected\na,True\nb,False\nc,False\n")))
+    for now in (study, StudyFile.read(Path("plain"))):
+        (words,) = stale_answers(now, results).sentences.values()
+        assert f"calib calibrate plain --case A1 --method genetic{' --quick' * quick}" in words

@@ -51,7 +51,7 @@ def test_what_withheld_data_contradict_is_not_named(contradicted, guyed):
 def test_what_is_not_confirmed_is_not_added(contradicted, tmp_path):
     found = contradicted[2].findings
     assert to_add(found) is None
-    added = write_nothing_added(found, Results(tmp_path))
+    added = write_nothing_added(contradicted[0], found, Results(tmp_path))
     assert added.effects == () and "guy" in added.sentence
 
 

@@ -75,7 +75,7 @@ def test_a_version_without_answers_is_left_out_and_keeps_its_number(chain, tmp_p
     found = write_versions(chain[-1], root)
     assert list(found.table["version"].unique()) == [1, 3]
     command = f"calib explain {tmp_path / 'mast_2'} --results {root}"
-    assert found.notes == (f"Version 2 (mast_2) has no errors under {root}: run '{command}'.",)
+    assert found.notes == (f"Version 2 (mast_2) has no errors of its present state under {root}: run '{command}'.",)
 
 
 def test_without_any_answer_nothing_is_written(chain, tmp_path):
@@ -146,3 +146,18 @@ def test_errors_in_another_measurement_are_no_version(chain, answered):
         file.write_text(file.read_text().replace("B3x", "B3y"))
     found = write_versions(Study.load(second.file), answered)
     assert set(found.table["version"]) == {2} and len(found.notes) == 1
+
+
+def test_errors_of_an_earlier_state_of_a_version_are_left_out(chain, answered):
+    first, second, _ = chain
+    results = Results.at(answered, "mast")
+    write_record(first, results, "explain", {})
+    write_record(first, results, "calibrate", {})
+    text = first.file.read_text()
+    first.file.write_text(text.replace('"E", "m_top", ', '"E", '))
+    found = write_versions(second, answered)
+    assert set(found.table["version"]) == {2} and len(found.notes) == 1
+    answers(answered, "mast", 7.0, "errors")
+    write_record(Study.load(first.file), results, "explain", {})  # its calibration is still the earlier one
+    table = write_versions(second, answered).table
+    assert set(table["version"]) == {1, 2} and table["rms"].iloc[0] == 7.0

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from calib import cli
+from calib.questions.record import write_record
 from calib.questions.stale import stale_answers
 from calib.questions.state import WRITES
 from calib.report.html.answers import Answers
@@ -212,3 +213,24 @@ def test_what_is_stale_is_seen_without_the_code(sums, file, old, new):
     assert not on_paper().sentences
     edit(file, old, new)
     assert set(on_paper().sentences) == set(stale().sentences) and on_paper().files == stale().files
+
+
+@pytest.mark.parametrize("gone", ["model.py", "deck.inp"])
+def test_a_named_file_that_is_gone_counts_as_changed(sums, gone):
+    Path("sums/deck.inp").write_text("1.0")
+    edit("study.toml", "selection", 'depends_on = ["deck.inp"]\nselection')
+    ask("compare")
+    Path("sums", gone).unlink()
+    ask("report")
+    found = stale_answers(StudyFile.read(Path("sums")), Results(ROOT / "sums"))
+    assert gone in found.sentences["compare"]
+
+
+@pytest.mark.parametrize("change", [lambda file: file.unlink(), lambda file: file.write_text(f"{MODEL}\nLATER = 1\n")])
+def test_an_answer_is_made_from_the_files_as_they_were_read(sums, change):
+    study, results = Study.load(Path("sums")), Results(ROOT / "sums")
+    change(Path("sums/model.py"))
+    write_record(study, results, "compare", {})
+    assert "compare" in stale_answers(StudyFile.read(Path("sums")), results).sentences
+    Path("sums/model.py").write_text(MODEL)
+    assert "compare" not in stale_answers(StudyFile.read(Path("sums")), results).sentences
