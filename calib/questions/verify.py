@@ -9,7 +9,6 @@ from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
@@ -134,7 +133,7 @@ def modal_errors(
         covariance = with_held(known, jacobian, held) * np.outer(unit, unit) / scale**2
         withheld = withheld_errors(fitted, whole, values, (*names, *held_sd), covariance, floors, finite or None)
         if scale != 1.0:
-            withheld = _scaled(withheld, scale)
+            withheld = _scaled(withheld, scale, min(finite.values(), default=KNOWN))
     freedom = effective_freedom(jacobian, prior_sd, residual.n_fitted_factors)
     return group_table(
         residual.rows,
@@ -150,10 +149,10 @@ def modal_errors(
     )
 
 
-def _scaled(table: pd.DataFrame, scale: float) -> pd.DataFrame:
-    """Errors in units of a larger scatter; their probability is then taken as for a known one."""
+def _scaled(table: pd.DataFrame, scale: float, scatter: float) -> pd.DataFrame:
+    """Errors in units of a larger scatter, which rests on no more degrees of freedom than before."""
     table = table.assign(rms=table["rms"] / scale, chi2=table["chi2"] / scale**2)
-    return table.assign(p=stats.chi2.sf(table["chi2"], table["freedom"]))
+    return table.assign(p=chance(table["chi2"].to_numpy(float), table["freedom"].to_numpy(float), scatter))
 
 
 def plain_errors(

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 
@@ -11,7 +12,7 @@ from calib.correlation.residual import ModalResidual
 from calib.correlation.scatter import Floors, freedom_behind
 from calib.missing.state import fitted
 from calib.questions.hypotheses import ModalHypotheses
-from calib.questions.verify import ERROR_COLUMNS, errors_at, modal_errors, plain_errors
+from calib.questions.verify import ERROR_COLUMNS, _scaled, errors_at, modal_errors, plain_errors
 from calib.structure.variants import Variants
 from calib.study import Study
 
@@ -325,3 +326,11 @@ def test_a_plain_study_tells_its_withheld_responses(tmp_path):
     assert table.loc["withheld_responses", "rms"] == pytest.approx(math.sqrt((2.0**2 + 10.0**2) / 2))
     assert table.loc["withheld_responses", "p"] < 1e-6
     assert table.loc["fit", "rms"] == pytest.approx(math.sqrt((1 + 1 + 1 + 0) / 4))
+
+
+def test_a_scaled_scatter_is_no_better_known_than_before():
+    table = pd.DataFrame({"rms": [4.0], "chi2": [64.0], "freedom": [4.0], "p": [0.0]})
+    found = _scaled(table, 2.0, 8.0).iloc[0]
+    assert (found["rms"], found["chi2"]) == (2.0, 16.0)
+    assert found["p"] == pytest.approx(stats.f.sf(16.0 / 4, 4, 8))
+    assert _scaled(table, 2.0, math.inf)["p"][0] == pytest.approx(stats.chi2.sf(16.0, 4))
