@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -81,9 +82,25 @@ class StudyFile:
         return {file: (folder / file).resolve() for file in files}
 
     @property
+    def code_files(self) -> list[Path]:
+        """All code in the study's folder, and what lies beside a file with code that it names elsewhere."""
+        given, folder = self.settings, self.file.resolve().parent
+        files = code_files(folder)
+        for named in (given.model, given.effects or ""):
+            path = (folder / named.rpartition(":")[0]).resolve()
+            if path.suffix == ".py" and not path.is_relative_to(folder):
+                files += sorted(path.parent.glob("*.py"))
+        return files
+
+    @property
     def file_digests(self) -> Mapping[str, str]:
-        """Digests of the named files as they are now, by the path that the study writes; one that is gone has none."""
-        found = ((name, _digest_of_file(path)) for name, path in self.named_files.items())
+        """Digests of the named files and of all code as they are now; one that is gone has none.
+
+        Named files are told by the path that the study writes, others by that from its folder.
+        """
+        folder, named = self.file.resolve().parent, self.named_files
+        others = {Path(os.path.relpath(p, folder)).as_posix(): p for p in self.code_files if p not in named.values()}
+        found = ((name, _digest_of_file(path)) for name, path in {**named, **others}.items())
         return {name: digest for name, digest in found if digest}
 
 
@@ -123,7 +140,7 @@ class Study(StudyFile):
     responses : MeasuredResponses or None
         The plain responses with nothing withheld and the repeats behind them; None for a model with modes.
     read_files : mapping from path to digest
-        The named files as they were when the study was read; see `file_digests`.
+        Named files and all code as they were when the study was read; see `file_digests`.
     """
 
     model: Model
@@ -357,11 +374,7 @@ class _Reader:
     def _fingerprint(self, function: str) -> str:
         """That of a function, its options, all code in the study's folder, and the files that it depends on."""
         given, folder = self.settings, self.folder
-        files = code_files(folder)
-        for named in (given.model, given.effects or ""):
-            path = (folder / named.rpartition(":")[0]).resolve()
-            if path.suffix == ".py" and not path.is_relative_to(folder):
-                files += sorted(path.parent.glob("*.py"))
+        files = StudyFile(folder.name, self.file, given).code_files
         files += [self._path(name, "depends_on") for name in given.depends_on]
         return digest_of(function, given.model_options, digest_of_files(files, folder))[:16]
 

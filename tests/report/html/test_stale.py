@@ -234,3 +234,15 @@ def test_an_answer_is_made_from_the_files_as_they_were_read(sums, change):
     assert "compare" in stale_answers(StudyFile.read(Path("sums")), results).sentences
     Path("sums/model.py").write_text(MODEL)
     assert "compare" not in stale_answers(StudyFile.read(Path("sums")), results).sentences
+
+
+def test_a_module_beside_the_model_is_part_of_what_was_asked(sums):
+    study, results = Study.load(Path("sums")), Results(ROOT / "sums")
+    assert "compare" not in stale_answers(study, results).sentences
+    Path("sums/parts").mkdir()
+    Path("sums/parts/shape.py").write_text("SIZE = 1\n")
+    write_record(Study.load(Path("sums")), results, "compare", {})
+    assert "compare" not in stale_answers(StudyFile.read(Path("sums")), results).sentences
+    Path("sums/parts/shape.py").write_text("SIZE = 2\n")
+    found = stale_answers(StudyFile.read(Path("sums")), results)
+    assert "parts/shape.py" in found.sentences["compare"]
