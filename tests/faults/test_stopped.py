@@ -169,7 +169,7 @@ def test_a_stop_loses_only_what_is_under_way(plain, runner, rows, sign, workers)
     run.send(sign, everybody=sign == signal.SIGINT)
     run.wait()
     assert run.code == (130 if sign == signal.SIGINT else -sign)
-    assert len(rows(ledger)[0]) >= before
+    assert len(rows(ledger)[0]) >= before - workers  # those may still be on their way home
     assert run.nobody_left()
     kept, asked = len(rows(ledger)[0]), answered()
     again = runner.fork("sensitivity", "plain", "--workers", "2", "--quick")
