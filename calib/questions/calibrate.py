@@ -22,6 +22,7 @@ from calib.questions.compare import Answer, compare, write_answer, write_model_m
 from calib.questions.contradiction import contradictions, every_response
 from calib.questions.every_mode import all_stages, every_mode
 from calib.questions.failures import reasons_sentence, stored_reasons
+from calib.questions.judge import EQUAL
 from calib.questions.places import ADDED
 from calib.questions.record import write_record
 from calib.questions.recorded import recorded
@@ -204,15 +205,11 @@ def calibrate(
     return answer
 
 
-_EQUAL = 0.1
-"""Difference of sums of squares that says nothing: a third of a standard deviation of one parameter."""
-
-
 def best_of(found: Sequence[CaseFound]) -> CaseFound:
     """The case that is reported; see `Calibration.best`."""
     fitted = [case for case in found if case.judgement.fit is not None] or list(found)
     lowest = min(case.judgement.criterion for case in fitted)
-    alike = [case for case in fitted if case.judgement.criterion <= lowest + _EQUAL]
+    alike = [case for case in fitted if case.judgement.criterion <= lowest + EQUAL]
     if fitted[0].judgement.fit is None:
         alike = fitted
     return min(alike, key=lambda case: case.result.misfit)

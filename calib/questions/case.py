@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TypeAlias
@@ -18,7 +18,7 @@ from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.compare import Answer, answer_at, responses_at
 from calib.questions.explained_fit import explained_fit
-from calib.questions.judge import FitProgress, Judgement, RecordedResidual, criteria, fitted, judged
+from calib.questions.judge import FitProgress, Judgement, RecordedResidual, Shared, criteria, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.stored import confirm
@@ -139,7 +139,7 @@ class CaseFinder:
     progress: SearchProgress
     seconds: float | None = None
     notes: list[str] = field(init=False, repr=False, default_factory=list)
-    _shared: dict[str, MixedResult] = field(init=False, repr=False, default_factory=dict)
+    _shared: dict[str, Shared] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def exact(self) -> RecordedResidual:
@@ -156,7 +156,8 @@ class CaseFinder:
     def by_search(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
         """Genetic algorithm; least squares from its best point, `known` and the adopted values, where they are wanted.
 
-        From what the cases share least squares is fitted once.
+        From what the cases share least squares is fitted once. What the search has led to is reported as long as the
+        data do not prefer the end of the adopted values: solutions that only the priors tell apart stay several.
         """
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
@@ -237,14 +238,17 @@ class CaseFinder:
         begin = min((near.values, *self.known), key=lambda values: sum(criteria(study, exact, values)))
         return fitted(study, exact, [begin], 1, before=near)
 
-    def _in_common(self, residual: RecordedResidual, refits: int) -> MixedResult | None:
-        """Fits from the points that all cases share, once; None when none of them can be evaluated."""
+    def _in_common(self, residual: RecordedResidual, refits: int) -> Shared:
+        """Fits from the points that all cases share, once a basis."""
         key, space = residual.problem.fingerprint, self.study.search_space
+
+        def ended(starts: Sequence[Mapping[str, float]]) -> MixedResult | None:
+            with suppress(EvaluationError):
+                return fit_mixed(residual, space, starts, refits=refits) if starts else None
+            return None
+
         if key not in self._shared:
-            try:
-                self._shared[key] = fit_mixed(residual, space, [*self.known, space.values], refits=refits)
-            except EvaluationError:
-                return None
+            self._shared[key] = Shared(adopted=ended([space.values]), known=ended(self.known))
         return self._shared[key]
 
     def reported(

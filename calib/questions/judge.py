@@ -35,6 +35,9 @@ from calib.updating.whole_numbers import MixedResult, fit_mixed
 FitProgress = Callable[[int, int, float], None]
 Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
+EQUAL = 0.1
+"""Difference of sums of squares that says nothing: a third of a standard deviation of one parameter."""
+
 
 @dataclass(frozen=True, eq=False)
 class RecordedResidual:
@@ -200,6 +203,22 @@ def criteria(study: Study, residual: RecordedResidual, values: Mapping[str, floa
     return float(vector @ vector), float(own @ own)
 
 
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """Fits from points that all cases have in common; None where there is no such point, or it cannot be evaluated.
+
+    Attributes
+    ----------
+    adopted : MixedResult or None
+        From the adopted values.
+    known : MixedResult or None
+        From points that are known to fit.
+    """
+
+    adopted: MixedResult | None
+    known: MixedResult | None
+
+
 def fitted(
     study: Study,
     residual: RecordedResidual,
@@ -207,17 +226,21 @@ def fitted(
     refits: int,
     progress: FitProgress = lambda start, fits, misfit: None,
     before: Judgement | None = None,
-    shared: MixedResult | None = None,
+    shared: Shared | None = None,
 ) -> Judgement:
     """The best least-squares fit from several starts, with the study's limits, constraints and priors.
 
     ``refits`` bounds the combinations of whole-number parameters tried from every start; ``before`` is an earlier fit
     that tried them, for a last one that tries no more; ``shared`` are fits of the same residual from further starts.
+    The end of the own starts gives way to that of the adopted values only where the data tell them apart, by more than
+    `EQUAL`; to a known one wherever that is better by data and priors together.
     """
     space = study.search_space
     found: MixedResult = fit_mixed(residual, space, starts, refits=refits, progress=progress)
-    if shared is not None:
-        found = found.joined(shared)
+    if shared is not None and shared.adopted is not None:
+        found = found.joined(shared.adopted, EQUAL)
+    if shared is not None and shared.known is not None:
+        found = found.joined(shared.known)
     if before is not None:
         return _judged(study, residual, found.best.values, found.best, before.profiles, before.complete)
     profiles = {p.name: found.profile(p.name) for p in space.free if p.integer}

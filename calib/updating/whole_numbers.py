@@ -35,12 +35,17 @@ class MixedResult:
     combinations: pd.DataFrame
     exhausted: tuple[int, ...]
 
-    def joined(self, other: MixedResult) -> MixedResult:
-        """The result together with one from other starts of the same problem, whose numbers follow on."""
-        n = len(self.by_start)
+    def joined(self, other: MixedResult, tolerance: float | None = None) -> MixedResult:
+        """The result together with one from other starts of the same problem, whose numbers follow on.
+
+        The best of both is that of the lower misfit. With a ``tolerance`` the other's must explain the data better too,
+        by more than that in the sum of squares: what priors alone prefer does not take the place of the own best.
+        """
+        n = int(self.combinations["start"].max()) + 1
         more = other.combinations.assign(start=other.combinations["start"] + n)
+        told_apart = tolerance is None or other.best.data_misfit < self.best.data_misfit - tolerance
         return MixedResult(
-            min((self.best, other.best), key=lambda r: r.misfit),
+            min((self.best, other.best), key=lambda r: r.misfit) if told_apart else self.best,
             (*self.by_start, *other.by_start),
             pd.concat([self.combinations, more], ignore_index=True),
             (*self.exhausted, *(k + n for k in other.exhausted)),
@@ -49,8 +54,8 @@ class MixedResult:
     @property
     def complete(self) -> bool:
         """Whether all neighbours of the best whole numbers were tried."""
-        best = int(self.combinations["misfit"].to_numpy().argmin())
-        return int(self.combinations["start"].to_numpy()[best]) not in self.exhausted
+        nearest = int((self.combinations["misfit"] - self.best.misfit).abs().to_numpy().argmin())
+        return int(self.combinations["start"].to_numpy()[nearest]) not in self.exhausted
 
     def profile(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Whole numbers tried and the lowest misfit of each, the other whole numbers being free, both (n,)."""

@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -198,3 +199,36 @@ def test_a_fit_of_another_model_is_no_start(guyed, tmp_path):
     (results.path / "explained_fits.csv").write_text("effects,parameter,value\n,E,many\n")
     with pytest.raises(InputError, match="explain the study again"):
         explained_fit(study, results)
+
+
+# -- solutions that the data cannot tell apart -------------------------------------------------------------------------
+
+SQUARE = """
+from calib.function import FunctionModel
+from calib.space import Parameter, ParameterSpace
+
+def wave():
+    space = ParameterSpace((Parameter("a", 0.5, -3.0, 3.0, "-"),))
+    return FunctionModel("square", space, lambda v: {"y": v["a"] ** 2, "z": 1 + 0.01 * v["a"]})
+"""
+
+
+@pytest.mark.parametrize("told_apart", [False, True])
+def test_a_case_leaves_its_own_solution_only_where_the_data_prefer_another(study, tmp_path, told_apart):
+    """Both roots of ``y = 1`` fit; the priors are for the positive one, from whose side the adopted value comes."""
+    loaded = study("population = 6\ngenerations = 6")
+    (tmp_path / "model.py").write_text(SQUARE)
+    z_std = 0.001 if told_apart else 0.1
+    (tmp_path / "measured.csv").write_text(f"response,value,std\ny,1.0,0.01\nz,1.01,{z_std}\n")
+    text = (tmp_path / "study.toml").read_text()
+    cases = ", ".join(f'{{ name = "{name}", seed = {k} }}' for k, name in enumerate("ABCDEF"))
+    (tmp_path / "study.toml").write_text(text.replace('{ name = "A", seed = 1 }', cases))
+    found = answer(Study.load(loaded.file), tmp_path, "genetic")
+    sides = {np.sign(case.search.values["a"]) for case in found.cases}
+    assert sides == {-1.0, 1.0}
+    for case in found.cases:
+        root = 1.0 if told_apart else np.sign(case.search.values["a"])
+        assert case.result.values["a"] == pytest.approx(root, abs=0.01)
+        assert case.judgement.misfit == pytest.approx(0.0, abs=0.1)
+    assert found.best.result.values["a"] == pytest.approx(1.0, abs=0.01)
+    assert found.agreement.verdict == ("one solution" if told_apart else "several solutions")
