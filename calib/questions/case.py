@@ -28,6 +28,7 @@ from calib.study import Study
 from calib.updating.cases import Case, CaseResult, run_case
 from calib.updating.genetic import GeneticSettings
 from calib.updating.objective import FrequencyMacObjective, ResponseObjective
+from calib.updating.region import InfeasibleError
 from calib.updating.whole_numbers import MixedResult, fit_mixed
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
@@ -243,7 +244,7 @@ class CaseFinder:
         key, space = residual.problem.fingerprint, self.study.search_space
 
         def ended(starts: Sequence[Mapping[str, float]]) -> MixedResult | None:
-            with suppress(EvaluationError):
+            with suppress(EvaluationError, InfeasibleError):
                 return fit_mixed(residual, space, starts, refits=refits) if starts else None
             return None
 

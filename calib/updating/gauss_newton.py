@@ -157,7 +157,7 @@ def fit(
     ----------
     problem : LeastSquares
     space : ParameterSpace
-        Its free parameters that are not whole numbers are fitted.
+        Its free parameters that are not whole numbers are fitted; without any the start is evaluated.
     start : mapping, optional
         Named values, default the adopted ones. A start outside the limits or constraints is moved to the nearest
         feasible point.

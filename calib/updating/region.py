@@ -15,9 +15,16 @@ ACTIVE = 1e-6
 """Distance to a limit, over the range, below which it holds a fit; `calib.space.AT_LIMIT` is what a reader is told."""
 
 
+class InfeasibleError(InputError):
+    """No point keeps the limits and constraints while held parameters and whole numbers stay as they are."""
+
+
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Limits and constraints over parameters scaled to 0..1 between their limits: ``rows @ x >= least``."""
+    """Limits and constraints over parameters scaled to 0..1 between their limits: ``rows @ x >= least``.
+
+    Where all free parameters are whole numbers there are no names, and the region is a point.
+    """
 
     space: ParameterSpace
     names: tuple[str, ...]
@@ -32,9 +39,9 @@ class Region:
     @classmethod
     def of(cls, space: ParameterSpace, start: dict[str, float]) -> Region:
         """Of the free parameters that are not whole numbers; all others stay at the start."""
+        if not space.free:
+            raise InputError("no parameter is free to be fitted", place="fit", remedy="free one")
         chosen = [p for p in space.free if not p.integer]
-        if not chosen:
-            raise InputError("no parameter is free to be fitted", place="fit", remedy="free one (not a whole number)")
         names = tuple(p.name for p in chosen)
         lower = np.array([p.lower for p in chosen])
         span = np.array([p.upper - p.lower for p in chosen])
@@ -49,7 +56,7 @@ class Region:
                 if math.isfinite(limit):
                     if size == 0:
                         if sign * (shift - limit) < -1e-9 * max(1.0, abs(limit)):
-                            raise InputError("the fixed values break it", place=f"constraint {con.name}")
+                            raise InfeasibleError("the fixed values break it", place=f"constraint {con.name}")
                         continue
                     rows.append(sign * row / size)
                     least.append(sign * (limit - shift) / size)
@@ -61,7 +68,7 @@ class Region:
             start=(np.array([start[n] for n in names]) - lower) / span,
             lower=lower,
             span=span,
-            rows=np.array(rows).reshape(-1, len(names)),
+            rows=np.array(rows).reshape(len(rows), len(names)),
             least=np.array(least),
             labels=tuple(labels),
         )
@@ -91,12 +98,14 @@ class Region:
         moved = _least_distance(rows, least - rows @ x)
         if moved is None:
             self.space.require_feasible()
-            raise InputError("no point keeps the limits and constraints", place="constraints")
+            raise InfeasibleError("no point keeps the limits and constraints", place="constraints")
         return self.inside(x + moved)
 
     def step(self, matrix: np.ndarray, right: np.ndarray, mu: float, x: np.ndarray) -> np.ndarray:
         """Minimum of ``|matrix d + right|^2 + mu |d|^2`` with x + d within all limits and constraints."""
         n = len(x)
+        if not n:
+            return np.zeros(0)
         ridge = max(mu, 1e-14 * float(np.max(np.sum(matrix**2, axis=0), initial=1e-300)))
         whole = np.vstack([matrix, math.sqrt(ridge) * np.eye(n)])
         q, r = np.linalg.qr(whole)

@@ -13,6 +13,7 @@ import pandas as pd
 from calib.errors import EvaluationError, InputError
 from calib.space import ParameterSpace
 from calib.updating.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, fit
+from calib.updating.region import InfeasibleError
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +77,8 @@ def fit_mixed(
 
     From the start's whole numbers the search goes to the best neighbour (one parameter up or down by one), refitting
     the others from where they are, until no neighbour is better; then to neighbours that differ in two parameters.
-    Failed combinations count as infinitely bad. All neighbours of an end have been tried unless it is told otherwise.
+    Failed combinations count as infinitely bad; those that break a constraint are left out. All neighbours of an end have
+    been tried unless it is told otherwise.
 
     Parameters
     ----------
@@ -168,7 +170,10 @@ class _Walk:
                     if len(self.tried) >= self.refits:
                         self.exhausted = True
                         return best
-                    found = self.fit(values)
+                    try:
+                        found = self.fit(values)
+                    except InfeasibleError:
+                        continue
                     if found is not None and found.misfit < (here if best is None else best).misfit:
                         best = found
             if best is not None:

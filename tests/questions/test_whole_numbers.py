@@ -50,3 +50,38 @@ def test_a_search_over_whole_numbers_that_was_cut_short_says_so(tmp_path, monkey
     assert "by how much worse their neighbours fit: n." in out
     verdicts = pd.read_csv("results/plain/gauss-newton/verdicts.csv")  # whole numbers count among all that were fitted
     assert len(verdicts) == 2 and identified_sentence(verdicts) in out and "of 1 parameters" not in out
+
+
+WHOLE_MODEL = """
+from calib.function import FunctionModel
+from calib.space import LinearConstraint, Parameter, ParameterSpace
+
+NAMED = tuple(Parameter(name, 3.0, 1.0, 9.0, integer=True) for name in "mn")
+SPACE = ParameterSpace(NAMED, (LinearConstraint("sum", (("m", 1.0), ("n", 1.0)), 0.0, 11.0),))
+
+def answer(values):
+    return {"y": values["m"] + values["n"] ** 2, "z": values["n"], "w": values["m"] * values["n"]}
+
+def model():
+    return FunctionModel("whole", SPACE, answer)
+"""
+
+
+@pytest.mark.parametrize("more", ["polish = true", "polish = false", 'method = "gauss-newton"'])
+def test_a_study_of_whole_numbers_alone_is_calibrated(tmp_path, monkeypatch, more):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
+    folder = Path("whole")
+    folder.mkdir()
+    text = STUDY.replace('["a", "n"]', '["m", "n"]').replace("starts = 1", f"population = 8\ngenerations = 4\n{more}")
+    (folder / "study.toml").write_text(text)
+    (folder / "model.py").write_text(WHOLE_MODEL)
+    (folder / "measured.csv").write_text("response,value,std\ny,53.02,0.1\nz,7.01,0.1\nw,28.01,0.1\n")
+    assert cli.answer(["run" if more == "polish = true" else "calibrate", "whole", "--workers", "1"]) == 0
+    found = pd.read_csv("results/whole/parameters.csv").set_index("parameter")
+    assert list(found.index) == ["m", "n"] and (found["value"] % 1 == 0).all()
+    if more != "polish = false":  # a search this small need not end there
+        assert found["value"].to_dict() == {"m": 4.0, "n": 7.0}
+        assert found["identified"].all() and found["std"].isna().all()
+        points = pd.read_csv("results/whole/points.csv").set_index("point")["sum_of_squares"]
+        assert points["least squares"] == pytest.approx((0.2**2 + 0.1**2 + 0.1**2), rel=1e-6)

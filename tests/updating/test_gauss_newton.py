@@ -297,3 +297,21 @@ def test_failed_starts_are_survived_unless_all_fail():
     assert math.isinf(found.combinations.loc[0, "misfit"])
     with pytest.raises(EvaluationError, match="cannot start anywhere: the fit cannot start: too far"):
         fit_mixed(Half(), STATIONS, [{"a": 8.0}])
+
+
+def test_whole_numbers_alone_are_searched_and_keep_the_constraints():
+    class Far(Stations):
+        def residual(self, values):
+            assert values["a"] + values["b"] <= 12
+            return np.array([values["a"] - 7.1, values["b"] - 6.2])
+
+        def jacobian(self, values, names):
+            assert not names
+            return np.zeros((2, 0))
+
+    limit = LinearConstraint("sum", (("a", 1.0), ("b", 1.0)), 0.0, 12.0)
+    space = ParameterSpace(tuple(p for p in STATIONS.parameters if p.integer), (limit,))
+    found = fit_mixed(Far(), space)
+    assert found.best.values in ({"a": 7.0, "b": 5.0}, {"a": 6.0, "b": 6.0})
+    assert found.best.converged and found.best.names == () and found.complete
+    assert found.best.misfit == found.best.data_misfit == pytest.approx(min(0.1**2 + 1.2**2, 1.1**2 + 0.2**2))
