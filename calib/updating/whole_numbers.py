@@ -77,8 +77,8 @@ def fit_mixed(
 
     From the start's whole numbers the search goes to the best neighbour (one parameter up or down by one), refitting
     the others from where they are, until no neighbour is better; then to neighbours that differ in two parameters.
-    Failed combinations count as infinitely bad; those that break a constraint are left out. All neighbours of an end have
-    been tried unless it is told otherwise.
+    Failed combinations count as infinitely bad; those that break a constraint are left out. All neighbours of an end
+    have been tried unless it is told otherwise.
 
     Parameters
     ----------
