@@ -54,10 +54,30 @@ def effective_freedom(slope: np.ndarray, prior_sd: np.ndarray, fitted_factors: i
     return float(row_freedom(slope, prior_sd).sum()) - fitted_factors
 
 
+def beside_known(freedom: float, shares: np.ndarray, pooled: bool = True) -> float:
+    """Degrees of freedom behind variances of which repeats estimate a share only, and the rest is known exactly.
+
+    With variances ``s^2 + c^2``, s estimated and c known, these are ``freedom ((s^2 + c^2)/s^2)^2`` (Welch 1947,
+    Satterthwaite 1946). Where the shares of several values differ it is their mean that counts if all of them rest on
+    one pooled estimate, and their root mean square if each rests on its own.
+
+    Parameters
+    ----------
+    freedom : float
+        Behind the estimated part of all values together.
+    shares : ndarray
+        Estimated part of each value's variance, 0 to 1; empty for all of it.
+    pooled : bool
+    """
+    share = np.asarray(shares, dtype=float)
+    square = 1.0 if not share.size else float(np.mean(share) ** 2 if pooled else np.mean(share**2))
+    return freedom / square if square > 0 else math.inf
+
+
 def repeats_freedom(
-    kinds: Iterable[Hashable], repeats: int | None, fitted: Mapping[Hashable, int] | None = None
+    kinds: Iterable[Hashable], repeats: int | None, shares: Iterable[float] | None = None
 ) -> dict[str, float]:
-    """Degrees of freedom behind a scatter that is pooled over all rows of a kind, from repeats; infinite without.
+    """Degrees of freedom behind the scatter of all rows of a kind, from repeats; infinite without.
 
     Parameters
     ----------
@@ -65,14 +85,17 @@ def repeats_freedom(
         Kind of every row.
     repeats : int or None
         Repeats behind the scatter; with 1 or None it is taken for known.
-    fitted : mapping from kind to int, optional
-        Numbers fitted in every repeat, such as scale and phase of shapes.
+    shares : iterable of float, optional
+        Part of each row's variance that the repeats tell; see `beside_known`. All of it by default.
     """
-    counts: dict[str, int] = {}
-    for kind in kinds:
-        counts[str(kind)] = counts.get(str(kind), 0) + 1
+    names = [str(kind) for kind in kinds]
+    told = np.ones(len(names)) if shares is None else np.array(list(shares), dtype=float)
     each = math.inf if repeats is None or repeats == 1 else float(repeats - 1)
-    return {kind: each * (count - (fitted or {}).get(kind, 0)) for kind, count in counts.items()}
+    pooled = repeats is not None and repeats < POOL_BELOW
+    own = {kind: told[[name == kind for name in names]] for kind in dict.fromkeys(names)}
+    # A row of which the repeats tell nothing brings no degrees of freedom either.
+    estimated = {kind: int(np.count_nonzero(share)) for kind, share in own.items()}
+    return {k: beside_known(each * estimated[k], s, pooled) if estimated[k] else math.inf for k, s in own.items()}
 
 
 def behind(counts: Mapping[str, float], scatter_freedom: Mapping[str, float] | None) -> float:

@@ -18,7 +18,7 @@ from calib.fingerprint import code_files, digest_of, digest_of_files
 from calib.function import FunctionModel
 from calib.limits import parameter_hints, search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, with_effects
-from calib.measurement.accuracy import Accuracy, widened
+from calib.measurement.accuracy import Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_measurement
@@ -358,7 +358,9 @@ class _Reader:
         if isinstance(model, FunctionModel):
             assert isinstance(base, FunctionModel)
             mark = self._fingerprint(fingerprint_of(base, included, model))
-            problem = FunctionProblem(space, model.function, targets, mark, self._repeats(responses))
+            assert responses is not None
+            behind = (self._repeats(responses), responses.shares)
+            problem = FunctionProblem(space, model.function, targets, mark, *behind)
         else:
             assert measured is not None and not isinstance(base, FunctionModel)
             problem = self._problem(model, measured, model.n_dof - base.n_dof)
@@ -406,9 +408,8 @@ class _Reader:
         if given.responses:
             responses = read_responses(self._path(given.responses, "measurement", "responses"), given.pooling)
             kinds = {row.sensor: row.kind for row in response_rows(responses.targets)}
-            responses = responses.pooled(kinds)
             try:
-                return None, replace(responses, targets=widened(responses.targets, kinds, given.accuracy))
+                return None, responses.pooled(kinds).claiming(kinds, given.accuracy)
             except InputError as fault:
                 place = self.place("measurement", "accuracy")
                 raise InputError(fault.problem, place=place, remedy=fault.remedy) from None

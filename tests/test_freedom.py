@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.freedom import KNOWN, behind, chance, effective_freedom, repeats_freedom, row_freedom
+from calib.freedom import KNOWN, behind, beside_known, chance, effective_freedom, repeats_freedom, row_freedom
 
 
 def test_they_are_rows_less_the_trace_of_the_hat_matrix():
@@ -41,12 +41,30 @@ def test_the_sum_of_squares_of_a_right_model_has_their_mean():
 
 def test_repeats_stand_behind_the_scatter():
     kinds = ["frequency"] * 4 + ["shape"] * 10
-    assert repeats_freedom(kinds, 5, {"shape": 3}) == {"frequency": 16.0, "shape": 28.0}
+    assert repeats_freedom(kinds, 5) == {"frequency": 16.0, "shape": 40.0}
     assert set(repeats_freedom(kinds, None).values()) == set(repeats_freedom(kinds, 1).values()) == {math.inf}
     assert behind({"frequency": 4.0, "shape": 10.0}, {"frequency": 16.0, "shape": 28.0}) == pytest.approx(
         14**2 / (4**2 / 16 + 10**2 / 28)
     )
     assert behind({"frequency": 4.0}, repeats_freedom(kinds, None)) == KNOWN
+
+
+def test_what_is_known_beside_the_repeats_makes_the_whole_better_known():
+    """Welch and Satterthwaite: twice the moments of a sum of an estimated variance and a known one."""
+    assert beside_known(8.0, np.full(3, 0.5)) == pytest.approx(8 * 2**2)
+    assert beside_known(8.0, np.zeros(3)) == math.inf and beside_known(8.0, np.array([])) == 8.0
+    rng = np.random.default_rng(2)
+    shares = np.array([0.2, 0.5, 0.9])
+    own = rng.chisquare(6, (200_000, 3)) / 6
+    alone, common = (np.mean(shares * e + 1 - shares, axis=1) for e in (own, own[:, :1]))
+    for drawn, pooled, freedom in ((common, True, 6.0), (alone, False, 18.0)):
+        assert beside_known(freedom, shares, pooled) == pytest.approx(2 / np.var(drawn), rel=0.03)
+
+
+def test_a_row_of_which_repeats_tell_nothing_brings_no_degrees_of_freedom():
+    kinds = ["response"] * 4
+    assert repeats_freedom(kinds, 3, [1.0, 1.0, 1.0, 0.0])["response"] == pytest.approx(6 / 0.75**2)
+    assert repeats_freedom(kinds, 3, [0.0] * 4)["response"] == math.inf
 
 
 def test_the_chance_is_that_of_chi_square_or_of_an_f_variate():

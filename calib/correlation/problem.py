@@ -16,6 +16,7 @@ from calib.correlation.energy import emac
 from calib.correlation.follow import Point, follow
 from calib.correlation.order import Costs
 from calib.correlation.pairing import Pairing, by_order, check_override, in_window, pair_by_order, pair_by_shape
+from calib.correlation.responses import response_freedom
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
@@ -295,6 +296,8 @@ class FunctionProblem:
     repeats : int or None
         Repeats behind the standard deviations, when those are pooled over the responses of each kind; None takes the
         deviations for known.
+    shares : mapping from str to float
+        Part of the variance of each target that these tell; 1 for one left out.
     """
 
     space: ParameterSpace
@@ -302,6 +305,7 @@ class FunctionProblem:
     targets: Mapping[str, tuple[float, float | None]]
     fingerprint: str
     repeats: int | None = None
+    shares: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.targets:
@@ -315,6 +319,11 @@ class FunctionProblem:
                     place="targets",
                     remedy="give a positive one or none",
                 )
+
+    @property
+    def scatter_freedom(self) -> dict[str, float]:
+        """Degrees of freedom behind the standard deviations of each kind; infinite where they are known."""
+        return response_freedom(self.targets, self.repeats, self.shares)
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """Responses at named values; what is left out takes its adopted value.

@@ -175,7 +175,8 @@ class ModalResidual:
         """Degrees of freedom behind the scatter of each kind of row; infinite where it is known."""
         counts = Counter(self.kinds.tolist())
         counts["shape"] -= self.n_fitted_factors
-        return {k: float(freedom_behind(self.problem.measured, k, n)) for k, n in counts.items() if n > 0}
+        own, floors, pool = self.problem.measured, self.floors, self.pool
+        return {k: float(freedom_behind(own, k, n, floors, pool)) for k, n in counts.items() if n > 0}
 
     def n_fitted_factors_of(self, modes: Collection[str]) -> int:
         """The same for some measured modes."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
+
+from calib.freedom import repeats_freedom
 
 
 class ResponseRow(NamedTuple):
@@ -32,3 +34,18 @@ def response_rows(names: Iterable[str]) -> tuple[ResponseRow, ...]:
     shared = Counter(heads.values())
     kinds = {name: head for name, head in heads.items() if head and shared[head] > 1}
     return tuple(ResponseRow("", kinds.get(name, "response"), name) for name in names)
+
+
+def response_freedom(names: Iterable[str], repeats: int | None, shares: Mapping[str, float]) -> dict[str, float]:
+    """Degrees of freedom behind the standard deviations of each kind of some plain responses.
+
+    Parameters
+    ----------
+    names : iterable of str
+    repeats : int or None
+        Behind the standard deviations; None takes them for known.
+    shares : mapping from response name to float
+        Part of each variance that the repeats tell; 1 for one left out.
+    """
+    rows = response_rows(names)
+    return repeats_freedom((row.kind for row in rows), repeats, [shares.get(row.sensor, 1.0) for row in rows])

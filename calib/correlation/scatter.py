@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from calib.errors import InputError
-from calib.freedom import POOL_BELOW
+from calib.freedom import POOL_BELOW, beside_known
 from calib.mac import is_real
 from calib.measurement.accuracy import KINDS
 from calib.measurement.modal import MeasuredModes
@@ -94,26 +95,12 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
     pool : bool, optional
         Overrides that rule.
     """
-    pooled = 1 < measured.n_repeats < POOL_BELOW if pool is None else pool
-    freq = measured.freq_std / measured.natural_freq
-    damped = measured.damping_ratio > 0
-    damping = np.full(measured.n_modes, np.nan)
-    damping[damped] = measured.damping_std[damped] / measured.damping_ratio[damped]
-    shape = np.where(np.isfinite(measured.shapes), measured.shape_std, np.nan)
-    counted = np.isfinite(shape)
-    entries = int(counted.sum())
-    freedom = int(np.maximum(counted.sum(axis=0) - 1, 0).sum()) if measured.n_repeats > 1 else entries
-    lost = entries / freedom if freedom else 1.0
-    claim = measured.accuracy
-    unknown = {
-        "freq": 0.0 if claim.freq.given else floors.unknown_freq,
-        "damping": 0.0 if claim.damping.given else floors.unknown_damping,
-        "shape": 0.0 if claim.shape.given else floors.unknown_shape,
-    }
+    own = _estimated(measured, floors, pool)
+    unknown = _unknown(measured, floors)
     return Scatter(
-        freq=_whole(freq, measured.counts("freq"), unknown["freq"], floors.freq, pooled, 1.0),
-        damping=_whole(damping, measured.counts("damping"), unknown["damping"], floors.damping, pooled, 1.0),
-        shape=_whole(shape, measured.counts("shape"), unknown["shape"], floors.shape, pooled, lost),
+        freq=_beside(own.freq, floors.freq, unknown["freq"]),
+        damping=_beside(own.damping, floors.damping, unknown["damping"]),
+        shape=_beside(own.shape, floors.shape, unknown["shape"]),
     ).beside(measured)
 
 
@@ -129,10 +116,17 @@ def known_scatter(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | 
     return Scatter(*(k if some else np.full(k.shape, np.nan) for (k, _, _), some in zip(told, known, strict=True)))
 
 
-def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float = 1.0) -> np.ndarray:
+def freedom_behind(
+    measured: MeasuredModes,
+    kind: str,
+    own: np.ndarray | float = 1.0,
+    floors: Floors = USUAL,
+    pool: bool | None = None,
+) -> np.ndarray:
     """Degrees of freedom of the repeats behind the standard deviations of `scatter_of`.
 
-    Infinite for a single repeat, and for a kind of which no repeat tells a scatter.
+    Floors and claimed accuracy are known: the larger their part, the better known the whole; see
+    `calib.freedom.beside_known`. Infinite for a single repeat, and for a kind of which no repeat tells a scatter.
 
     Parameters
     ----------
@@ -140,25 +134,29 @@ def freedom_behind(measured: MeasuredModes, kind: str, own: np.ndarray | float =
     kind : {"frequency", "damping", "shape"}
     own : ndarray or float
         Those of the comparisons themselves: what is not pooled rests on the repeats of the same numbers only.
+    floors, pool
+        As in `scatter_of`.
     """
+    name: Literal["freq", "damping", "shape"] = "freq" if kind == "frequency" else "damping"
     repeats = measured.n_repeats
-    if repeats == 1:
-        return np.full(np.shape(own), np.inf)
     if kind == "shape":
-        known = np.isfinite(measured.shapes) & np.isfinite(measured.shape_std)
+        name, known = "shape", np.isfinite(measured.shapes) & np.isfinite(measured.shape_std)
         parts = np.where(is_real(measured.shapes), 1, 2)
         count = int(np.sum(parts * np.maximum(known.sum(axis=0) - 1, 0)))
-        behind = measured.counts("shape")[known]
     else:
         known = np.isfinite(measured.freq_std if kind == "frequency" else measured.damping_std)
         count = int(known.sum())
-        behind = measured.counts("freq" if kind == "frequency" else "damping")[known]
-    if not behind.size:
+    if repeats == 1 or not known.any():
         return np.full(np.shape(own), np.inf)
-    each = max(float(np.mean(behind - 1.0)), 1.0)
-    if repeats >= POOL_BELOW:
-        return np.asarray(own, dtype=float) * each
-    return np.full(np.shape(own), max(count, 1) * each)
+    each = max(float(np.mean(measured.counts(name)[known] - 1.0)), 1.0)
+    estimated = getattr(_estimated(measured, floors, pool), name)[known]
+    total = getattr(scatter_of(measured, floors, pool), name)[known]
+    pooled = _pooled(measured, pool)
+    # A kind whose repeats are all equal rests on what is known.
+    more = beside_known(1.0, np.divide(estimated, total, out=np.zeros_like(total), where=total > 0) ** 2, pooled)
+    if pooled:
+        return np.full(np.shape(own), max(count, 1) * each * more)
+    return np.asarray(own, dtype=float) * each * more
 
 
 def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assumption, ...]:
@@ -198,16 +196,48 @@ def _relative(std: np.ndarray, value: np.ndarray) -> np.ndarray:
     return np.divide(std, value, out=np.full(np.shape(std), np.nan), where=value > 0)
 
 
-def _whole(std: np.ndarray, counts: np.ndarray, unknown: float, floor: float, pooled: bool, lost: float) -> np.ndarray:
+def _pooled(measured: MeasuredModes, pool: bool | None) -> bool:
+    return 1 < measured.n_repeats < POOL_BELOW if pool is None else pool
+
+
+def _unknown(measured: MeasuredModes, floors: Floors) -> dict[str, float]:
+    """Standard deviations that are assumed where a measurement tells none: nothing beside a claimed accuracy."""
+    claim = measured.accuracy
+    return {name: 0.0 if getattr(claim, name).given else getattr(floors, f"unknown_{name}") for name in KINDS}
+
+
+def _estimated(measured: MeasuredModes, floors: Floors, pool: bool | None) -> Scatter:
+    """What `scatter_of` takes from repeats and files, or assumes, before floors and accuracy are added."""
+    pooled = _pooled(measured, pool)
+    freq = measured.freq_std / measured.natural_freq
+    damped = measured.damping_ratio > 0
+    damping = np.full(measured.n_modes, np.nan)
+    damping[damped] = measured.damping_std[damped] / measured.damping_ratio[damped]
+    shape = np.where(np.isfinite(measured.shapes), measured.shape_std, np.nan)
+    counted = np.isfinite(shape)
+    entries = int(counted.sum())
+    freedom = int(np.maximum(counted.sum(axis=0) - 1, 0).sum()) if measured.n_repeats > 1 else entries
+    lost = entries / freedom if freedom else 1.0
+    unknown = _unknown(measured, floors)
+    return Scatter(
+        freq=_taken(freq, measured.counts("freq"), unknown["freq"], pooled, 1.0),
+        damping=_taken(damping, measured.counts("damping"), unknown["damping"], pooled, 1.0),
+        shape=_taken(shape, measured.counts("shape"), unknown["shape"], pooled, lost),
+    )
+
+
+def _taken(std: np.ndarray, counts: np.ndarray, unknown: float, pooled: bool, lost: float) -> np.ndarray:
     known = np.isfinite(std)
-    if known.any():
-        # deviations of means over unlike numbers of repeats become those of one repeat, and back
-        n = np.maximum(counts, 1)
-        freedom = n[known] - 1.0 if np.any(n[known] > 1) else np.ones(int(known.sum()))
-        single = float(np.average(std[known] ** 2 * n[known], weights=freedom))
-        common = np.sqrt(single * lost / n)
-    else:
-        common = np.full(std.shape, unknown)
-    taken = common if pooled else np.where(known, std, common)
-    total = np.sqrt(taken**2 + floor**2)
+    if not known.any():
+        return np.full(std.shape, unknown)
+    # deviations of means over unlike numbers of repeats become those of one repeat, and back
+    n = np.maximum(counts, 1)
+    freedom = n[known] - 1.0 if np.any(n[known] > 1) else np.ones(int(known.sum()))
+    single = float(np.average(std[known] ** 2 * n[known], weights=freedom))
+    common = np.sqrt(single * lost / n)
+    return common if pooled else np.where(known, std, common)
+
+
+def _beside(std: np.ndarray, floor: float, unknown: float) -> np.ndarray:
+    total = np.hypot(std, floor)
     return np.where(total > 0, total, unknown)

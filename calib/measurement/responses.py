@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from calib.freedom import POOL_BELOW
+from calib.measurement.accuracy import widened
 from calib.measurement.average import mean_and_std
 from calib.measurement.csv_format import ONE, read_responses_csv
 from calib.measurement.disagreements import Disagreement, Pooling, value_disagreements
@@ -26,12 +27,15 @@ class MeasuredResponses:
         Repeats behind each; empty for a table that does not say.
     disagreements : tuple of Disagreement
     notes : tuple of str
+    shares : mapping from response name to float
+        Part of the variance of each that repeats tell, the rest being claimed; one left out is told by them alone.
     """
 
     targets: Mapping[str, tuple[float, float | None]]
     counts: Mapping[str, int]
     disagreements: tuple[Disagreement, ...] = ()
     notes: tuple[str, ...] = ()
+    shares: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def repeats(self) -> int | None:
@@ -67,6 +71,20 @@ class MeasuredResponses:
                     abs(value) * float(np.sqrt(np.average(each, weights=freedom) / self.counts[name])),
                 )
         return replace(self, targets=targets)
+
+    def claiming(
+        self, kinds: Mapping[str, str], accuracy: str | float | Mapping[str, str | float] | None
+    ) -> MeasuredResponses:
+        """The same with a claimed accuracy added to the standard deviations, see `calib.measurement.accuracy.widened`.
+
+        Repeats tell their own part of each variance only. They tell nothing of a response that is in one repeat alone,
+        nor of one whose scatter is unknown.
+        """
+        targets, shares = widened(self.targets, kinds, accuracy), {}
+        for name, (_, std) in self.targets.items():
+            total, repeated = targets[name][1], self.counts.get(name, 2) > 1
+            shares[name] = 0.0 if std is None or total is None or not repeated else (std / total) ** 2
+        return replace(self, targets=targets, shares=shares)
 
 
 def read_responses(path: Path, pooling: Pooling = "robust") -> MeasuredResponses:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from calib.freedom import beside_known
 from calib.missing.findings import Findings
 from calib.missing.goodness import goodness, overall
 from calib.missing.hypotheses import Label
@@ -60,9 +61,13 @@ def less_accurate(
         with np.errstate(invalid="ignore"):
             weight = np.where(np.isfinite(own), own / np.hypot(own, accuracy), 1.0)
         state = _weighted(found.base.state, weight)
-        kinds, modes = goodness(state, rows, fitted_factors, scatter_freedom)
+        behind = {
+            kind: beside_known(freedom, weight[[row.kind == kind for row in rows]] ** 2)
+            for kind, freedom in scatter_freedom.items()
+        }
+        kinds, modes = goodness(state, rows, fitted_factors, behind)
         each = [
-            family_p(_again(state, scores, weight), rows, scatter_freedom, seed)
+            family_p(_again(state, scores, weight), rows, behind, seed)
             for scores in (found.base_check.named, found.base_check.atoms)
         ]
         p_family, p_fit = min(1.0, 2 * min(each)), overall(kinds, modes)

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.correlation.problem import FunctionProblem
-from calib.correlation.responses import ResponseRow, response_rows
+from calib.correlation.responses import ResponseRow, response_freedom, response_rows
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
-from calib.freedom import repeats_freedom
 from calib.function import FunctionModel, extend_function
 from calib.outcome import attempt
 from calib.questions.function_atoms import Remembered, function_atoms
@@ -209,6 +208,8 @@ class FunctionHypotheses:
         deviations for known.
     step : float
         Half a central difference, over the range; to be raised for a function whose last digits are not exact.
+    shares : mapping from response name to float
+        Part of each variance that the repeats tell; 1 for one left out.
 
     Raises
     ------
@@ -222,6 +223,7 @@ class FunctionHypotheses:
     effects: tuple[Effect, ...]
     repeats: int | None = None
     step: float = 1e-4
+    shares: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count, free = len(self.targets), len(self.space.free)
@@ -274,7 +276,7 @@ class FunctionHypotheses:
     @cached_property
     def scatter_freedom(self) -> Mapping[str, float]:
         """Degrees of freedom behind the scatter of each kind."""
-        return repeats_freedom((row.kind for row in self.rows), self.repeats)
+        return response_freedom(self.targets, self.repeats, self.shares)
 
     def question(self, names: tuple[str, ...]) -> FunctionQuestion:
         """The model with the named effects or local changes added; InputError for an unknown name."""

@@ -15,7 +15,7 @@ from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.responses import response_rows
 from calib.errors import EvaluationError
-from calib.freedom import effective_freedom, repeats_freedom
+from calib.freedom import effective_freedom
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, misfit_factor, overall
 from calib.missing.hypotheses import Label
@@ -92,7 +92,7 @@ class RecordedResidual:
         if isinstance(self._inner, RecordedModes):
             return self._inner.inner.scatter_freedom
         assert isinstance(self.problem, FunctionProblem)
-        return repeats_freedom((row.kind for row in self.rows), self.problem.repeats)
+        return self.problem.scatter_freedom
 
     def predictions(self, values: Mapping[str, float], names: Sequence[str], covariance: np.ndarray) -> pd.DataFrame:
         """Frequencies at named values with 95 % intervals from the scatter of the parameters; empty without modes."""

@@ -38,10 +38,12 @@ class PlainSide:
     def of(cls, study: Study) -> PlainSide:
         """Raises InputError when there are too few responses to name anything."""
         assert isinstance(study.model, FunctionModel)
-        repeats = study.repeats
+        shares = {} if study.responses is None else study.responses.shares
         return cls(
             study,
-            FunctionHypotheses(study.model, study.targets, study.search_space, study.candidates, repeats=repeats),
+            FunctionHypotheses(
+                study.model, study.targets, study.search_space, study.candidates, study.repeats, shares=shares
+            ),
         )
 
     @property

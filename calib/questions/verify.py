@@ -15,7 +15,7 @@ from calib.correlation.residual import ModalResidual
 from calib.correlation.responses import response_rows
 from calib.correlation.scatter import Floors
 from calib.correlation.unused import group_table, withheld_errors
-from calib.freedom import KNOWN, behind, chance, effective_freedom, repeats_freedom
+from calib.freedom import KNOWN, behind, chance, effective_freedom
 from calib.missing.left_out import left_out
 from calib.questions.compare import responses_at
 from calib.study import Study, Targets
@@ -71,7 +71,7 @@ def plain_scatter(problem: FunctionProblem) -> float:
     """Degrees of freedom behind the scatter of all responses of a function together."""
     kinds = [row.kind for row in response_rows(problem.targets)]
     counts = {kind: float(kinds.count(kind)) for kind in kinds}
-    return behind(counts, repeats_freedom(kinds, problem.repeats))
+    return behind(counts, problem.scatter_freedom)
 
 
 def modal_errors(

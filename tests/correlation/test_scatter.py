@@ -1,9 +1,14 @@
 """Standard deviations that are taken, and what is told of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calib.correlation.scatter import assumptions, scatter_of
+from calib.correlation.scatter import Floors, assumptions, freedom_behind, scatter_of
+from calib.freedom import chance
+from calib.measurement.accuracy import Accuracy
+from calib.measurement.average import mean_and_std
 from calib.measurement.read import read_measurement
 
 MODES = "mode,freq,freq_kind,repeat\n" + "".join(
@@ -24,3 +29,30 @@ def test_the_assumed_deviation_of_a_mode_is_the_one_that_is_taken(tmp_path):
     assert taken[2] > 1.5 * np.sqrt(np.mean(taken[:2] ** 2))
     (told,) = [a for a in assumptions(measured) if "frequenc" in a.item]
     assert float(told.value) == pytest.approx(100 * taken[2], rel=0.05)
+
+
+@pytest.mark.parametrize("claimed", [True, False], ids=["accuracy", "floor"])
+def test_few_repeats_beside_a_known_error_reject_as_often_as_the_level_says(tmp_path, claimed):
+    """Two repeats that scatter by 0.2 % beside an error of 1 % that all repeats share."""
+    path = tmp_path / "modes.csv"
+    path.write_text("mode,freq,freq_kind,repeat\n" + "".join(
+        f"m{i},{10 + i + k / 100},natural,{k}\n" for k in range(2) for i in range(6)
+    ))  # fmt: skip
+    read = read_measurement([path])
+    assert read.n_repeats == 2 and read.n_modes == 6
+    floors = Floors(freq=0.0 if claimed else 0.01, damping=0.0, shape=0.0)
+    rng, truth, p, alone, missed = np.random.default_rng(3), np.linspace(5, 50, 6), [], [], []
+    for _ in range(2000):
+        shared = 1 + 0.01 * rng.standard_normal(6)
+        mean, std = mean_and_std(truth * shared * (1 + 0.002 * rng.standard_normal((2, 6))))
+        measured = replace(read, natural_freq=mean, damped_freq=mean, freq_std=std)
+        measured = replace(measured, accuracy=Accuracy.of({"freq": "1 %"} if claimed else None))
+        behind, taken = freedom_behind(measured, "frequency", 6, floors), scatter_of(measured, floors).freq
+        p.append(float(chance(np.sum((np.log(mean / truth) / taken) ** 2), 6, behind)))
+        wrong = np.sum((np.log(mean / (0.97 * truth)) / taken) ** 2)  # three times the error
+        missed.append(float(chance(wrong, 6, behind)) > 0.01)
+        alone.append(float(chance(wrong, 6, 6.0)) > 0.01)
+    for level in (0.01, 0.05, 0.5):
+        assert np.mean(np.array(p) < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / len(p)))
+    # With the degrees of freedom of the repeats alone many of these would pass.
+    assert np.mean(missed) < 0.02 and np.mean(alone) > 0.2

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from calib.correlation.responses import response_freedom
 from calib.errors import InputError
 from calib.freedom import chance, repeats_freedom
 from calib.measurement.read import read_measurement
@@ -163,3 +164,21 @@ def test_a_right_model_is_rejected_as_often_as_the_level_says(tmp_path, repeats,
         scatter = repeats_freedom(kinds.values(), found.repeats)["r"]
         rejected += bool(chance(np.sum(((mean - truth) / std) ** 2), count, scatter) < level)
     assert rejected / runs < level + 3 * np.sqrt(level * (1 - level) / runs)
+
+
+def test_a_claimed_accuracy_is_known_however_few_the_repeats(tmp_path):
+    """Two repeats that scatter by 0.1 % beside a claim of 1 %: five times the claim is a gross misfit."""
+    path, count, truth = tmp_path / "r.csv", 4, np.array([5.0, 10.0, 20.0, 40.0])
+    kinds = {f"r_{k}": "r" for k in range(count)}
+    rng, p = np.random.default_rng(5), []
+    for _ in range(400):
+        values = truth * (1 + 0.01 * rng.normal(size=count)) * (1 + 0.001 * rng.normal(size=(2, count)))
+        rows = [f"r_{k},{v!r},{i}" for i, own in enumerate(values.tolist()) for k, v in enumerate(own)]
+        path.write_text("response,value,repeat\n" + "\n".join(rows) + "\n")
+        found = read_responses(path, "plain").pooled(kinds).claiming(kinds, "1 %")
+        (behind,) = response_freedom(found.targets, found.repeats, found.shares).values()
+        mean, std = np.array(list(found.targets.values())).T
+        p.append(float(chance(np.sum(((mean - truth) / std) ** 2), count, behind)))
+        assert chance(count * 3.5**2, count, behind) < 0.01 < chance(count * 3.5**2, count, count)
+    for level in (0.05, 0.5):
+        assert np.mean(np.array(p) < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / len(p)))

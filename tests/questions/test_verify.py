@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from calib.correlation.residual import ModalResidual
-from calib.correlation.scatter import Floors, freedom_behind
+from calib.correlation.scatter import USUAL, Floors, freedom_behind, scatter_of
 from calib.missing.state import fitted
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.verify import ERROR_COLUMNS, _scaled, errors_at, modal_errors, plain_errors
@@ -17,6 +17,7 @@ from calib.structure.variants import Variants
 from calib.study import Study
 
 PLAIN = Floors()
+NO_FLOORS = Floors(0.0, 0.0, 0.0)
 KNOWN = {"frequency": math.inf, "shape": math.inf}
 HELD = '[withheld]\nmodes = ["B2z"]\nsensors = ["2x", "4z"]\n'
 BARE = "[withheld]\nmodes = []\nsensors = []\n"
@@ -144,7 +145,7 @@ def test_a_factor_is_the_same_as_a_measurement_with_so_much_more_scatter(study, 
     def wide(measured):
         return replace(measured, freq_std=3 * measured.freq_std, shape_std=3 * measured.shape_std)
 
-    bare = Floors(0.0, 0.0, 0.0)
+    bare = NO_FLOORS
     other = replace(study.problem, measured=wide(study.problem.measured))
     whole = study.whole_problem()
     there = errors(study, state, 1.0, other, replace(whole, measured=wide(whole.measured)), floors=bare)
@@ -174,7 +175,13 @@ def test_freedom_behind_the_scatter_is_that_of_the_repeats_less_the_factors(stud
     measured = study.problem.measured
     assert ModalResidual(study.problem).scatter_freedom == KNOWN
     repeated = replace(study.problem, measured=replace(measured, n_repeats=5))
-    assert ModalResidual(repeated).scatter_freedom == {"frequency": 4 * 5.0, "shape": 4 * (50.0 - 5.0)}
+    none = ModalResidual(repeated, NO_FLOORS).scatter_freedom
+    assert none == {"frequency": 4 * 5.0, "shape": 4 * (50.0 - 5.0)}
+    own, whole = scatter_of(repeated.measured, NO_FLOORS), scatter_of(repeated.measured)
+    beside = ModalResidual(repeated).scatter_freedom
+    for kind, a, b in (("frequency", own.freq, whole.freq), ("shape", own.shape, whole.shape)):
+        assert beside[kind] > none[kind]
+        assert beside[kind] == pytest.approx(none[kind] / np.mean((a / b) ** 2) ** 2)
 
 
 def test_freedom_behind_is_the_same_for_the_fit_and_for_the_comparison(study):
@@ -183,9 +190,10 @@ def test_freedom_behind_is_the_same_for_the_fit_and_for_the_comparison(study):
     held = np.array([3] + [10] * (measured.n_modes - 1))
     for repeats, counts in ((10, held), (5, np.minimum(held, 5))):
         told = replace(measured, n_repeats=repeats, freq_count=counts)
-        found = ModalResidual(replace(study.problem, measured=told)).scatter_freedom
-        assert found["frequency"] == pytest.approx(np.sum(counts - 1.0))
-        assert found["frequency"] == freedom_behind(told, "frequency", measured.n_modes)
+        for floors in (NO_FLOORS, USUAL):
+            found = ModalResidual(replace(study.problem, measured=told), floors).scatter_freedom
+            assert found["frequency"] == freedom_behind(told, "frequency", measured.n_modes, floors)
+            assert floors is USUAL or found["frequency"] == pytest.approx(np.sum(counts - 1.0))
 
 
 # -- plain -------------------------------------------------------------------------------------------------------------
