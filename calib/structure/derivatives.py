@@ -167,7 +167,7 @@ def eigen_derivatives(
     eigenvalue = np.zeros((len(names), len(chosen)), dtype=complex)
     shapes = np.zeros((len(names), n_rows, len(chosen)), dtype=group.shape_type)
     regular = np.ones(len(chosen), dtype=bool)
-    for i, j in enumerate(chosen.tolist()):
+    for i, j in enumerate(chosen.tolist() if slopes else []):
         eigenvalue[:, i], shape, regular[i] = group.of(j, without_shapes)
         shapes[:, :, i] = np.nan if not regular[i] else (shape if wanted is None else wanted @ shape).T
     root = eigenvalues(modes)[chosen]

@@ -243,6 +243,15 @@ def test_scaling_everything_moves_nothing_but_the_scale():
     np.testing.assert_allclose(found.shapes[0], -0.5 * modes.shapes, rtol=1e-6, atol=1e-8 * np.abs(modes.shapes).max())
 
 
+@pytest.mark.parametrize("damped", [True, False])
+def test_by_no_parameter_there_are_no_columns(damped):
+    model = small(3, damped)
+    values = model.space.values
+    found = mode_derivatives(model, values, model.modes(values, 4), ())
+    assert found.eigenvalue.shape == found.natural_freq.shape == (0, 4) and found.shapes.shape == (0, N, 4)
+    assert found.regular.all()
+
+
 def test_unknown_names_are_told():
     model = small(0)
     modes = model.modes({}, 3)
