@@ -15,7 +15,7 @@ from calib.correlation.compare import Comparison
 from calib.correlation.energy import emac
 from calib.correlation.follow import Point, follow
 from calib.correlation.order import Costs
-from calib.correlation.pairing import Pairing, by_order, check_override, in_window, pair_by_order, pair_by_shape
+from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
 from calib.correlation.responses import response_freedom
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
@@ -61,7 +61,8 @@ class ModalProblem:
     base : ModalProblem or None
         The same question asked of the model without effects that are added to it, all of strength next to 0 at the
         reference: its pairs without shapes are taken over there, since an added motion that nothing couples is no mode
-        of the structure, however well its frequency fits.
+        of the structure, however well its frequency fits. A choice of pairs that both have in common is one of modes of
+        the base, and taken over like its other pairs.
 
     Raises
     ------
@@ -228,11 +229,23 @@ class ModalProblem:
         there, pairing, costs = self._reference
         if here.values == there.values:
             return pairing
-        chosen = [self.measured.names.index(mode) for mode in self.override]
+        chosen = [self.measured.names.index(mode) for mode in self._chosen]
         rows = np.setdiff1d(pairing.paired, chosen)
         reached = follow(self.model, there, here, pairing.model_index[rows])
         reached = np.where(in_window(here.modes.natural_freq, self.freq_window)[reached], reached, -1)
         return self._ordered(here.modes, dict(zip(rows.tolist(), reached.tolist(), strict=True)), costs)[0]
+
+    @cached_property
+    def _base_reference(self) -> tuple[Point, Pairing, Costs] | None:
+        """That of `base`, where it answers the same measured modes."""
+        base = self.base
+        return base._reference if base is not None and base.measured.names == self.measured.names else None
+
+    @cached_property
+    def _chosen(self) -> dict[str, int]:
+        """The user's choice of modes of this very model; what was chosen of `base` is one of the pairs taken over."""
+        taken = {} if self.base is None or self._base_reference is None else self.base.override
+        return {mode: number for mode, number in self.override.items() if taken.get(mode) != number}
 
     @cached_property
     def _reference(self) -> tuple[Point, Pairing, Costs] | None:
@@ -244,15 +257,16 @@ class ModalProblem:
             return None
         if there.modes.n_modes < self.mode_count:
             return None
-        base = self.base
-        taken = base._reference if base is not None and base.measured.names == self.measured.names else None
+        taken = self._base_reference
         if taken is None:
             return (there, *self._ordered(there.modes))
         (_, modes), pairing, costs = taken
         index = pairing.model_index.copy()
         apart = np.abs(np.subtract.outer(modes.natural_freq[index[pairing.paired]], there.modes.natural_freq))
         index[pairing.paired] = linear_sum_assignment(apart)[1]
-        return there, by_order(index), costs
+        own = {self.measured.names.index(mode) for mode in self._chosen}
+        followed = {i: j for i, j in enumerate(index.tolist()) if i not in own}
+        return there, self._ordered(there.modes, followed, costs)[0], costs
 
     def _ordered(
         self, modes: Modes, followed: Mapping[int, int] | None = None, costs: Costs | None = None
@@ -262,7 +276,7 @@ class ModalProblem:
             modes.natural_freq,
             self.measured.names,
             window=self.freq_window,
-            override=self.override,
+            override=self._chosen,
             followed=followed,
             costs=costs,
         )

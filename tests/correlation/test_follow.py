@@ -77,31 +77,64 @@ def test_a_mode_more_in_the_test_or_in_the_model_shifts_no_other(build, twin):
     assert ModalProblem(model, lacking, mode_count=COUNT).compare({}).pairing.model_index.tolist() == [0, 2, 3, 4]
 
 
-def test_an_added_motion_that_nothing_couples_takes_no_partner_away(build, twin):
+@pytest.fixture
+def with_hung_mass():
+    """Gives a model one mass more, on its own spring to the ground; a link to the model has strength 0."""
+
+    def make(model, freq):
+        rate = (2 * np.pi * freq) ** 2
+
+        def hung(model):
+            n = model.n_dof
+            own = sp.csr_array(([1.0], ([n], [n])), shape=(n + 1, n + 1))
+            arm = sp.csr_array(np.outer(v := np.eye(n + 1)[n] - np.eye(n + 1)[n - 1], v))
+            return Addition(
+                stiffness=(Term("own", rate * own), Term("hung", arm, parameter("hung"))),
+                mass=(Term("own", own),),
+                n_added=1,
+            )
+
+        strength = Parameter("hung", 0.0, 0.0, 1e4, "N/m", prior_sd=1e3)
+        return extend(model, [Effect("hung", "Hung mass", "It is left out.", "Look there.", strength, hung)])
+
+    return make
+
+
+def test_an_added_motion_that_nothing_couples_takes_no_partner_away(build, twin, with_hung_mass):
     """Without shapes its frequency alone would speak for it."""
     model = build(damped=False)
     measured = twin(model, model.space.complete({"k_along": 42.0}), order=(0, 1, 2, 3), shapes=False)
     base = ModalProblem(model, measured, mode_count=COUNT)
-    rate = (2 * np.pi * measured.natural_freq[2]) ** 2
-
-    def hung(model):
-        n = model.n_dof
-        own = sp.csr_array(([1.0], ([n], [n])), shape=(n + 1, n + 1))
-        arm = sp.csr_array(np.outer(v := np.eye(n + 1)[n] - np.eye(n + 1)[n - 1], v))
-        return Addition(
-            stiffness=(Term("own", rate * own), Term("hung", arm, parameter("hung"))),
-            mass=(Term("own", own),),
-            n_added=1,
-        )
-
-    strength = Parameter("hung", 0.0, 0.0, 1e4, "N/m", prior_sd=1e3)
-    wider = extend(model, [Effect("hung", "Hung mass", "It is left out.", "Look there.", strength, hung)])
+    wider = with_hung_mass(model, measured.natural_freq[2])
     asked = replace(base, model=wider, mode_count=COUNT + 1, base=base)
     for values in ({}, {"k_along": 45.0}):
         ours, theirs = asked.evaluate(values), base.evaluate(values)
         assert ours == pytest.approx(theirs, nan_ok=True)
     alone = replace(asked, base=None).evaluate({})
     assert alone["natural_freq_M3"] == pytest.approx(measured.natural_freq[2]) != base.evaluate({})["natural_freq_M3"]
+
+
+def test_a_choice_of_the_users_is_the_same_mode_beside_an_added_motion(build, twin, with_hung_mass):
+    """What is added below the chosen mode is counted before it."""
+    model = build(damped=False)
+    measured = twin(model, model.space.complete({"k_along": 42.0}), order=(0, 1, 2, 3), shapes=False)
+    base = ModalProblem(model, measured, mode_count=COUNT, override={"M3": 4, "M4": 3})
+    asked = replace(base, model=with_hung_mass(model, 0.5), mode_count=COUNT + 1, base=base)
+    for values in ({}, {"k_along": 40.5}, {"k_along": 42.0}):
+        found = base.compare(values).pairing.model_index
+        assert found.tolist()[2:] == [3, 2]
+        assert asked.compare(values).pairing.model_index.tolist() == (found + 1).tolist()
+        assert asked.evaluate(values) == pytest.approx(base.evaluate(values), nan_ok=True)
+
+
+def test_a_choice_among_modes_of_the_extended_model_holds_everywhere(build, twin, with_hung_mass):
+    model = build(damped=False)
+    measured = twin(model, model.space.complete({"k_along": 42.0}), order=(0, 1, 2, 3), shapes=False)
+    base = ModalProblem(model, measured, mode_count=COUNT)
+    wider = with_hung_mass(model, 0.5)
+    asked = replace(base, model=wider, mode_count=COUNT + 1, base=base, override={"M3": 1, "M4": 4})
+    for values in ({}, {"k_along": 40.5}):
+        assert asked.compare(values).pairing.model_index.tolist() == [1, 2, 0, 3]
 
 
 def test_the_answer_does_not_depend_on_what_was_asked_before(build, twin):
