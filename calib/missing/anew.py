@@ -13,7 +13,6 @@ from calib.effect import Effect
 from calib.errors import EvaluationError
 from calib.missing.findings import Check, Trial
 from calib.missing.refits import Refits
-from calib.missing.score import scores
 from calib.missing.state import State, linearised
 
 ANEW = 0.5
@@ -48,9 +47,7 @@ def anew(fits: Refits, base: Trial, singles: Sequence[Trial], effects: Sequence[
     effect only where it ended lower.
     """
     fits.progress("fitting from the adopted values too")
-    begun = fits.hypotheses.evaluations
-    # These evaluations are charged to nothing else.
-    own = replace(fits, begun=begun, settings=replace(fits.settings, budget=ANEW * fits.settings.budget))
+    own = replace(fits, settings=replace(fits.settings, budget=ANEW * fits.settings.budget))
     best = {t.names[0]: t for t in singles}
     try:
         starts = _starts(own, effects)
@@ -76,7 +73,7 @@ def _starts(fits: Refits, effects: Sequence[Effect]) -> list[_Start]:
     """Promised sum of squares, effect and start, of the most promising effects at the adopted values; best first."""
     question = fits.question(())
     adopted = linearised(question, (), question.space.values)
-    found = scores(adopted, effects, {e.name: fits.question((e.name,)) for e in effects if e.grid})
+    found = fits.scores(adopted, effects)
     by_name = {e.name: e for e in effects}
     out: list[_Start] = []
     for k, name in enumerate(found.owners):

@@ -48,8 +48,7 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
     modes = {row.mode for row in hypotheses.rows if row.mode}
     if modes:
         require_modes(len(modes))
-    # What was asked before is not charged to this decision, which must not depend on it.
-    fits = Refits(hypotheses, settings, 1.0, progress, hypotheses.evaluations)
+    fits = Refits(hypotheses, settings, 1.0, progress)
     found = _Decision(fits).findings({})
     if found.measured_scale > GUARD and found.verdict != "nothing_detectable":
         progress(f"the scatter seems understated by a factor of {found.measured_scale:.2f}: beginning anew")
@@ -86,11 +85,7 @@ class _Decision:
         fits.progress("testing whether anything is missing")
         # By name: neither draws nor ties nor what a budget leaves out may depend on the order of the library.
         able = sorted(hypotheses.effects, key=lambda e: e.name)
-        asked = hypotheses.evaluations
-        named = fits.scores(base, able)
-        if hypotheses.unpaired((), base.state.values):
-            # What each effect pairs is asked over decades of strength; the budget is for fits.
-            fits = replace(fits, begun=fits.begun + hypotheses.evaluations - asked)
+        named = fits.scores(base.state, able)
         able = [e for e in able if e.name in named.owners]
         if not able:
             raise EvaluationError("the model cannot be solved with any of the effects")
@@ -114,9 +109,8 @@ class _Decision:
         best, best_check = self.best(singles, able)
         settled = self.accepted(best, best_check, needed) and not self.scale(base, best, atom) > GUARD
         if not settled and not starts and fits.settings.budget > 0 and led_astray(base, check):
-            begun = hypotheses.evaluations
-            singles = anew(fits, base, singles, able)
-            fits = replace(fits, begun=fits.begun + hypotheses.evaluations - begun)
+            with fits.allowance.uncharged():  # it has an allowance of its own
+                singles = anew(fits, base, singles, able)
             best, best_check = self.best(singles, able)
             plain = replace(plain, begun_anew=True)
         plain = replace(plain, trials=tuple(singles), atom=atom, measured_scale=self.scale(base, best, atom))
@@ -233,7 +227,7 @@ class _Decision:
 
     def beside(self, trial: Trial, candidates: Sequence[Effect]) -> Scores:
         """Scores of the candidates that a fitted model does not have."""
-        return self.fits.scores(trial, [e for e in candidates if e.name not in trial.names])
+        return self.fits.scores(trial.state, [e for e in candidates if e.name not in trial.names])
 
     def check(self, trial: Trial, named: Scores) -> Check:
         """Tests of a fitted model, given the scores of the named effects that it does not have."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from calib.effect import Effect
 from calib.errors import EvaluationError
 from calib.missing.alike import Group, grouped
+from calib.missing.allowance import Allowance
 from calib.missing.evidence import CREDIBLE, at_lower, ln_bayes_linear, ln_evidence
 from calib.missing.findings import Trial
 from calib.missing.hypotheses import Hypotheses, Question, Scaled
@@ -61,7 +62,7 @@ class Settings:
     seed : int
         Of the draws behind family-wise probabilities.
     budget : float
-        Model evaluations after which no further effect or pair of effects is tried.
+        Model evaluations after which no further effect or pair of effects is tried; for each decision its own.
     """
 
     alpha: float = 0.01
@@ -86,15 +87,18 @@ class Refits:
         Factor on the scatter.
     progress : callable
         Is told in words what is being done.
-    begun : int
-        Evaluations before this explanation.
+    allowance : Allowance
+        The budget, which is its own: other settings or another scale begin another one.
     """
 
     hypotheses: Hypotheses
     settings: Settings
     scale: float
     progress: Progress
-    begun: int = 0
+    allowance: Allowance = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "allowance", Allowance(self.hypotheses, self.settings.budget))
 
     @cached_property
     def _by_name(self) -> Mapping[str, Effect]:
@@ -107,19 +111,23 @@ class Refits:
 
     def spent(self, part: float = 1.0) -> bool:
         """Whether that part of the budget is used up, so that only what the verdict needs is still solved."""
-        return self.hypotheses.evaluations - self.begun > part * self.settings.budget
+        return self.allowance.spent(part)
 
-    def scores(self, trial: Trial, candidates: Sequence[Effect]) -> Scores:
-        """Scores of candidates that a fitted model does not have; effects are also asked where they pair more modes."""
+    def scores(self, state: State, candidates: Sequence[Effect]) -> Scores:
+        """Scores of candidates that a model does not have; effects are also asked where they pair more modes.
+
+        What each effect pairs is asked over decades of strength and charged to nothing: the budget is for fits.
+        """
 
         def question(name: str) -> Question:
-            return self.question((*trial.names, name))
+            return self.question((*state.effects, name))
 
         library = {e.name for e in self.hypotheses.effects}
         effects = [e for e in candidates if e.name in library]
-        pairing = pairing_points(self.hypotheses, trial.state, effects, question)
+        with self.allowance.uncharged():
+            pairing = pairing_points(self.hypotheses, state, effects, question)
         asked = {e.name: question(e.name) for e in candidates if e.grid or e.name in pairing}
-        return scores(trial.state, candidates, asked, pairing)
+        return scores(state, candidates, asked, pairing)
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 
@@ -127,8 +135,7 @@ class Refits:
         self, names: tuple[str, ...], start: dict[str, float], whole: int = 0, settings: FitSettings = FINE
     ) -> Trial:
         """The model with the named effects or local changes, fitted from a start; see `calib.missing.state.fitted`."""
-        room = self.settings.budget - (self.hypotheses.evaluations - self.begun)
-        settings = replace(settings, evaluations=min(settings.evaluations, max(room, _LEAST)))
+        settings = replace(settings, evaluations=min(settings.evaluations, max(self.allowance.left, _LEAST)))
         return self._judged(names, fitted(self.question(names), names, start, whole, settings))
 
     def singles(
@@ -282,7 +289,7 @@ class Refits:
         for runner_up in [t for t in singles if t is not best][:1]:
             rest = [e for e in candidates if e.name not in runner_up.names]
             if rest:
-                tests.append((runner_up, self.scores(runner_up, rest), PAIRS_OF_NEXT))
+                tests.append((runner_up, self.scores(runner_up.state, rest), PAIRS_OF_NEXT))
         wanted: dict[frozenset[str], list[dict[str, float]]] = {}
         for first, beside, count in tests:
             places = [] if self.spent(LATE) else neighbours(first.state)

@@ -8,6 +8,7 @@ import pytest
 
 from calib.missing.explain import GUARD, explain
 from calib.missing.goodness import goodness, noise_scale
+from calib.missing.refits import Refits, Settings
 
 ANEW = "beginning anew"
 
@@ -54,6 +55,23 @@ def test_a_scatter_stated_half_as_large_is_begun_anew_before_pairs_are_tried(toy
     assert anew[0] == f"the scatter seems understated by a factor of {found.noise_scale:.2f}: beginning anew"
     assert anew[1] == "calibrating the base model" and sum(ANEW in words for words in anew) == 1
     assert not any(" with " in words for words in before)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_second_decision_has_a_budget_of_its_own(toy, seed, monkeypatch):
+    """What the first one has fitted is fitted again with the larger scatter, although it took most of its budget."""
+    tried, singles = [], Refits.singles
+
+    def telling(fits, base, groups, named, starts):
+        found = singles(fits, base, groups, named, starts)
+        tried.append((set(starts) - {()}, {t.names for t in found}))
+        return found
+
+    monkeypatch.setattr(Refits, "singles", telling)
+    one = toy(modes=10, sensors=20, curvature=0.02).drawn(np.random.default_rng(seed), {"E2": 3.0}, 2.0)
+    assert explain(one, Settings(budget=60.0)).noise_scale > 1.5
+    known, again = tried[-1]
+    assert len(tried) == 2 and len(known) >= 4 and again >= known
 
 
 def test_a_scatter_stated_right_is_never_begun_anew(toy):

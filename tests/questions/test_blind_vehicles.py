@@ -98,6 +98,7 @@ def test_understated_scatter_is_told_with_its_factor(explained):
 @pytest.mark.parametrize("name", VERDICTS)
 def test_the_cost_the_basis_and_the_mesh_are_within_bounds(explained, name):
     summary = summary_of(explained(name))
-    assert 0 < summary["evaluations"] <= (225 if summary["begun_anew"] else 150)
+    again = 115 * (summary["noise_scale"] != 1)  # a second decision, with a larger scatter
+    assert 0 < summary["evaluations"] <= (225 if summary["begun_anew"] else 150) + again
     assert 0 < summary["basis_error"] <= 0.05
     assert 0 < summary["discretisation"] <= 1.0
