@@ -40,6 +40,8 @@ class Effect:
         derivative at the base model.
     part : str
         What of the model the strength scales, as one more than it; empty for an effect that adds something.
+    of_measurement : bool
+        Whether it is a fault of the measurement, and nothing that the model lacks.
 
     Raises
     ------
@@ -56,6 +58,7 @@ class Effect:
     nuisance: tuple[Parameter, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ()
     part: str = ""
+    of_measurement: bool = False
 
     def __post_init__(self) -> None:
         place, p = f"effect {self.name}", self.strength

@@ -23,6 +23,9 @@ def ln_evidence(state: State, added: Sequence[Effect]) -> float:
     negative has a half-normal prior: twice the density, and only the part of the posterior above 0. Where the fit ended
     at such a limit, the Gaussian is that about the minimum it would have without the limit.
 
+    Nobody can say beforehand how far a measurement is off. Of a fault of it the plausible size counts, up to the one
+    stated, that speaks most for it (Berger and Sellke 1987).
+
     Parameters
     ----------
     state : State
@@ -46,6 +49,9 @@ def ln_evidence(state: State, added: Sequence[Effect]) -> float:
         if not effect.signed:
             k = state.names.index(effect.name)
             total += float(np.log(2.0) + log_ndtr(centre[k] / std[k]))
+        if effect.of_measurement:
+            k = state.names.index(effect.name)
+            total = favoured(total, float(centre[k]), float(std[k]), effect.plausible)
     return total
 
 
@@ -80,6 +86,19 @@ def rescaled(ln_bayes: float, strength: float, std: float, prior_sd: float, fact
         return -0.5 * (np.log(v + sd**2) + m**2 / (v + sd**2))
 
     return float(ln_bayes + ln(factor * prior_sd) - ln(prior_sd))
+
+
+def favoured(ln_bayes: float, strength: float, std: float, prior_sd: float) -> float:
+    """The largest that a log Bayes factor becomes when the plausible strength is made smaller.
+
+    With the likelihood ``N(m, v)`` of the strength that is at the variance ``m^2 - v`` of its prior.
+    """
+    precision = 1 / std**2 - 1 / prior_sd**2
+    if precision <= 0:
+        return ln_bayes
+    m = strength / (precision * std**2)
+    best = np.sqrt(max(m**2 - 1 / precision, 0.0))
+    return rescaled(ln_bayes, strength, std, prior_sd, min(float(best) / prior_sd, 1.0))
 
 
 def expected_ln_bayes(score: float, rho: float) -> float:

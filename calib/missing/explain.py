@@ -34,7 +34,8 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
     Calibrate; test whether the largest score among named effects and among unnamed local changes, or the goodness of
     fit, could be chance; fit the most promising effects; take the scatter for understated when most modes ask for it,
     and begin anew; accept an effect, or two, when the evidence outweighs the length of the library, no parameter has to
-    take an unbelievable value, no local change fits better, and nothing organised is left.
+    take an unbelievable value, no local change fits better, no fault of the measurement about as well, and nothing
+    organised is left.
 
     Raises
     ------
@@ -101,10 +102,14 @@ class _Decision:
             return plain
         singles = fits.singles(base, groups, check.named, starts)
         atom = fits.best_atom(base, check.atoms, check.named, singles)
+        fault = fits.fault(base, check.atoms, singles[0])
+        if fault is not None and fault.ln_evidence > max(
+            singles[0].ln_evidence, -math.inf if atom is None else atom.ln_evidence + CREDIBLE
+        ):
+            atom = fault
         # One of many local changes fits best by chance; against a named effect it pays for their number.
-        rival = -math.inf
-        if atom is not None:
-            rival = atom.ln_evidence - math.log(max(len(hypotheses.atoms) / len(groups), 1.0))
+        unnamed = [t.ln_evidence for t in (atom, fault) if t is not None]
+        rival = max(unnamed, default=-math.inf) - math.log(max(len(hypotheses.atoms) / len(groups), 1.0))
         needed = max(base.ln_evidence + math.log(len(groups)) + CREDIBLE, rival)
         best, best_check = self.best(singles, able)
         settled = self.accepted(best, best_check, needed) and not self.scale(base, best, atom) > GUARD
@@ -113,7 +118,9 @@ class _Decision:
                 singles = anew(fits, base, singles, able)
             best, best_check = self.best(singles, able)
             plain = replace(plain, begun_anew=True)
-        plain = replace(plain, trials=tuple(singles), atom=atom, measured_scale=self.scale(base, best, atom))
+        plain = replace(
+            plain, trials=tuple(singles), atom=atom, fault=fault, measured_scale=self.scale(base, best, atom)
+        )
         if plain.measured_scale > GUARD and not starts and self.promised_scale(best, best_check.named) > GUARD:
             return self.done(plain, "none_explains", best, best_check)
         if self.accepted(best, best_check, needed):
@@ -133,7 +140,8 @@ class _Decision:
                 return self.named(plain, singles, best, best_check)
         plain = replace(plain, trials=(*singles, *pairs), measured_scale=self.scale(base, best, atom, *pairs[:1]))
         second = 2 * CREDIBLE + math.log(max(len(groups) - 1, 1))
-        pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival), groups)
+        alone = -math.inf if fault is None else fault.ln_evidence + CREDIBLE
+        pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival, alone), groups)
         if pair:
             pair_check = self.check(pair[0], self.beside(pair[0], able))
             if pair_check.adequate(alpha) and self.told_by_data(pair[0]) and self.predicts(pair[0], base):
@@ -166,7 +174,10 @@ class _Decision:
         return error(trial.state) <= error(base.state)
 
     def named(self, found: Findings, singles: Sequence[Trial], best: Trial, check: Check) -> Findings:
-        """One effect, or several that explain about as well and that a careful reader would believe."""
+        """One effect, or several that explain about as well and that a careful reader would believe.
+
+        Where a fault of the measurement explains about as well, nobody can tell either.
+        """
         lowest = singles[0].ln_evidence - CREDIBLE
         fitted = {t.names[0] for t in singles}
         alike = {group.effect.name: tuple(e.name for e in group.others) for group in found.groups}
@@ -177,8 +188,12 @@ class _Decision:
             # What looks the same and was not fitted explains as well.
             for name in (t.names[0], *(n for n in alike.get(t.names[0], ()) if n not in fitted))
         )
+        fault = found.fault
+        if fault is not None and fault.ln_evidence <= best.ln_evidence - CREDIBLE:
+            fault = None
         found = replace(found, trials=tuple(singles))
-        done = self.done(found, "effect" if len(credible) == 1 else "indistinguishable", best, check, credible)
+        verdict = "effect" if len(credible) == 1 and fault is None else "indistinguishable"
+        done = replace(self.done(found, verdict, best, check, credible), fault=fault)
         return done.unconfirmed() if done.unrivalled else done
 
     def done(
@@ -186,7 +201,7 @@ class _Decision:
     ) -> Findings:
         """The findings with their verdict."""
         return replace(
-            found, verdict=verdict, chosen=chosen, chosen_check=check, credible=credible,
+            found, verdict=verdict, chosen=chosen, chosen_check=check, credible=credible, fault=None,
             evaluations=self.fits.hypotheses.evaluations,
         )  # fmt: skip
 

@@ -119,6 +119,8 @@ class Findings:
         Level of the tests.
     begun_anew : bool
         Whether single effects were fitted from the adopted values too, and not from the base fit alone.
+    fault : Trial or None
+        The fault of the measurement that explains about as well as the best effect of an ``indistinguishable`` answer.
     """
 
     verdict: str
@@ -135,6 +137,7 @@ class Findings:
     evaluations: int
     alpha: float = 0.01
     begun_anew: bool = False
+    fault: Trial | None = None
 
     def ln_bayes(self, trial: Trial) -> float:
         """Log Bayes factor of a trial against the base model."""
@@ -152,7 +155,12 @@ class Findings:
 
     def unconfirmed(self) -> Findings:
         """The same without a name: what fits is the best attempt."""
-        return replace(self, verdict="unconfirmed", credible=())
+        return replace(self, verdict="unconfirmed", credible=(), fault=None)
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Effects, and a fault of the measurement, that explain about as well as the best."""
+        return (*self.credible, *(() if self.fault is None else self.fault.names))
 
     @property
     def singles(self) -> tuple[Trial, ...]:

@@ -267,6 +267,19 @@ class Refits:
                 return rival
         return atom
 
+    def fault(self, base: Trial, found: Scores, best: Trial) -> Trial | None:
+        """The fault of the measurement of the largest score, fitted; None where it comes nowhere near the best effect.
+
+        It counts even where it says what that effect says: then nobody can tell whether model or measurement is wrong.
+        """
+        usable = np.where([self._by_name[n].of_measurement for n in found.owners], found.strength, -np.inf)
+        reached = best.ln_evidence - base.ln_evidence
+        if not usable.size or usable.max() <= 0 or self.spent():
+            return None
+        if reached - usable.max() ** 2 / 2 > max(_CLOSE, _NEARLY * reached):
+            return None
+        return self._local(found.owners[int(np.argmax(usable))], base, found, [best])
+
     def _local(self, name: str, base: Trial, found: Scores, singles: Sequence[Trial]) -> Trial | None:
         """One local change fitted, to the end where it comes near the best effect."""
         first = self.starts(base.state, found, name)[0]

@@ -164,15 +164,24 @@ def _effect(found: Findings, effects: pd.DataFrame) -> list[str]:
 
 def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
     rows = effects[effects["name"].isin(found.credible)].sort_values("ln_bayes", ascending=False)
-    odds = math.exp(float(rows["ln_bayes"].iloc[0] - rows["ln_bayes"].iloc[1]))
-    named = "; or ".join(f"{_titled(effects, n, '')}, {_strength(effects, n)}" for n in rows["name"])
+    explaining = [(float(b), f"{_titled(effects, n, '')}, {_strength(effects, n)}")
+                  for n, b in zip(rows["name"], rows["ln_bayes"], strict=True)]  # fmt: skip
+    check = ""
+    if found.fault is not None:
+        explaining.append(
+            (found.ln_bayes(found.fault), f"a fault of the measurement: {local_change(found.fault).told}")
+        )
+        check = "Or: " + " ".join(e.look_for for e in found.fault.effects)
+    explaining.sort(key=lambda one: -one[0])
+    odds = math.exp(explaining[0][0] - explaining[1][0])
+    named = "; or ".join(words for _, words in explaining)
     credible = [e for n in rows["name"] for e in _effects(found) if e.name == n]
     return [
         f"Something is missing: {_family(found)}.",
         f"These data cannot tell between: {named}. The odds of the first against the second are {rounded(odds)}:1.",
         _clean(found),
         "As it is, the model says: " + " ".join(e.lacks for e in credible),
-        "Look for: " + " Or: ".join(e.look_for for e in credible),
+        f"Look for: {' Or: '.join(e.look_for for e in credible)} {check}".strip(),
     ]
 
 

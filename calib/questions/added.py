@@ -64,13 +64,13 @@ def to_add(found: Findings) -> Trial | None:
     """The explanation that a verdict names without a rival; None for every other verdict."""
     if found.verdict not in ("effect", "two_effects") or found.chosen is None:
         return None
-    return found.chosen if set(found.credible) == set(found.chosen.names) else None
+    return found.chosen if set(found.untold) == set(found.chosen.names) else None
 
 
 def write_nothing_added(study: Study, found: Findings, results: Results, quick: bool = False) -> Added:
     """Tell why nothing is added, and write it."""
     untold = (
-        f"These data cannot tell between {' and '.join(found.credible)}, so none of them is "
+        f"These data cannot tell between {' and '.join(found.untold)}, so none of them is "
         "added: look at the structure, or measure what would tell them apart."
     )
     named = " and ".join(() if found.chosen is None else found.chosen.names)

@@ -14,11 +14,8 @@ from calib.space import Parameter, ParameterSpace
 
 RELATIVE = 0.3
 """Plausible relative change of a parameter."""
-OFFSET = 0.1
-"""Plausible offset of a group of responses, over the mean size of their measured values."""
-
-OFFSET_OF = "offset of "
-"""How the names of offsets begin."""
+FAULT = 0.1
+"""Plausible error of a group of responses: of their scale, and of all alike over the mean size of their values."""
 
 Function = Callable[[Mapping[str, float]], Mapping[str, float]]
 
@@ -35,7 +32,8 @@ def function_atoms(space: ParameterSpace, measured: Mapping[str, float]) -> tupl
     """What may be off in a function by itself, whole numbers aside.
 
     Every parameter that is held, changed; every parameter that is fitted, changed for one block of responses only,
-    where that differs from an offset; and an offset of every block.
+    where that differs from a fault of the measurement; and of every block an offset and an error of scale (an offset
+    alone where all its values are the same).
 
     Parameters
     ----------
@@ -56,7 +54,9 @@ def function_atoms(space: ParameterSpace, measured: Mapping[str, float]) -> tupl
         ]
     for block, own in blocks.items():
         size = float(np.mean([abs(measured[name]) for name in own])) or 1.0
-        out.append(_offset(block, own, size))
+        out.append(_misread(f"offset of {block}", block, own, size))
+        if len({measured[name] for name in own}) > 1:
+            out.append(_misread(f"scale of {block}", block, own))
     return tuple(out)
 
 
@@ -81,18 +81,22 @@ def _change(p: Parameter, name: str, block: Collection[str] | None) -> Effect:
     return Effect(name, name, held, "its true value", strength, build, part=part)
 
 
-def _offset(block: str, own: Collection[str], size: float) -> Effect:
-    name = f"{OFFSET_OF}{block}"
+def _misread(name: str, block: str, own: Collection[str], size: float | None = None) -> Effect:
+    """The responses of a block read too high, at strength 1 by a size, or else by their own value."""
 
     def build(model: FunctionModel) -> Function:
-        def shifted(values: Mapping[str, float]) -> Mapping[str, float]:
+        def read(values: Mapping[str, float]) -> Mapping[str, float]:
             rest = {n: v for n, v in values.items() if n != name}
-            return {n: r + values[name] * size * (n in own) for n, r in model.function(rest).items()}
+            right = model.function(rest)
+            by = values[name]
+            return {n: r + by * (r if size is None else size) if n in own else r for n, r in right.items()}
 
-        return shifted
+        return read
 
-    strength = Parameter(name, 0.0, -1.0, 1.0, "-", prior_sd=OFFSET, description=f"over {size:.3g}")
-    return Effect(name, name, f"what is said of {block} has no offset", "how it was measured", strength, build)
+    strength = Parameter(name, 0.0, -1.0, 1.0, "-", prior_sd=FAULT)
+    title = f"{name}, in parts of {'each value' if size is None else f'{size:.3g}'}"
+    lacks, look_for = f"What is said of {block} has no such error.", f"How {block} was measured."
+    return Effect(name, title, lacks, look_for, strength, build, of_measurement=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,6 @@ from calib.function import FunctionModel, extend_function
 from calib.missing.advice import Prospects
 from calib.missing.findings import Findings, Trial
 from calib.questions.budget import Budget
-from calib.questions.function_atoms import OFFSET_OF
 from calib.questions.function_hypotheses import Failure, FunctionHypotheses
 from calib.questions.scatter import scatter_notes
 from calib.questions.verify import plain_errors, plain_scatter, whitened, withheld_targets
@@ -108,7 +107,7 @@ class PlainSide:
     def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
         """Local changes of a function have no place."""
         nowhere = (math.nan, math.nan, math.nan)
-        kinds = {a.name: "response" if a.name.startswith(OFFSET_OF) else "parameter" for a in self.hypotheses.atoms}
+        kinds = {a.name: "response" if a.of_measurement else "parameter" for a in self.hypotheses.atoms}
         return {name: (kind, nowhere, "") for name, kind in kinds.items()}
 
     def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:

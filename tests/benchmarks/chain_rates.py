@@ -7,7 +7,7 @@
 Every run draws springs, damping, the strength of the hidden effect and the scatter anew; seeds are fixed. With --bare
 masses and single dampers are inside the function and no parameter is declared fixed, as in most functions of users.
 With --outside the hidden effect is taken out of the library, or nothing is hidden and the measurement is at fault:
-whatever is named then is wrong.
+whatever effect is named then is wrong; "rival left in" says that the fault is told beside it.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def main() -> None:
             library = tuple(e for e in study.candidates if not (given.outside and e.name == name))
             asked = FunctionHypotheses(model, targets, space, library, repeats=repeats)
             found = explain(asked, Settings(budget=np.inf))
-            counts[_outcome(found.verdict, found.credible, name)] += 1
+            counts[_outcome(found.verdict, found.untold, truth_of(name))] += 1
             calls.append(found.evaluations)
         cells = "".join(f"{counts[c]:18d}" for c in COLUMNS)
         print(f"{name or 'nothing':20s}{cells}{np.mean(calls):14.0f}{max(calls):8d}", flush=True)
@@ -80,6 +80,11 @@ def faulty(exact: Mapping[str, float], fault: str, rng: np.random.Generator) -> 
     return {name: value + off * (name.split("_")[0] == kind) for name, value in exact.items()}
 
 
+def truth_of(hidden: str) -> str:
+    """What a right answer names: the hidden effect, or the fault as calib calls it."""
+    return f"offset of {FAULTS[hidden][0]}" if hidden in FAULTS else hidden
+
+
 def bare(model: FunctionModel, space: ParameterSpace) -> tuple[FunctionModel, ParameterSpace]:
     """The same function of the fitted parameters alone, and their space."""
     held = {p.name: p.value for p in space.parameters if p.distribution == "fixed"}
@@ -87,14 +92,14 @@ def bare(model: FunctionModel, space: ParameterSpace) -> tuple[FunctionModel, Pa
     return replace(model, space=own, function=lambda values: model.function(held | dict(values))), own
 
 
-def _outcome(verdict: str, credible: tuple[str, ...], hidden: str) -> str:
+def _outcome(verdict: str, untold: tuple[str, ...], hidden: str) -> str:
     if verdict == "nothing_detectable":
         return "nothing"
     if verdict not in NAMING:
         return "none or partial"
-    if hidden not in credible:
+    if hidden not in untold:
         return "wrong"
-    if len(credible) == 1:
+    if len(untold) == 1:
         return "right"
     return "with a false one" if verdict == "two_effects" else "rival left in"
 

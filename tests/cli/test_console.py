@@ -33,7 +33,7 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
 )
 def test_only_what_has_no_rival_is_to_be_added(capsys, verdict, names, credible, added):
     chosen = SimpleNamespace(names=names)
-    found = SimpleNamespace(verdict=verdict, chosen=chosen, credible=credible, names_something=True)
+    found = SimpleNamespace(verdict=verdict, chosen=chosen, credible=credible, untold=credible, names_something=True)
     console.tell_what_to_add(SimpleNamespace(file=Path("mast/study.toml")), found)
     them, _, which = added.partition(": ")
     told = f"Add {them} with: calib extend mast {which} --into FOLDER\n" if added else ""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.missing.evidence import CREDIBLE, ln_bayes_linear, ln_evidence, posterior, rescaled
+from calib.missing.evidence import CREDIBLE, favoured, ln_bayes_linear, ln_evidence, posterior, rescaled
 from calib.missing.score import scores
 from calib.space import ParameterSpace
 
@@ -134,3 +134,20 @@ def test_probabilities_sum_to_one_and_junk_lowers_them():
     assert posterior(np.array([]))[0] == 1.0
     assert posterior(np.array([1e4, -1e4]))[1].tolist() == [1.0, 0.0]
     assert np.exp(CREDIBLE) == pytest.approx(20, rel=0.01)
+
+
+@pytest.mark.parametrize(("strength", "std"), [(0.5, 0.02), (0.03, 0.02), (-0.2, 0.05), (0.001, 0.05), (3.0, 0.9)])
+def test_a_fault_counts_with_the_size_that_speaks_most_for_it(strength, std):
+    """Against all smaller sizes, one by one."""
+    each = [rescaled(2.0, strength, std, 1.0, factor) for factor in np.geomspace(1e-6, 1, 4001)]
+    assert favoured(2.0, strength, std, 1.0) == pytest.approx(max(each), abs=1e-4)
+
+
+def test_a_fault_of_the_measurement_has_its_evidence_raised(toy):
+    made = toy(effects=1, signed=("E0",)).drawn(np.random.default_rng(1), {"E0": 0.3})
+    (known,), state = made.effects, made.calibrated("E0")
+    k = state.names.index("E0")
+    std = float(np.sqrt(state.covariance[k, k]))
+    plain, raised = ln_evidence(state, [known]), ln_evidence(state, [replace(known, of_measurement=True)])
+    assert raised > plain
+    assert raised == pytest.approx(favoured(plain, state.values["E0"], std, known.plausible))

@@ -46,6 +46,35 @@ def test_what_is_lost_is_told_as_a_share_lost(toy):
     assert LocalChange(effect, -0.6, -0.72, -0.45).told.endswith("about 60 % lost [45, 72]")
 
 
+@pytest.mark.parametrize(
+    ("likeness", "size", "verdict", "untold"),
+    [
+        (0.999, 1.0, "indistinguishable", ("E0", "A5")),
+        (0.9, 1.5, "effect", ("E0",)),
+        (0.5, 1.5, "effect", ("E0",)),
+    ],
+)
+def test_a_fault_of_the_measurement_is_a_rival_of_an_effect(toy, likeness, size, verdict, untold):
+    made = toy().alike("A5", "E0", likeness)
+    atoms = tuple(replace(a, of_measurement=a.name == "A5") for a in made.atoms)
+    found = explain(replace(made, atoms=atoms).drawn(np.random.default_rng(1), {"E0": size}))
+    assert (found.verdict, found.untold, found.credible) == (verdict, untold, ("E0",))
+    assert (found.fault is None) == (len(untold) == 1)
+
+
+def test_a_fault_that_explains_clearly_better_forbids_the_name(toy):
+    made = toy().alike("A5", "E0", 0.93)
+    atoms = tuple(replace(a, of_measurement=a.name == "A5") for a in made.atoms)
+    found = explain(replace(made, atoms=atoms).drawn(np.random.default_rng(1), {"A5": 1.5}))
+    assert found.verdict == "none_explains" and found.atom.names == ("A5",) and found.untold == ()
+
+
+def test_what_looks_the_same_and_is_no_fault_of_the_measurement_is_no_rival(toy):
+    made = toy().alike("A5", "E0", 0.999)
+    found = explain(made.drawn(np.random.default_rng(1), {"E0": 1.0}))
+    assert found.verdict == "effect" and found.fault is None
+
+
 def test_without_any_local_change_nothing_is_named(toy):
     made = toy()
     for atoms, verdict in ((made.atoms, "effect"), ((), "unconfirmed")):

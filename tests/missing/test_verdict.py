@@ -250,6 +250,18 @@ def test_those_that_cannot_be_told_apart_are_all_told_with_their_odds(cases):
     assert f"The odds of the first against the second are {odds:.2g}:1." in text and 1 <= odds < 20.1
 
 
+def test_a_fault_of_the_measurement_is_told_beside_the_effect(toy):
+    made = dressed(toy(effects=5)).alike("A5", "E2", 0.999)
+    atoms = tuple(replace(a, of_measurement=a.name == "A5", look_for=f"How {a.name} was measured.") for a in made.atoms)
+    found = first(replace(made, atoms=atoms), {"E2": 1.0}, "indistinguishable")
+    text = told(found)
+    assert found.untold == ("E2", "A5") and "(E2), " in text and "E3 (" not in text
+    assert f"a fault of the measurement: {local_change(found.fault).told}" in text
+    odds = math.exp(abs(found.chosen.ln_evidence - found.fault.ln_evidence))
+    assert f"The odds of the first against the second are {odds:.2g}:1." in text and 1 <= odds < 20.1
+    assert "Look for: Look at E2. Or: How A5 was measured." in text
+
+
 def test_two_effects_are_told_with_both_strengths_and_places(cases):
     found = cases["two_effects"]
     text = told(found)

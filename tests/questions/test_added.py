@@ -63,7 +63,9 @@ def study(mast, tmp_path_factory):
 
 def found(verdict, *names, credible=()):
     chosen = SimpleNamespace(names=names) if names else None
-    return SimpleNamespace(verdict=verdict, chosen=chosen, credible=credible or names, unrivalled=False)
+    return SimpleNamespace(
+        verdict=verdict, chosen=chosen, credible=credible or names, untold=credible or names, unrivalled=False
+    )
 
 
 def test_only_what_is_named_without_a_rival_is_added():

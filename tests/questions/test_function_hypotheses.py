@@ -10,6 +10,7 @@ from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel
 from calib.loading import module_of
+from calib.missing.evidence import CREDIBLE
 from calib.missing.explain import Settings, explain
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.space import Parameter, ParameterSpace
@@ -307,7 +308,7 @@ def test_fitted_parameters_may_be_off_for_one_group_of_responses():
     hypotheses = FunctionHypotheses(FunctionModel("x", space, answer), targets, space, (effect("phi"),))
     assert [a.name for a in hypotheses.atoms] == [
         "change of k in freq", "change of k in damping", "change of about in freq", "change of about in damping",
-        "offset of freq", "offset of damping",
+        "offset of freq", "scale of freq", "offset of damping", "scale of damping",
     ]  # fmt: skip
     point = {"k": 2.0, "about": 0.0}
     for name, size, expected in (
@@ -315,6 +316,7 @@ def test_fitted_parameters_may_be_off_for_one_group_of_responses():
         ("change of k in damping", 0.5, [0, 0, -1, 0]),
         ("change of about in damping", 0.5, [0, 0, -1, -1]),
         ("offset of freq", 0.1, [-0.3, -0.3, 0, 0]),
+        ("scale of freq", 0.1, [-0.2, -0.4, 0, 0]),
     ):
         np.testing.assert_allclose(hypotheses.question((name,)).residual({**point, name: size}), expected, atol=1e-12)
     # All groups of responses share the points at which a parameter is moved.
@@ -337,6 +339,43 @@ def test_damping_that_is_read_too_high_is_no_damper(seed):
     targets = twin.measure({n: v + off * n.startswith("damping") for n, v in exact.items()}, rng)
     found = explain(FunctionHypotheses(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
     assert found.verdict == "none_explains" and found.credible == ()
+
+
+def bare_chain(seed, hidden, fault="", offset=(0.0, 0.0)):
+    """A bare chain with an effect, or with one kind of response off; drawn as the benchmark of its rates draws it."""
+    study, twin = Study.load(CHAIN), module_of(CHAIN / "make_twin.py")
+    held = {p.name: p.value for p in study.search_space.parameters if p.distribution == "fixed"}
+    space = ParameterSpace(study.search_space.free)
+    model = FunctionModel("bare chain", space, lambda values: study.model.function(held | dict(values)))
+    rng = np.random.default_rng([seed, *(hidden or fault).encode()])
+    exact = twin.twin_responses(twin.draw(rng, hidden))
+    kind, off = fault.partition(" ")[0], rng.uniform(*offset) if fault else 0.0
+    off_kind = {"damping": "damping", "frequency": "freq"}.get(kind)
+    targets = twin.measure({n: v + off * (n.split("_")[0] == off_kind) for n, v in exact.items()}, rng)
+    return explain(FunctionHypotheses(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
+
+
+@pytest.mark.parametrize(
+    ("seed", "fault", "offset", "effect"),
+    [
+        (4, "damping too high", (0.003, 0.010), "ground_damper_5"),
+        (8, "damping too high", (0.003, 0.010), "ground_damper_5"),
+        (11, "frequency too high", (0.05, 0.20), "ground_spring_3"),
+        (23, "frequency too high", (0.05, 0.20), "ground_spring_3"),
+    ],
+)
+def test_a_fault_that_explains_as_well_is_told_beside_the_effect(seed, fault, offset, effect):
+    found = bare_chain(seed, "", fault, offset)
+    own = f"offset of {'freq' if fault.startswith('freq') else 'damping'}"
+    assert found.verdict == "indistinguishable" and found.untold == (effect, own)
+    assert abs(found.fault.ln_evidence - found.chosen.ln_evidence) < CREDIBLE
+
+
+def test_a_brake_and_damping_read_too_high_cannot_be_told_apart_by_the_truth_either():
+    found = bare_chain(2, "ground_damper_5")
+    assert found.verdict == "indistinguishable" and found.untold == ("ground_damper_5", "offset of damping")
+    other = bare_chain(2, "ground_spring_3")
+    assert other.verdict == "effect" and other.untold == ("ground_spring_3",) and other.fault is None
 
 
 def test_a_changed_parameter_is_changed_for_effects_too():

@@ -58,6 +58,9 @@ def _explanation(answers: Answers) -> str:
     titles = {} if table is None else {str(r["name"]): str(r["title"]) for r in table.to_dict("records")}
     chosen = [titles.get(name, name) for name in told.get("chosen", [])]
     credible = [titles.get(name, name) for name in told.get("credible_set", [])]
+    fault = told.get("measurement_fault")
+    if isinstance(fault, dict):
+        credible.append(f"{fault.get('name', '')}, a fault of the measurement")
     words = {
         "effect": f"Something is missing in the model, and it is named: {' and '.join(chosen)}.",
         "two_effects": f"Two things are missing in the model, and they are named: {' and '.join(chosen)}.",
