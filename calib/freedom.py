@@ -31,14 +31,18 @@ def row_freedom(slope: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
     prior_sd : ndarray (n_params,)
         Prior standard deviations, in the units of the slope; infinite without a prior.
     """
+    return np.asarray(np.maximum(1.0 - np.sum(hat_root(slope, prior_sd) ** 2, axis=1), 0.0))
+
+
+def hat_root(slope: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
+    """Matrix S, (n_rows, rank), of which ``S S^T`` is the hat matrix; parameters as in `row_freedom`."""
     g, s = np.asarray(slope, dtype=float), np.asarray(prior_sd, dtype=float)
     if not g.shape[1]:
-        return np.ones(len(g))
+        return np.zeros((len(g), 0))
     whole = np.vstack([g, np.diag(1.0 / s)])
     size = np.linalg.norm(whole, axis=0)
     u, singular, _ = np.linalg.svd(whole / np.where(size > 0, size, 1.0), full_matrices=False)
-    seen = u[: len(g), singular > _ZERO * len(whole) * singular.max(initial=1.0)]
-    return np.asarray(np.maximum(1.0 - np.sum(seen**2, axis=1), 0.0))
+    return np.asarray(u[: len(g), singular > _ZERO * len(whole) * singular.max(initial=1.0)])
 
 
 def effective_freedom(slope: np.ndarray, prior_sd: np.ndarray, fitted_factors: int = 0) -> float:

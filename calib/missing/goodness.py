@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import Protocol, TypeVar
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -59,22 +60,96 @@ def goodness(
     modes : DataFrame
         ``mode, kind, chi2, freedom, p``.
     """
-    freedom = row_freedom(state.slope, state.prior_sd)
-    blocks, which = _numbered([(row.mode, row.kind) for row in rows])
-    modes = pd.DataFrame(blocks, columns=["mode", "kind"])
-    modes["chi2"], modes["freedom"] = np.bincount(which, state.residual**2), np.bincount(which, freedom)
-    modes["freedom"] -= [fitted_factors.get(block, 0) for block in blocks]
-    names, of = _numbered(modes["kind"].tolist())
-    sums = {column: np.bincount(of, modes[column]) for column in ("chi2", "freedom")}
-    kinds = pd.DataFrame({"kind": names, **sums})
-    single = np.bincount(which) == 1
-    studied = single & (modes["freedom"] > _FOLLOWED)
-    modes.loc[studied, "chi2"] /= modes.loc[studied, "freedom"]
-    modes.loc[studied, "freedom"] = 1.0
-    for table in (kinds, modes):
-        scatter = np.array([min(scatter_freedom.get(kind, np.inf), KNOWN) for kind in table["kind"]])
-        table["p"] = chance(table["chi2"].to_numpy(), table["freedom"].to_numpy(), scatter)
-    return kinds, modes
+    layout = Layout.of(rows, fitted_factors, scatter_freedom)
+    kept = np.ones((1, len(rows)), dtype=bool)
+    found = layout.sums(state.residual[None] ** 2, row_freedom(state.slope, state.prior_sd)[None], kept)
+    kinds = pd.DataFrame({"kind": list(layout.kinds), **{name: a[0] for name, a in found.kinds.items()}})
+    modes = pd.DataFrame(list(layout.blocks), columns=["mode", "kind"])
+    return kinds, modes.assign(**{name: a[0] for name, a in found.modes.items()})
+
+
+class Sums(NamedTuple):
+    """Sums of squares of several fits: ``chi2, freedom, p`` by kind (n_fits, n_kinds) and block (n_fits, n_blocks).
+
+    ``p`` is 1 where a fit has no row of that kind or block; ``overall`` (n_fits,) is what the function `overall` gives.
+    """
+
+    kinds: dict[str, np.ndarray]
+    modes: dict[str, np.ndarray]
+    overall: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which rows belong together: blocks of one mode and kind, and kinds, each in the order of first appearance.
+
+    Attributes
+    ----------
+    blocks : tuple of (mode, kind)
+    kinds : tuple of str
+    which : ndarray of int (n_rows,)
+        Block of every row.
+    kind_of : ndarray of int (n_blocks,)
+        Kind of every block.
+    factors : ndarray (n_blocks,)
+        Numbers fitted to each.
+    scatter : ndarray (n_kinds,)
+        Degrees of freedom behind the scatter of each kind.
+    """
+
+    blocks: tuple[tuple[str, str], ...]
+    kinds: tuple[str, ...]
+    which: np.ndarray
+    kind_of: np.ndarray
+    factors: np.ndarray
+    scatter: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        rows: Sequence[Label],
+        fitted_factors: Mapping[tuple[str, str], int],
+        scatter_freedom: Mapping[str, float],
+    ) -> Layout:
+        """See `goodness`."""
+        blocks, which = _numbered([(row.mode, row.kind) for row in rows])
+        kinds, kind_of = _numbered([kind for _, kind in blocks])
+        factors = np.array([float(fitted_factors.get(block, 0)) for block in blocks])
+        scatter = np.array([min(scatter_freedom.get(kind, np.inf), KNOWN) for kind in kinds])
+        return cls(tuple(blocks), tuple(kinds), which, kind_of, factors, scatter)
+
+    def sums(self, squares: np.ndarray, freedom: np.ndarray, kept: np.ndarray) -> Sums:
+        """Of fits with some of the rows each.
+
+        Parameters
+        ----------
+        squares, freedom : ndarray (n_fits, n_rows)
+            Squares of the residual, and what a fit leaves of each row's variance.
+        kept : ndarray (n_fits, n_rows), bool
+        """
+        block = np.eye(len(self.blocks))[self.which]
+        kind = np.eye(len(self.kinds))[self.kind_of]
+        counts = kept.astype(float) @ block
+        present = counts > 0
+        chi2 = np.where(kept, squares, 0.0) @ block
+        left = np.where(kept, freedom, 0.0) @ block - np.where(present, self.factors, 0.0)
+        some = present.astype(float) @ kind > 0
+        kinds = {"chi2": chi2 @ kind, "freedom": left @ kind}
+        kinds["p"] = np.where(some, chance(kinds["chi2"], kinds["freedom"], self.scatter), 1.0)
+        studied = (counts == 1) & (left > _FOLLOWED)
+        chi2 = np.divide(chi2, left, out=chi2.copy(), where=studied)
+        modes = {"chi2": chi2, "freedom": np.where(studied, 1.0, left)}
+        modes["p"] = np.where(present, chance(modes["chi2"], modes["freedom"], self.scatter[self.kind_of]), 1.0)
+        shapes = present & np.array([name == "shape" for _, name in self.blocks])
+        worst = np.min(np.where(shapes, modes["p"], np.inf), axis=1, initial=np.inf)
+        number = shapes.sum(axis=1)
+        return Sums(kinds, modes, _overall(kinds["p"].min(axis=1, initial=1.0), some.sum(axis=1), worst, number))
+
+
+def _overall(kind: np.ndarray, kinds: np.ndarray, shape: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Chance of the worst of so many kinds or of so many shapes, each with the chance of its worst."""
+    several = np.where(shapes > 0, shape * np.maximum(shapes, 1), 1.0)
+    return np.minimum(1.0, (kinds + 1) * np.minimum(kind, several))
 
 
 def _numbered(names: Sequence[_Name]) -> tuple[list[_Name], np.ndarray]:
@@ -108,8 +183,8 @@ def by_sensor(
 def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
     """Chance of the worst kind or the worst single-mode shape being as bad as found (Bonferroni)."""
     shapes = modes.loc[modes["kind"] == "shape", "p"]
-    tests = [*kinds["p"].tolist(), float(shapes.min()) * len(shapes) if len(shapes) else 1.0]
-    return float(min(1.0, len(tests) * min(tests)))
+    worst = np.array([table.min() if len(table) else 1.0 for table in (kinds["p"], shapes)])
+    return float(_overall(worst[:1], np.array([len(kinds)]), worst[1:], np.array([len(shapes)]))[0])
 
 
 def misfit_factor(kinds: pd.DataFrame, modes: pd.DataFrame, level: float) -> float:

@@ -48,6 +48,8 @@ class State:
         G, per one of each parameter's own unit.
     prior_sd, shift : ndarray (p,)
         Prior standard deviation s, and how far the parameter moved in units of it.
+    converged : bool
+        Whether a fit ended here because it had converged; elsewhere a residual is what the search has left.
     """
 
     effects: tuple[str, ...]
@@ -58,6 +60,7 @@ class State:
     slope: np.ndarray
     prior_sd: np.ndarray
     shift: np.ndarray
+    converged: bool = False
 
     @property
     def misfit(self) -> float:
@@ -198,6 +201,7 @@ def grown(state: State, question: Question, effects: tuple[str, ...]) -> State:
         slope=np.hstack([state.slope, slope]),
         prior_sd=np.concatenate([state.prior_sd, Prior.of(space).widths(further)]),
         shift=np.concatenate([state.shift, np.zeros(len(further))]),
+        converged=False,
     )
 
 
@@ -265,6 +269,7 @@ def _fitted(
         slope=-result.jacobian,
         prior_sd=prior.widths(result.names),
         shift=prior.residual(result.values, result.names),
+        converged=result.converged,
     )
     return state, result.evaluations
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
-import scipy.linalg as la
 from scipy import stats
 
-from calib.freedom import KNOWN
-from calib.missing.goodness import Fit, goodness, overall
+from calib.freedom import hat_root
+from calib.missing.goodness import Fit, Layout, goodness, overall
 from calib.missing.hypotheses import Label
 
 COLUMNS = ("what", "kind", "rows", "chi2", "freedom", "p", "p_fit_without", "explains")
@@ -22,6 +20,8 @@ _LEAST = 2.0
 """Degrees of freedom without a datum below which nothing can be said to fit."""
 _FOLLOWED = 0.02
 """Part of a value's variance left by the parameters below which the others do not predict it."""
+_AT_ONCE = 256
+"""Data that are left out at once, each with a row of numbers as long as the data."""
 _SINGULAR = 1e-9
 """The same of any combination of several values, below which their prediction is rounding."""
 
@@ -42,13 +42,24 @@ class Datum(NamedTuple):
     rows: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class _Rest:
-    """A fit without some rows."""
+class Optimum(Fit, Protocol):
+    """A fit that knows whether it is one."""
 
-    residual: np.ndarray
-    slope: np.ndarray
-    prior_sd: np.ndarray
+    @property
+    def converged(self) -> bool:
+        """Whether it ended because it had converged."""
+        ...
+
+
+class _LeftOut(NamedTuple):
+    """A datum as all others predict it: ``I - H_bb``, the error of the prediction, and its test."""
+
+    datum: Datum
+    inverse: np.ndarray
+    predicted: np.ndarray
+    chi2: float
+    freedom: float
+    scatter: float
 
 
 def data_of(rows: Sequence[Label]) -> tuple[Datum, ...]:
@@ -78,7 +89,7 @@ def data_of(rows: Sequence[Label]) -> tuple[Datum, ...]:
 
 
 def suspects(
-    fit: Fit,
+    fit: Optimum,
     rows: Sequence[Label],
     fitted_factors: Mapping[tuple[str, str], int],
     scatter_freedom: Mapping[str, float],
@@ -86,19 +97,19 @@ def suspects(
 ) -> pd.DataFrame:
     """Leave out every datum in turn, where the fit as a whole fails, and tell which of them alone is to blame.
 
-    With G the slope, e the residual and V the posterior covariance of a fit, data b are predicted by all others with
-    the error ``e_(-b) = (I - G_b V G_b^T)^-1 e_b`` (see `calib.missing.left_out`), so that leaving them out lowers the
-    sum of squares by ``chi2_b = e_b^T e_(-b)``; all others move to ``e + G V G_b^T e_(-b)``. That is exact for a linear
-    model. ``p`` is the chance of such a value of chi2_b times the number of data that were tried (Bonferroni, as in the
-    test of studentised residuals; Cook and Weisberg 1982); ``p_fit_without`` is that of goodness of fit without b, NaN
-    where p is above the level. A datum explains the misfit when the first is below and the second above the level: it
-    is improbable by itself, and without it everything fits. A single value that the parameters follow nearly everywhere
-    is not asked: its residual is what the search has left.
+    With e the residual and ``H = G V G^T`` the hat matrix of a fit (G its slope, V its posterior covariance), data b
+    are predicted by all others with the error ``e_(-b) = (I - H_bb)^-1 e_b`` (see `calib.missing.left_out`), so that
+    leaving them out lowers the sum of squares by ``chi2_b = e_b^T e_(-b)``; all others move to ``e + H_b e_(-b)``.
+    That is exact for a linear model, and nothing is fitted again. ``p`` is the chance of such a value of chi2_b times
+    the number of data that were tried (Bonferroni, as in the test of studentised residuals; Cook and Weisberg 1982);
+    ``p_fit_without`` is that of goodness of fit without b, NaN where p is above the level. A datum explains the misfit
+    when the first is below and the second above the level: it is improbable by itself, and without it everything fits.
+    A single value that the parameters follow nearly everywhere is not asked: its residual is what the search has left.
 
     Parameters
     ----------
-    fit : Fit
-        At its optimum.
+    fit : Optimum
+        Nothing is accused by one that has not converged.
     rows, fitted_factors, scatter_freedom
         As in `calib.missing.goodness.goodness`.
     level : float
@@ -107,37 +118,39 @@ def suspects(
     Returns
     -------
     DataFrame
-        `COLUMNS`, the largest decrease first within those that explain, and those first; empty when everything fits.
+        `COLUMNS`, the largest decrease first within those that explain, and those first; empty when everything fits
+        and without a converged fit.
     """
-    if overall(*goodness(fit, rows, fitted_factors, scatter_freedom)) > level:
+    if not fit.converged or overall(*goodness(fit, rows, fitted_factors, scatter_freedom)) > level:
         return pd.DataFrame(columns=list(COLUMNS))
-    e, g = np.asarray(fit.residual, dtype=float), np.asarray(fit.slope, dtype=float)
-    unit, covariance = _scaled_covariance(g, fit.prior_sd)
-    data = data_of(rows)
-    lines = []
+    e, root, data = np.asarray(fit.residual, dtype=float), hat_root(fit.slope, fit.prior_sd), data_of(rows)
+    layout = Layout.of(rows, fitted_factors, scatter_freedom)
+    size, behind = np.bincount(layout.which), layout.scatter[layout.kind_of][layout.which]
+    asked: list[_LeftOut] = []
     for datum in data:
-        b, others = datum.rows, np.setdiff1d(np.arange(len(e)), datum.rows)
-        here = unit[b]
-        inverse = np.eye(len(b)) - here @ covariance @ here.T
+        b = datum.rows
+        here = root[b]
+        inverse = np.eye(len(b)) - here @ here.T
         if np.linalg.eigvalsh(inverse)[0] < (_FOLLOWED if len(b) == 1 else _SINGULAR):
             continue  # a parameter stands on these data alone
-        predicted = la.solve(inverse, e[b], assume_a="pos")
-        chi2 = float(e[b] @ predicted)
-        lost = _factors(datum, rows, fitted_factors)
-        freedom = float(max(len(b) - lost, 1))
-        scatter = min((scatter_freedom.get(kind, np.inf) for kind in {rows[k].kind for k in b}), default=np.inf)
-        p = min(1.0, len(data) * float(stats.f.sf(chi2 / freedom, freedom, min(scatter, KNOWN))))
-        if p >= level:
-            lines.append((datum.what, datum.kind, len(b), chi2, freedom, p, np.nan, False))
-            continue
-        rest = _Rest(e[others] + unit[others] @ (covariance @ (here.T @ predicted)), g[others], fit.prior_sd)
-        left = [rows[k] for k in others]
-        kept = {block: n for block, n in fitted_factors.items() if block in {(r.mode, r.kind) for r in left}}
-        kinds, modes = goodness(rest, left, kept, scatter_freedom)
-        p_fit = overall(kinds, modes)
-        explains = p < level < p_fit and float(kinds["freedom"].sum()) >= _LEAST
-        lines.append((datum.what, datum.kind, len(b), chi2, freedom, p, p_fit, explains))
-    table = pd.DataFrame(lines, columns=list(COLUMNS))
+        predicted = np.linalg.solve(inverse, e[b])
+        whole = np.bincount(layout.which[b], minlength=len(size)) == size  # their factors are left out with them
+        freedom = max(len(b) - float(layout.factors[whole].sum()), 1.0)
+        asked.append(_LeftOut(datum, inverse, predicted, float(e[b] @ predicted), freedom, float(behind[b].min())))
+    table = pd.DataFrame(
+        [(o.datum.what, o.datum.kind, len(o.datum.rows), o.chi2, o.freedom) for o in asked], columns=list(COLUMNS[:5])
+    )
+    drops, counts, behind = np.array([(o.chi2, o.freedom, o.scatter) for o in asked]).reshape(-1, 3).T
+    each = stats.f.sf(drops / counts, counts, behind)
+    table["p"] = np.minimum(1.0, len(data) * each)
+    table["p_fit_without"], left = np.nan, np.zeros(len(table))
+    improbable = np.flatnonzero(table["p"] < level)
+    for k in range(0, len(improbable), _AT_ONCE):
+        some = improbable[k : k + _AT_ONCE]
+        rest = _rest(e, root, [asked[j] for j in some])
+        found = layout.sums(*rest)
+        table.loc[some, "p_fit_without"], left[some] = found.overall, found.kinds["freedom"].sum(axis=1)
+    table["explains"] = (table["p"] < level) & (table["p_fit_without"] > level) & (left >= _LEAST)
     # Of two that explain, the one with fewer rows says more.
     order = np.lexsort((-table["chi2"], np.where(table["explains"], table["rows"], 0), ~table["explains"].astype(bool)))
     return table.iloc[order].reset_index(drop=True)
@@ -156,17 +169,18 @@ def sentence(table: pd.DataFrame) -> str:
     return words + (f" So it does without {' or without '.join(more)}." if more else "")
 
 
-def _scaled_covariance(slope: np.ndarray, prior_sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slope over columns of length one, prior included, and the covariance of what they multiply."""
-    size = np.sqrt(np.sum(slope**2, axis=0) + 1.0 / np.asarray(prior_sd) ** 2)
-    size = np.where(size > 0, size, 1.0)
-    unit = slope / size
-    return unit, la.pinvh(unit.T @ unit + np.diag(1.0 / (prior_sd * size) ** 2))
+def _rest(
+    residual: np.ndarray, root: np.ndarray, gone: Sequence[_LeftOut]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Squares of the residual without each datum, what is left of each row's variance, and which rows are kept.
 
-
-def _factors(datum: Datum, rows: Sequence[Label], fitted_factors: Mapping[tuple[str, str], int]) -> int:
-    """Numbers fitted to shapes that are left out whole."""
-    gone = set(datum.rows.tolist())
-    blocks = {(rows[k].mode, rows[k].kind) for k in gone}
-    whole = [b for b in blocks if all(k in gone for k, row in enumerate(rows) if (row.mode, row.kind) == b)]
-    return sum(fitted_factors.get(block, 0) for block in whole)
+    Each is (n_gone, n_rows). With H the hat matrix, the rest has the diagonal ``h_i + H_ib (I - H_bb)^-1 H_bi``.
+    """
+    moved = np.stack([root[one.datum.rows].T @ one.predicted for one in gone]) @ root.T
+    kept = np.ones(moved.shape, dtype=bool)
+    followed = np.tile(np.sum(root**2, axis=1), (len(gone), 1))
+    for k, one in enumerate(gone):
+        across = root @ root[one.datum.rows].T
+        followed[k] += np.sum(across * np.linalg.solve(one.inverse, across.T).T, axis=1)
+        kept[k, one.datum.rows] = False
+    return (residual + moved) ** 2, np.maximum(1.0 - followed, 0.0), kept

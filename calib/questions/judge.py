@@ -19,7 +19,6 @@ from calib.freedom import effective_freedom
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, misfit_factor, overall
 from calib.missing.hypotheses import Label
-from calib.missing.suspect import COLUMNS as SUSPECT_COLUMNS
 from calib.missing.suspect import suspects
 from calib.questions.compare import responses_at
 from calib.questions.recorded import RecordedModes, recorded_problem
@@ -271,7 +270,8 @@ def _judged(
     prior_sd, factors = np.array([space[n].prior_width for n in names]), residual.fitted_factors
     misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
     freedom = effective_freedom(slope, prior_sd, sum(factors.values()))
-    at, alpha = _Fitted(vector, slope, prior_sd), study.settings.explain.alpha
+    converged = fit is not None and fit.converged
+    at, alpha = _Fitted(vector, slope, prior_sd, converged), study.settings.explain.alpha
     kinds, modes = goodness(at, residual.rows, factors, residual.scatter_freedom)
     p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, alpha)
     whole = {
@@ -280,10 +280,7 @@ def _judged(
     }
     identification = identify(space, names, slope, values=values, held=held, birge=birge)
     predictions = residual.predictions(values, names, identification.posterior.covariance)
-    suspected = pd.DataFrame(columns=list(SUSPECT_COLUMNS))
-    if fit is not None and fit.converged:
-        # Elsewhere than at the optimum a residual is what the search has left.
-        suspected = suspects(at, residual.rows, factors, residual.scatter_freedom, alpha)
+    suspected = suspects(at, residual.rows, factors, residual.scatter_freedom, alpha)
     return Judgement(
         values=values, misfit=misfit, prior_misfit=float(own @ own), freedom=freedom, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
@@ -297,3 +294,4 @@ class _Fitted:
     residual: np.ndarray
     slope: np.ndarray
     prior_sd: np.ndarray
+    converged: bool

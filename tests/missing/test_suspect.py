@@ -1,11 +1,14 @@
 """Single bad data: against fits without them, by their rates, and where two or none are to blame."""
 
+import time
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calib.missing.goodness import goodness, overall
+from calib.missing.state import FINE, fitted, linearised
 from calib.missing.suspect import data_of, sentence, suspects
 
 
@@ -117,3 +120,31 @@ class _Fit:
     residual: np.ndarray
     slope: np.ndarray
     prior_sd: np.ndarray
+    converged: bool = True
+
+
+def test_without_a_converged_fit_nothing_is_accused(toy):
+    bad = row_of(toy(modes=6, sensors=6), "M2", "frequency")
+    made = linear(toy, {bad: 15.0})
+    state = made.calibrated()
+    assert state.converged and len(suspects(state, made.rows, {}, {}))
+    once = fitted(state.question, (), state.question.space.values, 0, replace(FINE, evaluations=1))
+    assert not once.converged and suspects(once, made.rows, {}, {}).empty
+    assert not linearised(state.question, (), state.values).converged
+
+
+def test_hundreds_of_data_are_left_out_without_a_fit_for_each(toy):
+    """Of 900 values more than a hundred are improbable."""
+    made = toy(modes=30, sensors=28, parameters=12).drawn(np.random.default_rng(1))
+    made = replace(made, data=made.data + 4 * np.random.default_rng(2).standard_normal(len(made.rows)))
+    state, began = made.calibrated(), time.process_time()
+    table = suspects(state, made.rows, {(f"M{k}", "shape"): 1 for k in range(30)}, {})
+    took = time.process_time() - began
+    assert len(made.rows) == 900 and (table["p"] < 0.01).sum() > 100
+    assert took < 3.0  # a refit each takes three times as long
+
+
+def test_data_that_parameters_stand_on_alone_leave_an_empty_table():
+    rows = [SimpleNamespace(mode="", kind="response", sensor=f"y{k}") for k in range(2)]
+    fit = _Fit(np.array([9.0, 9.0]), np.eye(2), np.full(2, np.inf))
+    assert suspects(fit, rows, {}, {}).empty
