@@ -106,6 +106,48 @@ class SeriesLoss:
 
 
 @dataclass(frozen=True)
+class Grown:
+    """A monomial times a power of ``x^2/(x^2 + half^2)``: 0 where a parameter x is 0, all of it far beyond ``half``.
+
+    Attributes
+    ----------
+    monomial : Monomial
+    parameter : str
+        x, in SI.
+    half : float
+        Where the quotient is a half.
+    power : int
+    """
+
+    monomial: Monomial
+    parameter: str
+    half: float
+    power: int = 1
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Parameters it depends on."""
+        return self.monomial.names | {self.parameter}
+
+    def _size(self, values: Mapping[str, float]) -> float:
+        x = values[self.parameter]
+        return x**2 / (x**2 + self.half**2)
+
+    def __call__(self, values: Mapping[str, float]) -> float:
+        """Value at parameters in SI."""
+        return self.monomial(values) * self._size(values) ** self.power
+
+    def derivative(self, values: Mapping[str, float], name: str) -> float:
+        """Derivative with respect to one parameter in SI."""
+        size = self._size(values)
+        out = self.monomial.derivative(values, name) * size**self.power
+        if name == self.parameter:
+            slope = 2 * values[name] * self.half**2 / (values[name] ** 2 + self.half**2) ** 2
+            out += self.monomial(values) * self.power * size ** (self.power - 1) * slope
+        return out
+
+
+@dataclass(frozen=True)
 class StretchPower:
     """Coefficient ``t**power`` on a stretch of one parameter in SI, on which t grows from 0 to 1, and 0 elsewhere.
 

@@ -13,37 +13,37 @@ from calib.space import Parameter
 from calib.structure.attach import loosened_masses, motion, moved_masses
 from calib.structure.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
-from models.railway.bogie import UX, UY, UZ
+from calib.structure.mounted import MountedBody
+from models.railway.bogie import RX, RY, RZ, UX, UY, UZ
 from models.railway.equipment import SEAT_X, SEAT_Z, UNDER_FLOOR, equipment, passenger_seats
 
 UNIT_RATIO, SEAT_RATIO = 0.03, 0.07
+SIDEWAYS = 0.7
+"""Stiffness of rubber mounts sideways over that upright."""
+BOXES = {"traction converter": (2.4, 0.7, 1.8), "front roof unit": (2.4, 0.3, 1.8)}
+"""Sides along x, y and z in m of boxes of even density that turn as the units do."""
 OFFSET_REACH, CARRYING = 0.4, "floor_beam"
 SEAT_WAVES = 4
 """Along the car seats move in polynomials of up to this degree, across it alike or against each other."""
 
+_BOX = "just beyond its feet, as high as there is room"
 _SAG = "by how much it presses its mounts down by its own weight; 1 mm is 15.8 Hz, 4 mm 7.9 Hz"
 
 
 def equipment_effects() -> tuple[Effect, ...]:
     """Effects of what the car carries."""
     return (
-        Effect(
-            name="hung_converter",
+        _hung(
+            "hung_converter", "traction converter", (-0.4, 0.4),
             title="Traction converter hung elastically",
             lacks="The traction converter under the floor moves rigidly with its feet.",
             look_for="Rubber mounts between the traction converter and the floor; a gap that closes when it is lifted.",
-            strength=Parameter("hung_converter", 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
-            build=partial(_unit, name="hung_converter", item="traction converter"),
-            grid=tuple({"hung_converter": sag} for sag in (0.1, 0.3, 0.8, 1.7, 3.9, 7.9)),
         ),
-        Effect(
-            name="hung_roof_unit",
+        _hung(
+            "hung_roof_unit", "front roof unit", (-0.2, 0.3),
             title="Front roof unit on soft mounts",
             lacks="The roof units move rigidly with their feet.",
             look_for="Rubber mounts under the front roof unit, usually an air conditioner with its compressor.",
-            strength=Parameter("hung_roof_unit", 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
-            build=partial(_unit, name="hung_roof_unit", item="front roof unit"),
-            grid=tuple({"hung_roof_unit": sag} for sag in (0.1, 0.3, 0.8, 1.7, 3.9, 7.9)),
         ),
         Effect(
             name="soft_seats",
@@ -71,16 +71,49 @@ def equipment_effects() -> tuple[Effect, ...]:
     )  # fmt: skip
 
 
+def _hung(name: str, item: str, lower: tuple[float, float], title: str, lacks: str, look_for: str) -> Effect:
+    """A unit that moves on mounts at its feet; how high its centre is and how stiff its mounts are sideways is open."""
+    return Effect(
+        name=name, title=title, lacks=lacks, look_for=look_for,
+        strength=Parameter(name, 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
+        build=partial(_unit, name=name, item=item),
+        nuisance=(
+            Parameter(
+                f"{name}_drop", 0.0, *lower, "m", prior_sd=0.15,
+                description="height by which its centre is lower than the model has it",
+            ),
+            Parameter(
+                f"{name}_sideways", SIDEWAYS, 0.3, 1.5, "-", prior_sd=0.2,
+                description="stiffness of its mounts sideways over that upright",
+            ),
+            Parameter(
+                f"{name}_damping", UNIT_RATIO, 0.005, 0.15, "-", prior_sd=0.015,
+                description="damping ratio of its mounts upright",
+            ),
+        ),
+        grid=tuple(
+            {name: sag, f"{name}_drop": 0.0, f"{name}_sideways": SIDEWAYS, f"{name}_damping": UNIT_RATIO}
+            for sag in (0.1, 0.3, 0.8, 1.7, 3.9, 7.9)
+        ),
+    )  # fmt: skip
+
+
 def _unit(model: StructuralModel, name: str, item: str) -> Addition:
-    """Its mounts are as stiff sideways as upright."""
-    (unit,) = (m for m in equipment().masses if m.name == item)
-    rows = [np.sqrt(unit.mass) * motion(model, unit.at, direction) for direction in (UX, UY, UZ)]
-    loose = loosened_masses(rows, name, UNIT_RATIO)
+    fitted = equipment()
+    (unit,), (spider,) = (tuple(p for p in parts if p.name == item) for parts in fitted)
+    box = BOXES[item]
+    x, y, z = ((np.sum(np.square(box)) - np.square(box)) / 12).tolist()
+    body = MountedBody(unit.mass, np.subtract(spider.feet, unit.at[1]), UY, (x, y, z))
+    carrier = np.array([motion(model, unit.at, direction) for direction in (UX, UY, UZ, RX, RY, RZ)])
+    loose = body.let_go(carrier, name, f"{name}_drop", f"{name}_sideways", f"{name}_damping")
     assumed = (
-        Assumption(f"{item}: damping ratio on its mounts", f"{UNIT_RATIO}", "-", "rubber"),
-        Assumption(f"{item}: mounts", "as stiff sideways as upright", "-", "usual for such mounts"),
+        Assumption(f"{item}: damping ratio on its mounts", f"{UNIT_RATIO} +- 0.015", "-", "rubber"),
+        Assumption(f"{item}: mounts", "at its feet", "-", "as the model has them"),
+        Assumption(f"{item}: sides of a box that turns as it does", ", ".join(f"{c:g}" for c in box), "m", _BOX),
+        Assumption(f"{item}: its centre lower than the model has it", "0 +- 0.15", "m", "where it is heavy is open"),
+        Assumption(f"{item}: mounts, sideways over upright stiffness", f"{SIDEWAYS} +- 0.2", "-", "rubber blocks"),
     )
-    return Addition(loose.stiffness, loose.damping, loose.mass, loose.selected, loose.n_added, assumed)
+    return replace(loose, assumptions=assumed)
 
 
 def _soft_seats(model: StructuralModel) -> Addition:

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -228,10 +228,50 @@ def let_go(
     return rebuilt(change, refine)
 
 
-def hung(v: Values, refine: int, name: str, item: str) -> StructuralModel:
-    """A unit that moves by itself on a mount that gives alike in all directions."""
+UNIT_BOX = (2.4, 0.7, 1.8)
+"""Sides along x, y and z in m of a hung unit, an even box."""
+
+
+def hung(
+    v: Values,
+    refine: int,
+    name: str,
+    item: str,
+    lower: float = 0.0,
+    ratio: float = UNIT_RATIO,
+    box: Sequence[float] = UNIT_BOX,
+    direct: bool = True,
+) -> StructuralModel:
+    """A unit as a rigid body that shifts and turns, each of its feet on a spring and a damper in every direction.
+
+    Its centre is that much lower than the mass was, its feet as high over that as the values say.
+    """
     omega = float(np.sqrt(GRAVITY / (v[name] * 1e-3)))
-    return let_go(lambda m: m.name == item, omega**2, 2 * UNIT_RATIO * omega, True, refine)
+    units = np.eye(3).tolist()
+
+    def change(whole: Assembly) -> Assembly:
+        (old,) = (m for m in whole.masses if m.name == item)
+        (spider,) = (s for s in whole.structure.spiders if s.name == item)
+        x, y, z = old.at[1]
+        y -= lower
+        # Eight corners of half the box times sqrt(4/3) turn as the box does.
+        corners = [tuple(c) for c in np.sqrt(1 / 12) * np.array(list(product((1, -1), repeat=3))) * box]
+        mass = PointMass(("unit", (x, y, z)), old.mass, spread=tuple(corners), name=item)
+        springs, dampers = [], []
+        for foot in spider.feet:
+            at = (foot[0], y + v[f"{name}_height"], foot[2])
+            for d, unit in enumerate(units):
+                part = old.mass / len(spider.feet) * (1.0 if d == UY else v[f"{name}_sideways"])
+                mount = Spring(("unit", at), (spider.on if direct else spider.name, at), tuple(unit))
+                springs.append(replace(mount, weight=omega**2 * part))
+                dampers.append(replace(mount, weight=2 * ratio * omega * part))
+        structure = replace(
+            whole.structure, particles=(*whole.structure.particles, Particle("unit", "unit", (x, y, z)))
+        )
+        masses = tuple(mass if m is old else m for m in whole.masses)
+        return with_springs(replace(whole, structure=structure, masses=masses), springs, dampers)
+
+    return rebuilt(change, refine)
 
 
 def sprung_seats(v: Values, refine: int) -> StructuralModel:

@@ -1,0 +1,134 @@
+"""A rigid body on mounts of its own against closed forms and against the body written down mount by mount."""
+
+import numpy as np
+import pytest
+import scipy.linalg as la
+import scipy.sparse as sp
+
+from calib.errors import InputError
+from calib.structure.affine import Grown, Monomial
+from calib.structure.attach import GRAVITY, loosened_masses
+from calib.structure.mounted import GROWN_SAG, MountedBody
+
+MASS, RATIO = 2600.0, 0.04
+HALF, ASIDE, HIGH = 1.0, 0.7, 0.4
+MOUNTS = np.array([(x, HIGH, z) for x in (HALF, -HALF) for z in (ASIDE, -ASIDE)])
+GYRATION = (0.3, 0.8, 0.5)
+BODY = MountedBody(MASS, MOUNTS, 1, GYRATION)
+
+
+def added(body, values, carrier=None):
+    """Stiffness, damping and mass over the carrier's six motions and the body's own six."""
+    addition = body.let_go(np.eye(6) if carrier is None else carrier, "sag", "lower", "sideways", "ratio")
+    kinds = (addition.stiffness, addition.damping, addition.mass)
+    return [sum(t.matrix.toarray() * t.coefficient(values) for t in terms) for terms in kinds]
+
+
+def values(sag, lower=0.0, sideways=0.7):
+    return {"sag": sag, "lower": lower, "sideways": sideways, "ratio": RATIO}
+
+
+def felt(matrices, root):
+    """Force on the carrier per motion with the body's own motions following."""
+    k, c, m = matrices
+    z = k + root * c + root**2 * m
+    return z[:6, :6] - z[:6, 6:] @ np.linalg.solve(z[6:, 6:], z[6:, :6])
+
+
+def mount_by_mount(sag, lower, sideways, share=1.0):
+    """Stiffness, damping and mass over the carrier's six motions and the body's six, for all of the body's size."""
+    k, omega = MASS * GRAVITY / (4 * sag), np.sqrt(GRAVITY / sag)
+
+    def shift(place):
+        x, y, z = place
+        return np.array([[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x], [0, 0, 1, y, -x, 0]], dtype=float)
+
+    stiffness, mass = np.zeros((12, 12)), np.zeros((12, 12))
+    for place in MOUNTS:
+        gap = np.hstack([-shift(place), shift(place + [0, share * lower, 0])])
+        stiffness += gap.T @ np.diag([sideways * k, k, sideways * k]) @ gap
+    mass[6:, 6:] = MASS * np.diag([1, 1, 1, *(share**2 * np.array(GYRATION))])
+    return stiffness, 2 * RATIO / omega * stiffness, mass
+
+
+def test_a_body_on_a_rigid_base_has_its_six_natural_frequencies():
+    """Upright alone; yaw alone; shifts sideways each with a turn, coupled by the height of the mounts."""
+    sag, rho, lower = 2e-3, 0.6, 0.15
+    k, _, m = added(BODY, values(sag, lower, rho))
+    found = np.sort(la.eigvalsh(k[6:, 6:], m[6:, 6:]))
+    a = sag**2 / (sag**2 + GROWN_SAG**2)
+    h, (gx, gy, gz) = HIGH + a * lower, a**2 * np.array(GYRATION)
+    expected = [1.0, rho * (HALF**2 + ASIDE**2) / gy]
+    for arm, g in ((ASIDE, gx), (HALF, gz)):
+        expected += la.eigvalsh([[rho, rho * h], [rho * h, rho * h**2 + arm**2]], np.diag([1.0, g])).tolist()
+    np.testing.assert_allclose(found, np.sort(expected) * GRAVITY / sag, rtol=1e-10)
+
+
+@pytest.mark.parametrize("sag", [1e-6, 5e-5, 1.3e-3, 0.15])
+@pytest.mark.parametrize("lower", [-0.2, 0.0, 0.25])
+def test_its_carrier_feels_the_body_as_written_down_mount_by_mount(sag, lower):
+    own = np.zeros((12, 12))
+    own[:3, :3] = MASS * np.eye(3)  # the point mass that the model has
+    share = sag**2 / (sag**2 + GROWN_SAG**2)
+    k, c, m = added(BODY, values(sag, lower))
+    for root in (0.3j, 40j - 3, 90j):
+        told = felt((k, c, m + own), root)
+        expected = felt(mount_by_mount(sag, lower, 0.7, share), root)
+        np.testing.assert_allclose(told, expected, rtol=1e-5, atol=1e-7 * abs(expected).max())
+
+
+def test_no_sag_is_the_point_mass():
+    k, c, m = added(BODY, values(0.0, 0.3, 1.2))
+    assert not (k[:6].any() or c.any() or m.any())
+    assert la.eigvalsh(k[6:, 6:]).min() > 0
+
+
+def test_level_mounts_that_are_alike_let_a_point_shift_as_on_springs():
+    level = MountedBody(MASS, MOUNTS * [1, 0, 1], 1, (0.0, 0.0, 0.0))
+    shifts = loosened_masses(list(np.sqrt(MASS) * np.eye(6)[:3]), "sag", RATIO)
+    kinds = (shifts.stiffness, shifts.damping, shifts.mass)
+    for sag in (1e-4, 3e-3):
+        point = values(sag, 0.0, 1.0)
+        other = [sum(t.matrix.toarray() * t.coefficient(point) for t in terms) for terms in kinds]
+        expected = felt(other, 50j - 2)
+        np.testing.assert_allclose(felt(added(level, point), 50j - 2), expected, atol=1e-9 * abs(expected).max())
+
+
+@pytest.mark.parametrize("lower", [-0.3, 0.0, 0.3])
+@pytest.mark.parametrize("sag", [1e-6, 1e-4, 5e-3])
+def test_the_mass_is_nowhere_negative(sag, lower):
+    k, _, m = added(BODY, values(sag, lower))
+    m[:3, :3] += MASS * np.eye(3)
+    for matrix in (k, m):
+        assert la.eigvalsh(matrix).min() > -1e-9 * abs(matrix).max()
+
+
+def test_slopes_agree_with_differences():
+    carrier = np.random.default_rng(2).standard_normal((6, 9))
+    addition, point = BODY.let_go(carrier, "sag", "lower", "sideways", "ratio"), values(3e-4, 0.2, 0.8)
+    for terms in (addition.stiffness, addition.damping, addition.mass):
+        for name in point:
+            step = 1e-5 * point[name]
+            up, down = ({**point, name: point[name] + s * step} for s in (1, -1))
+            slope, difference = (
+                sum(t.matrix * w for t, w in zip(terms, weights, strict=True))
+                for weights in (
+                    [t.coefficient.derivative(point, name) for t in terms],
+                    [(t.coefficient(up) - t.coefficient(down)) / (2 * step) for t in terms],
+                )
+            )
+            assert abs(sp.csr_array(slope - difference)).max() <= 1e-7 * max(abs(sp.csr_array(slope)).max(), 1e-12)
+
+
+def test_what_has_grown_is_a_half_at_its_half():
+    grown = Grown(Monomial(3.0, (("y", 2.0),)), "x", 0.2, 2)
+    assert grown({"x": 0.2, "y": 2.0}) == pytest.approx(12 / 4)
+    assert grown({"x": 0.0, "y": 2.0}) == 0 and grown({"x": 2e4, "y": 2.0}) == pytest.approx(12)
+    assert grown.names == {"x", "y"}
+
+
+def test_mounts_on_one_line_hold_no_body():
+    with pytest.raises(InputError, match="one line"):
+        MountedBody(MASS, MOUNTS[:2], 1, GYRATION)
+    with pytest.raises(InputError, match="one line"):
+        MountedBody(MASS, MOUNTS * [1, 1, 0], 1, GYRATION)
