@@ -45,7 +45,7 @@ def mount_by_mount(sag, lower, sideways, share=1.0):
 
     stiffness, mass = np.zeros((12, 12)), np.zeros((12, 12))
     for place in MOUNTS:
-        gap = np.hstack([-shift(place), shift(place + [0, share * lower, 0])])
+        gap = np.hstack([-shift(place), shift(np.add(place, (0, share * lower, 0)))])
         stiffness += gap.T @ np.diag([sideways * k, k, sideways * k]) @ gap
     mass[6:, 6:] = MASS * np.diag([1, 1, 1, *(share**2 * np.array(GYRATION))])
     return stiffness, 2 * RATIO / omega * stiffness, mass

@@ -29,7 +29,7 @@ from models.railway.equipment import COUPLER_Y, UNDER_FLOOR
 from models.railway.parameters import BOGIE, CAR
 from models.railway.vehicle import BOGIES, Assembly, vehicle
 from models.railway.vehicle_effects_body import DAMPING_FREQ
-from models.railway.vehicle_effects_equipment import SEAT_RATIO, UNIT_RATIO
+from models.railway.vehicle_effects_equipment import SEAT_RATIO
 
 Values = Mapping[str, float]
 Change = Callable[[Assembly], Assembly]
@@ -198,16 +198,46 @@ def top_heavy(v: Values, refine: int) -> StructuralModel:
 # -- equipment ---------------------------------------------------------------------------------------------------------
 
 
-def let_go(
-    which: Callable[[PointMass], bool], stiffness: float, damping: float, sideways: bool, refine: int
-) -> StructuralModel:
-    """Masses as bodies of their own on mounts of one stiffness and damping for each kg, alike sideways or rigid."""
-    units = np.eye(3).tolist()
+UNIT_BOXES = {"traction converter": (2.4, 0.7, 1.8), "front roof unit": (2.4, 0.3, 1.8)}
+"""Sides along x, y and z in m of hung units, even boxes."""
+
+
+def hung(v: Values, refine: int, name: str, item: str, box: Sequence[float] | None = None) -> StructuralModel:
+    """A unit as a rigid body that shifts and turns, each of its feet on a spring and a damper in every direction.
+
+    Mounts stand on what carries them foot by foot, so that they also hold it against warping.
+    """
+    omega = float(np.sqrt(GRAVITY / (v[name] * 1e-3)))
+    # An even box turns as eight corners do of one that is smaller by the root of 3.
+    corners = np.array(list(product((0.5, -0.5), repeat=3))) * (box or UNIT_BOXES[item]) / np.sqrt(3)
+
+    def change(whole: Assembly) -> Assembly:
+        (old,) = (m for m in whole.masses if m.name == item)
+        (spider,) = (s for s in whole.structure.spiders if s.name == item)
+        centre = (old.at[1][0], old.at[1][1] - v[f"{name}_drop"], old.at[1][2])
+        mass = PointMass(("unit", centre), old.mass, spread=tuple(map(tuple, corners.tolist())), name=item)
+        springs, dampers = [], []
+        for foot in spider.feet:
+            for d, unit in enumerate(np.eye(3).tolist()):
+                part = old.mass / len(spider.feet) * (1.0 if d == UY else v[f"{name}_sideways"])
+                mount = Spring(("unit", foot), (spider.on, foot), tuple(unit))
+                springs.append(replace(mount, weight=omega**2 * part))
+                dampers.append(replace(mount, weight=2 * v[f"{name}_damping"] * omega * part))
+        structure = replace(whole.structure, particles=(*whole.structure.particles, Particle("unit", "unit", centre)))
+        masses = tuple(mass if m is old else m for m in whole.masses)
+        return with_springs(replace(whole, structure=structure, masses=masses), springs, dampers)
+
+    return rebuilt(change, refine)
+
+
+def sprung_seats(v: Values, refine: int) -> StructuralModel:
+    """Sixty oscillators: bodies of their own on mounts that give upright."""
+    omega, units = float(np.sqrt(GRAVITY / (v["soft_seats"] * 1e-3))), np.eye(3).tolist()
 
     def change(whole: Assembly) -> Assembly:
         bodies, masses, springs, dampers = [], [], [], []
         for k, m in enumerate(whole.masses):
-            if not which(m):
+            if not m.name.startswith("seats"):
                 masses.append(m)
                 continue
             body = f"seat_{k}"
@@ -215,9 +245,8 @@ def let_go(
             masses.append(replace(m, at=(body, m.at[1])))
             for d, unit in enumerate(units):
                 mount = Spring((body, m.at[1]), m.at, tuple(unit))
-                soft = sideways or d == UY
-                springs.append(replace(mount, weight=stiffness * m.mass if soft else RIGID))
-                dampers += [replace(mount, weight=damping * m.mass)] if soft else []
+                springs.append(replace(mount, weight=omega**2 * m.mass if d == UY else RIGID))
+                dampers += [replace(mount, weight=2 * SEAT_RATIO * omega * m.mass)] if d == UY else []
         structure = replace(
             whole.structure,
             particles=(*whole.structure.particles, *bodies),
@@ -226,58 +255,6 @@ def let_go(
         return with_springs(replace(whole, structure=structure, masses=tuple(masses)), springs, dampers)
 
     return rebuilt(change, refine)
-
-
-UNIT_BOX = (2.4, 0.7, 1.8)
-"""Sides along x, y and z in m of a hung unit, an even box."""
-
-
-def hung(
-    v: Values,
-    refine: int,
-    name: str,
-    item: str,
-    lower: float = 0.0,
-    ratio: float = UNIT_RATIO,
-    box: Sequence[float] = UNIT_BOX,
-    direct: bool = True,
-) -> StructuralModel:
-    """A unit as a rigid body that shifts and turns, each of its feet on a spring and a damper in every direction.
-
-    Its centre is that much lower than the mass was, its feet as high over that as the values say.
-    """
-    omega = float(np.sqrt(GRAVITY / (v[name] * 1e-3)))
-    units = np.eye(3).tolist()
-
-    def change(whole: Assembly) -> Assembly:
-        (old,) = (m for m in whole.masses if m.name == item)
-        (spider,) = (s for s in whole.structure.spiders if s.name == item)
-        x, y, z = old.at[1]
-        y -= lower
-        # Eight corners of half the box times sqrt(4/3) turn as the box does.
-        corners = [tuple(c) for c in np.sqrt(1 / 12) * np.array(list(product((1, -1), repeat=3))) * box]
-        mass = PointMass(("unit", (x, y, z)), old.mass, spread=tuple(corners), name=item)
-        springs, dampers = [], []
-        for foot in spider.feet:
-            at = (foot[0], y + v[f"{name}_height"], foot[2])
-            for d, unit in enumerate(units):
-                part = old.mass / len(spider.feet) * (1.0 if d == UY else v[f"{name}_sideways"])
-                mount = Spring(("unit", at), (spider.on if direct else spider.name, at), tuple(unit))
-                springs.append(replace(mount, weight=omega**2 * part))
-                dampers.append(replace(mount, weight=2 * ratio * omega * part))
-        structure = replace(
-            whole.structure, particles=(*whole.structure.particles, Particle("unit", "unit", (x, y, z)))
-        )
-        masses = tuple(mass if m is old else m for m in whole.masses)
-        return with_springs(replace(whole, structure=structure, masses=masses), springs, dampers)
-
-    return rebuilt(change, refine)
-
-
-def sprung_seats(v: Values, refine: int) -> StructuralModel:
-    """Sixty oscillators."""
-    omega = float(np.sqrt(GRAVITY / (v["soft_seats"] * 1e-3)))
-    return let_go(lambda m: m.name.startswith("seats"), omega**2, 2 * SEAT_RATIO * omega, False, refine)
 
 
 def moved_equipment(v: Values, refine: int) -> StructuralModel:

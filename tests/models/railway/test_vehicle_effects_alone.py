@@ -106,22 +106,35 @@ def test_weight_tips_a_body_that_rolls_and_no_other(alone, energy):
 
 
 @pytest.mark.parametrize(
-    ("name", "mass", "place"),
-    [("hung_converter", 2600.0, (-4.0, 0.75, 0.0)), ("hung_roof_unit", 600.0, (4.0, 3.6, 0.0))],
+    ("name", "item", "mass", "centre", "feet"),
+    [
+        ("hung_converter", "traction converter", 2600.0, (-4.0, 0.75, 0.0), (1.15, 0.70)),
+        ("hung_roof_unit", "front roof unit", 600.0, (4.0, 3.6, 0.0), (3.44, 0.76)),
+    ],
 )
-def test_a_hung_unit_is_an_oscillator_where_its_mass_was(alone, rigid_car, name, mass, place):
-    # Seen from its feet: -l^2 m + l^2 m (2 zeta w l + w^2)/(l^2 + 2 zeta w l + w^2), with w^2 = g/sag.
-    sag, root, n = 2e-3, 40j - 3, rigid_car.n_dof
-    k, c, m = alone.change(name, {name: 2.0})
-    z = sp.csc_array(k + root * c + root**2 * m)[:, n:].toarray()
-    inner, coupling = z[n:], z[:n]
-    w, zeta = np.sqrt(GRAVITY / sag), 0.03
-    follow = (2 * zeta * w * root + w**2) / (root**2 + 2 * zeta * w * root + w**2)
-    for direction in range(3):
-        row = motion(rigid_car, (("traction converter", "front roof unit")[mass < 1000], place), direction)
-        felt = -coupling @ np.linalg.solve(inner, coupling.T @ row)
-        expected = root**2 * mass * (follow - 1) * row * (row @ row)
-        np.testing.assert_allclose(felt, expected, atol=1e-9 * np.abs(expected).max())
+def test_a_hung_unit_is_a_rigid_body_on_its_feet(alone, rigid_car, name, item, mass, centre, feet):
+    # Assembled foot by foot over the six motions of what carries it and of the unit about its own, lower centre.
+    sag, lower, rho, zeta, root, n = 2e-3, 0.1, 0.6, 0.04, 40j - 3, rigid_car.n_dof
+    values = {name: 1e3 * sag, f"{name}_drop": lower, f"{name}_sideways": rho, f"{name}_damping": zeta}
+    k, c, m = alone.change(name, values)
+    z = sp.csc_array(k + root * c + root**2 * m)
+    carrier = np.array([motion(rigid_car, (item, centre), d) for d in range(6)])
+    plane = np.linalg.solve(carrier @ carrier.T, carrier)  # one motion of the vehicle for each motion of the carrier
+    inner, coupling = z[n:, n:].toarray(), z[n:, :n] @ plane.T
+    felt = plane @ (z[:n, :n] @ plane.T) - coupling.T @ np.linalg.solve(inner, coupling)
+
+    share = sag**2 / (sag**2 + 1e-8)  # of its size that a unit has whose mounts give by so much
+    box = np.array([2.4, 0.7 if mass > 1000 else 0.3, 1.8])
+    whole = np.zeros((12, 12), dtype=complex)
+    whole[6:, 6:] = root**2 * mass * np.diag([1, 1, 1, *(share**2 * (box @ box - box**2) / 12)])
+    mount = mass / 4 * (GRAVITY / sag + 2 * zeta * np.sqrt(GRAVITY / sag) * root) * np.diag([rho, 1, rho])
+    for x, y, s in ((a, feet[0] - centre[1], b * feet[1]) for a in (1, -1) for b in (1, -1)):
+        gap = np.hstack([-np.eye(3), np.cross((x, y, s), np.eye(3)).T, np.eye(3), np.zeros((3, 3))])
+        gap[:, 9:] = -np.cross((x, y + share * lower, s), np.eye(3)).T
+        whole += gap.T @ mount @ gap
+    expected = whole[:6, :6] - whole[:6, 6:] @ np.linalg.solve(whole[6:, 6:], whole[6:, :6])
+    expected -= root**2 * mass * np.diag([1, 1, 1, 0, 0, 0])
+    np.testing.assert_allclose(felt, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_few_patterns_of_seats_do_what_sixty_seats_do(alone, rigid_car):
