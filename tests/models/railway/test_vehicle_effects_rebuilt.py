@@ -26,10 +26,15 @@ def plain(effect_checks, rigid_car, vehicle_sensors):
     return effect_checks.noise_free(rigid_car, vehicle_sensors, rigid_car.modes({}, MODES), range(MODES))
 
 
-def changes(model, plain, values, more):
+def residual_of(model, plain, more):
     """What a model's modes differ by from those of the vehicle as it is, in units of the scatter."""
     problem = ModalProblem(model, plain, mode_count=MODES + 4 + more, threshold=0.1)
-    return ModalResidual(problem, Floors(freq=0.0, damping=0.0, shape=0.0)).residual(values)
+    return ModalResidual(problem, Floors(freq=0.0, damping=0.0, shape=0.0))
+
+
+def changes(model, plain, values, more):
+    """The same at some values."""
+    return residual_of(model, plain, more).residual(values)
 
 
 def test_every_effect_is_rebuilt():
@@ -51,3 +56,24 @@ def test_the_strength_found_is_the_one_built_in(rigid_car, plain, name):
     nearly, left = BOUNDS.get(name, (0.02, 0.02))
     assert abs(off) < nearly and abs(off) < 1.96 * std
     assert np.linalg.norm(built - told) < left * np.linalg.norm(built)
+
+
+@pytest.mark.slow
+def test_a_unit_that_is_heavy_low_down_on_other_mounts_is_found(rigid_car, plain):
+    """Its centre 0.25 m lower, damped more, of another box: what is assumed of it is fitted along."""
+    name = "hung_converter"
+    truth = {name: 1.3, f"{name}_drop": 0.25, f"{name}_sideways": 0.7, f"{name}_damping": 0.04}
+    unit = rebuilt.hung(truth, 1, name, "traction converter", box=(2.2, 0.8, 1.7))
+    built = changes(unit, plain, {}, 6)
+    effect = EFFECTS[name]
+    model = extend(rigid_car, [effect])
+    residual = residual_of(model, plain, 6)
+    found = dict(zip(effect.names, (1.45, 0.18, 0.8, 0.03), strict=True))
+    for _ in range(4):
+        slopes = residual.jacobian(found, effect.names)
+        step = np.linalg.lstsq(slopes, built - residual.residual(found), rcond=None)[0]
+        found = {n: v + d for (n, v), d in zip(found.items(), step.tolist(), strict=True)}
+    std = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    assert abs(found[name] - truth[name]) < 1.96 * std[0]
+    assert found == pytest.approx(truth, rel=0.05)
+    assert np.linalg.norm(built - residual.residual(found)) < 0.05 * np.linalg.norm(built)
