@@ -86,8 +86,9 @@ class MountedBody:
             return sp.csr_array(sp.block_diag([block, sp.csr_array((6, 6))]))
 
         def coupling(one: np.ndarray, own: np.ndarray) -> sp.csr_array:
-            block = sp.csr_array(one).T @ sp.csr_array(own)
-            return sp.csr_array(sp.block_array([[None, block], [block.T, None]]))
+            block = sp.csr_array(sp.csr_array(one).T @ sp.csr_array(own))
+            upper = sp.hstack([sp.csr_array((n, n)), block])
+            return sp.csr_array(sp.vstack([upper, sp.hstack([block.T, sp.csr_array((6, 6))])]))
 
         def own(block: np.ndarray) -> sp.csr_array:
             return sp.csr_array(sp.block_diag([sp.csr_array((n, n)), sp.csr_array(block)]))

@@ -100,7 +100,8 @@ def _hung(name: str, item: str, lower: tuple[float, float], title: str, lacks: s
 
 def _unit(model: StructuralModel, name: str, item: str) -> Addition:
     fitted = equipment()
-    (unit,), (spider,) = (tuple(p for p in parts if p.name == item) for parts in fitted)
+    (unit,) = (m for m in fitted.masses if m.name == item)
+    (spider,) = (s for s in fitted.spiders if s.name == item)
     box = BOXES[item]
     x, y, z = ((np.sum(np.square(box)) - np.square(box)) / 12).tolist()
     body = MountedBody(unit.mass, np.subtract(spider.feet, unit.at[1]), UY, (x, y, z))
