@@ -7,7 +7,8 @@
     python studies/hidden_effect/make_twin.py noise TRUTH.json --into studies/hidden_noise/measured
 
 The twin has every edge of its shells halved, finer beams and distributed masses, like that of ``studies/vehicle``; it
-shows the twelve modes measured there. For ``noise`` nothing is hidden, but the repeats show only half of the scatter:
+shows the twelve modes measured there. Its hung units are those of ``units.py``.
+For ``noise`` nothing is hidden, but the repeats show only half of the scatter:
 the rest is an error that they share. What else is drawn, and what makes a study, is told in ``studies/blind_twin.py``.
 What it was made from is written to TRUTH.json, which nothing that answers ever reads.
 """
@@ -24,6 +25,7 @@ HERE = Path(__file__).resolve().parent
 blind = module_of(HERE.parent / "blind_twin.py")
 test = module_of(HERE.parent / "vehicle" / "make_twin.py")
 outside = module_of(HERE / "outside.py")
+units = module_of(HERE / "units.py")
 
 KINDS = {
     "effect": blind.Kind(1, 1),
@@ -39,8 +41,8 @@ def specimen() -> blind.Specimen:
     base, layout = vehicle(seats="rigid"), test.sensors()
     return blind.Specimen(
         file=HERE / "study.toml", base=base, fine=vehicle(refine=2, distributed=True, seats="rigid"),
-        library=vehicle_effects(), outside=outside.outside_effects(), modes=test.MODES, layout=layout,
-        nominal=test.named(base, base.space.values, layout)[1],
+        library=units.of_the_twin(vehicle_effects()), outside=outside.outside_effects(),
+        modes=test.MODES, layout=layout, nominal=test.named(base, base.space.values, layout)[1],
     )  # fmt: skip
 
 

@@ -56,7 +56,8 @@ BOGIE = Subject(
 VEHICLE = Subject(
     "vehicle", "studies/hidden_none",
     (
-        "studies/hidden_effect/make_twin.py", "studies/hidden_effect/outside.py", "studies/hidden_bogie/outside.py",
+        "studies/hidden_effect/make_twin.py", "studies/hidden_effect/outside.py", "studies/hidden_effect/units.py",
+        "studies/hidden_bogie/outside.py",
         "studies/hidden_effect/study.toml", "studies/vehicle/make_twin.py", "studies/bogie/make_twin.py",
         "studies/blind_twin.py",
     ),

@@ -7,10 +7,14 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from calib.loading import module_of
+from calib.questions.explain import explain
 from calib.results import Results
+from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 VERDICTS = {
@@ -21,24 +25,55 @@ VERDICTS = {
     "hidden_noise": "noise_underestimated",
 }
 NAMED = ("hidden_effect", "hidden_two")
+HUNG, SAG = "hung_converter", 1.3
 pytestmark = pytest.mark.whole
 
 
 @pytest.fixture(scope="module")
-def explained(blindly, tmp_path_factory):
+def results_of(tmp_path_factory):
+    """Folder of results by a study's name, with the basis that an earlier one has trained."""
+    root = tmp_path_factory.mktemp("vehicles")
+
+    def make(name):
+        kept, results = list(root.glob("*/basis_effects_*.npz"))[:1], Results.at(root, name)
+        for basis in kept:
+            shutil.copy(basis, results.path)
+        return results
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def explained(blindly, results_of):
     """Each explanation once: the folder of its results."""
-    root, done, kept = tmp_path_factory.mktemp("vehicles"), {}, []
+    done = {}
 
     def make(name):
         if name not in done:
-            results = Results.at(root, name)
-            for basis in kept:
-                shutil.copy(basis, results.path)
-            done[name] = blindly(name, results)
-            kept[:] = results.path.glob("basis_effects_*.npz")
+            done[name] = blindly(name, results_of(name))
         return done[name]
 
     return make
+
+
+@pytest.fixture(scope="module")
+def unit_on_mounts(tmp_path_factory):
+    """A study of a vehicle whose converter is a rigid body on four mounts, lower and of another box than assumed.
+
+    Its mesh is finer, its mounts stand in the mesh foot by foot, and its parameters are drawn like those of the others.
+    """
+    folder = tmp_path_factory.mktemp("study") / "unit_on_mounts"
+    twin = module_of(ROOT / "studies/hidden_effect/make_twin.py")
+    rebuilt = module_of(ROOT / "tests/models/railway/rebuilt_vehicle.py")
+    specimen, rng = twin.specimen(), np.random.default_rng(5)
+    values = specimen.draw(rng)
+    unit = {HUNG: SAG, f"{HUNG}_drop": 0.25, f"{HUNG}_sideways": 0.7, f"{HUNG}_damping": 0.04}
+    model = rebuilt.hung(unit, 2, HUNG, "traction converter", (2.2, 0.8, 1.7), distributed=True)
+    names, modes, shapes = specimen.seen(model, 6, values, rng)
+    assert names == specimen.modes
+    twin.blind.twin.write_measurement(folder / "measured", names, modes, shapes, specimen.layout, rng, "vehicle test")
+    shutil.copy(specimen.file, folder)
+    return Study.load(folder)
 
 
 def summary_of(folder):
@@ -93,6 +128,15 @@ def test_what_is_in_no_library_is_pointed_at(explained):
 def test_understated_scatter_is_told_with_its_factor(explained):
     summary = summary_of(explained("hidden_noise"))
     assert truth("hidden_noise")["noise"] == 2.0 and 1.8 < summary["noise_scale"] < 2.2
+
+
+def test_a_unit_that_rocks_on_its_mounts_is_named_with_its_sag(unit_on_mounts, results_of):
+    results = results_of(unit_on_mounts.name)
+    explain(unit_on_mounts, results)
+    summary, effects = summary_of(results.path), pd.read_csv(results.path / "effects.csv").set_index("name")
+    assert summary["verdict"] == "effect" and summary["credible_set"] == [HUNG]
+    assert effects.loc[HUNG, "phi_low"] < SAG < effects.loc[HUNG, "phi_high"]
+    assert summary["chosen_values"][HUNG] == pytest.approx(SAG, rel=0.1)
 
 
 @pytest.mark.parametrize("name", VERDICTS)

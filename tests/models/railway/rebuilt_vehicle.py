@@ -40,13 +40,13 @@ SI = {p.name: p.value * 1e3 for p in (*CAR, *BOGIE) if p.unit in ("kN/m", "kNs/m
 MODULE = sys.modules["models.railway.vehicle"]
 
 
-def rebuilt(change: Change | None = None, refine: int = 1) -> StructuralModel:
+def rebuilt(change: Change | None = None, refine: int = 1, distributed: bool = False) -> StructuralModel:
     """The vehicle on rigid seats with its parts changed."""
     whole = MODULE.assembly
     with pytest.MonkeyPatch.context() as patch:
         if change is not None:
             patch.setattr(MODULE, "assembly", lambda *given: change(whole(*given)))
-        return vehicle(refine, seats="rigid")
+        return vehicle(refine, distributed, seats="rigid")
 
 
 def with_matrix(model: StructuralModel, kind: str, name: str, full: sp.csr_array) -> StructuralModel:
@@ -202,7 +202,9 @@ UNIT_BOXES = {"traction converter": (2.4, 0.7, 1.8), "front roof unit": (2.4, 0.
 """Sides along x, y and z in m of hung units, even boxes."""
 
 
-def hung(v: Values, refine: int, name: str, item: str, box: Sequence[float] | None = None) -> StructuralModel:
+def hung(
+    v: Values, refine: int, name: str, item: str, box: Sequence[float] | None = None, distributed: bool = False
+) -> StructuralModel:
     """A unit as a rigid body that shifts and turns, each of its feet on a spring and a damper in every direction.
 
     Mounts stand on what carries them foot by foot, so that they also hold it against warping.
@@ -227,7 +229,7 @@ def hung(v: Values, refine: int, name: str, item: str, box: Sequence[float] | No
         masses = tuple(mass if m is old else m for m in whole.masses)
         return with_springs(replace(whole, structure=structure, masses=masses), springs, dampers)
 
-    return rebuilt(change, refine)
+    return rebuilt(change, refine, distributed)
 
 
 def sprung_seats(v: Values, refine: int) -> StructuralModel:

@@ -1,0 +1,39 @@
+"""Hung units as the twin has them: held against turning, as stiff sideways as upright.
+
+The library's units rock and are softer sideways, so that what is hidden is not what is looked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from calib.effect import Effect
+from calib.structure.attach import loosened_masses, motion
+from calib.structure.extend import Addition
+from calib.structure.model import StructuralModel
+from models.railway.bogie import UX, UY, UZ
+from models.railway.equipment import equipment
+from models.railway.vehicle_effects_equipment import UNIT_RATIO
+
+ITEMS = {"hung_converter": "traction converter", "hung_roof_unit": "front roof unit"}
+SAGS = (0.1, 0.3, 0.8, 1.7, 3.9, 7.9)
+
+
+def of_the_twin(library: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The library with such units in the place of its own."""
+    return tuple(_held(effect) if effect.name in ITEMS else effect for effect in library)
+
+
+def _held(effect: Effect) -> Effect:
+    build = partial(_unit, name=effect.name, item=ITEMS[effect.name])
+    return replace(effect, build=build, nuisance=(), grid=tuple({effect.name: sag} for sag in SAGS))
+
+
+def _unit(model: StructuralModel, name: str, item: str) -> Addition:
+    (unit,) = (m for m in equipment().masses if m.name == item)
+    rows = [np.sqrt(unit.mass) * motion(model, unit.at, direction) for direction in (UX, UY, UZ)]
+    return loosened_masses(rows, name, UNIT_RATIO)
