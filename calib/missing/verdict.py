@@ -15,6 +15,8 @@ from calib.missing.tables import UNTESTED
 
 _LEAST = 1 / 4000
 """Probabilities below this are drawn too rarely to be told apart."""
+_REPEATS = 3
+"""Repeats that are named in a sentence."""
 
 
 GROUPS = {
@@ -26,7 +28,9 @@ GROUPS = {
 """Data that a fit has not seen, in words."""
 
 
-def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advice: str) -> tuple[str, ...]:
+def sentences(
+    found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advice: str, disagreements: pd.DataFrame | None = None
+) -> tuple[str, ...]:
     """Verdict with what supports it, what cannot be seen, and what to measure next; the first ones are the verdict.
 
     Parameters
@@ -38,6 +42,8 @@ def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advi
         ``group, stage, rms, expected, p``; may be empty.
     advice : str
         What to measure next; may be empty.
+    disagreements : DataFrame, optional
+        Repeats that disagree with the others: columns ``repeat, mode, sensor, times``.
     """
     parts = {
         "nothing_detectable": _nothing,
@@ -50,6 +56,9 @@ def sentences(found: Findings, effects: pd.DataFrame, errors: pd.DataFrame, advi
         "none_explains": _none,
         "misfit_unlocated": _unlocated,
     }[found.verdict](found, effects)
+    if found.verdict == "misfit_unlocated" and disagreements is not None:
+        repeats = worst_repeats(found.base_check, disagreements)[:_REPEATS]
+        parts.append("Repeats that disagree with the others: " + ", ".join(repeats) + "." if repeats else "")
     if found.noise_scale != 1 and found.verdict != "noise_underestimated":
         parts.append(f"The scatter was taken {found.noise_scale:.2g} times as large as stated.")
     if found.names_something:
@@ -273,17 +282,42 @@ def _unlocated(found: Findings, effects: pd.DataFrame) -> list[str]:
     ]
 
 
+def misfit_at(check: Check, disagreements: pd.DataFrame) -> dict[str, object]:
+    """Where a fit is worst: ``sensor`` or plain response, ``mode`` with its ``kind``; ``repeats`` that disagree."""
+    sensor, mode = _worst(check)
+    return {
+        "sensor": None if sensor is None else str(sensor["sensor"]),
+        "mode": None if mode is None else str(mode["mode"]),
+        "kind": None if mode is None else str(mode["kind"]),
+        "repeats": worst_repeats(check, disagreements),
+    }
+
+
+def worst_repeats(check: Check, disagreements: pd.DataFrame) -> list[str]:
+    """Repeats that disagree with the others; first those that do where the fit is worst, then by how far."""
+    sensor, mode = _worst(check)
+    places = {str(row[name]) for row, name in ((sensor, "sensor"), (mode, "mode")) if row is not None}
+    here = disagreements[["sensor", "mode"]].isin(places).any(axis=1)
+    order = disagreements.assign(here=here).sort_values(["here", "times"], ascending=False, kind="stable")
+    return list(dict.fromkeys(order["repeat"].astype(str)))
+
+
+def _worst(check: Check) -> tuple[pd.Series | None, pd.Series | None]:
+    """Rows of the worst sensor and of the worst mode of a fit, where it has any."""
+    modes = check.modes[check.modes["mode"] != ""].sort_values("p", kind="stable")
+    return (check.sensors.iloc[0] if len(check.sensors) else None, modes.iloc[0] if len(modes) else None)
+
+
 def _where(check: Check) -> str:
     """The worst sensor and the worst mode of a fit, each with the chance of the worst one being as bad."""
     told = []
-    if len(check.sensors):
-        worst = check.sensors.iloc[0]
+    worst, last = _worst(check)
+    if worst is not None:
         times = math.sqrt(float(worst["chi2"]) / max(float(worst["freedom"]), 1.0))
         told.append(f"at {worst['sensor']} ({times:.1f} times its scatter, {_of_many(worst['p'], len(check.sensors))})")
-    modes = check.modes[check.modes["mode"] != ""]
-    if len(modes):
-        last = modes.sort_values("p", kind="stable").iloc[0]
-        told.append(f"in the {last['kind']} of mode {last['mode']} ({_of_many(last['p'], len(modes))})")
+    if last is not None:
+        count = int((check.modes["mode"] != "").sum())
+        told.append(f"in the {last['kind']} of mode {last['mode']} ({_of_many(last['p'], count)})")
     return " and ".join(told)
 
 

@@ -37,14 +37,14 @@ from calib.missing.tables import (
     tried_table,
 )
 from calib.missing.verdict import GROUPS as WORDS
-from calib.missing.verdict import sentences
+from calib.missing.verdict import misfit_at, sentences
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.questions.budget import Budget
 from calib.questions.explained_fit import TABLE, explained_fits
 from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
-from calib.questions.record import check_repeats, write_record
+from calib.questions.record import check_repeats, disagreements_table, write_record
 from calib.questions.scatter import accuracy_words, assumed_words
 from calib.results import Results
 from calib.study import Study
@@ -220,8 +220,11 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     assumed = assumed_words(side.study)
     suspected = suspects(found.base.state, h.rows, h.fitted_factors, h.scatter_freedom, found.alpha)
     rests = f"All this rests on an assumed scatter: {assumed}." if assumed else ""
+    disagreements = disagreements_table(side.study)
+    unlocated = found.verdict == "misfit_unlocated"
+    figures |= {"misfit_at": misfit_at(found.base_check, disagreements) if unlocated else None}
     more = (suspect_sentence(suspected), accuracy_sentence(accuracy), rests)
-    words = (*sentences(found, effects, errors, advice), *filter(None, more))
+    words = (*sentences(found, effects, errors, advice, disagreements), *filter(None, more))
     errors = errors.assign(scatter="assumed" if assumed else "stated")
     figures |= {"accuracy": accuracy_words(side.study), "scatter_assumed": assumed}
     figures |= {"accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at}

@@ -3,12 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calib.missing.explain import explain
 from calib.missing.goodness import by_sensor
 from calib.missing.tables import effects_table
-from calib.missing.verdict import sentences
+from calib.missing.verdict import misfit_at, sentences
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +33,25 @@ def test_the_worst_sensor_and_mode_are_named(spoiled, seed):
     text = " ".join(sentences(found, effects_table(found, {}, {}), effects_table(found, {}, {}).head(0), "Advice."))
     assert "at S7 (" in text and "of mode M5" in text and "nan" not in text
     assert "Advice." not in text and "(score" not in text  # no place of no significance
+
+
+def test_the_repeat_that_disagrees_where_the_fit_is_worst_is_named_first(spoiled):
+    found = explain(spoiled.drawn(np.random.default_rng(0), {"hidden": 1.0}))
+    rows = [
+        ("run 1", "M1", "S2", 9.0),
+        ("run 4", "M5", "S7", 5.0),
+        ("run 1", "M2", "S3", 4.0),
+        ("run 2", "", "S7", 7.0),
+    ]
+    table = pd.DataFrame(rows, columns=["repeat", "mode", "sensor", "times"])
+    where = misfit_at(found.base_check, table)
+    assert where == {"sensor": "S7", "mode": "M5", "kind": "shape", "repeats": ["run 2", "run 4", "run 1"]}
+    effects = effects_table(found, {}, {})
+    text = " ".join(sentences(found, effects, effects.head(0), "", table))
+    assert all(repeat in text for repeat in where["repeats"])
+    assert misfit_at(found.base_check, table.head(0))["repeats"] == []
+    quiet = sentences(found, effects, effects.head(0), "", table.head(0))
+    assert not any("run" in words.split() for words in quiet)
 
 
 def test_what_stands_out_is_not_unlocated(toy):
