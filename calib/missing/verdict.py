@@ -372,6 +372,9 @@ def _unseen(effects: pd.DataFrame, chosen: Sequence[str]) -> list[str]:
             f"{row['name']} below {rounded(least)}{unit}" if possible else f"{row['name']} of any possible strength"
         )
     out = ["Not visible with these data: " + ", ".join(told) + "."] if told else []
+    failing = effects.loc[blind & ~untested & effects["phi_min"].isna(), "name"]
+    if len(failing):
+        out.append("Not visible as far as the model can be evaluated with them: " + ", ".join(failing) + ".")
     if untested.any():
         out.append("Not tested, since the model fails with it: " + ", ".join(effects.loc[untested, "name"]) + ".")
     return out

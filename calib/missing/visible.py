@@ -40,7 +40,8 @@ def visible_within_limits(
 
     A share by which something is softer, for instance, changes the data far more at its end than its derivative says.
     The other parameters may follow to first order. The strength is bracketed to 10 %. Where the model fails at a limit
-    the largest strength takes its place that can be evaluated.
+    the largest strength takes its place that can be evaluated; if the effect does not show there either, nobody knows
+    whether it would beyond: NaN.
 
     Parameters
     ----------
@@ -53,7 +54,9 @@ def visible_within_limits(
         Values of its nuisance parameters.
     """
     ends = {effect.strength.lower, effect.strength.upper} - {effect.strength.value}
-    return min((_onset(question, state, effect, end, nuisance) for end in ends), default=math.inf)
+    found = [_onset(question, state, effect, end, nuisance) for end in ends]
+    shows = min((size for size in found if not math.isnan(size)), default=math.inf)
+    return math.nan if math.isinf(shows) and any(map(math.isnan, found)) else shows
 
 
 def _onset(question: Question, state: State, effect: Effect, end: float, nuisance: Mapping[str, float]) -> float:
@@ -69,9 +72,9 @@ def _onset(question: Question, state: State, effect: Effect, end: float, nuisanc
 
     # A model that fails at its limit tells nothing of smaller strengths: from there the next that it can be asked for.
     reached = ((part, size) for part in _INWARD if (size := shown(part)) is not None)
-    high, above = next(reached, (1.0, 0.0))
+    high, above = next(reached, (0.0, 0.0))
     if above < 1:
-        return math.inf
+        return math.inf if high == 1.0 else math.nan
     low, below = 0.0, 0.0
     for _ in range(_ASKED - 1):
         if high < _LEAST or (low and high / low < _CLOSE):
@@ -81,6 +84,10 @@ def _onset(question: Question, state: State, effect: Effect, end: float, nuisanc
             part = low * (high / low) ** min(max(share, 0.15), 0.85)
         else:
             part = low + (high - low) / 2 if low else high * min(max(0.7 / above, 0.1), 0.7)
-        size = shown(part) or 0.0
+        inside = [part + k / 4 * (high - part) for k in range(4)]
+        # A failure inside the bracket tells nothing either: the next point nearer to its upper end is asked.
+        part, size = next(((p, s) for p in inside if (s := shown(p)) is not None), (high, above))
+        if part == high:
+            break
         low, below, high, above = (low, below, part, size) if size >= 1 else (part, size, high, above)
     return high * abs(end - start)

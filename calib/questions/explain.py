@@ -292,7 +292,7 @@ def _visible(side: Side, found: Findings) -> dict[str, float]:
             question = inner if found.noise_scale == 1.0 else Scaled(inner, found.noise_scale)
             nuisance = {q.name: fit.state.values[q.name] if fit else q.value for q in effect.nuisance}
             within = visible_within_limits(question, state, effect, nuisance)
-            out[effect.name] = min(first, within) if seen else within
+            out[effect.name] = np.fmin(first, within) if seen else within
     return out
 
 

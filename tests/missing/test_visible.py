@@ -90,7 +90,9 @@ def test_the_easier_of_two_signs_counts(blind):
     assert asked(blind, -1.0, 8.2, lambda s: s if s > 0 else 3 * s) == pytest.approx(4.0, rel=0.1)
 
 
-@pytest.mark.parametrize(("last", "limit", "shows"), [(9.7, 10.0, True), (5.0, 8.0, True), (0.0, 8.0, False)])
+@pytest.mark.parametrize(
+    ("last", "limit", "shows"), [(9.7, 10.0, True), (5.0, 8.0, True), (3.0, 8.0, False), (0.0, 8.0, False)]
+)
 def test_a_model_that_fails_at_its_limit_is_asked_below_it(blind, last, limit, shows):
     def fails(s):
         if s > last:
@@ -98,7 +100,30 @@ def test_a_model_that_fails_at_its_limit_is_asked_below_it(blind, last, limit, s
         return s
 
     found = asked(blind, 0.0, limit, fails)
-    assert 4.0 <= found <= 4.0 * 1.1 if shows else found == math.inf
+    assert 4.0 <= found <= 4.0 * 1.1 if shows else math.isnan(found)  # what nobody could ask is not known
+
+
+@pytest.mark.parametrize("gap", [(3.0, 5.0), (5.0, 7.0), (0.5, 3.8), (4.2, 4.3)])
+def test_a_model_that_fails_in_between_is_asked_beside_it(blind, gap):
+    """A strength at which it fails is no strength at which nothing shows."""
+
+    def fails(s):
+        if gap[0] < s < gap[1]:
+            raise EvaluationError("singular")
+        return s
+
+    found = asked(blind, 0.0, 60.0, fails)
+    assert 4.0 <= found <= 1.1 * max(4.0, gap[1] if gap[0] < 4.0 < gap[1] else 4.0)
+
+
+def test_what_shows_on_one_side_is_known_although_the_other_fails(blind):
+    def fails(s):
+        if s < 0:
+            raise EvaluationError("singular")
+        return s
+
+    assert asked(blind, -8.0, 8.2, fails) == pytest.approx(4.0, rel=0.1)
+    assert math.isnan(asked(blind, -8.0, 3.0, fails))
 
 
 def test_a_strength_that_was_found_is_not_told_to_be_invisible(toy):
