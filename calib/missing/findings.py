@@ -144,6 +144,25 @@ class Findings:
         return trial.ln_evidence - self.base.ln_evidence
 
     @property
+    def refused(self) -> str:
+        """Why the best attempt is not named, the first that holds; empty where something is.
+
+        ``implausible``, ``freedom`` (too few effective degrees of freedom are left, so that what little a fit leaves is
+        no reason either), ``misfit``, ``local_change`` (one fits better) or ``evidence`` (there is too little).
+        """
+        trial, check = self.chosen, self.chosen_check
+        if trial is None or check is None or self.verdict not in ("none_explains", "misfit_unlocated", "partial"):
+            return ""
+        if trial.implausible:
+            return "implausible"
+        if check.freedom < LEAST_FREEDOM:
+            return "freedom"
+        if not check.adequate(self.alpha):
+            return "misfit"
+        better = self.atom is not None and self.atom.ln_evidence > trial.ln_evidence
+        return "local_change" if better else "evidence"
+
+    @property
     def names_something(self) -> bool:
         """Whether the verdict names what is missing."""
         return self.verdict in ("effect", "indistinguishable", "two_effects")

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from calib.effect import Effect
-from calib.missing.findings import LEAST_FREEDOM, Check, Findings
+from calib.missing.findings import Check, Findings
 from calib.missing.held_out import CONTRADICTED, contradicting
 from calib.missing.local import local_change
 from calib.missing.tables import UNTESTED
@@ -327,18 +327,17 @@ def _of_many(p: float, count: int) -> str:
 
 
 def _why_not(found: Findings) -> str:
-    """What speaks against the best attempt."""
-    assert found.chosen is not None
-    if found.chosen.implausible:
-        return found.chosen.implausible
-    if found.chosen_check is not None and not found.chosen_check.adequate(found.alpha):
-        return f"what is left still has {_p(min(found.chosen_check.p_family, found.chosen_check.p_fit))}"
-    if found.chosen_check is not None and found.chosen_check.freedom < LEAST_FREEDOM:
-        left = max(found.chosen_check.freedom, 0.0)
-        return f"it leaves {left:.1f} effective degrees of freedom, and below two nothing can speak against it"
-    if found.atom is not None and found.atom.ln_evidence > found.chosen.ln_evidence:
-        return "a local change fits better"
-    return "too little speaks for it among so many candidates"
+    """What speaks against the best attempt, see `Findings.refused`."""
+    trial, check = found.chosen, found.chosen_check
+    assert trial is not None and check is not None
+    return {
+        "implausible": trial.implausible,
+        "freedom": f"it leaves {max(check.freedom, 0.0):.1f} effective degrees of freedom, and below two nothing can "
+        "speak against it",
+        "misfit": f"what is left still has {_p(min(check.p_family, check.p_fit))}",
+        "local_change": "a local change fits better",
+        "evidence": "too little speaks for it among so many candidates",
+    }[found.refused]
 
 
 def _errors(errors: pd.DataFrame) -> list[str]:

@@ -368,6 +368,7 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "measured_noise_scale": found.measured_scale,
         "local_changes": len(set(check.atoms.owners)),
         "local_change": None if found.atom is None else _local_change(found.atom),
+        "refused": found.refused or None,
         "measurement_fault": None if found.fault is None else _local_change(found.fault),
         "evaluations": found.evaluations,
         "begun_anew": found.begun_anew,

@@ -306,8 +306,11 @@ def test_the_reason_against_the_best_attempt_is_told(cases):
     strained = replace(found, chosen=replace(found.chosen, implausible="P1 had to move +5.0 prior standard deviations"))
     assert "is not believed: P1 had to move +5.0 prior standard deviations." in told(strained)
     kinds = found.chosen_check.kinds
+    assert (found.refused, strained.refused) == ("misfit", "implausible")
     few = replace(found.chosen_check, p_named=1.0, p_atoms=1.0, p_fit=1.0, kinds=kinds.assign(freedom=1.4 / len(kinds)))
     assert "it leaves 1.4 effective degrees of freedom" in told(replace(found, chosen_check=few))
+    for p in (1.0, 1e-9):  # below two degrees of freedom what is left is no reason
+        assert replace(found, chosen_check=replace(few, p_fit=p)).refused == "freedom"
 
 
 def test_a_best_attempt_that_leaves_nothing_is_not_said_to_leave_something(toy):

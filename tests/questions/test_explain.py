@@ -23,7 +23,7 @@ KEYS = {
     "adequacy_p_family", "adequacy_p_fit",
     "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "local_change",
     "evaluations", "begun_anew",
-    "accuracy", "scatter_assumed", "accuracy_that_explains", "misfit_at", "measurement_fault",
+    "accuracy", "scatter_assumed", "accuracy_that_explains", "misfit_at", "measurement_fault", "refused",
     "evaluations_intervals", "evaluations_advice", "errors", "seconds",
 }  # fmt: skip
 
