@@ -52,10 +52,18 @@ def test_damping_and_mass_are_looked_at_too(bare):
         assert kind in caught.value.place
 
 
-def test_rounding_does_not_make_a_matrix_unsymmetric(bare):
+@pytest.mark.parametrize(("rounding", "refused"), [(1e-9, False), (1e-3, True)])
+def test_rounding_does_not_make_a_matrix_unsymmetric(bare, rounding, refused):
     model = Study.load(bare()).model
-    matrix = model.stiffness.terms[0].matrix.toarray() * (1 + 1e-9 * np.arange(9.0).reshape(3, 3))
-    require_sound(type(model)(**{**vars(model), "stiffness": AffineMatrix(3, (Term("k", sp.csr_array(matrix)),))}))
+    matrix = model.stiffness.terms[0].matrix.toarray() * (1 + rounding * np.arange(9.0).reshape(3, 3))
+    assert (matrix != matrix.T).any()
+    rounded = type(model)(**{**vars(model), "stiffness": AffineMatrix(3, (Term("k", sp.csr_array(matrix)),))})
+    try:
+        require_sound(rounded)
+    except InputError as fault:
+        assert refused and "not symmetric" in fault.problem
+    else:
+        assert not refused
 
 
 def test_an_empty_degree_of_freedom_is_named(bare):
