@@ -31,7 +31,7 @@ from calib.report.html.write import write_report
 from calib.results import Results
 from calib.settings import possible_path
 from calib.study import Study, StudyFile, shell_argument
-from calib.written import is_own, kept
+from calib.written import is_own, noting_kept
 
 app = typer.Typer(
     name="calib",
@@ -376,7 +376,6 @@ def _draw(study: StudyFile, folder: Results, root: Path, whole_report: bool = Fa
     console.tell_outdated(stale.sentences)
     if written is not None:
         console.tell_report(written)
-    console.tell_kept(kept(folder.path))
 
 
 # -- leaving -----------------------------------------------------------------------------------------------------------
@@ -395,11 +394,13 @@ def answer(arguments: list[str]) -> int:
     Bad input is one sentence and code 2, an interrupt 130; an unexpected failure leaves its traceback in a log, code 1.
     """
     try:
-        try:
-            with threadpool_limits(1):  # the matrices are small: several threads of one product wait for each other
-                app(args=arguments, prog_name="calib")
-        finally:
-            interrupt.answered()
+        with noting_kept() as kept:
+            try:
+                with threadpool_limits(1):  # the matrices are small: several threads of one product wait for each other
+                    app(args=arguments, prog_name="calib")
+            finally:
+                interrupt.answered()
+                console.tell_kept(kept)
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
         if code == interrupt.CODE:

@@ -11,6 +11,7 @@ import hashlib
 import os
 import re
 from collections.abc import Iterator
+from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
 
@@ -21,7 +22,7 @@ KEPT = "_kept"
 """Ends the name, before the suffix, of a file that was in the way and that calib did not write."""
 
 _LINE = re.compile(r"^([0-9a-f]{64})  (.+)$")
-_KEPT_NAME = re.compile(rf"{KEPT}\d*$")
+_noting: ContextVar[list[Path] | None] = ContextVar("noting", default=None)
 
 
 @contextlib.contextmanager
@@ -53,9 +54,15 @@ def is_own(path: Path) -> bool:
     return path.is_file() and not path.is_symlink() and (_digest(path), path.name) in _noted(path.parent)
 
 
-def kept(folder: Path) -> list[Path]:
-    """Files of a folder that were in the way and kept, by name."""
-    return sorted(path for path in folder.glob(f"*{KEPT}*") if _KEPT_NAME.search(path.stem))
+@contextlib.contextmanager
+def noting_kept() -> Iterator[list[Path]]:
+    """Give a list that fills with the new names of files that were in the way, as long as it is open."""
+    noted: list[Path] = []
+    before = _noting.set(noted)
+    try:
+        yield noted
+    finally:
+        _noting.reset(before)
 
 
 def note_folder(path: Path, name: str) -> None:
@@ -77,7 +84,9 @@ def free_name(path: Path, end: str) -> Path:
 
 def _keep(path: Path) -> None:
     if os.path.lexists(path) and not path.is_dir() and not is_own(path):
-        path.rename(free_name(path, KEPT))
+        kept = path.rename(free_name(path, KEPT))
+        if (noted := _noting.get()) is not None:
+            noted.append(kept)
 
 
 def _add(folder: Path, digest: str, name: str) -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from calib.errors import InputError
 from calib.results import OWNER, Results
-from calib.written import LOG, is_own, kept
+from calib.written import KEPT, LOG, is_own, noting_kept
 
 
 def test_what_cannot_be_deleted_is_told(tmp_path):
@@ -19,17 +19,23 @@ def test_what_cannot_be_deleted_is_told(tmp_path):
 
 def test_only_what_was_written_here_is_replaced_or_deleted(tmp_path):
     results = Results.at(tmp_path, "study")
-    results.write_json("answer", {"a": 1})
-    results.write_json("answer", {"a": 2})
-    assert not kept(results.path)
-    for content in ("{}", "[]"):
-        (results.path / "answer.json").write_text(content)
+    with noting_kept() as none:
         results.write_json("answer", {"a": 1})
-    (results.path / "other.json").write_text("other")
-    results.remove("answer.json", "other.json")
+        results.write_json("answer", {"a": 2})
+    assert not none
+    with noting_kept() as kept:
+        for content in ("{}", "[]"):
+            (results.path / "answer.json").write_text(content)
+            results.write_json("answer", {"a": 1})
+        (results.path / "other.json").write_text("other")
+        results.remove("answer.json", "other.json")
     assert not results.has("answer.json") and not results.has("other.json")
-    found = {path.name: path.read_text() for path in kept(results.path)}
+    found = {path.name: path.read_text() for path in kept}
     assert found == {"answer_kept.json": "{}", "answer_kept2.json": "[]", "other_kept.json": "other"}
+    assert set(kept) == set(results.path.glob(f"*{KEPT}*"))
+    (results.path / "answer.json").write_text("later")
+    results.remove("answer.json")
+    assert len(kept) == 3
 
 
 def test_a_log_with_a_torn_line_loses_nothing_more(tmp_path):

@@ -153,7 +153,11 @@ def test_what_the_user_puts_among_results_is_kept(sums, capsys, monkeypatch, nam
         assert file.read_bytes() != content
     kept = {p: p.read_bytes() for p in file.parent.glob(f"*{KEPT}*")}
     assert sorted(kept.values()) == sorted(mine)
-    assert all(str(p) in capsys.readouterr().out for p in list(kept)[:1])
+    said = capsys.readouterr().out
+    assert all(said.count(str(p)) == 1 for p in kept)
+    assert cli.answer(["report", "plain"]) == 0
+    said = capsys.readouterr().out
+    assert not [p for p in kept if str(p) in said]
 
 
 def test_what_calib_wrote_is_replaced(sums):
