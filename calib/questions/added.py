@@ -15,7 +15,7 @@ from calib.missing.findings import Findings, Trial
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.verdict import GROUPS
 from calib.questions.calibrate import Calibration
-from calib.questions.record import write_record
+from calib.questions.record import begin_answer, write_record
 from calib.results import Results
 from calib.study import Study
 
@@ -88,6 +88,7 @@ def write_nothing_added(study: Study, found: Findings, results: Results, quick: 
         "none_explains": "No effect of the library explains what is missing, so nothing is added.",
     }
     nothing = pd.DataFrame()
+    begin_answer(results, "extend")
     answer = _written(Added((), reasons[found.verdict], "", nothing, nothing, nothing), results, effects=[])
     write_record(study, results, "extend", {}, (answer.sentence,), quick)
     return answer
@@ -128,6 +129,7 @@ def write_added(
     words = [_sentence(strengths, errors, told), *_unsettled(strengths, found)]
     words += ["Both are quick looks: ask the whole to be sure."] if quick else []
     answer = Added(effects, " ".join(words), told, errors, parameters, _modes(before, after))
+    begin_answer(results, "extend")
     results.write_table("added_errors", errors)
     results.write_table("added_parameters", parameters)
     if len(answer.modes):

@@ -24,7 +24,7 @@ from calib.questions.every_mode import all_stages, every_mode
 from calib.questions.failures import reasons_sentence, stored_reasons
 from calib.questions.judge import EQUAL
 from calib.questions.places import ADDED
-from calib.questions.record import write_record
+from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import recorded
 from calib.questions.reduction import fingerprints
 from calib.questions.scatter import accuracy_words
@@ -165,6 +165,7 @@ def calibrate(
     level = expected_misfit(study, before)
     verdict = agreement(reported, study.search_space, level)
     raw = agreement(searched, study.search_space, level) if searched and study.settings.calibration.polish else None
+    begin_answer(results, "calibrate")
     write_answer(results, best.answer, "after")
     results.write_table("parameters", parameters)
     results.write_table("points", pd.concat([case.points for case in found], ignore_index=True))

@@ -18,7 +18,7 @@ from calib.errors import EvaluationError, InputError
 from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
 from calib.outcome import attempt, failure
-from calib.questions.record import write_record
+from calib.questions.record import begin_answer, write_record
 from calib.questions.scatter import scatter_notes
 from calib.results import Results
 from calib.study import Problem, Study
@@ -185,6 +185,7 @@ def compare(study: Study, results: Results) -> Answer:
             place=study.file,
             remedy="check parameter values, supports and mode_count",
         ) from (fault if getattr(fault, "__notes__", ()) else None)
+    begin_answer(results, "compare")
     write_answer(results, answer, "before")
     findings = [(f.kind, " ".join(f.sensors), f.mac_before, f.mac_after, f.sentence) for f in answer.findings]
     columns = ["kind", "sensors", "mac_before", "mac_after", "sentence"]

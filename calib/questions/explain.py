@@ -44,7 +44,7 @@ from calib.questions.explained_fit import TABLE, explained_fits
 from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
-from calib.questions.record import check_repeats, disagreements_table, write_record
+from calib.questions.record import begin_answer, check_repeats, disagreements_table, write_record
 from calib.questions.scatter import accuracy_words, assumed_words
 from calib.results import Results
 from calib.study import Study
@@ -185,14 +185,15 @@ def explain(
         ) from None
     answer = _answer(side, found, progress, started)
     answer = replace(answer, notes=(*check_repeats(study), *answer.notes))
+    begin_answer(results, "explain")
     results.remove(*ADDED)
     results.write_table("effects", answer.effects)
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
         results.write_table(name, table)
     seeds = {"probabilities": given.seed, "reduction": study.settings.reduction.seed}
-    write_record(study, results, "explain", seeds)
     results.write_json("explanation", summary(study, answer))
+    write_record(study, results, "explain", seeds)
     return answer
 
 

@@ -175,6 +175,20 @@ def questions_of(results: Results) -> dict[str, dict[str, Any]]:
     return dict(record.get("questions", {}))
 
 
+def begin_answer(results: Results, question: str) -> None:
+    """Take an earlier answer out of the record before its tables are written anew; `write_record` ends the new one.
+
+    A question that breaks off in between has no answer, and tables of two states are never told as one.
+    """
+    try:
+        record = read_json(results.path / "record.json", {"questions": {ANY: _ASKED}})
+    except InputError:
+        return
+    if question in record.get("questions", {}):
+        others = {name: told for name, told in record["questions"].items() if name != question}
+        results.write_json("record", {**record, "questions": others})
+
+
 def _earlier(results: Results, question: str) -> dict[str, dict[str, Any]]:
     """Other questions of the folder's record; what was added ends with the answers it rests on."""
     gone = {question} if results.has("added.json") else {question, "extend"}

@@ -16,7 +16,8 @@ from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.failures import reasons, reasons_sentence
 from calib.questions.places import QUICK_SAMPLES, open_evaluator
-from calib.questions.record import write_record
+from calib.questions.record import begin_answer, questions_of, write_record
+from calib.questions.state import changed, made_from
 from calib.questions.stored import confirmed
 from calib.results import Results
 from calib.sensitivity.sampling import sample
@@ -94,6 +95,7 @@ def sensitivity(
     failed = sum(o.status != "ok" for o in outcomes)
     forced = None if isinstance(study.settings.selection, str) else study.settings.selection
     assessment = assess(x, y, forced)
+    begin_answer(results, "sensitivity")
     results.write_table("sensitivity", assessment.spearman, index=True)
     results.write_table("partial", assessment.partial, index=True)
     results.write_table("influence", assessment.influence.table, index=True)
@@ -111,7 +113,30 @@ def sensitivity(
 
 
 def selected_by_measures(study: Study, home: Results) -> Study:
-    """The study with the parameters that its sensitivity analysis selected, if it leaves the choice to it."""
+    """The study with the parameters that its sensitivity analysis selected, if it leaves the choice to it.
+
+    InputError where there is no selection, or one of an earlier state of the study.
+    """
+    if told := selection_is_of(study, home):
+        again = " --quick" if questions_of(home)["sensitivity"].get("quick") else ""
+        raise InputError(
+            f"parameters were selected at an earlier state of {', '.join(told)}",
+            place=home.path / "selection.csv",
+            remedy=f"run 'calib sensitivity {shell_argument(study.file)}{again}' again",
+        )
+    return selecting(study, home)
+
+
+def selection_is_of(study: Study, home: Results) -> list[str]:
+    """What has changed since the measures selected parameters, in words; nothing where they still hold."""
+    asked = questions_of(home).get("sensitivity")
+    if asked is None or not isinstance(study.settings.selection, str):
+        return []
+    return changed(asked.get("made_from", {}), made_from(study, "sensitivity"))
+
+
+def selecting(study: Study, home: Results) -> Study:
+    """As `selected_by_measures`, whatever the state of the study was that the measures are of."""
     if not isinstance(study.settings.selection, str):
         return study
     path: Path = home.path / "selection.csv"
@@ -185,10 +210,12 @@ def screen(
     outcomes = _evaluate(study, ledger, [space.complete(x) for x in design.points], workers, progress)
     responses = _table_of(study, outcomes)
     table = morris_effects(design, responses) if method == "morris" else sobol_shares(design, responses)
+    question = f"sensitivity --method {method}"
+    begin_answer(results, question)
     results.write_table(method, table)
     said = f"{len(design.points)} points. {design.note}".rstrip()
     options = ["--ignore-constraints"] * ignore_constraints
-    write_record(study, results, f"sensitivity --method {method}", {"points": seed}, [said], quick, options)
+    write_record(study, results, question, {"points": seed}, [said], quick, options)
     return Screening(method, table, len(design.points), design.note)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from calib.errors import InputError
 from calib.questions.places import QUICK
 from calib.questions.record import questions_of
-from calib.questions.sensitivity import selected_by_measures, selected_in
+from calib.questions.sensitivity import selected_in, selecting
 from calib.questions.state import WRITES, changed, made_from, made_from_on_paper
 from calib.results import Results
 from calib.study import Study, StudyFile, shell_argument
@@ -25,9 +25,10 @@ class Stale:
     Attributes
     ----------
     sentences : mapping from question to str
-        Which state it was asked of, and how to ask again.
+        Which state it was asked of, or that it broke off, and how to ask again.
     files : frozenset of str
-        Tables that hold such answers. A table that several questions write is that of the last one asked.
+        Tables that hold such answers, or that no finished answer has written. A table that several questions write is
+        that of the last one asked.
     """
 
     sentences: Mapping[str, str] = field(default_factory=dict)
@@ -59,14 +60,33 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
         else:
             now = made_from_on_paper(study, question, then, _selected(study, results, told))
         if found := changed(then, now):
-            verb = "run" if question == "extend" else question
             quick = " --quick" if told.get("quick") else ""
             options = "".join(f" {shlex.quote(option)}" for option in told.get("options", ()))
             sentences[question] = (
                 f"'{question}' was asked of an earlier state of {', '.join(found)}, and its answer is not shown; ask "
-                f"again with: calib {verb} {shell_argument(study.file)}{options}{quick}{place}"
+                f"again with: calib {_verb(question)} {shell_argument(study.file)}{options}{quick}{place}"
             )
-    return Stale(sentences, frozenset(file for file, question in writer.items() if question in sentences))
+    stale = {file for file, question in writer.items() if question in sentences}
+    written = {file for files in WRITES.values() for file in files if file not in writer and results.has(file)}
+    for question in WRITES:
+        if _OWN[question] & written:
+            sentences[question] = (
+                f"'{question}' broke off before its answer was whole, and what it wrote is not shown; ask again with: "
+                f"calib {_verb(question)} {shell_argument(study.file)}{place}"
+            )
+    return Stale(sentences, frozenset(stale | written))
+
+
+_OWN = {
+    question: frozenset(files) - {file for other, theirs in WRITES.items() if other != question for file in theirs}
+    for question, files in WRITES.items()
+}
+"""Tables that no other question writes."""
+
+
+def _verb(question: str) -> str:
+    """Command that asks a question."""
+    return "run" if question == "extend" else question
 
 
 def _measured_in(results: Results, told: Mapping[str, Any]) -> Results | None:
@@ -80,7 +100,7 @@ def _selecting(study: Study, results: Results, told: Mapping[str, Any]) -> Study
     """The study with the parameters that a calibration would fit now."""
     if place := _measured_in(results, told):
         with suppress(InputError):
-            return selected_by_measures(study, place)
+            return selecting(study, place)
     return study
 
 

@@ -160,6 +160,7 @@ def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(gu
     study, _, told, _ = guyed
     results = Results.at(tmp_path / "results", study.name)
     results.write_table("explained_fits", explained_fits(study, told.findings))
+    write_record(study, results, "explain", {})
     base, chosen = told.findings.base.state, told.findings.chosen.state
     start = explained_fit(study, results)
     assert start == pytest.approx({name: base.values[name] for name in study.search_space.free_names})
@@ -194,8 +195,10 @@ def test_a_fit_of_another_model_is_no_start(guyed, tmp_path):
     study = guyed[0]
     results = Results.at(tmp_path / "results", study.name)
     assert explained_fit(study, results) == {}
+    write_record(study, results, "explain", {})
     (results.path / "explained_fits.csv").write_text("effects,parameter,value\nlamp,E,200\n")
     assert explained_fit(study, results) == {}
+    write_record(study, results, "explain", {})
     (results.path / "explained_fits.csv").write_text("effects,parameter,value\n,E,many\n")
     with pytest.raises(InputError, match="explain the study again"):
         explained_fit(study, results)

@@ -103,3 +103,22 @@ def test_a_calibration_of_one_case_is_as_old_as_the_selection_it_takes(selected,
     for now in (study, StudyFile.read(Path("plain"))):
         (words,) = stale_answers(now, results).sentences.values()
         assert f"calib calibrate plain --case A1 --method genetic{' --quick' * quick}" in words
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [("measured.csv", "3.5", "3.7"), ("study.toml", "samples = 20", "samples = 30"), ("model.py", 'r": ', 'r": 2 * ')],
+)
+def test_a_selection_of_an_earlier_state_is_refused(selected, capsys, file, old, new):
+    given = Path("plain", file)
+    text = given.read_text()
+    assert old in text
+    given.write_text(text.replace(old, new))
+    before = {p.name: p.read_bytes() for p in Path("results/plain").glob("*.csv")}
+    capsys.readouterr()
+    assert cli.answer(["calibrate", "plain", "--workers", "1"]) == 2
+    said = capsys.readouterr().err
+    assert "selection.csv" in said and "calib sensitivity plain" in said
+    assert {p.name: p.read_bytes() for p in Path("results/plain").glob("*.csv")} == before
+    assert cli.answer(["sensitivity", "plain", "--workers", "1"]) == 0
+    assert cli.answer(["calibrate", "plain", "--workers", "1"]) == 0

@@ -29,7 +29,10 @@ def answers(root: Path, name: str, size: float, table="data_errors"):
     frame = pd.DataFrame(rows, columns=["group", "rows", "rms", "expected", "p", "unpaired"])
     if table == "errors":
         frame = pd.concat([frame.assign(stage="before"), frame.assign(stage="after", rms=0.1)])
-    Results.at(root, name).write_table(table, frame)
+    results = Results.at(root, name)
+    results.write_table(table, frame)
+    (file,) = (root.parent / name).glob("*.toml")
+    write_record(Study.load(file), results, "explain" if table == "errors" else "calibrate", {})
 
 
 @pytest.fixture
@@ -144,6 +147,7 @@ def test_errors_in_another_measurement_are_no_version(chain, answered):
     for name in ("modes.csv", "shapes.csv", "study.toml"):  # the same mode by another name
         file = second.file.parent / name
         file.write_text(file.read_text().replace("B3x", "B3y"))
+    answers(answered, "mast_2", 5.0)
     found = write_versions(Study.load(second.file), answered)
     assert set(found.table["version"]) == {2} and len(found.notes) == 1
 

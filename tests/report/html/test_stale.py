@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from calib import cli
+from calib.errors import InputError
 from calib.questions.record import write_record
 from calib.questions.stale import stale_answers
 from calib.questions.state import WRITES
@@ -128,6 +129,32 @@ def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
     ask("sensitivity", "calibrate")
     assert not stale().sentences
     assert "stale" not in {s.name for s in sections(answers(stale()))}
+
+
+@pytest.mark.parametrize("asked_before", [True, False])
+def test_what_an_answer_that_broke_off_has_written_is_not_shown(sums, monkeypatch, asked_before):
+    """Broken off among its tables at another state of the study, which is then put back."""
+    if not asked_before:
+        shutil.rmtree(ROOT)
+    edit("data.csv", "y,3.1", "y,2.2")
+
+    def stop(*given, **more):
+        raise InputError("the disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("calib.questions.calibrate.write_record", stop)
+        assert cli.answer(["calibrate", "sums"]) == 2
+    edit("data.csv", "y,2.2", "y,3.1")
+    ask("compare")
+    assert (ROOT / "sums/parameters.csv").is_file()
+    for study in (Study.load(Path("sums")), StudyFile.read(Path("sums"))):
+        found = stale_answers(study, Results(ROOT / "sums"))
+        assert set(found.sentences) == {"calibrate"}
+        assert {"parameters.csv", "comparison_after.csv", "summary.json"} <= found.files
+        assert not {"comparison_before.csv", "measured.csv"} & found.files
+    assert "calibrated" not in {s.name for s in sections(answers(stale()))}
+    ask("calibrate")
+    assert not stale().sentences and not stale().files
 
 
 def test_report_alone_tells_what_is_stale_and_keeps_the_tables(sums):
