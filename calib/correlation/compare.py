@@ -83,6 +83,11 @@ class Comparison:
         return tuple(self._names(np.flatnonzero(np.abs(np.nan_to_num(self.freq_error)) > FAR_ERROR)))
 
     @property
+    def lost(self) -> tuple[str, ...]:
+        """Measured modes whose model mode, followed without shapes, has left those that are solved."""
+        return tuple(self.measured.names[i] for i in self.pairing.lost)
+
+    @property
     def crossings(self) -> tuple[tuple[str, str], ...]:
         """Paired measured modes that are neighbours in ascending frequency, and whose model modes are not in order."""
         names, index = self.measured.names, self.pairing.model_index

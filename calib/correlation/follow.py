@@ -14,6 +14,13 @@ from calib.structure.modes import Modes
 
 HALVINGS = 5
 """How often a path on which modes seem to change places is halved."""
+SUCCESSOR = 0.3
+"""MAC of a mode's successor on the shortest step at least: less is another mode, and its own has left those solved.
+
+Where two modes veer, a step ends at half or more.
+"""
+_CROSSED = 0.25
+"""Part of what a coupling that the shortest step could just show takes from the MAC of the whole one."""
 _SAME_PLACE = 1e-6
 """What a mode that keeps its place is ahead, so that shapes which rotation leaves undetermined stay where they are."""
 
@@ -29,9 +36,14 @@ def follow(model: ModalModel, start: Point, end: Point, columns: np.ndarray, hal
     """Index at the end of some modes at the start.
 
     Modes are matched one to one so that the sum of their MAC, in the mass matrix of the start, is largest. Where all
-    keep their places, they are followed. Where some seem to change places, the straight line between the two points is
-    halved, again and again: two modes that veer exchange their shapes and not their places, which shorter steps show;
-    two that cross still change places on the shortest one.
+    keep their places and are like what they were, they are followed. Where some seem to change places, the straight
+    line between the two points is halved, again and again: two modes that veer exchange their shapes and not their
+    places, which shorter steps show; two that cross still change places on the shortest one. A mode that meets none
+    like itself there (`SUCCESSOR`) has left those that are solved, and is followed no longer.
+
+    Two modes that veer with the coupling k, over a path on which they move apart by d on both sides, end with a MAC of
+    ``1 - (k/d)^2``; a step shows them apart while it is no longer than k. Where modes that change places are so alike
+    that not even the shortest step could show them apart, they cross, and no step is halved.
 
     Parameters
     ----------
@@ -39,16 +51,21 @@ def follow(model: ModalModel, start: Point, end: Point, columns: np.ndarray, hal
     start, end : Point
         With the same number of modes.
     columns : ndarray (n,), int
-        Modes at the start.
+        Modes at the start; -1 for none.
     halvings : int
 
     Returns
     -------
     ndarray (n,), int
-        Modes at the end; where there are fewer than asked, the answer is that of the longer step.
+        Modes at the end, -1 for one without a successor; where there are fewer modes on the way than asked, the answer
+        is that of the longer step.
     """
-    reached = _matched(model, start, end, columns)
-    if not halvings or np.array_equal(reached, columns):
+    live = np.flatnonzero(columns >= 0)
+    reached = np.full(len(columns), -1)
+    found, alike = _matched(model, start, end, columns[live])
+    reached[live] = np.where(alike >= SUCCESSOR, found, -1)
+    moved = found != columns[live]
+    if not halvings or np.all(alike >= np.where(moved, 1 - _CROSSED * 4.0**-halvings, SUCCESSOR)):
         return reached
     whole = {p.name for p in model.space.parameters if p.integer}
     values = {n: v if n in whole else 0.5 * (start.values[n] + v) for n, v in end.values.items()}
@@ -62,7 +79,8 @@ def follow(model: ModalModel, start: Point, end: Point, columns: np.ndarray, hal
     return follow(model, middle, end, halfway, halvings - 1)
 
 
-def _matched(model: ModalModel, start: Point, end: Point, columns: np.ndarray) -> np.ndarray:
+def _matched(model: ModalModel, start: Point, end: Point, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Successors of some modes, and how alike they are."""
     mass = model.matrices(start.values)[2]
     a, b = start.modes.shapes[:, columns], end.modes.shapes
     weighted = mass @ a
@@ -70,4 +88,6 @@ def _matched(model: ModalModel, start: Point, end: Point, columns: np.ndarray) -
     size = np.outer(np.einsum("ij,ij->j", a.conj(), weighted).real, np.einsum("ij,ij->j", b.conj(), mass @ b).real)
     alike = np.divide(product, size, out=np.zeros_like(product), where=size > 0)
     alike[np.arange(len(columns)), columns] += _SAME_PLACE
-    return np.asarray(linear_sum_assignment(alike, maximize=True)[1])
+    rows = np.arange(len(columns))
+    found = np.asarray(linear_sum_assignment(alike, maximize=True)[1])
+    return found, alike[rows, found]

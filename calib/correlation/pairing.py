@@ -29,12 +29,15 @@ class Pairing:
     margin : ndarray (n_measured,)
         EMAC of the pair minus the best EMAC of that measured mode with any other model mode; small or negative marks a
         pairing in doubt. NaN for an unpaired mode or without shapes.
+    lost : tuple of int
+        Indices of measured modes whose model mode was followed, without shapes, until it had no successor.
     """
 
     model_index: np.ndarray
     mac: np.ndarray
     emac: np.ndarray
     margin: np.ndarray
+    lost: tuple[int, ...] = ()
 
     @property
     def paired(self) -> np.ndarray:

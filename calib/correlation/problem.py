@@ -232,8 +232,10 @@ class ModalProblem:
         chosen = [self.measured.names.index(mode) for mode in self._chosen]
         rows = np.setdiff1d(pairing.paired, chosen)
         reached = follow(self.model, there, here, pairing.model_index[rows])
+        lost = tuple(rows[reached < 0].tolist())
         reached = np.where(in_window(here.modes.natural_freq, self.freq_window)[reached], reached, -1)
-        return self._ordered(here.modes, dict(zip(rows.tolist(), reached.tolist(), strict=True)), costs)[0]
+        found = self._ordered(here.modes, dict(zip(rows.tolist(), reached.tolist(), strict=True)), costs)[0]
+        return replace(found, lost=lost)
 
     @cached_property
     def _base_reference(self) -> tuple[Point, Pairing, Costs] | None:

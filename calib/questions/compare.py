@@ -96,15 +96,19 @@ class Answer:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What makes units and pairs doubtful."""
-        found = self.comparison
-        if found is None or not found.far:
-            return self.hints
-        error = dict(zip(found.measured.names, found.freq_error, strict=True))
-        told = ", ".join(f"{name} ({100 * error[name]:+.0f} %)" for name in found.far)
-        return (
-            *self.hints,
-            f"More than {100 * FAR_ERROR:.0f} % off in frequency: {told}. Are these pairs, and are the units right?",
-        )
+        found, out = self.comparison, list(self.hints)
+        if found is not None and found.lost:
+            out.append(
+                f"The model modes of {', '.join(found.lost)} have no successor among the {found.modes.n_modes} "
+                "that are solved here, and these measured modes no partner: a larger mode_count may show them."
+            )
+        if found is not None and found.far:
+            error = dict(zip(found.measured.names, found.freq_error, strict=True))
+            told = ", ".join(f"{name} ({100 * error[name]:+.0f} %)" for name in found.far)
+            out.append(
+                f"More than {100 * FAR_ERROR:.0f} % off in frequency: {told}. Are these pairs, and are the units right?"
+            )
+        return tuple(out)
 
 
 def answer_at(study: Study, values: Mapping[str, float]) -> Answer:

@@ -49,6 +49,58 @@ def test_modes_that_veer_keep_their_places_though_their_shapes_are_exchanged(bui
     assert follow(model, start, end, columns).tolist() == oracle.tolist()
 
 
+class Counted:
+    """A model that counts how often its modes are solved."""
+
+    def __init__(self, model):
+        self.model, self.space, self.solved = model, model.space, 0
+
+    def matrices(self, values):
+        return self.model.matrices(values)
+
+    def modes(self, values, count):
+        self.solved += 1
+        return self.model.modes(values, count)
+
+
+def test_modes_that_nothing_couples_cross_at_the_cost_of_no_solve(build):
+    model = Counted(build(damped=False, grounded=False))
+    start, end = at(model.model, k_across=8.0), at(model.model, k_across=29.0)
+    columns = np.arange(4)
+    found = follow(model, start, end, columns)
+    assert model.solved == 0
+    assert found.tolist() == in_small_steps(model.model, start, end, columns).tolist() != columns.tolist()
+
+
+@pytest.mark.parametrize("grounded", [False, True])
+def test_a_mode_that_leaves_those_solved_is_followed_no_longer(build, grounded):
+    model = build(damped=False, grounded=grounded)
+    start, end = (Point(v, model.modes(v, COUNT)) for v in (
+        model.space.complete({"k_across": k}) for k in (8.0, 29.0)))  # fmt: skip
+    whole = follow(model, start, end, np.arange(4))
+    n = max(whole.tolist())  # the mode that ends highest is one too many
+    few_start, few_end = (Point(p.values, model.modes(p.values, n)) for p in (start, end))
+    columns = np.array([c for c in range(4) if c < n])
+    expected = [j if j < n else -1 for j in whole[columns].tolist()]
+    assert follow(model, few_start, few_end, columns).tolist() == expected
+    assert follow(model, few_start, few_end, np.array([-1, 0])).tolist() == [-1, expected[0]]
+    assert grounded or -1 in expected
+
+
+def test_a_measured_mode_whose_model_mode_has_left_is_told(build, twin):
+    model = build(damped=False, grounded=False)
+    measured = twin(model, model.space.complete({"k_across": 8.0}), order=(0, 1, 2, 3), shapes=False)
+    whole = ModalProblem(model, measured, mode_count=COUNT, reference={"k_across": 8.0})
+    index = whole.compare({"k_across": 29.0}).pairing.model_index
+    n = int(index.max())
+    assert 4 <= n < COUNT
+    found = replace(whole, mode_count=n).compare({"k_across": 29.0})
+    gone = int(np.argmax(index))
+    assert found.lost == (measured.names[gone],) and found.pairing.model_index[gone] == -1
+    assert np.delete(found.pairing.model_index, gone).tolist() == np.delete(index, gone).tolist()
+    assert np.isnan(found.freq_error[gone]) and replace(whole, mode_count=n).compare({"k_across": 8.0}).lost == ()
+
+
 def test_a_problem_without_shapes_follows_its_modes(build, twin):
     model = build(damped=False, grounded=False)
     measured = twin(model, model.space.complete({"k_across": 12.0}), order=(0, 1, 2, 3), shapes=False)
