@@ -141,6 +141,8 @@ class Study(StudyFile):
         The plain responses with nothing withheld and the repeats behind them; None for a model with modes.
     read_files : mapping from path to digest
         Named files and all code as they were when the study was read; see `file_digests`.
+    library_digest : str
+        Of what builds the effects, with all it holds and the files it stands in, wherever these are.
     """
 
     model: Model
@@ -158,6 +160,7 @@ class Study(StudyFile):
     hints: tuple[str, ...] = ()
     responses: MeasuredResponses | None = None
     read_files: Mapping[str, str] = field(default_factory=dict)
+    library_digest: str = ""
 
     @property
     def held_sd(self) -> dict[str, float]:
@@ -342,6 +345,7 @@ class _Reader:
         sources = Sources(self.settings, self.folder, self.place)
         base = sources.model()
         library = sources.library(base)
+        told = digest_of([(e.name, e.build) for e in library])[:16]  # before any is asked, which may fill its caches
         included = sources.included(library)
         model = with_effects(base, included, self.place("with_effects"))
         space = sensitivity_space(model.space, self.settings, self.place, adopted)
@@ -370,7 +374,7 @@ class _Reader:
         return Study(
             self.folder.name, self.file, self.settings, model, measured, targets, problem, space, selected,
             whole, whole_targets, library, dict(adopted), {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial,
-            hints, responses,
+            hints, responses, library_digest=told,
         )  # fmt: skip
 
     def _fingerprint(self, function: str) -> str:

@@ -85,7 +85,8 @@ def made_from_on_paper(
     """What an answer would be made from now, as far as it can be told without running the study's code.
 
     The digests of model and settings that an answer has are taken as they are as long as the files with code, what
-    the study's file says, and the selection are the same; a change outside the study's folder is not seen.
+    the study's file says, and the selection are the same. A change outside the study's folder is not seen, nor
+    are newer values of an earlier study that are taken over.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def _of_calibration(study: Study) -> tuple[Any, ...]:
 def _of_explanation(study: Study) -> tuple[Any, ...]:
     effects = [(e.name, e.parameters, e.grid) for e in study.library]
     own = [digest for name, digest in study.read_files.items() if name.endswith(".py")]
-    return (*_of_calibration(study), study.settings.explain.model_dump(), effects, own)
+    return (*_of_calibration(study), study.settings.explain.model_dump(), effects, study.library_digest, own)
 
 
 _SETTINGS: Mapping[str, Callable[[Study], tuple[Any, ...]]] = {

@@ -12,7 +12,7 @@ from calib import cli
 from calib.errors import InputError
 from calib.questions.record import write_record
 from calib.questions.stale import stale_answers
-from calib.questions.state import WRITES
+from calib.questions.state import WRITES, made_from
 from calib.report.html.answers import Answers
 from calib.report.html.summary import summary
 from calib.report.html.write import NAME, sections
@@ -273,3 +273,34 @@ def test_a_module_beside_the_model_is_part_of_what_was_asked(sums):
     Path("sums/parts/shape.py").write_text("SIZE = 2\n")
     found = stale_answers(StudyFile.read(Path("sums")), results)
     assert "parts/shape.py" in found.sentences["compare"]
+
+
+EFFECTS = """
+import os
+from calib.effect import Effect
+from calib.space import Parameter
+
+def library():
+    share = float(os.environ["SHARE"])
+
+    def lever(model):
+        return lambda values: {**model.function(values), "z": model.function(values)["z"] + share * values["lever"]}
+
+    strength = Parameter("lever", 0.0, 0.0, 1.0, prior_sd=0.1)
+    return (Effect("lever", "Lever", "It is left out.", "Look there.", strength, lever),)
+"""
+
+
+def test_what_builds_an_effect_is_part_of_an_explanation(sums, monkeypatch):
+    """What it holds may come from elsewhere than the study's files."""
+    Path("sums/effects.py").write_text(EFFECTS)
+    edit("study.toml", "selection", 'effects = "effects.py:library"\nselection')
+
+    def told(share):
+        monkeypatch.setenv("SHARE", share)
+        study = Study.load(Path("sums"))
+        return {question: made_from(study, question)["settings"] for question in ("calibrate", "explain")}
+
+    one, same, other = told("1.0"), told("1.0"), told("2.0")
+    assert one == same
+    assert one["explain"] != other["explain"] and one["calibrate"] == other["calibrate"]
