@@ -78,8 +78,26 @@ def beside_known(freedom: float, shares: np.ndarray, pooled: bool = True) -> flo
     return freedom / square if square > 0 else math.inf
 
 
+def widened_by(freedom: np.ndarray | float) -> np.ndarray:
+    """Factor on a standard deviation that rests on so many degrees of freedom of its own, ``sqrt(nu/(nu - 2))``.
+
+    With it the error over the deviation, a Student's t variate, has unit variance (JCGM 101:2008, 6.4.9). Without, a
+    sum of squares over many rows is too large by ``nu/(nu - 2)``, however many rows there are.
+    """
+    nu = np.asarray(freedom, dtype=float)
+    return np.asarray(np.sqrt(nu / np.maximum(nu - 2.0, 1.0)))
+
+
+def freedom_each(freedom: float) -> float:
+    """Degrees of freedom that a standard deviation widened so brings to an F test, ``(nu - 4)/3``.
+
+    They give the sum of squares of n rows the variance ``2 n (nu - 1)/(nu - 4)`` of so many squares of t variates.
+    """
+    return max((freedom - 4.0) / 3.0, 1.0 / 3.0)
+
+
 def repeats_freedom(
-    kinds: Iterable[Hashable], repeats: int | None, shares: Iterable[float] | None = None
+    kinds: Iterable[Hashable], repeats: float | None, shares: Iterable[float] | None = None
 ) -> dict[str, float]:
     """Degrees of freedom behind the scatter of all rows of a kind, from repeats; infinite without.
 
@@ -87,19 +105,18 @@ def repeats_freedom(
     ----------
     kinds : iterable of str
         Kind of every row.
-    repeats : int or None
-        Repeats behind the scatter; with 1 or None it is taken for known.
+    repeats : float or None
+        Repeats behind the scatter, pooled over each kind; with 1 or None it is taken for known.
     shares : iterable of float, optional
         Part of each row's variance that the repeats tell; see `beside_known`. All of it by default.
     """
     names = [str(kind) for kind in kinds]
     told = np.ones(len(names)) if shares is None else np.array(list(shares), dtype=float)
     each = math.inf if repeats is None or repeats == 1 else float(repeats - 1)
-    pooled = repeats is not None and repeats < POOL_BELOW
     own = {kind: told[[name == kind for name in names]] for kind in dict.fromkeys(names)}
     # A row of which the repeats tell nothing brings no degrees of freedom either.
     estimated = {kind: int(np.count_nonzero(share)) for kind, share in own.items()}
-    return {k: beside_known(each * estimated[k], s, pooled) if estimated[k] else math.inf for k, s in own.items()}
+    return {k: beside_known(each * estimated[k], s) if estimated[k] else math.inf for k, s in own.items()}
 
 
 def behind(counts: Mapping[str, float], scatter_freedom: Mapping[str, float] | None) -> float:

@@ -363,8 +363,9 @@ class _Reader:
             assert isinstance(base, FunctionModel)
             mark = self._fingerprint(fingerprint_of(base, included, model))
             assert responses is not None
-            behind = (self._repeats(responses), responses.shares)
-            problem = FunctionProblem(space, model.function, targets, mark, *behind)
+            problem = FunctionProblem(
+                space, model.function, targets, mark, self._pooled_repeats(responses), responses.shares
+            )
         else:
             assert measured is not None and not isinstance(base, FunctionModel)
             problem = self._problem(model, measured, model.n_dof - base.n_dof)
@@ -429,9 +430,9 @@ class _Reader:
         )
         return replace(measured, accuracy=Accuracy.of(given.accuracy)), None
 
-    def _repeats(self, responses: MeasuredResponses | None) -> int | None:
-        """Repeats behind plain responses."""
-        told = None if responses is None else responses.repeats
+    def _pooled_repeats(self, responses: MeasuredResponses) -> float | None:
+        """Repeats behind the standard deviations of plain responses, as many as tell as much when pooled."""
+        told = responses.pooled_repeats
         return self.settings.measurement.repeats if told is None else told
 
     def _used(self, whole: MeasuredModes | None, whole_targets: Targets) -> tuple[MeasuredModes | None, Targets]:

@@ -309,7 +309,7 @@ class FunctionProblem:
         Measured value of each response and the standard deviation of it, where known.
     fingerprint : str
         Given by whoever knows the function; to be changed whenever its answers could.
-    repeats : int or None
+    repeats : float or None
         Repeats behind the standard deviations, when those are pooled over the responses of each kind; None takes the
         deviations for known.
     shares : mapping from str to float
@@ -320,7 +320,7 @@ class FunctionProblem:
     function: Callable[[Mapping[str, float]], Mapping[str, float]]
     targets: Mapping[str, tuple[float, float | None]]
     fingerprint: str
-    repeats: int | None = None
+    repeats: float | None = None
     shares: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

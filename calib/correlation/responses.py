@@ -36,13 +36,13 @@ def response_rows(names: Iterable[str]) -> tuple[ResponseRow, ...]:
     return tuple(ResponseRow("", kinds.get(name, "response"), name) for name in names)
 
 
-def response_freedom(names: Iterable[str], repeats: int | None, shares: Mapping[str, float]) -> dict[str, float]:
+def response_freedom(names: Iterable[str], repeats: float | None, shares: Mapping[str, float]) -> dict[str, float]:
     """Degrees of freedom behind the standard deviations of each kind of some plain responses.
 
     Parameters
     ----------
     names : iterable of str
-    repeats : int or None
+    repeats : float or None
         Behind the standard deviations; None takes them for known.
     shares : mapping from response name to float
         Part of each variance that the repeats tell; 1 for one left out.

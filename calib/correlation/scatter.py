@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calib.errors import InputError
-from calib.freedom import POOL_BELOW, beside_known
+from calib.freedom import POOL_BELOW, beside_known, freedom_each, widened_by
 from calib.mac import is_real
 from calib.measurement.accuracy import KINDS
 from calib.measurement.modal import MeasuredModes
@@ -84,9 +84,9 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
     over all entries (root mean square; for shapes over ``n_sensors - 1`` entries a mode, since a factor was fitted to
     every repeat). Values over fewer repeats than others weigh by their degrees of freedom, and each takes its share of
     the pooled scatter by its own number of repeats. Deviations given by a file of a single repeat, and those of ten or
-    more repeats, are taken one by one. Unknown ones take the pooled value when there is one, else the floors'
-    ``unknown_*``; see `assumptions`. What the measurement claims as its accuracy is added in squares, and where the
-    scatter is unknown it stands alone.
+    more repeats, are taken one by one, the latter widened as `calib.freedom.widened_by` says. Unknown ones take the
+    pooled value when there is one, else the floors' ``unknown_*``; see `assumptions`. What the measurement claims as
+    its accuracy is added in squares, and where the scatter is unknown it stands alone.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def freedom_behind(
     more = beside_known(1.0, np.divide(estimated, total, out=np.zeros_like(total), where=total > 0) ** 2, pooled)
     if pooled:
         return np.full(np.shape(own), max(count, 1) * each * more)
-    return np.asarray(own, dtype=float) * each * more
+    return np.asarray(own, dtype=float) * freedom_each(each) * more
 
 
 def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assumption, ...]:
@@ -235,7 +235,10 @@ def _taken(std: np.ndarray, counts: np.ndarray, unknown: float, pooled: bool, lo
     freedom = n[known] - 1.0 if np.any(n[known] > 1) else np.ones(int(known.sum()))
     single = float(np.average(std[known] ** 2 * n[known], weights=freedom))
     common = np.sqrt(single * lost / n)
-    return common if pooled else np.where(known, std, common)
+    if pooled:
+        return common
+    repeated = np.any(n[known] > 1)
+    return np.where(known, std * (widened_by(n - 1.0) if repeated else 1.0), common)
 
 
 def _beside(std: np.ndarray, floor: float, unknown: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.freedom import POOL_BELOW
+from calib.freedom import POOL_BELOW, freedom_each, widened_by
 from calib.measurement.accuracy import widened
 from calib.measurement.average import mean_and_std
 from calib.measurement.csv_format import ONE, read_responses_csv
@@ -42,8 +42,16 @@ class MeasuredResponses:
         """Repeats behind the response with the fewest of at least two; None where nothing is known of repeats."""
         return min((n for n in self.counts.values() if n > 1), default=None)
 
+    @property
+    def pooled_repeats(self) -> float | None:
+        """Repeats that would tell as much if the scatter were pooled over the responses of each kind; see `pooled`."""
+        fewest = self.repeats
+        return fewest if fewest is None or fewest < POOL_BELOW else 1.0 + freedom_each(fewest - 1.0)
+
     def pooled(self, kinds: Mapping[str, str]) -> MeasuredResponses:
         """The same with the relative scatter of fewer than ten repeats pooled over the responses of each kind.
+
+        From ten repeats on each response keeps its own, widened as `calib.freedom.widened_by` says.
 
         The scatter of one response over a few repeats is too uncertain to weigh it by. Each response takes its share of
         the pooled scatter by its own number of repeats, also one whose repeats are equal. A value that is smaller than
@@ -54,8 +62,10 @@ class MeasuredResponses:
         kinds : mapping from response name to kind
             See `calib.correlation.responses.response_rows`.
         """
-        if self.repeats is None or self.repeats >= POOL_BELOW:
+        if self.repeats is None:
             return self
+        if self.repeats >= POOL_BELOW:
+            return replace(self, targets={name: self._widened(name) for name in self.targets})
         square: dict[str, list[tuple[float, float]]] = {}
         repeated = [n for n in self.targets if self.counts[n] > 1 and _relative(self, n) < 1.0]
         for name in repeated:
@@ -71,6 +81,11 @@ class MeasuredResponses:
                     abs(value) * float(np.sqrt(np.average(each, weights=freedom) / self.counts[name])),
                 )
         return replace(self, targets=targets)
+
+    def _widened(self, name: str) -> tuple[float, float | None]:
+        value, std = self.targets[name]
+        own = std is None or self.counts[name] < POOL_BELOW  # one line only: the deviation is that of the file
+        return value, std if own or std is None else std * float(widened_by(self.counts[name] - 1.0))
 
     def claiming(
         self, kinds: Mapping[str, str], accuracy: str | float | Mapping[str, str | float] | None

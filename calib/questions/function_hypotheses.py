@@ -203,7 +203,7 @@ class FunctionHypotheses:
         Parameters of the base model; free are those that a calibration would fit.
     effects : tuple of Effect
         Named candidates.
-    repeats : int or None
+    repeats : float or None
         Repeats behind the standard deviations, when those are pooled over the responses of each kind; None takes the
         deviations for known.
     step : float
@@ -221,7 +221,7 @@ class FunctionHypotheses:
     targets: Targets
     space: ParameterSpace
     effects: tuple[Effect, ...]
-    repeats: int | None = None
+    repeats: float | None = None
     step: float = 1e-4
     shares: Mapping[str, float] = field(default_factory=dict)
 

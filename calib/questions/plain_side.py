@@ -37,11 +37,12 @@ class PlainSide:
     def of(cls, study: Study) -> PlainSide:
         """Raises InputError when there are too few responses to name anything."""
         assert isinstance(study.model, FunctionModel)
-        shares = {} if study.responses is None else study.responses.shares
+        problem = study.problem
+        assert isinstance(problem, FunctionProblem)
         return cls(
             study,
             FunctionHypotheses(
-                study.model, study.targets, study.search_space, study.candidates, study.repeats, shares=shares
+                study.model, study.targets, study.search_space, study.candidates, problem.repeats, shares=problem.shares
             ),
         )
 

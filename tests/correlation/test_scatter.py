@@ -56,3 +56,29 @@ def test_few_repeats_beside_a_known_error_reject_as_often_as_the_level_says(tmp_
         assert np.mean(np.array(p) < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / len(p)))
     # With the degrees of freedom of the repeats alone many of these would pass.
     assert np.mean(missed) < 0.02 and np.mean(alone) > 0.2
+
+
+@pytest.mark.parametrize(("repeats", "modes"), [(10, 60), (20, 12)])
+def test_a_right_model_of_many_repeats_is_rejected_as_often_as_the_level_says(tmp_path, repeats, modes):
+    """Each frequency keeps the deviation of its own repeats, however unlike those of the others it is."""
+    path = tmp_path / "modes.csv"
+    path.write_text("mode,freq,freq_kind,repeat\n" + "".join(
+        f"m{i},{10 + i + k / 100},natural,{k}\n" for k in range(repeats) for i in range(modes)
+    ))  # fmt: skip
+    read = read_measurement([path])
+    assert (read.n_repeats, read.n_modes) == (repeats, modes)
+    none, rng, truth = Floors(freq=0.0, damping=0.0, shape=0.0), np.random.default_rng(8), np.linspace(5, 50, modes)
+    spread, p, known = np.geomspace(1e-4, 1e-2, modes), [], []
+    for _ in range(3000):
+        mean, std = mean_and_std(truth * (1 + spread * rng.standard_normal((repeats, modes))))
+        measured = replace(read, natural_freq=mean, damped_freq=mean, freq_std=std)
+        off = mean / truth - 1
+        behind = freedom_behind(measured, "frequency", modes, none)
+        p.append(float(chance(np.sum((off / scatter_of(measured, none).freq) ** 2), modes, behind)))
+        known.append(float(chance(np.sum((off / (std / mean)) ** 2), modes, modes * (repeats - 1.0))))
+    for level in (0.01, 0.05):
+        found = np.mean(np.array(p) < level)
+        assert level / 5 < found < level + 3 * np.sqrt(level * (1 - level) / len(p))
+        assert (
+            np.mean(np.array(known) < level) > 1.5 * level
+        )  # as a pooled deviation it would be taken for too well known

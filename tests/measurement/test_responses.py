@@ -139,7 +139,9 @@ def test_ten_repeats_and_values_within_their_scatter_are_not_pooled(tmp_path):
     path = tmp_path / "r.csv"
     table(path, 10)
     read = read_responses(path)
-    assert read.pooled(dict.fromkeys(VALUES, "response")) is read
+    widened = read.pooled(dict.fromkeys(VALUES, "response"))
+    for name, (value, std) in read.targets.items():
+        assert widened.targets[name] == (value, pytest.approx(std * np.sqrt(9 / 7)))
     path.write_text("response,value,repeat\na,1,1\na,-1.2,2\nb,10,1\nb,10.1,2\nc,20,1\nc,20.1,2\n")
     read = read_responses(path)
     found = read.pooled(dict.fromkeys("abc", "response"))
@@ -147,7 +149,7 @@ def test_ten_repeats_and_values_within_their_scatter_are_not_pooled(tmp_path):
     assert found.targets["b"][1] / found.targets["b"][0] == pytest.approx(found.targets["c"][1] / found.targets["c"][0])
 
 
-@pytest.mark.parametrize(("repeats", "count"), [(2, 8), (5, 20)])
+@pytest.mark.parametrize(("repeats", "count"), [(2, 8), (5, 20), (10, 40)])
 def test_a_right_model_is_rejected_as_often_as_the_level_says(tmp_path, repeats, count):
     """Drawn repeats of a known truth, which fits itself: the chance is that of the draws alone."""
     path, level, runs = tmp_path / "r.csv", 0.05, 300
@@ -161,7 +163,7 @@ def test_a_right_model_is_rejected_as_often_as_the_level_says(tmp_path, repeats,
         path.write_text("response,value,repeat\n" + "\n".join(rows) + "\n")
         found = read_responses(path, "plain").pooled(kinds)
         mean, std = np.array(list(found.targets.values())).T
-        scatter = repeats_freedom(kinds.values(), found.repeats)["r"]
+        scatter = repeats_freedom(kinds.values(), found.pooled_repeats)["r"]
         rejected += bool(chance(np.sum(((mean - truth) / std) ** 2), count, scatter) < level)
     assert rejected / runs < level + 3 * np.sqrt(level * (1 - level) / runs)
 
@@ -176,7 +178,7 @@ def test_a_claimed_accuracy_is_known_however_few_the_repeats(tmp_path):
         rows = [f"r_{k},{v!r},{i}" for i, own in enumerate(values.tolist()) for k, v in enumerate(own)]
         path.write_text("response,value,repeat\n" + "\n".join(rows) + "\n")
         found = read_responses(path, "plain").pooled(kinds).claiming(kinds, "1 %")
-        (behind,) = response_freedom(found.targets, found.repeats, found.shares).values()
+        (behind,) = response_freedom(found.targets, found.pooled_repeats, found.shares).values()
         mean, std = np.array(list(found.targets.values())).T
         p.append(float(chance(np.sum(((mean - truth) / std) ** 2), count, behind)))
         assert chance(count * 3.5**2, count, behind) < 0.01 < chance(count * 3.5**2, count, count)
