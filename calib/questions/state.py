@@ -42,7 +42,9 @@ WRITES: Mapping[str, tuple[str, ...]] = {
         *RECORDED, *_MESH, *_of_stages("after"), *(f"{kind}_{stage}.csv" for kind in ("model_modes", "deflection")
         for stage in ("initial", "before")), *(f"{name}.csv" for name in _CALIBRATED), "summary.json",
     ),
-    "explain": (*RECORDED, *(f"{name}.csv" for name in _EXPLAINED), "explanation.json", "added.json"),
+    "explain": (
+        *RECORDED, *_MESH, *(f"{name}.csv" for name in _EXPLAINED), "explanation.json", "added.json",
+    ),
     "extend": (*RECORDED, *_ADDED),
 }  # fmt: skip
 """Every table that a question may write; the one that was asked last has written it."""

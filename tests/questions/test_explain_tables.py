@@ -151,6 +151,6 @@ def test_local_changes_are_told_with_their_places(guyed, chain):
     assert list(table["atom"]) == list(scores.owners) and {"2x", "4z"}.isdisjoint(table["sensor"].dropna())
     plain = saved(chain[1], "atoms")
     assert set(plain.loc[plain["kind"] == "response", "atom"]) == {
-        f"offset of {k}" for k in ("freq", "damping", "shape")
+        f"{change} of {k}" for change in ("offset", "scale") for k in ("freq", "damping", "shape")
     }
     assert set(plain["kind"]) == {"parameter", "response"} and plain[["x", "y", "z"]].isna().all(axis=None)
