@@ -162,11 +162,12 @@ def sentence(table: pd.DataFrame) -> str:
     if guilty.empty:
         return ""
     first, more = guilty.iloc[0], guilty["what"].tolist()[1:4]
-    words = (
-        f"Without {first['what']} everything fits (p = {first['p_fit_without']:.2g}, to first order), and its chance "
-        f"in a right model is {first['p']:.1g}, over all that were left out in turn: look at that measurement first."
+    others = f"; so it does without {' or without '.join(more)}" if more else ""
+    return (
+        f"One measurement may be what does not fit: without {first['what']} everything does (p = "
+        f"{first['p_fit_without']:.2g}, to first order; the chance of such a value in a right model is "
+        f"{first['p']:.1g}, over all that were left out in turn){others}. Check it before the model."
     )
-    return words + (f" So it does without {' or without '.join(more)}." if more else "")
 
 
 def _rest(

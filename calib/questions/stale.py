@@ -14,6 +14,7 @@ from calib.questions.places import QUICK
 from calib.questions.record import questions_of
 from calib.questions.sensitivity import selected_in, selecting
 from calib.questions.state import WRITES, changed, made_from, made_from_on_paper
+from calib.questions.taken_over import found_earlier
 from calib.results import Results
 from calib.study import Study, StudyFile, shell_argument
 
@@ -58,12 +59,13 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
         if isinstance(study, Study):
             now = made_from(_selecting(study, results, told) if question == "calibrate" else study, question)
         else:
-            now = made_from_on_paper(study, question, then, _selected(study, results, told))
-        if found := changed(then, now):
+            found = found_earlier(study, results)
+            now = made_from_on_paper(study, question, then, _selected(study, results, told), found)
+        if differs := changed(then, now):
             quick = " --quick" if told.get("quick") else ""
             options = "".join(f" {shlex.quote(option)}" for option in told.get("options", ()))
             sentences[question] = (
-                f"'{question}' was asked of an earlier state of {', '.join(found)}, and its answer is not shown; ask "
+                f"'{question}' was asked of an earlier state of {', '.join(differs)}, and its answer is not shown; ask "
                 f"again with: calib {_verb(question)} {shell_argument(study.file)}{options}{quick}{place}"
             )
     stale = {file for file, question in writer.items() if question in sentences}

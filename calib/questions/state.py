@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -65,8 +66,8 @@ def made_from(study: Study, question: str) -> dict[str, Any]:
     dict
         A digest for each of `PARTS` (of ``code`` the version); ``files``: digests of the files that the study names,
         its own apart, by their paths as the study writes them; ``stated``: digests of what its own file says of model
-        and settings, and ``selected``: the parameters of the search. The last two are all that can be told without
-        running the study's code (see `made_from_on_paper`).
+        and settings, ``selected``: the parameters of the search, and ``taken``: values that an earlier study has
+        found. The last three are all that can be told without running the study's code (see `made_from_on_paper`).
     """
     given, problem = study.settings, study.problem
     model = problem.model.fingerprint if isinstance(problem, ModalProblem) else problem.fingerprint
@@ -78,11 +79,16 @@ def made_from(study: Study, question: str) -> dict[str, Any]:
         "files": dict(study.read_files),
         "stated": _stated(study, question),
         "selected": list(study.search_space.free_names),
+        "taken": {} if given.adopted is None else {name: study.adopted.get(name) for name in given.adopted.parameters},
     }
 
 
 def made_from_on_paper(
-    study: StudyFile, question: str, then: Mapping[str, Any], selected: Sequence[str] | None
+    study: StudyFile,
+    question: str,
+    then: Mapping[str, Any],
+    selected: Sequence[str] | None,
+    found: Sequence[Mapping[str, float]] = (),
 ) -> dict[str, Any]:
     """What an answer would be made from now, as far as it can be told without running the study's code.
 
@@ -98,6 +104,8 @@ def made_from_on_paper(
         What the answer was made from: see `made_from`.
     selected : sequence of str or None
         What the sensitivity analysis selects now; None where the study names its selection, or nothing is known.
+    found : sequence of mapping from parameter name to value
+        What the earlier study's answers hold now, any of which may be taken over; empty where there is none.
     """
     files, stated = dict(study.file_digests), _stated(study, question)
     old, said = then.get("files", {}), then.get("stated", {})
@@ -106,7 +114,9 @@ def made_from_on_paper(
     of_effects = (study.settings.effects or "").rpartition(":")[0]
     asks_effects = question in ("explain", "extend")
     of_model = [name for name in code if name != of_effects or study.settings.with_effects]
-    same_model = not of_model and said.get("model") == stated["model"]
+    taken = then.get("taken", {})
+    same_values = not found or any(_agree(taken, values) for values in found)
+    same_model = not of_model and said.get("model") == stated["model"] and same_values
     same_settings = said.get("settings") == stated["settings"] and not (asks_effects and code)
     if question == "calibrate" and selected is not None:
         same_settings = same_settings and sorted(then.get("selected", ())) == sorted(selected)
@@ -116,7 +126,13 @@ def made_from_on_paper(
         "settings": then.get("settings") if same_settings else "changed",
         "code": __version__,
         "files": files,
+        "taken": taken if same_values else {**taken, **found[0]},
     }
+
+
+def _agree(taken: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    """Whether values are the same, as far as tables tell that keep ten digits."""
+    return all(math.isclose(values[name], taken[name], rel_tol=1e-9) for name in {*taken} & {*values})
 
 
 def measurement_digest(study: StudyFile) -> str:
@@ -134,6 +150,8 @@ def changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     old, new = then.get("files", {}), now["files"]
     files = [name for name in {**old, **new} if old.get(name) != new.get(name)]
     out = [name for name in files if {"measurement", "model"} & set(parts)]
+    if then.get("taken", {}) != now["taken"]:
+        out.append("the values that it takes over from another study")
     if {"measurement", "model"} & set(parts) and not out:
         out.append("the measurement" if "measurement" in parts else "the model or its parameters")
     out += ["the settings in the study file"] * ("settings" in parts)

@@ -12,7 +12,9 @@ import pytest
 from calib import cli
 from calib.errors import InputError
 from calib.questions.phases import in_order, values_found
-from calib.study import Study
+from calib.questions.stale import stale_answers
+from calib.results import Results
+from calib.study import Study, StudyFile
 
 MODEL = """
 from calib.function import FunctionModel
@@ -39,6 +41,7 @@ method = "gauss-newton"
 starts = 2
 cases = [{{ name = "A1", seed = 1 }}]
 """
+ROOT = Path("results")
 ADOPTED = '[adopted]\nstudy = "../one"\nparameters = ["a", "b"]\n'
 
 
@@ -113,6 +116,21 @@ def test_an_answer_of_another_state_of_the_study_is_made_anew(phases, capsys, fi
     assert "One comes first" in capsys.readouterr().out
     assert cli.answer(["compare", "two"]) == 0
     assert "comes first" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("on_paper", [True, False])
+def test_answers_that_rest_on_earlier_values_are_stale_when_those_change(phases, on_paper):
+    def outdated():
+        given = StudyFile.read(Path("two")) if on_paper else _two()
+        return stale_answers(given, Results(ROOT / "two")).sentences
+
+    assert cli.answer(["calibrate", "two"]) == 0 and not outdated()
+    assert cli.answer(["calibrate", "one"]) == 0 and not outdated()
+    path = Path("one/measured.csv")
+    path.write_text(path.read_text().replace("3.5", "3.6"))
+    assert cli.answer(["calibrate", "one"]) == 0
+    assert set(outdated()) == {"compare", "calibrate"} and all("takes over" in w for w in outdated().values())
+    assert cli.answer(["calibrate", "two"]) == 0 and not outdated()
 
 
 def test_a_quick_look_is_content_with_a_quick_answer(phases, capsys):

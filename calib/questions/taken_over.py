@@ -1,0 +1,50 @@
+"""Values that an earlier study has found, read without running the code of either."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+from calib.errors import InputError
+from calib.named_values import read_json
+from calib.questions.places import QUICK
+from calib.results import Results
+from calib.study import StudyFile, study_file
+from calib.table import read_table
+
+
+def found_earlier(study: StudyFile, results: Results) -> list[dict[str, float]]:
+    """What the study that is named under ``[adopted]`` has found: its whole answer, and that of a quick look.
+
+    Parameters
+    ----------
+    study : StudyFile
+        The one that takes values over.
+    results : Results
+        Its folder, or one below; the earlier study's lies beside it.
+
+    Returns
+    -------
+    list of dict from parameter name to value
+        Of the parameters that are taken over those that the earlier study fits; empty where it has no answer that can
+        be read, or nothing is taken over.
+    """
+    adopted = study.settings.adopted
+    home = next((path for path in (results.path, *results.path.parents) if path.name == study.name), None)
+    if adopted is None or home is None:
+        return []
+    name = study_file(study.file.resolve().parent / adopted.study).resolve().parent.name
+    out = []
+    for folder in (home.parent / name, home.parent / name / QUICK):
+        with suppress(InputError):
+            values = _best_case(folder)
+            out.append({parameter: values[parameter] for parameter in adopted.parameters if parameter in values})
+    return out
+
+
+def _best_case(folder: Path) -> dict[str, float]:
+    remedy = "run 'calib calibrate' again"
+    best = read_json(folder / "summary.json", {"best_case": str}, remedy=remedy)["best_case"]
+    table = read_table(folder / "parameters.csv", ["case", "parameter"], ["value"], complete=["value"])
+    found = table[table["case"] == best]
+    return dict(zip(found["parameter"], found["value"], strict=True))
