@@ -6,7 +6,7 @@ import math
 from collections.abc import Hashable, Iterable, Mapping
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 KNOWN = 1e9
 """Degrees of freedom that stand for a scatter without an error of its own."""
@@ -143,5 +143,5 @@ def chance(chi2: np.ndarray | float, freedom: np.ndarray | float, scatter: np.nd
     """
     said = np.maximum(freedom, 1.0)
     known = np.minimum(scatter, KNOWN)
-    exact = stats.chi2.sf(chi2, said)
-    return np.asarray(np.where(known >= KNOWN, exact, stats.f.sf(np.asarray(chi2) / said, said, known)))
+    exact = special.chdtrc(said, chi2)
+    return np.asarray(np.where(known >= KNOWN, exact, special.fdtrc(said, known, np.asarray(chi2) / said)))

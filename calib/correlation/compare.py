@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from calib.correlation.pairing import Pairing
 from calib.correlation.scatter import Scatter, freedom_behind, known_scatter
@@ -283,7 +283,7 @@ class Comparison:
         """Largest number in units of scatter that a perfect model gives with probability `LEVEL`."""
         dof = np.maximum(dof, 1e-9)
         behind = freedom_behind(self.measured, "shape" if kind == "sensor" else kind, dof)
-        return np.sqrt(stats.f.ppf(LEVEL, dof, np.minimum(behind, 1e9)))
+        return np.sqrt(special.fdtri(dof, np.minimum(behind, 1e9), LEVEL))
 
     def _rows(
         self, kind: str, what: list[str], value: np.ndarray, in_scatter: np.ndarray, dof: np.ndarray | float = 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 LEVEL = 2e-4
 """Chance that anything in one table of Gaussian repeats is called outlying."""
@@ -102,7 +102,7 @@ def find_outlying(
         ratio[~kept.any(axis=2)] = -1.0
         worst = np.argmax(ratio, axis=0)
         largest = ratio[worst, np.arange(n_groups)]
-        chance = stats.f.sf(largest, parts, np.maximum(borrowed + freedom, 1e-9))
+        chance = special.fdtrc(parts, np.maximum(borrowed + freedom, 1e-9), np.maximum(largest, 0.0))
         for g in np.flatnonzero(active).tolist():
             k = int(worst[g])
             removed[g].append(Outlying(k, g, float(np.sqrt(largest[g])), float(excess[k, g])))

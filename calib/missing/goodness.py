@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from calib.freedom import KNOWN, chance, row_freedom
 from calib.missing.hypotheses import Label
@@ -214,7 +214,7 @@ def noise_scale(modes: pd.DataFrame) -> float:
         return float("nan")
     chi2, freedom = shapes["chi2"].to_numpy(dtype=float), shapes["freedom"].to_numpy(dtype=float)
     square = float(np.median(chi2 / freedom) / 0.985)
-    ratio = stats.f(freedom, 2 / np.pi * freedom.sum())
-    tail = 2 * np.minimum(ratio.sf(chi2 / freedom / square), ratio.cdf(chi2 / freedom / square))
+    variate = (freedom, 2 / np.pi * freedom.sum(), chi2 / freedom / square)
+    tail = 2 * np.minimum(special.fdtrc(*variate), special.fdtr(*variate))
     alike = float(tail.min()) * len(shapes) > _ALIKE
     return float(np.sqrt(square)) if alike or square < 1 else 1.0

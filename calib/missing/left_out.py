@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as la
-from scipy import stats
+from scipy import special
 
 from calib.errors import InputError
 
@@ -55,7 +55,7 @@ class LeftOut:
         if not some.any():
             return 1.0
         ratio = self.chi2[some] / freedom[some]
-        chance = stats.f.sf(ratio, freedom[some], min(scatter_freedom, 1e9))
+        chance = special.fdtrc(freedom[some], min(scatter_freedom, 1e9), ratio)
         return float(min(1.0, chance.min() * some.sum()))
 
 

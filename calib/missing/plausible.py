@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from calib.effect import Effect
 from calib.missing.state import State
@@ -38,7 +38,7 @@ def _strains(state: State, added: Sequence[Effect]) -> list[tuple[str, str, floa
     """Rows of `strain`; a decision asks for hundreds of them."""
     own = {name for effect in added for name in effect.names}
     index = [k for k, name in enumerate(state.names) if name not in own]
-    limit = float(stats.norm.isf(STRAIN / (2 * max(len(index), 1))))
+    limit = float(-special.ndtri(STRAIN / (2 * max(len(index), 1))))
     rows = []
     for k in index:
         name, s = state.names[k], float(state.prior_sd[k])

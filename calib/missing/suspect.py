@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from calib.freedom import hat_root
 from calib.missing.goodness import Fit, Layout, goodness, overall
@@ -141,7 +141,7 @@ def suspects(
         [(o.datum.what, o.datum.kind, len(o.datum.rows), o.chi2, o.freedom) for o in asked], columns=list(COLUMNS[:5])
     )
     drops, counts, behind = np.array([(o.chi2, o.freedom, o.scatter) for o in asked]).reshape(-1, 3).T
-    each = stats.f.sf(drops / counts, counts, behind)
+    each = special.fdtrc(counts, behind, drops / counts)
     table["p"] = np.minimum(1.0, len(data) * each)
     table["p_fit_without"], left = np.nan, np.zeros(len(table))
     improbable = np.flatnonzero(table["p"] < level)

@@ -9,8 +9,8 @@ from itertools import combinations
 
 import numpy as np
 import pandas as pd
-from scipy.stats import f as fisher
-from scipy.stats import norm, rankdata
+from scipy import special
+from scipy.stats import rankdata
 
 from calib.sensitivity.partial import orthonormal, orthonormal_beyond, same_rows, table_arrays
 
@@ -168,12 +168,12 @@ def _cells(terms: _Terms, unit: frozenset[int], scores: np.ndarray, tail: float)
     with np.errstate(invalid="ignore", divide="ignore"):
         spread = np.maximum((rest**2).sum(axis=0) - gain, 0.0) / left
         share = np.clip((gain - q * spread) / total, 0.0, 1.0)
-        limit = np.minimum(q * spread * (float(fisher.isf(tail, q, left)) - 1.0) / total, 1.0)
+        limit = np.minimum(q * spread * (float(special.fdtri(q, left, 1.0 - tail)) - 1.0) / total, 1.0)
         return np.stack([np.sqrt(share), np.sqrt(limit), taken[0] / gain, taken[1] / gain])
 
 
 def _normal_scores(y: np.ndarray) -> np.ndarray:
     """Van der Waerden scores of each column, centred; a constant column becomes zeros."""
-    scores = norm.ppf(np.stack([rankdata(column) / (len(column) + 1) for column in y.T], axis=1))
+    scores = special.ndtri(np.stack([rankdata(column) / (len(column) + 1) for column in y.T], axis=1))
     scores = scores - scores.mean(axis=0)
     return np.where(np.ptp(y, axis=0) > 0, scores, 0.0)

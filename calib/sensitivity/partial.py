@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import qr
 from scipy.stats import rankdata
-from scipy.stats import t as student
+from scipy import special
 
 from calib.errors import InputError
 
@@ -96,7 +96,7 @@ def partial_noise_floor(n_rows: int, n_parameters: int, n_cells: int, level: flo
     free = degrees_of_freedom(n_rows, n_parameters)
     if free < 1:
         return 1.0
-    t = float(student.isf(-0.5 * math.expm1(math.log(level) / n_cells), free))
+    t = float(-special.stdtrit(free, -0.5 * math.expm1(math.log(level) / n_cells)))
     return t / math.sqrt(free + t * t)
 
 

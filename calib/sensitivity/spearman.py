@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm, rankdata
+from scipy import special
+from scipy.stats import rankdata
 
 from calib.errors import InputError
 
@@ -84,7 +85,7 @@ def noise_floor(n_rows: int, n_cells: int, level: float = 0.95) -> float:
             remedy="give at least 3 rows, 1 cell and a level between 0 and 1",
         )
     cell = -math.expm1(math.log(level) / n_cells)
-    return min(1.0, float(norm.isf(0.5 * cell)) / math.sqrt(n_rows - 1))
+    return min(1.0, float(-special.ndtri(0.5 * cell)) / math.sqrt(n_rows - 1))
 
 
 def _arrays(points: pd.DataFrame, responses: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:

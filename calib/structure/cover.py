@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import qmc
 
 from calib.errors import InputError
 from calib.space import ParameterSpace
@@ -38,6 +37,8 @@ def covering_points(space: ParameterSpace, count: int, rng: np.random.Generator)
     """Latin hypercube points that keep the constraints, whole numbers dealt out evenly; complete sets of values."""
     if not space.free:
         return [space.complete({})]
+    from scipy.stats import qmc  # slow to import, and seldom asked for
+
     engine = qmc.LatinHypercube(len(space.free), rng=rng)
     lower, upper, whole = space.lower, space.upper, space.integer
     kept, tried = np.zeros((0, len(lower))), 0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from calib.errors import InputError
 from calib.space import Parameter, ParameterSpace
@@ -343,7 +343,7 @@ def prediction_interval(
     with np.errstate(invalid="ignore"):
         relative = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
     relative = np.where(np.isnan(relative), np.inf, relative)
-    reach = float(stats.norm.ppf(0.5 + level / 2)) * relative
+    reach = float(special.ndtri(0.5 + level / 2)) * relative
     with np.errstate(over="ignore"):
         table = {"std": freq * relative, "lower": freq * np.exp(-reach), "upper": freq * np.exp(reach)}
     return pd.DataFrame({"mode": list(labels), "natural_freq": freq, **table})
