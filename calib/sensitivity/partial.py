@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
+from scipy import special
 from scipy.linalg import qr
 from scipy.stats import rankdata
-from scipy import special
 
 from calib.errors import InputError
 
