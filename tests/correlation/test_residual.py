@@ -176,24 +176,31 @@ def with_std(build, twin, repeats):
     )
 
 
+def widened(repeats):
+    """Factor on a standard deviation of its own from so many repeats (JCGM 101:2008, 6.4.9.4)."""
+    return np.sqrt((repeats - 1) / (repeats - 3))
+
+
 def test_few_repeats_are_pooled_and_many_are_not(build, twin):
     few, many = with_std(build, twin, 5), with_std(build, twin, 100)
     none = Floors(freq=0.0, damping=0.0, shape=0.0)
     pooled, single = scatter_of(few, none), scatter_of(many, none)
-    np.testing.assert_allclose(single.freq, many.freq_std / many.natural_freq)
-    np.testing.assert_allclose(single.shape, many.shape_std)
-    np.testing.assert_allclose(pooled.freq, np.sqrt(np.mean(single.freq**2)))
-    np.testing.assert_allclose(pooled.damping, np.sqrt(np.mean(single.damping**2)))
-    np.testing.assert_allclose(pooled.shape, np.sqrt(np.sum(single.shape**2) / (4 * 11)))
+    np.testing.assert_allclose(single.freq, widened(100) * many.freq_std / many.natural_freq)
+    np.testing.assert_allclose(single.shape, widened(100) * many.shape_std)
+    np.testing.assert_allclose(pooled.freq, np.sqrt(np.mean((many.freq_std / many.natural_freq) ** 2)))
+    np.testing.assert_allclose(pooled.damping, np.sqrt(np.mean((single.damping / widened(100)) ** 2)))
+    np.testing.assert_allclose(pooled.shape, np.sqrt(np.sum(many.shape_std**2) / (4 * 11)))
     given = with_std(build, twin, 1)  # by a file
     np.testing.assert_allclose(scatter_of(given, none).freq, given.freq_std / given.natural_freq)
-    np.testing.assert_allclose(scatter_of(few, none, pool=False).freq, single.freq)
+    own = scatter_of(few, none, pool=False).freq
+    np.testing.assert_allclose(own, widened(5) * few.freq_std / few.natural_freq)
 
 
 def test_floors_and_unknown_scatter(build, twin):
     many = with_std(build, twin, 100)
     floors = Floors(freq=0.003, damping=0.04, shape=0.01)
-    np.testing.assert_allclose(scatter_of(many, floors).freq, np.hypot(many.freq_std / many.natural_freq, 0.003))
+    own = widened(100) * many.freq_std / many.natural_freq
+    np.testing.assert_allclose(scatter_of(many, floors).freq, np.hypot(own, 0.003))
     bare = twin(build(), TRUTH)
     unknown = scatter_of(bare)
     np.testing.assert_allclose(unknown.freq, np.hypot(5e-3, 2e-4))
