@@ -185,15 +185,21 @@ def test_freedom_behind_the_scatter_is_that_of_the_repeats_less_the_factors(stud
 
 
 def test_freedom_behind_is_the_same_for_the_fit_and_for_the_comparison(study):
-    """Ten repeats, of which some values have fewer: what stands behind the fit counts the repeats of each value."""
+    """Ten repeats, of which some values have fewer: what stands behind the fit counts the repeats of each value.
+
+    From ten on each value has its own standard deviation, that of a t variate of nu; such a mean square is as uncertain
+    as one of (nu - 4)/3 degrees of freedom.
+    """
     measured = study.problem.measured
     held = np.array([3] + [10] * (measured.n_modes - 1))
-    for repeats, counts in ((10, held), (5, np.minimum(held, 5))):
+    few = np.minimum(held, 5)
+    own = measured.n_modes * (np.mean(held - 1.0) - 4) / 3
+    for repeats, counts, expected in ((10, held, own), (5, few, np.sum(few - 1.0))):
         told = replace(measured, n_repeats=repeats, freq_count=counts)
         for floors in (NO_FLOORS, USUAL):
             found = ModalResidual(replace(study.problem, measured=told), floors).scatter_freedom
             assert found["frequency"] == freedom_behind(told, "frequency", measured.n_modes, floors)
-            assert floors is USUAL or found["frequency"] == pytest.approx(np.sum(counts - 1.0))
+            assert floors is USUAL or found["frequency"] == pytest.approx(expected)
 
 
 # -- plain -------------------------------------------------------------------------------------------------------------
