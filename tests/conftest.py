@@ -1,6 +1,7 @@
 """What every test needs before numerical libraries are imported, and the independent codes some compare with."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -33,3 +34,22 @@ def opensees() -> ModuleType:
         return opensees_code.load()
     except ImportError as problem:
         pytest.skip(str(problem))
+
+
+@pytest.fixture(scope="module")
+def functions_in_this_process() -> Iterator[None]:
+    """A study's own function runs where the test does, for the whole module that uses this.
+
+    The command starts a child process for it, which imports everything anew; what that is for, the tests of faults and
+    of the isolation see with the real thing.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.cli.isolated", lambda study: study)
+        yield
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No figures are drawn and no report is written, which take longest of all in a test of something else."""
+    monkeypatch.setattr("calib.cli.draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.cli.write_report", lambda folder, *given: folder / "report.html")

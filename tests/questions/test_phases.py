@@ -11,6 +11,7 @@ import pytest
 
 from calib import cli
 from calib.errors import InputError
+from calib.questions.isolation import isolated
 from calib.questions.phases import in_order, values_found
 from calib.questions.stale import stale_answers
 from calib.results import Results
@@ -44,6 +45,8 @@ cases = [{{ name = "A1", seed = 1 }}]
 ROOT = Path("results")
 ADOPTED = '[adopted]\nstudy = "../one"\nparameters = ["a", "b"]\n'
 
+pytestmark = pytest.mark.usefixtures("functions_in_this_process", "undrawn")
+
 
 def write(folder, title, selection, measured, adopted=""):
     folder.mkdir()
@@ -62,7 +65,6 @@ def insert(folder, before, line):
 def phases(tmp_path, monkeypatch):
     """Phase one finds a = 2.3 and b = 1.2; phase two holds them and finds c = 1.5."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
     write(Path("one"), "One", ["a", "b"], (("p", 3.5), ("q", 1.1)))
     return write(Path("two"), "Two", ["c"], (("r", 3.45), ("s", 2.7)), ADOPTED)
 
@@ -149,7 +151,8 @@ def test_a_quick_look_takes_the_selection_of_a_quick_sensitivity_analysis(phases
     assert found.values["a"] == pytest.approx(2.3, abs=1e-3)
 
 
-def test_worker_processes_hold_the_values_too(phases):
+def test_worker_processes_hold_the_values_too(phases, monkeypatch):
+    monkeypatch.setattr(cli, "isolated", isolated)
     text = Path("two/study.toml").read_text().replace('method = "gauss-newton"', "population = 6\ngenerations = 3")
     Path("two/study.toml").write_text(text)
     assert cli.answer(["calibrate", "two", "--workers", "2"]) == 0

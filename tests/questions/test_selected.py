@@ -37,6 +37,8 @@ starts = 1
 cases = [{ name = "A1", seed = 1 }]
 """
 
+pytestmark = pytest.mark.usefixtures("functions_in_this_process", "undrawn")
+
 
 @pytest.fixture
 def selected(tmp_path, monkeypatch):

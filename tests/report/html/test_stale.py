@@ -48,19 +48,31 @@ cases = [{ name = "A1", seed = 1 }]
 ROOT = Path("results")
 
 
-@pytest.fixture
-def sums(tmp_path, monkeypatch):
-    """A small study of plain responses, as ``sums``, compared, screened and calibrated."""
-    monkeypatch.chdir(tmp_path)
-    folder = Path("sums")
+pytestmark = pytest.mark.usefixtures("functions_in_this_process")
+
+
+@pytest.fixture(scope="module")
+def answered(functions_in_this_process, tmp_path_factory):
+    """Where a small study of plain responses was compared, screened and calibrated, as ``sums``."""
+    home = tmp_path_factory.mktemp("answered")
+    folder = home / "sums"
     folder.mkdir()
     (folder / "study.toml").write_text(STUDY)
     (folder / "model.py").write_text(MODEL)
     (folder / "data.csv").write_text("response,value,std\ny,3.1,0.1\nz,1.0,0.1\n")
     with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(home)
         patch.setattr(cli, "draw_all", lambda *a: [])
         ask("sensitivity", "calibrate")
-    return folder
+    return home
+
+
+@pytest.fixture
+def sums(answered, tmp_path, monkeypatch):
+    """A copy of that study and its results, all of which may be changed."""
+    shutil.copytree(answered, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.chdir(tmp_path)
+    return Path("sums")
 
 
 def ask(*verbs):
@@ -108,6 +120,7 @@ def test_what_a_change_makes_stale(sums, file, old, new, touched):
     assert not stale().sentences
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
     before = summary(answers(stale()))
     assert {"cases" in s.title.lower() for s in sections(answers(stale()))} == {True, False}
@@ -131,6 +144,7 @@ def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
     assert "stale" not in {s.name for s in sections(answers(stale()))}
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("asked_before", [True, False])
 def test_what_an_answer_that_broke_off_has_written_is_not_shown(sums, monkeypatch, asked_before):
     """Broken off among its tables at another state of the study, which is then put back."""
@@ -242,6 +256,7 @@ def test_what_is_stale_is_seen_without_the_code(sums, file, old, new):
     assert set(on_paper().sentences) == set(stale().sentences) and on_paper().files == stale().files
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("gone", ["model.py", "deck.inp"])
 def test_a_named_file_that_is_gone_counts_as_changed(sums, gone):
     Path("sums/deck.inp").write_text("1.0")
