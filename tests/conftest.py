@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 # Small matrices are slower on several BLAS threads, and sums then depend on how many there are.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -19,12 +20,21 @@ settings.register_profile("calib", deadline=None, derandomize=bool(os.environ.ge
 settings.load_profile("calib")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+@pytest.hookimpl(optionalhook=True)  # without pytest-xdist nobody asks
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Give the tests of one folder to one process, so that what they share is made once."""
-    here = Path(__file__).parent
-    for item in items:
-        group = item.path.parent if item.path.parent != here else item.path
-        item.add_marker(pytest.mark.xdist_group(str(group.relative_to(here))))
+    if config.getvalue("dist") != "loadgroup":
+        return None
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFolder(LoadScopeScheduling):
+        """The group is told by the path: marks reach pytest-xdist in names, which not every pytest lets it change."""
+
+        def _split_scope(self, nodeid: str) -> str:
+            file = Path(nodeid.split("::", 1)[0])
+            return str(file if file.parent.name == "tests" else file.parent)
+
+    return ByFolder(config, log)
 
 
 @pytest.fixture(scope="session")

@@ -53,12 +53,13 @@ polish = false
 cases = [{ name = "A1", seed = 1 }]
 """
 
+pytestmark = pytest.mark.usefixtures("functions_in_this_process", "undrawn")
+
 
 @pytest.fixture
 def powers(tmp_path, monkeypatch):
     """Makes a study ``powers`` in the current directory, its model's function as told."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
 
     def make(function="closed(power)", before=""):
         folder = Path("powers")

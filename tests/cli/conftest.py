@@ -41,11 +41,10 @@ def drawn() -> None:
 
 
 @pytest.fixture(autouse=True)
-def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def undrawn_unless_asked_for(request: pytest.FixtureRequest) -> None:
     """Figures take longest; most tests are not about them, and what is shared by some has them already."""
     if "drawn" not in request.fixturenames:
-        monkeypatch.setattr(cli, "draw_all", lambda *a: [])
-        monkeypatch.setattr(cli, "write_report", lambda folder, *a: folder / "report.html")
+        request.getfixturevalue("undrawn")
 
 
 @pytest.fixture

@@ -27,6 +27,8 @@ SUMMARY = {
     "mean_mac_after", "evaluations", "solved", "reused", "infeasible", "failed", "seconds", "cases",
 }  # fmt: skip
 
+pytestmark = pytest.mark.usefixtures("functions_in_this_process")
+
 
 def small_mast(folder: Path) -> Path:
     """The example study, small."""

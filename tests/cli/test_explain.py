@@ -18,6 +18,7 @@ FIGURES = {
     "where_it_fails_sigma", "sensor_misfit", "atom_map", "parameters_under_strain", "ranked_effects", "confounding",
     "errors_before_after", "next_measurement",
 }  # fmt: skip
+pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,8 @@ FOLDER, OWN = Path("results/mast/quick"), Path("results/mast_extended/quick")
 UNSEEN = ("withheld_sensors", "withheld_modes")
 RUN = ["run", "mast", "--quick", "--workers", "1"]
 
+pytestmark = pytest.mark.usefixtures("functions_in_this_process")
+
 
 def quick(folder: Path, write_study, asked, edit, hidden) -> str:
     """What a quick run of a mast says; one mode and two sensors are withheld."""

@@ -9,6 +9,7 @@ import pytest
 from calib import cli
 from calib.loading import module_of
 from calib.report.draw import draw_all
+from calib.report.html.write import write_report
 from calib.results import OWNER
 from calib.written import KEPT, LOG
 
@@ -18,6 +19,7 @@ def answer(values):
 """
 MAST_INPUTS = ("study.toml", "model.py", "modes.csv", "shapes.csv", "sensors.csv")
 VERBS = ("compare", "sensitivity", "calibrate", "report", "run")
+pytestmark = pytest.mark.usefixtures("functions_in_this_process", "undrawn")
 
 
 @pytest.fixture
@@ -31,12 +33,6 @@ def library(here) -> Path:
     """A study with a library of effects, as ``mast``."""
     template = Path(__file__).resolve().parents[1] / "template/mast_effects.py"
     return module_of(template).write_study(Path("mast"), {"guy": 9000.0})
-
-
-@pytest.fixture(autouse=True)
-def undrawn(monkeypatch):
-    """Figures take longest; one test is about them."""
-    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
 
 
 def contents(*folders: Path | str) -> dict[Path, bytes]:
@@ -141,7 +137,10 @@ def test_inputs_among_the_results(sums, capsys):
 
 @pytest.mark.parametrize("name", ["measured.csv", "record.json", "parameters.png", "report.html"])
 def test_what_the_user_puts_among_results_is_kept(sums, capsys, monkeypatch, name):
-    monkeypatch.setattr(cli, "draw_all", draw_all)
+    if name.endswith(".png"):
+        monkeypatch.setattr(cli, "draw_all", draw_all)
+    if name.endswith(".html"):
+        monkeypatch.setattr(cli, "write_report", write_report)
     assert cli.answer(["calibrate", "plain", "--workers", "1"]) == 0
     assert cli.answer(["report", "plain"]) == 0
     file = Path("results/plain", name)

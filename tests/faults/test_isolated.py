@@ -47,9 +47,7 @@ FAULTS = {
 
 
 @pytest.fixture
-def faults(here, monkeypatch):
-    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
-
+def faults(here, undrawn):
     def make(fault: str) -> None:
         Path("faults").mkdir()
         Path("faults/model.py").write_text(MODEL.format(fault=fault))

@@ -84,6 +84,8 @@ SAID = {
     14: f"{TOOK_TOO_LONG} 2 s",
 }
 
+pytestmark = pytest.mark.usefixtures("functions_in_this_process")
+
 
 @pytest.fixture
 def faulty(here, monkeypatch):

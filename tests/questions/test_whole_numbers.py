@@ -33,6 +33,8 @@ cases = [{ name = "A1", seed = 1 }]
 """
 UNTRIED = "Not all neighbours of these whole numbers were tried: another combination may fit better."
 
+pytestmark = pytest.mark.usefixtures("functions_in_this_process")
+
 
 @pytest.mark.parametrize("refits", [case.REFITS, 2])
 def test_a_search_over_whole_numbers_that_was_cut_short_says_so(tmp_path, monkeypatch, capsys, refits):
