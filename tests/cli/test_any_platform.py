@@ -1,5 +1,6 @@
 """The command on terminals of old code pages, and with names that no file can have."""
 
+import io
 import os
 import subprocess
 import sys
@@ -7,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
+from calib import cli, console
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = """
@@ -29,9 +30,12 @@ responses = "measured.csv"
 cases = [{ name = "A1", seed = 1 }]
 """
 
+pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
-@pytest.mark.parametrize("page", ["ascii", "cp1252", "utf-8"])
-def test_any_name_can_be_told_in_any_code_page(tmp_path, page):
+
+@pytest.mark.parametrize(("page", "whole"), [("ascii", True), ("cp1252", False), ("utf-8", False)])
+def test_any_name_can_be_told_in_any_code_page(tmp_path, monkeypatch, page, whole):
+    """Once by a command of its own, of which the others are what writes."""
     folder = tmp_path / "plain"
     folder.mkdir()
     for name, text in (
@@ -40,11 +44,19 @@ def test_any_name_can_be_told_in_any_code_page(tmp_path, page):
         ("measured.csv", "response,value\nf \u2212 \u6865,2.5\n"),
     ):
         (folder / name).write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "calib", "compare", "plain"]
-    given = {**os.environ, "PYTHONIOENCODING": page, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=tmp_path, env=given, capture_output=True)
-    assert (done.returncode, done.stderr) == (0, b"")
-    told = done.stdout.decode(page)
+    if whole:
+        command = [sys.executable, "-m", "calib", "compare", "plain"]
+        given = {**os.environ, "PYTHONIOENCODING": page, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(command, cwd=tmp_path, env=given, capture_output=True)
+        assert (done.returncode, done.stderr) == (0, b"")
+        told = done.stdout.decode(page)
+    else:
+        monkeypatch.chdir(tmp_path)
+        terminal = io.TextIOWrapper(io.BytesIO(), page, write_through=True)
+        monkeypatch.setattr(sys, "stdout", terminal)
+        console.write_to_any_code_page()
+        assert cli.answer(["compare", "plain"]) == 0
+        told = terminal.buffer.getvalue().decode(page)
     title, name = ("Bridge \u2212 \u6865\u6881", "f \u2212 \u6865") if page == "utf-8" else ("Bridge - ??", "f - ?")
     assert f"{title}: compare" in told and name in told
 

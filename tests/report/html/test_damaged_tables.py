@@ -1,4 +1,4 @@
-"""Damaged tables and records among results are told or refused in one sentence: a few hundred of them.
+"""Damaged tables and records among results are told or refused in one sentence: some hundred of them.
 
 `tests/benchmarks/damaged_tables.py` tries ten thousand.
 """
@@ -15,7 +15,7 @@ from calib.errors import InputError
 from calib.report.draw import draw_all
 from calib.report.html.answers import Answers
 from calib.report.html.summary import summary
-from calib.report.html.write import sections
+from calib.report.html.write import STORY
 
 BENCH = Path(__file__).resolve().parents[2] / "benchmarks"
 VALUES = ("x", 7, -1.5, None, True, [], {}, [1], ["a"], {"a": 1}, [[]])
@@ -35,8 +35,8 @@ def test_damaged_tables_are_read_or_refused(damaged_tables, everything, plain, t
     studies = [(home.parent.parent / home.name, home) for home in (everything, plain)]
     studies[1] = (plain.parent.parent / "chain", plain)
     bench = damaged_tables.Bench(tmp_path, *studies)
-    found = [bench.trial(number)[0] for number in range(300)]
-    assert set(found) == {"read", "refused"} and found.count("read") > 50 and found.count("refused") > 50
+    found = [bench.trial(number)[0] for number in range(150)]
+    assert set(found) == {"read", "refused"} and found.count("read") > 30 and found.count("refused") > 30
 
 
 def changed(value, rng):
@@ -49,16 +49,27 @@ def changed(value, rng):
     return rng.choice(VALUES)
 
 
+def reads(tell, answers, name):
+    """Whether a part of the page looks at that file, which `Answers` keeps once it is read."""
+    tell(answers)
+    return name in vars(answers)
+
+
 @pytest.mark.parametrize("name", ["record", "summary", "explanation"])
 def test_values_of_another_kind_are_told_or_refused(folder, name):
     path = folder / f"{name}.json"
     whole = json.loads(path.read_text())
+    for table in ("mesh_points", "deflection_after"):  # what is drawn in space takes longest and reads no such value
+        (folder / f"{table}.csv").unlink()
+    readers = [tell for tell in (summary, *STORY) if reads(tell, Answers(folder, "Whole", True), name)]
+    assert len(readers) > 2
     refused = 0
-    for number in range(40):
+    for number in range(24):
         path.write_text(json.dumps(changed(whole, random.Random(f"{name} {number}"))))
         answers = Answers(folder, "Damaged", True)
         try:
-            summary(answers), sections(answers)
+            for tell in readers:
+                tell(answers)
         except InputError as fault:
             assert path.name in str(fault) and "\n" not in str(fault)
             refused += 1
