@@ -17,14 +17,14 @@ def without(toy, *names):
 
 def test_nothing_missing_is_seldom_taken_for_something(toy):
     """Two gates at 1 % each; what passes them still has to be named."""
-    found = Counter(f.verdict for f in toy(effects=8, atoms=20, signed=("E1", "E5")).explained({}, 120))
-    assert found["nothing_detectable"] >= 112
-    assert found["effect"] + found["indistinguishable"] + found["two_effects"] <= 2
+    found = Counter(f.verdict for f in toy(effects=8, atoms=20, signed=("E1", "E5")).explained({}, 60))
+    assert found["nothing_detectable"] >= 56
+    assert found["effect"] + found["indistinguishable"] + found["two_effects"] <= 1
 
 
 def test_nothing_missing_with_a_nuisance_parameter(toy):
-    found = Counter(f.verdict for f in toy(bump=True).explained({}, 60))
-    assert found["nothing_detectable"] >= 56
+    found = Counter(f.verdict for f in toy(bump=True).explained({}, 40))
+    assert found["nothing_detectable"] >= 37
 
 
 def test_nothing_found_ends_at_the_base_model(toy):
@@ -37,10 +37,10 @@ def test_nothing_found_ends_at_the_base_model(toy):
 
 def test_one_effect_is_named_and_measured(toy):
     """Parameters drawn from their prior are strained in one of 100 right models: such a name is withheld."""
-    found = toy(signed=("E1",)).explained({"E3": 1.0}, 60)
+    found = toy(signed=("E1",)).explained({"E3": 1.0}, 40)
     assert all(f.chosen.names == ("E3",) for f in found)
     right = [f for f in found if f.verdict == "effect"]
-    assert len(right) >= 54
+    assert len(right) >= 36
     for f in found:
         assert f.credible == (("E3",) if f.verdict == "effect" else ())
         assert f.verdict == "effect" or f.chosen.implausible or not f.chosen_check.passes(0.01)
@@ -172,8 +172,8 @@ def test_half_an_answer_is_partial(toy):
 
 def test_a_longer_library_does_not_make_more_alarms(toy):
     toy = toy(effects=50, atoms=0, sensors=20)
-    found = Counter(f.verdict for f in toy.explained({}, 40))
-    assert found["nothing_detectable"] >= 37 and not found["effect"]
+    found = Counter(f.verdict for f in toy.explained({}, 25))
+    assert found["nothing_detectable"] >= 23 and not found["effect"]
 
 
 def test_plain_responses_need_no_modes(toy):

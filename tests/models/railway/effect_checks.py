@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -152,16 +152,22 @@ class Library:
     _single: dict[str, StructuralModel] = field(init=False, default_factory=dict)
 
     @cached_property
+    def _once(self) -> Mapping[str, Effect]:
+        """The effects, each built once however many models have it: all those models are made from one base."""
+        built = Alone(self.base, self.effects)
+        return {n: replace(e, build=lambda _, name=n: built.addition(name)) for n, e in self.effects.items()}
+
+    @cached_property
     def together(self) -> StructuralModel:
         """The base model with every effect."""
-        return extend(self.base, list(self.effects.values()))
+        return extend(self.base, list(self._once.values()))
 
     def alone(self, name: str) -> StructuralModel:
         """The base model with one effect; all effects without a grid, which add no motions, share one model."""
         key = name if self.effects[name].grid else ""
         if key not in self._single:
-            plain = [e for e in self.effects.values() if not e.grid]
-            self._single[key] = extend(self.base, [self.effects[name]] if key else plain)
+            plain = [e for e in self._once.values() if not e.grid]
+            self._single[key] = extend(self.base, [self._once[name]] if key else plain)
         return self._single[key]
 
     def values(self, values: Mapping[str, float]) -> dict[str, float]:
