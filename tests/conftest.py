@@ -1,5 +1,6 @@
 """What every test needs before numerical libraries are imported, and the independent codes some compare with."""
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,12 @@ from hypothesis import settings
 # A busy machine makes any deadline fail; a submitted change must not fail by the luck of one draw.
 settings.register_profile("calib", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("calib")
+
+
+def pytest_collection_finish() -> None:
+    """What collected tests and imported libraries hold stays: the garbage collector need not look at it again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)  # without pytest-xdist nobody asks

@@ -35,7 +35,7 @@ def small_mast(folder: Path) -> Path:
     file = folder / "mast/study.toml"
     assert cli.answer(["new", str(file.parent)]) == 0
     text = file.read_text()
-    file.write_text(text.replace("generations = 60", "generations = 20").replace("samples = 200", "samples = 40"))
+    file.write_text(text.replace("generations = 60", "generations = 8").replace("samples = 200", "samples = 20"))
     return file.parent
 
 
@@ -74,7 +74,7 @@ def test_run_answers_everything_with_the_documented_files(whole):
     assert summary.keys() >= SUMMARY
     assert summary["synthetic"] and summary["study"] == "mast"
     assert set(summary["cases"]) == {"A1", "A2"}
-    assert summary["evaluations"] == 2 * 30 * 20
+    assert summary["evaluations"] == 2 * 30 * 8
     assert summary["evaluations"] == sum(summary[k] for k in ("solved", "reused", "infeasible", "failed"))
     for case in summary["cases"].values():
         assert case.keys() >= SUMMARY - {"study", "synthetic", "best_case", "cases"}
@@ -115,7 +115,7 @@ def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
         one["value"].reset_index(drop=True), both.loc[both["case"] == "A2", "value"].reset_index(drop=True)
     )
     again = json.loads(Path("results/mast/case_A2/summary.json").read_text())
-    assert again["evaluations"] == 600
+    assert again["evaluations"] == 240
     assert Path("results/mast/quick/summary.json").exists()
 
 
@@ -196,7 +196,7 @@ def test_results_go_where_they_are_told(mast):
 def test_the_measured_rig_without_shapes(here, drawn, capsys):
     shutil.copytree(ROOT / "studies/four_storey_rig", "rig")
     text = (
-        Path("rig/study.toml").read_text().replace("[calibration]", "[calibration]\ngenerations = 20\npopulation = 20")
+        Path("rig/study.toml").read_text().replace("[calibration]", "[calibration]\ngenerations = 6\npopulation = 12")
     )
     Path("rig/study.toml").write_text(text)
     assert cli.answer(["run", "rig", "--workers", "1"]) == 0

@@ -180,6 +180,7 @@ def test_where_nothing_is_missing_the_run_says_so_and_ends(here, write_study, as
 def test_a_study_without_effects_is_run_as_ever(here, asked):
     asked(here, "new", "mast")
     out = asked(here, *RUN)
+    assert ": explain" not in out and not (FOLDER / "explanation.json").exists()
     assert ": extend" not in out and not (FOLDER / "added.json").exists() and (FOLDER / "summary.json").exists()
 
 

@@ -155,7 +155,7 @@ def fill(disk: Path, leave: int) -> Path:
     return ballast
 
 
-@pytest.mark.parametrize("kilobytes", [0, 10, 80, 400])
+@pytest.mark.parametrize("kilobytes", [0, 80, 400])
 def test_a_full_disk(mast, small_disk, runner, left, drafts, kilobytes, whole):
     check_full_disk(small_disk, runner, left, drafts, kilobytes, whole[0], draw=False)
 
