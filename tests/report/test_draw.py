@@ -249,7 +249,7 @@ def test_the_users_own_settings_do_not_matter_and_are_kept(folder, saved):
 
 
 def test_any_name_can_be_drawn_without_a_word(folder, recwarn):
-    names = ["a price of 5 $ and 6 $", "$x^{2", "bridge \u6865\u6881 $\\alpha$"]
+    names = ["a price of 5 $ and 6 $", "$x^{2$", "bridge \u6865\u6881 $\\alpha$"]
     table = pd.read_csv(folder / "modes.csv").assign(mode=names)
     table.to_csv(folder / "modes.csv", index=False)
     written = {p.stem for p in draw_all(folder, names[0], False)}
