@@ -208,6 +208,15 @@ def test_a_local_change_that_fits_better_forbids_a_name(toy):
     assert rivals >= 4
 
 
+def test_a_strength_beyond_what_was_thought_plausible_is_no_misfit(toy):
+    """Thirty times the plausible size: what the prior says against it is nothing that a local change should explain."""
+    toy = toy().alike("A5", "E2", 0.6)
+    usual, large = (toy.explained({"E2": strength}, 12) for strength in (1.2, 30.0))
+    assert min(f.chosen.state.shift[f.chosen.state.names.index("E2")] for f in large) > 28
+    assert [f.verdict for f in large] == [f.verdict for f in usual]
+    assert Counter(f.verdict for f in large)["effect"] >= 9 and all(f.chosen.names == ("E2",) for f in large)
+
+
 def test_a_local_change_that_says_the_same_is_no_rival(toy):
     toy = toy().alike("A5", "E2", 0.99)
     found = toy.explained({"E2": 1.2}, 10)

@@ -75,6 +75,20 @@ def test_a_strength_on_its_limit(toy, signed, value, reason):
     assert words.startswith(reason) and bool(words) == bool(reason)
 
 
+def test_a_wide_range_puts_no_strength_on_its_limit(toy):
+    """Less than a thousandth of the range from a limit, but many standard deviations: nothing holds it there."""
+    toy = toy(signed=("E0",)).drawn(np.random.default_rng(4), {"E0": 0.3})
+    wide = replace(toy.effects[0].strength, lower=-0.5, upper=1000.0)
+    own = replace(toy.effects[0], strength=wide)
+    state = replace(toy, effects=(own, *toy.effects[1:])).calibrated("E0")
+    reach = state.covariance[state.names.index("E0"), state.names.index("E0")] ** 0.5
+    distance = state.values["E0"] + 0.5
+    assert 3 * reach < distance < 1e-3 * (wide.upper - wide.lower)
+    assert "limit" not in implausible(state, [own])
+    there = replace(state, values={**state.values, "E0": -0.5})
+    assert "E0 is on its limit of -0.5" in implausible(there, [own])
+
+
 @pytest.mark.parametrize(
     ("sd", "value", "reason"),
     [
@@ -82,7 +96,7 @@ def test_a_strength_on_its_limit(toy, signed, value, reason):
         (1.0, 3.5 + 0.99 * NUISANCE, ""),
         (1.0, 3.5 + 1.01 * NUISANCE, "at = 5.52 Hz is far from 3.5"),
         (1.0, 3.5 - 1.01 * NUISANCE, "at = 1.48 Hz is far from 3.5"),
-        (5.0, 7.999, "at is on its limit of 7.999 Hz"),
+        (5.0, 7.99999, "at is on its limit of 8 Hz"),
         (5.0, -1.0, "at is on its limit of -1 Hz"),
         (5.0, 7.9, ""),
     ],

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ from calib.measurement.accuracy import Accuracy, Claim, widened
 from calib.questions.calibrate import calibrate
 from calib.questions.compare import compare
 from calib.questions.explain import explain
+from calib.questions.record import measured_table
 from calib.questions.scatter import assumed_scatter
 from calib.report.html.answers import Answers
 from calib.report.html.numbers import percent
@@ -137,6 +139,20 @@ def test_what_is_assumed_stands_wherever_it_is_used(mast, tmp_path):
     assert measured["freq_std"].isna().all()
     np.testing.assert_allclose(measured["freq_std_used"], ModalResidual(study.problem).scatter.freq
                                * study.measured.natural_freq)  # fmt: skip
+
+
+def test_the_table_of_the_measurement_tells_what_fits_weigh_by(mast, tmp_path):
+    """Withheld modes scatter otherwise and have no say in what the others are weighed by."""
+    study = Study.load(mast.write_study(tmp_path / "mast"))
+    whole = study.whole
+    spread = whole.freq_std * np.where(np.arange(whole.n_modes) == whole.n_modes - 1, 9.0, 1.0)
+    whole = replace(whole, freq_std=spread, n_repeats=5)
+    used = whole.without((whole.names[-1],), ())
+    held = study.settings.withheld.model_copy(update={"modes": (whole.names[-1],)})
+    own = replace(study, whole=whole, measured=used, settings=study.settings.model_copy(update={"withheld": held}))
+    table = measured_table(own).set_index("mode")
+    np.testing.assert_allclose(table.loc[list(used.names), "freq_std_used"], scatter_of(used).freq * used.natural_freq)
+    assert table.loc[whole.names[-1], "freq_std_used"] > 2 * scatter_of(used).freq[-1] * whole.natural_freq[-1]
 
 
 def test_an_explanation_tells_at_which_accuracy_it_would_change(guyed, bare):

@@ -90,6 +90,20 @@ def measured_again(hypotheses, state, extra=(), more_modes=(), scale=1.0, prior=
     return scores(there, other.effects, {}).size
 
 
+def test_repeats_that_lack_something_do_not_hinder_advice(world):
+    """Counts of the repeats behind each value belong to what was measured and not to what is imagined."""
+    _, hypotheses, _ = world
+    known = hypotheses.problem.measured
+    held = np.full(known.n_modes, 5)
+    held[0] = 4
+    shapes = np.full(known.shapes.shape, 5)
+    told = replace(known, n_repeats=5, freq_count=held, damping_count=held, shape_count=shapes)
+    other = ModalHypotheses(replace(hypotheses.problem, measured=told), hypotheses.variants, hypotheses.space)
+    question = other.question(())
+    found = prospects_of(other, fitted(question, (), question.space.values))
+    assert found is not None and all(np.isfinite(sizes(found, o)).all() for o in found.options)
+
+
 def model_modes(hypotheses, state):
     return hypotheses.question(()).at(state.values).modes
 
