@@ -241,8 +241,9 @@ class _Decision:
         return self.scale(replace(trial, state=replace(trial.state, residual=left)))
 
     def beside(self, trial: Trial, candidates: Sequence[Effect]) -> Scores:
-        """Scores of the candidates that a fitted model does not have."""
-        return self.fits.scores(trial.state, [e for e in candidates if e.name not in trial.names])
+        """Scores of the candidates that a fitted model does not have, whatever strength its effects need."""
+        state = trial.state.granting(trial.names)
+        return self.fits.scores(state, [e for e in candidates if e.name not in trial.names])
 
     def check(self, trial: Trial, named: Scores) -> Check:
         """Tests of a fitted model, given the scores of the named effects that it does not have."""

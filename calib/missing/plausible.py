@@ -17,6 +17,9 @@ STRAIN = 0.01
 NUISANCE = 2.0
 """Largest distance of a nuisance parameter from its middle value, in prior standard deviations."""
 _AT = 1e-3
+"""Distance from a limit at which a parameter is on it, over its range."""
+_AT_STD = 0.05
+"""The same over its posterior standard deviation."""
 
 
 def strain(state: State, added: Sequence[Effect] = ()) -> pd.DataFrame:
@@ -56,17 +59,27 @@ def implausible(state: State, added: Sequence[Effect]) -> str:
         if strained:
             reasons.append(f"{name} had to move {score:+.1f} prior standard deviations")
     for effect in added:
-        p, value = effect.strength, state.values[effect.name]
-        span = p.upper - p.lower
-        if p.upper - value <= _AT * span or (effect.signed and value - p.lower <= _AT * span):
-            reasons.append(f"{effect.name} is on its limit of {_with_unit(value, p)}")
+        p = effect.strength
+        for limit in (p.upper, p.lower) if effect.signed else (p.upper,):
+            if _held(state, p, limit):
+                reasons.append(f"{effect.name} is on its limit of {_with_unit(limit, p)}")
         for q in effect.nuisance:
             here = state.values[q.name]
-            if not (q.lower + _AT * (q.upper - q.lower) < here < q.upper - _AT * (q.upper - q.lower)):
-                reasons.append(f"{q.name} is on its limit of {_with_unit(here, q)}")
+            on = [limit for limit in (q.upper, q.lower) if _held(state, q, limit)]
+            if on:
+                reasons.append(f"{q.name} is on its limit of {_with_unit(on[0], q)}")
             elif abs(here - q.value) > NUISANCE * q.prior_width:
                 reasons.append(f"{q.name} = {_with_unit(here, q)} is far from {q.value:.4g}")
     return "; ".join(reasons)
+
+
+def _held(state: State, p: Parameter, limit: float) -> bool:
+    """Whether a limit holds a fitted parameter: next to it for its range, and for what the data leave open."""
+    near = _AT * (p.upper - p.lower)
+    if p.name in state.names:
+        k = state.names.index(p.name)
+        near = min(near, _AT_STD * float(np.sqrt(state.covariance[k, k])))
+    return abs(state.values[p.name] - limit) <= near
 
 
 def _with_unit(value: float, p: Parameter) -> str:

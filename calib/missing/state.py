@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -100,6 +100,14 @@ class State:
         """Change of the fitted parameters (p,) after the residual has changed by ``change`` (n_rows,), own units."""
         right = (self.slope * self.prior_sd).T @ change
         return self.prior_sd * la.solve(self.scaled_information, right, assume_a="pos")
+
+    def granting(self, names: Collection[str]) -> State:
+        """The state with the priors of some parameters about the values they have.
+
+        What a prior says against a magnitude that the data have found is no misfit that anything else should explain.
+        """
+        moved = np.where([name in names for name in self.names], 0.0, self.shift)
+        return replace(self, shift=moved)
 
     def elsewhere(self, change: Mapping[str, float], residual: np.ndarray) -> State:
         """To first order, where a fit with other values of held parameters would end.

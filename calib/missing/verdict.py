@@ -141,9 +141,14 @@ def _others_alike(found: Findings, name: str) -> str:
 def _look_for(found: Findings) -> list[str]:
     chosen = found.chosen.effects if found.chosen is not None else ()
     return [
-        "As it is, the model says: " + " ".join(e.lacks for e in chosen),
-        "Look for: " + " ".join(e.look_for for e in chosen),
+        "As it is, the model says: " + " ".join(_ended(e.lacks) for e in chosen),
+        "Look for: " + " ".join(_ended(e.look_for) for e in chosen),
     ]
+
+
+def _ended(words: str) -> str:
+    """As a sentence, whoever wrote it."""
+    return words if words.endswith((".", "!", "?")) or not words else f"{words}."
 
 
 def _effects(found: Findings) -> tuple[Effect, ...]:

@@ -195,6 +195,9 @@ def imagined_measurement(
         shapes=shapes,
         shape_std=spread * np.maximum(np.abs(shapes), 1.0),
         n_repeats=1,
+        freq_count=None,
+        damping_count=None,
+        shape_count=None,
         accuracy=Accuracy(),  # it is in the scatter already
     )
 

@@ -117,16 +117,31 @@ def measured_table(study: Study) -> pd.DataFrame:
             for (name, (value, std)), taken in zip(study.whole_targets.items(), used, strict=True)
         ]
         return pd.DataFrame(rows, columns=["response", "withheld", "value", "std", "repeats", "std_used"])
-    used_std = scatter_of(whole)
+    freq_std, damping_std = _std_used(study, whole)
     columns = {
         "mode": list(whole.names),
         "withheld": [name in held.modes for name in whole.names],
         **{name: getattr(whole, name) for name in MODE_COLUMNS[2:-3]},
         "repeats": whole.counts("freq"),
-        "freq_std_used": used_std.freq * whole.natural_freq,
-        "damping_std_used": used_std.damping * whole.damping_ratio,
+        "freq_std_used": freq_std * whole.natural_freq,
+        "damping_std_used": damping_std * whole.damping_ratio,
     }
     return pd.DataFrame(columns, columns=list(MODE_COLUMNS))
+
+
+def _std_used(study: Study, whole: MeasuredModes) -> tuple[np.ndarray, np.ndarray]:
+    """Relative standard deviations of frequency and damping, (n_modes,): as fits weigh by, withheld modes as judged."""
+    used, judged = study.measured, scatter_of(whole)
+    if used is None:
+        return judged.freq, judged.damping
+    own = scatter_of(used)
+    place = {name: i for i, name in enumerate(used.names)}
+    pairs = (
+        (own.freq[place[n]], own.damping[place[n]]) if n in place else (judged.freq[i], judged.damping[i])
+        for i, n in enumerate(whole.names)
+    )
+    freq, damping = np.array(list(pairs)).T
+    return freq, damping
 
 
 def check_repeats(study: Study) -> list[str]:
