@@ -1,13 +1,15 @@
-"""What is wrong with the matrices of a model that came from elsewhere: half of them missing, or nothing at a place."""
+"""What is wrong with a model that came from elsewhere: half a matrix, nothing at a place, a mesh that does not fit."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from calib.errors import InputError
 from calib.structure.affine import AffineMatrix, Term
-from calib.structure.model import StructuralModel
+from calib.structure.model import Mesh, StructuralModel
 
 _ROUNDING = 1e-6
 """Difference between the two halves of a symmetric matrix, over its largest entry, that assembling may leave."""
@@ -15,7 +17,11 @@ _MOTIONS = ("ux", "uy", "uz", "rx", "ry", "rz")
 
 
 def require_sound(model: StructuralModel) -> None:
-    """InputError for matrices that are not symmetric, and for degrees of freedom with neither stiffness nor mass."""
+    """InputError for a model whose pieces do not fit each other.
+
+    Its mesh as in `require_mesh`, matrices that are not symmetric, degrees of freedom with neither stiffness nor mass.
+    """
+    require_mesh(model.mesh, model.dofs.expansion.shape[0] // 6, f"model {model.name}, mesh")
     kinds = {"stiffness": model.stiffness, "damping": model.damping, "mass": model.mass}
     for kind, matrix in kinds.items():
         for term in matrix.terms:
@@ -31,6 +37,68 @@ def require_sound(model: StructuralModel) -> None:
             place=f"model {model.name}",
             remedy=f"leave {'it' if one else 'them'} out of the matrices, or connect {'it' if one else 'them'}",
         )
+
+
+def require_mesh(mesh: Mesh, n_nodes: int, place: str) -> None:
+    """InputError for a mesh that does not fit itself, or the nodes that the degrees of freedom move.
+
+    Points are (n_nodes, 3), finite, or all NaN where none is known; lines (n_lines, 2) and faces (n_faces, 4) hold
+    whole numbers of points, and each has one group. There may be no lines and no faces.
+    """
+    points = _numbers(mesh.points, 3, "points", "coordinates x, y, z in metres", place)
+    if len(points) != n_nodes:
+        raise InputError(
+            f"it has {len(points)} points, but the degrees of freedom move {n_nodes} nodes",
+            place=place,
+            remedy="give one point for each node of dofs, in the same order",
+        )
+    unknown = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(unknown) and not np.isnan(points).all():
+        raise InputError(
+            f"point {unknown[0]} is {tuple(points[unknown[0]].tolist())}",
+            place=place,
+            remedy="give finite coordinates, or NaN for all points where none is known",
+        )
+    _require_elements(mesh.lines, mesh.groups, 2, ("lines", "groups"), n_nodes, place)
+    _require_elements(mesh.faces, mesh.face_groups, 4, ("faces", "face_groups"), n_nodes, place)
+
+
+def _require_elements(given: Any, groups: Any, width: int, names: tuple[str, str], n_nodes: int, place: str) -> None:
+    what, owners = names
+    nodes = _numbers(given, width, what, f"numbers of {width} points", place)
+    wrong = np.argwhere(~((nodes >= 0) & (nodes < n_nodes) & (nodes == np.floor(nodes))))
+    if len(wrong):
+        row, column = wrong[0]
+        raise InputError(
+            f"row {row} of {what} names point {nodes[row, column]:g}, but points are whole numbers from 0 to "
+            f"{n_nodes - 1}",
+            place=place,
+            remedy=f"correct {what}: numbers of points count from 0",
+        )
+    if isinstance(groups, str) or not all(isinstance(group, str) for group in groups):
+        raise InputError(f"{owners} is {groups!r:.60}", place=place, remedy="give a tuple of names")
+    if len(groups) != len(nodes):
+        raise InputError(
+            f"it has {len(nodes)} {what}, but {len(groups)} {owners}",
+            place=place,
+            remedy=f"give one of {owners} for each row of {what}",
+        )
+
+
+def _numbers(given: Any, width: int, what: str, columns: str, place: str) -> np.ndarray:
+    """A table of numbers, (n, width); a table without rows may have any shape."""
+    try:
+        found = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        found = np.empty(1, dtype=object)
+    if found.dtype.kind in "iuf" and found.size == 0:
+        return np.zeros((0, width))
+    if found.dtype.kind not in "iuf" or found.ndim != 2 or found.shape[1] != width:
+        told = f"an array of shape {found.shape}" if isinstance(given, np.ndarray) else f"{given!r:.60}"
+        raise InputError(
+            f"{what} is {told}", place=place, remedy=f"give an array (n_{what}, {width}) of numbers: {columns} a row"
+        )
+    return found
 
 
 def _require_symmetric(term: Term, kind: str, name: str) -> None:
