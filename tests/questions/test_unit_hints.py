@@ -15,8 +15,8 @@ CHEAP = (
     "four_storey_rig",
     "four_storey_rig_masses",
     "four_storey_rig_wide",
-    "hidden_effect",
     "bogie",
+    pytest.param("hidden_effect", marks=pytest.mark.slow),  # a whole vehicle
 )
 
 
