@@ -75,7 +75,7 @@ def _require_elements(given: Any, groups: Any, width: int, names: tuple[str, str
             place=place,
             remedy=f"correct {what}: numbers of points count from 0",
         )
-    if isinstance(groups, str) or not all(isinstance(group, str) for group in groups):
+    if not isinstance(groups, tuple | list | np.ndarray) or not all(isinstance(group, str) for group in groups):
         raise InputError(f"{owners} is {groups!r:.60}", place=place, remedy="give a tuple of names")
     if len(groups) != len(nodes):
         raise InputError(

@@ -1,6 +1,7 @@
-"""Models given as matrices of another program: half a matrix, empty places, no elements to draw."""
+"""Models given as matrices of another program: half a matrix, empty places, no elements to draw, or a wrong mesh."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,3 +80,57 @@ def test_a_mesh_without_elements_can_be_asked_everything(bare, capsys, shape, ve
         assert cli.answer([verb, str(folder)]) == 0, capsys.readouterr().err
     made = {path.name for path in Path("results/bare").iterdir()}
     assert {"report.html", "model.png"} <= made and not Path("calib-error.log").exists()
+
+
+LINES, NO_FACES = np.array([[0, 1], [1, 2]]), np.zeros((0, 4), dtype=int)
+OFF = np.array([[0.0, 0, 0], [1, 0, np.nan], [2, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "said"),
+    [
+        ({"lines": np.zeros((0, 2), dtype=int)}, "0 lines, but 2 groups"),
+        ({"lines": LINES, "groups": ()}, "2 lines, but 0 groups"),
+        ({"lines": {}}, "lines is {}"),
+        ({"lines": [[0, 1], [2]]}, "lines is [[0, 1], [2]]"),
+        ({"lines": np.array([[0, 1, 2], [0, 1, 2]])}, "(2, 3)"),
+        ({"lines": LINES + 9}, "row 0 of lines names point 9"),
+        ({"lines": LINES - 1}, "row 0 of lines names point -1"),
+        ({"lines": np.array([[0, 1], [1, 2.5]])}, "row 1 of lines names point 2.5"),
+        ({"lines": np.array([[0, 1], [1, np.nan]])}, "row 1 of lines names point nan"),
+        ({"groups": "ab"}, "groups is 'ab'"),
+        ({"groups": None}, "groups is None"),
+        ({"faces": np.array([[0, 1, 2, 3]]), "face_groups": ("wall",)}, "row 0 of faces names point 3"),
+        ({"faces": np.array([[0, 1, 2, 0]])}, "1 faces, but 0 face_groups"),
+        ({"face_groups": ("wall",)}, "0 faces, but 1 face_groups"),
+        ({"points": OFF}, "point 1 is"),
+        ({"points": np.zeros((4, 3))}, "4 points"),
+        ({"points": np.zeros((3, 2))}, "(3, 2)"),
+        ({"points": None}, "points is None"),
+    ],
+)
+def test_a_mesh_that_does_not_fit_is_refused(bare, mesh, said):
+    model = Study.load(bare()).model
+    whole = replace(model.mesh, lines=LINES, groups=("bar", "bar"), faces=NO_FACES)
+    require_sound(replace(model, mesh=whole))
+    with pytest.raises(InputError) as caught:
+        require_sound(replace(model, mesh=replace(whole, **mesh)))
+    assert said in caught.value.problem and "mesh" in caught.value.place and caught.value.remedy
+
+
+def test_a_mesh_whose_points_are_unknown_is_sound(bare):
+    model = Study.load(bare()).model
+    require_sound(replace(model, mesh=replace(model.mesh, points=np.full((3, 3), np.nan))))
+
+
+@pytest.mark.parametrize("lines", ["np.zeros((0, 2), int)", "{}", "q.lines + 9", "q.lines, groups=()"])
+def test_a_mesh_that_does_not_fit_is_the_users_to_mend(mast, capsys, lines):
+    file = mast / "model.py"
+    text = file.read_text()
+    changed = f"mesh=(lambda q: __import__('dataclasses').replace(q, lines={lines}))(frame.mesh()),"
+    assert text.count("mesh=frame.mesh(),") == 1
+    file.write_text(text.replace("mesh=frame.mesh(),", changed))
+    assert cli.answer(["compare", str(mast)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "model mast, mesh" in said and "study.toml" in said
+    assert not Path("calib-error.log").exists() and not list(Path().glob("results/**/*.csv"))
