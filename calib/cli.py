@@ -232,9 +232,9 @@ def _main(
 def _load(path: Path, root: Path, workers: int | None = None, quick: bool = False) -> Study:
     """The study, its function in a child process; one whose values it takes over comes first, if it has no answer."""
     *earlier, asked = phases.in_order(path)
-    taken = phases.Found({}, {})
+    taken, before = phases.Found({}, {}), None
     for file in earlier:
-        study = isolated(Study.load(file, *taken))
+        study = before = _taking_over(file, taken, before)
         found = phases.values_found(study, root, quick)
         if found is None:
             console.say(f"{study.settings.title} comes first: {path} takes over what it finds.")
@@ -243,7 +243,14 @@ def _load(path: Path, root: Path, workers: int | None = None, quick: bool = Fals
             _draw(study, folder, root)
             found = phases.values_found(study, root, quick)
         taken = found or phases.Found({}, {})
-    return isolated(Study.load(asked, *taken))
+    return _taking_over(asked, taken, before)
+
+
+def _taking_over(file: Path, taken: phases.Found, before: Study | None) -> Study:
+    study = Study.load(file, *taken)
+    if before is not None:
+        phases.require_same_units(study, before)
+    return isolated(study)
 
 
 # -- verbs, once the study is read -------------------------------------------------------------------------------------

@@ -63,6 +63,20 @@ def values_found(study: Study, root: Path, quick: bool = False) -> Found | None:
     return _values(study, Results(home.path / QUICK)) if found is None and quick else found
 
 
+def require_same_units(study: Study, earlier: Study) -> None:
+    """InputError where a parameter that a study takes over is in another unit than in the earlier one."""
+    adopted = study.settings.adopted
+    for name in () if adopted is None else adopted.parameters:
+        here, there = study.model.space, earlier.model.space
+        if name in here and name in there and here[name].unit != there[name].unit:
+            raise InputError(
+                f"{name} is in {here[name].unit} here and in {there[name].unit} in {earlier.name}, which it is taken "
+                "over from",
+                place=study.file,
+                remedy="give both models the parameter in one unit",
+            )
+
+
 def _values(study: Study, folder: Results) -> Found | None:
     """What a folder holds; None where the answer is missing or of another state, InputError where it is damaged.
 
@@ -84,14 +98,22 @@ def _values(study: Study, folder: Results) -> Found | None:
 
 def _of_best_case(path: Path, case: str, space: ParameterSpace, remedy: str) -> Found:
     """Values and standard deviations of one case, every free parameter once and within its limits."""
-    table = read_table(path, ["case", "parameter"], ["value", "std"], complete=["value"], unique=("case", "parameter"))
+    table = read_table(
+        path, ["case", "parameter"], ["value", "std"], complete=["value"], blank=["unit"], unique=("case", "parameter")
+    )
     best = table[table["case"] == case]
     found = dict(zip(best["parameter"], best["value"], strict=True))
     if differing := sorted(set(found) ^ set(space.free_names)):
         there = "has no row" if differing[0] in space.free_names else "is none of the study's"
         raise InputError(f"parameter {differing[0]!r} of case {case!r} {there}", place=path, remedy=remedy)
+    units = dict(zip(best["parameter"], best["unit"], strict=True))
     for name, value in found.items():
         parameter = space[name]
+        if units[name] != parameter.unit:
+            raise InputError(
+                f"{name} is in {units[name] or 'no unit'}, and the model's is in {parameter.unit}", place=path,
+                remedy=remedy,
+            )  # fmt: skip
         slack = _ROUNDING * max(abs(parameter.lower), abs(parameter.upper))
         if not parameter.lower - slack <= value <= parameter.upper + slack:
             raise InputError(

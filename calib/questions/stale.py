@@ -17,6 +17,7 @@ from calib.questions.state import WRITES, changed, made_from, made_from_on_paper
 from calib.questions.taken_over import found_earlier
 from calib.results import Results
 from calib.study import Study, StudyFile, shell_argument
+from calib.written import is_own
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
                 f"again with: calib {_verb(question)} {shell_argument(study.file)}{options}{quick}{place}"
             )
     stale = {file for file, question in writer.items() if question in sentences}
-    written = {file for files in WRITES.values() for file in files if file not in writer and results.has(file)}
+    others = {file for files in WRITES.values() for file in files} - set(writer)
+    written = {file for file in others if is_own(results.path / file)}
     for question in WRITES:
         if _OWN[question] & written:
             sentences[question] = (

@@ -79,6 +79,21 @@ def test_the_earlier_study_runs_first_and_its_values_are_held(phases, capsys):
     assert study.search_space.free_names == ("c",) and study.sensitivity_space.free_names == ("c",)
 
 
+def test_values_in_another_unit_are_refused(phases, capsys):
+    assert cli.answer(["calibrate", "one"]) == 0
+    table, model = Path("results/one/parameters.csv"), Path("two/model.py")
+    told = pd.read_csv(table)
+    told.assign(unit=told["unit"].where(told["parameter"] != "a", "kg")).to_csv(table, index=False)
+    assert cli.answer(["compare", "two"]) == 2
+    said = capsys.readouterr().err
+    assert "a is in kg" in said and "parameters.csv" in said
+    told.to_csv(table, index=False)
+    model.write_text(model.read_text().replace("2.0, 1.0, 3.0)", '2.0, 1.0, 3.0, "mm")'))
+    assert cli.answer(["compare", "two"]) == 2
+    said = capsys.readouterr().err
+    assert "a is in mm here and in - in one" in said and "study.toml" in said
+
+
 def test_what_the_first_phase_does_not_know_exactly_widens_the_second(phases):
     """r = a c and s = b + c, a and b to 0.01 / sqrt(2) each from their sum and difference."""
     assert cli.answer(["calibrate", "two"]) == 0

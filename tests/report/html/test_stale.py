@@ -191,6 +191,11 @@ def test_an_answer_of_another_version_of_calib_is_stale(sums, monkeypatch):
     assert set(stale().sentences) == {"compare", "sensitivity", "calibrate"}
 
 
+def test_a_file_of_the_user_is_no_answer_that_broke_off(sums):
+    Path("results/sums/effects.csv").write_text("mine\n")
+    assert not stale().sentences
+
+
 def test_every_table_belongs_to_a_question_that_was_asked(everything, plain):
     for folder in (everything, plain):
         asked = json.loads((folder / "record.json").read_text())["questions"]
