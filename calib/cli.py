@@ -316,6 +316,7 @@ def _explain(study: Study, folder: Results, root: Path) -> explanation.Explanati
     with progress.told() as step:
         answer = explanation.explain(study, folder, step, places.results_of(study, root))
     console.tell_explanation(study, answer, folder)
+    console.tell_traces(f"explain {study.file}", answer.traces)
     return answer
 
 

@@ -76,22 +76,29 @@ def complain(text: str) -> None:
 def complain_of_input(fault: InputError, arguments: list[str]) -> None:
     """One line for what the user has to mend; the traceback of a fault in his own code goes to the log."""
     text = str(fault)
-    log = None if fault.__cause__ is None else _log(arguments)
+    log = None if fault.__cause__ is None else _log(" ".join(arguments), traceback.format_exc())
     complain(text if log is None else f"{text.rstrip('.')}; the traceback is in {log}.")
 
 
 def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:
     """One line for what should not happen; its traceback goes to a log in the current directory."""
-    log = _log(arguments)
+    log = _log(" ".join(arguments), traceback.format_exc())
     if log is not None:
         complain(f"unexpected {type(fault).__name__}: {fault}; the details are in {log}")
 
 
-def _log(arguments: list[str]) -> Path | None:
-    """Put the traceback of what is being handled into a log in the current directory; where it cannot be, tell it."""
+def tell_traces(asked: str, traces: Sequence[str]) -> None:
+    """Put tracebacks of a user's code, without which an answer was found, into the log, and tell where they are."""
+    log = _log(asked, "\n".join(traces)) if traces else None
+    if log is not None:
+        say(f"The traceback is in {log}.")
+
+
+def _log(asked: str, trace: str) -> Path | None:
+    """Put a traceback into a log in the current directory; where it cannot be, tell it."""
     log = Path.cwd() / "calib-error.log"
     stamp = datetime.now(UTC).isoformat(timespec="seconds")
-    text = f"{stamp} calib {__version__}: {' '.join(arguments)}\n{traceback.format_exc()}\n"
+    text = f"{stamp} calib {__version__}: {asked}\n{trace}\n"
     try:
         with log.open("a", encoding="utf-8") as stream:
             stream.write(text)

@@ -99,6 +99,11 @@ def failure(outcome: Outcome) -> EvaluationError:
     return fault
 
 
+def as_cause(fault: EvaluationError) -> EvaluationError | None:
+    """A failure as the cause of what is told of it, where it has a traceback of the user's code to log."""
+    return fault if getattr(fault, "__notes__", ()) else None
+
+
 def told(fault: BaseException) -> str:
     """An exception in one line, with file and line of the user's code where it came up."""
     words, place = f"{type(fault).__name__}: {fault}", _place_of(fault)

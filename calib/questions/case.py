@@ -15,7 +15,7 @@ import pandas as pd
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.ledger import Ledger
-from calib.outcome import Outcome
+from calib.outcome import Outcome, as_cause
 from calib.questions.compare import Answer, answer_at, responses_at
 from calib.questions.explained_fit import explained_fit
 from calib.questions.judge import FitProgress, Judgement, RecordedResidual, Shared, criteria, fitted, judged
@@ -303,4 +303,5 @@ def _told(study: Study) -> Iterator[None]:
     try:
         yield
     except EvaluationError as fault:
-        raise InputError(str(fault), place=study.file, remedy="check the model over the search limits") from None
+        remedy = "check the model over the search limits"
+        raise InputError(str(fault), place=study.file, remedy=remedy) from as_cause(fault)

@@ -17,8 +17,9 @@ from calib.correlation.units import frequency_hint, response_hints
 from calib.errors import EvaluationError, InputError
 from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
-from calib.outcome import attempt, failure
+from calib.outcome import as_cause, attempt, failure
 from calib.questions.record import begin_answer, write_record
+from calib.questions.recorded import traced
 from calib.questions.scatter import scatter_notes
 from calib.results import Results
 from calib.study import Problem, Study
@@ -181,14 +182,15 @@ def _plain_answer(study: Study, problem: FunctionProblem, values: Mapping[str, f
 
 def compare(study: Study, results: Results) -> Answer:
     """Model at its adopted values against the measurement, nothing fitted; writes the ``*_before`` tables."""
+    adopted = study.model.space.values
     try:
-        answer = answer_at(study, study.model.space.values)
+        answer = answer_at(study, adopted)
     except EvaluationError as fault:
         raise InputError(
             f"the model cannot be evaluated at its adopted values: {fault}",
             place=study.file,
             remedy="check parameter values, supports and mode_count",
-        ) from (fault if getattr(fault, "__notes__", ()) else None)
+        ) from as_cause(traced(study.problem, adopted, fault))
     begin_answer(results, "compare")
     write_answer(results, answer, "before")
     findings = [(f.kind, " ".join(f.sensors), f.mac_before, f.mac_after, f.sentence) for f in answer.findings]

@@ -39,8 +39,10 @@ from calib.missing.tables import (
 from calib.missing.verdict import GROUPS as WORDS
 from calib.missing.verdict import misfit_at, sentences
 from calib.missing.visible import smallest_visible, visible_within_limits
+from calib.outcome import Outcome, as_cause, failure
 from calib.questions.budget import Budget
 from calib.questions.explained_fit import TABLE, explained_fits
+from calib.questions.failures import SHOWN, reasons
 from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
@@ -88,6 +90,10 @@ class Side(Protocol):
         """Effects with which the model failed somewhere."""
         ...
 
+    def failed(self) -> list[Outcome]:
+        """Points at which the user's code failed."""
+        ...
+
     def prospects(self, found: Findings) -> Prospects | None:
         """What else could be measured."""
         ...
@@ -123,6 +129,8 @@ class Explanation:
     figures : mapping from str to object
         Further numbers of the summary.
     seconds : float
+    traces : tuple of str
+        Tracebacks of the commonest failures in the user's code.
     """
 
     findings: Findings
@@ -133,6 +141,7 @@ class Explanation:
     tables: dict[str, pd.DataFrame]
     figures: dict[str, object]
     seconds: float
+    traces: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -180,9 +189,9 @@ def explain(
     try:
         found = engine.explain(side.hypotheses, settings, progress)
     except EvaluationError as fault:
-        raise InputError(
-            f"the model cannot be fitted: {fault}", place=study.file, remedy="check values, limits and supports"
-        ) from None
+        words, cause = _not_fitted(side, fault)
+        remedy = "check values, limits and supports" if cause is None else "correct the function that fails"
+        raise InputError(f"the model cannot be fitted: {words}", place=study.file, remedy=remedy) from cause
     answer = _answer(side, found, progress, started)
     answer = replace(answer, notes=(*check_repeats(study), *answer.notes))
     begin_answer(results, "explain")
@@ -195,6 +204,17 @@ def explain(
     results.write_json("explanation", summary(study, answer))
     write_record(study, results, "explain", seeds)
     return answer
+
+
+def _not_fitted(side: Side, fault: EvaluationError) -> tuple[str, EvaluationError | None]:
+    """Why nothing could be fitted, and the commonest failure of the user's own code, where that has failed."""
+    words, failed = str(fault), side.failed()
+    if not failed:
+        return words, None
+    common = reasons(failed)[0]
+    if common.error not in words:
+        words = f"{words}; {len(failed)} point{'s' * (len(failed) > 1)} failed, most with {common.error}"
+    return words, as_cause(failure(common.first))
 
 
 def _answer(side: Side, found: Findings, progress: Progress, started: float) -> Explanation:
@@ -247,7 +267,8 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
         tables["discretisation"] = budget.table
         figures["discretisation"] = budget.largest
     seconds = time.perf_counter() - started
-    return Explanation(found, words, tuple(notes), effects, errors, tables, figures, seconds)
+    traces = tuple(reason.first.trace for reason in reasons(side.failed())[:SHOWN] if reason.first.trace)
+    return Explanation(found, words, tuple(notes), effects, errors, tables, figures, seconds, traces)
 
 
 def _confirmed(side: Side, found: Findings) -> tuple[Findings, pd.DataFrame, list[str], dict[str, object]]:

@@ -38,11 +38,14 @@ class Failure(NamedTuple):
     values : dict
         All parameters, those of these effects included, each in its own unit.
     error : str
+    trace : str
+        Traceback of what went wrong in the user's code; empty without one.
     """
 
     effects: tuple[str, ...]
     values: dict[str, float]
     error: str
+    trace: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +112,7 @@ class Answers:
         if key not in self._found:
             outcome = attempt(problem.evaluate, given)
             if outcome.error:
-                self.failures.append(Failure(active, given, outcome.error))
+                self.failures.append(Failure(active, given, outcome.error, outcome.trace))
                 self._found[key] = outcome.error
             else:
                 residual = self._whitened.residual(outcome.responses)

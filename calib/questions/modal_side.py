@@ -17,6 +17,7 @@ from calib.missing.advice import Prospects
 from calib.missing.explain import require_modes
 from calib.missing.findings import Findings, Trial
 from calib.missing.refits import DEFAULT
+from calib.outcome import Outcome
 from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import modal_hypotheses
@@ -106,6 +107,10 @@ class ModalSide:
     def failing(self) -> set[str]:
         """An effect without which the model is solved has failed where it is not among the candidates."""
         return set()
+
+    def failed(self) -> list[Outcome]:
+        """None: matrices run no code of the user's at a point, and their effects are built before any is solved."""
+        return []
 
     def prospects(self, found: Findings) -> Prospects | None:
         """What else could be measured, seen from what may be the truth."""

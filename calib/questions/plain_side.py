@@ -13,6 +13,7 @@ from calib.correlation.problem import FunctionProblem
 from calib.function import FunctionModel, extend_function
 from calib.missing.advice import Prospects
 from calib.missing.findings import Findings, Trial
+from calib.outcome import Outcome
 from calib.questions.budget import Budget
 from calib.questions.function_hypotheses import Failure, FunctionHypotheses
 from calib.questions.scatter import scatter_notes
@@ -96,6 +97,10 @@ class PlainSide:
     def failing(self) -> set[str]:
         """Effects of all points that failed."""
         return {name for failure in self.hypotheses.failures for name in failure.effects}
+
+    def failed(self) -> list[Outcome]:
+        """All points that failed."""
+        return [Outcome(f.values, "failed", {}, f.error, trace=f.trace) for f in self.hypotheses.failures]
 
     def prospects(self, found: Findings) -> Prospects | None:
         """A function does not tell what else could be measured."""

@@ -80,6 +80,17 @@ def asked_anew(problem: FunctionProblem | ModalProblem, values: Mapping[str, flo
     return attempt(problem.evaluate, values)
 
 
+def traced(
+    problem: FunctionProblem | ModalProblem, values: Mapping[str, float], fault: EvaluationError
+) -> EvaluationError:
+    """A failure with the traceback of the user's code, which no ledger keeps: the point is asked once more for it."""
+    known = isinstance(problem, FunctionProblem) and isinstance(problem.function, RecordedFunction)
+    if not known or Outcome(dict(values), "failed", {}, str(fault)).transient:
+        return fault
+    again = asked_anew(problem, values)
+    return failure(again) if again.status == "failed" else fault
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedModes:
     """The whitened residual of modes and its derivatives; the ledger keeps both, since they need modes.

@@ -128,6 +128,73 @@ def test_equal_names_in_two_studies_are_two_modules(edited, tmp_path):
     assert Study.load(tmp_path / "one").problem.evaluate({})["y"] == 12345.0
 
 
+BENT = """
+from calib.effect import Effect
+from calib.space import Parameter
+
+def broken(model):
+    def bent(values):
+        return {name: y for name, x in model.function(values).items()}  # here
+    return bent
+
+def sound(model):
+    def bent(values):
+        return {name: x + values["other"] * x**2 for name, x in model.function(values).items()}
+    return bent
+
+def library():
+    def effect(name, build):
+        return Effect(name, name, "It is straight.", "Bends.", Parameter(name, 0.0, -1.0, 1.0, prior_sd=0.5), build)
+    return (effect("bend", broken), effect("other", sound))[:COUNT]
+"""
+RESPONSES = {1: 3.2, 2: 5.5, 3: 7.1, 4: 9.9, 5: 16.0}
+"""Made up: no values of the two parameters give them."""
+
+
+@pytest.fixture
+def bent(plain):
+    """Makes the plain study with five responses and a library whose first effect fails wherever it is asked."""
+
+    def make(count: int, head: str = "") -> Path:
+        folder = plain(
+            "def answer(values):\n    return {f'y{k}': values['a'] * k + values['b'] for k in range(1, 6)}\n"
+        )
+        rows = [f"y{k},{y},0.01\n" for k, y in RESPONSES.items()]
+        (folder / "measured.csv").write_text("".join(["response,value,std\n", *rows]))
+        (folder / "effects.py").write_text(BENT.replace("COUNT", str(count)))
+        study = folder / "study.toml"
+        study.write_text(f'effects = "effects.py:library"\n{head}\n{study.read_text()}')
+        return folder
+
+    return make
+
+
+def fault_of(folder: Path) -> str:
+    return f"NameError: name 'y' is not defined (effects.py, line {line_of(folder / 'effects.py', '# here')})"
+
+
+def test_an_exception_in_the_only_effect(bent, capsys):
+    folder = bent(1)
+    assert fault_of(folder) in told(capsys, "explain", str(folder))
+    assert "# here" in LOG.read_text()
+
+
+def test_an_exception_in_one_effect_of_several(bent, capsys):
+    folder = bent(2)
+    assert cli.answer(["explain", str(folder)]) == 0
+    assert fault_of(folder) in " ".join(capsys.readouterr().out.split())
+    assert "# here" in LOG.read_text() and "NameError" in LOG.read_text()
+
+
+@pytest.mark.parametrize("options", [[], ["--method", "gauss-newton"]])
+def test_an_exception_in_an_effect_that_a_calibrated_model_has(bent, capsys, options):
+    folder = bent(2, 'with_effects = ["bend"]')
+    for _ in range(2):  # the second time the ledger knows what failed
+        assert fault_of(folder) in told(capsys, "calibrate", str(folder), *options)
+        assert "# here" in LOG.read_text()
+        LOG.unlink()
+
+
 def test_a_module_that_is_nowhere(edited):
     folder = edited("import numpy as np", "import numpy as np\nimport nowhere_at_all")
     with pytest.raises(InputError, match="nowhere_at_all") as caught:
