@@ -11,7 +11,6 @@ from pathlib import Path
 from types import MappingProxyType
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
-from calib.correlation.responses import response_rows
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import code_files, digest_of, digest_of_files
@@ -22,7 +21,7 @@ from calib.measurement.accuracy import Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_measurement
-from calib.measurement.responses import MeasuredResponses, read_responses
+from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
 from calib.settings import StudySettings, line_of, read_settings
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
@@ -412,7 +411,7 @@ class _Reader:
         given = self.settings.measurement
         if given.responses:
             responses = read_responses(self._path(given.responses, "measurement", "responses"), given.pooling)
-            kinds = {row.sensor: row.kind for row in response_rows(responses.targets)}
+            kinds = response_kinds(responses.targets)
             try:
                 return None, responses.pooled(kinds).claiming(kinds, given.accuracy)
             except InputError as fault:

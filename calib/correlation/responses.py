@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from calib.freedom import repeats_freedom
+from calib.measurement.responses import response_kinds
 
 
 class ResponseRow(NamedTuple):
@@ -17,7 +17,7 @@ class ResponseRow(NamedTuple):
     mode : str
         Empty.
     kind : str
-        Beginning of the name up to the first underscore where several responses share it, else ``response``.
+        See `calib.measurement.responses.response_kinds`.
     sensor : str
         Name of the response.
     """
@@ -29,11 +29,7 @@ class ResponseRow(NamedTuple):
 
 def response_rows(names: Iterable[str]) -> tuple[ResponseRow, ...]:
     """Rows of the residual of some plain responses, in their order."""
-    names = tuple(names)
-    heads = {name: name.split("_", 1)[0] for name in names if "_" in name}
-    shared = Counter(heads.values())
-    kinds = {name: head for name, head in heads.items() if head and shared[head] > 1}
-    return tuple(ResponseRow("", kinds.get(name, "response"), name) for name in names)
+    return tuple(ResponseRow("", kind, name) for name, kind in response_kinds(names).items())
 
 
 def response_freedom(names: Iterable[str], repeats: float | None, shares: Mapping[str, float]) -> dict[str, float]:

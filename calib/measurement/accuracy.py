@@ -122,7 +122,7 @@ def widened(
     ----------
     targets : mapping from response name to (value, std or None)
     kinds : mapping from response name to kind
-        See `calib.updating.differences.response_rows`.
+        See `calib.measurement.responses.response_kinds`.
     given
         A share for all responses, or shares and numbers by the name of a response or of a kind; a name goes first.
 

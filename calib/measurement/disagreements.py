@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.mac import mac
 from calib.measurement.average import mean_and_std, scaled
-from calib.measurement.outliers import SHAPE_RESOLUTION, find_outlying, quantum
+from calib.measurement.outliers import NAMED_LEVEL, SHAPE_RESOLUTION, VALUE_LEVEL, emptied, far_values, find_outlying
 
 Pooling = Literal["robust", "plain"]
 Kind = Literal["frequency", "damping", "shape", "sensor", "entry", "response"]
@@ -48,7 +48,7 @@ class Disagreement:
     std_with, std_without : float
         Standard deviation of the mean with and without it; of shapes the root mean square over the place.
     left_out : bool
-        Whether mean and scatter are without it.
+        Whether mean and scatter are without it. A single value that is far, but not beyond doubt, is named and kept.
     sentence : str
     """
 
@@ -142,48 +142,70 @@ _UNIT = {"frequency": " Hz", "damping": "", "response": ""}
 
 
 def value_disagreements(
-    kind: Kind, repeats: Sequence[str], names: Sequence[str], table: np.ndarray, robust: bool
+    kind: Kind,
+    repeats: Sequence[str],
+    names: Sequence[str],
+    table: np.ndarray,
+    robust: bool,
+    alike: Sequence[str] | None = None,
 ) -> list[Disagreement]:
-    """Single values (n_repeats, n_values) that disagree with those of the other repeats, in relation to their size."""
-    known = np.isfinite(table)
-    size = np.array([np.abs(np.median(c[k])) if k.any() else 0.0 for c, k in zip(table.T, known.T, strict=True)])
-    usable = size > 0
-    relative = np.where(usable, table / np.where(usable, size, 1.0), np.nan)
-    rounding = np.where(usable, quantum(table) / np.where(usable, size, 1.0), 0.0) / np.sqrt(12.0)
-    found = find_outlying(relative[:, :, None], np.maximum(rounding, 1e-6))
-    cleaned = table.copy()
-    for one in found:
-        cleaned[one.repeat, one.group] = np.nan
-    (mean, std), (clean_mean, clean_std) = mean_and_std(table), mean_and_std(cleaned)
+    """Single values (n_repeats, n_values) that disagree with those of the other repeats, in relation to their size.
+
+    Those that are far at `VALUE_LEVEL` are left out if ``robust``; of the others, those at `NAMED_LEVEL` are named
+    and kept.
+
+    Parameters
+    ----------
+    kind, repeats, names
+    table : ndarray (n_repeats, n_values)
+        NaN where unknown.
+    robust : bool
+        Whether mean and scatter go without what is found.
+    alike : sequence of str, length n_values, optional
+        Kind of each value; only values of one kind are taken to scatter alike. All of one by default.
+    """
+    groups = np.array(alike if alike is not None else [""] * len(names))
+    places = [np.flatnonzero(groups == own) for own in dict.fromkeys(groups.tolist())]
+    far = [one for columns in places for one in far_values(table, columns, VALUE_LEVEL / len(places))]
+    rest = emptied(table, far)
+    near = [one for columns in places for one in far_values(rest, columns, NAMED_LEVEL / len(places))]
     out = []
-    for one in found:
-        k, g = one.repeat, one.group
-        label = f"{kind} of mode {names[g]}" if kind != "response" else f"response {names[g]}"
-        unit = _UNIT[kind]
-        with_, rest = f"{mean[g]:.5g} ± {std[g]:.2g}{unit}", f"{clean_mean[g]:.5g} ± {clean_std[g]:.2g}{unit}"
-        done = f"left out: the mean is {rest}, with it {with_}" if robust else f"kept: {with_}, without it {rest}"
-        sentence = (
-            f"{repeats[k]}: the {label}, {table[k, g]:.5g}{unit}, is {one.times:.3g} standard deviations of a repeat "
-            f"from the others; {done}"
-        )
-        out.append(
-            Disagreement(
-                kind,
-                repeats[k],
-                names[g],
-                "",
-                one.times,
-                float(table[k, g]),
-                float(mean[g]),
-                float(clean_mean[g]),
-                float(std[g]),
-                float(clean_std[g]),
-                robust,
-                sentence,
-                (k, -1, g),
+    for found, before, left_out in ((far, table, robust), (near, rest if robust else table, False)):
+        (mean, std), (clean_mean, clean_std) = mean_and_std(before), mean_and_std(emptied(before, found))
+        for one in sorted(found, key=lambda one: -one.times):
+            k, g = one.repeat, one.group
+            influence = (float(mean[g]), float(clean_mean[g]), float(std[g]), float(clean_std[g]))
+            value, count = float(table[k, g]), int(np.isfinite(table[:, g]).sum())
+            sentence = _value_sentence(kind, names[g], value, one.times, influence, count, found is far, robust)
+            sentence, index = f"{repeats[k]}: {sentence}", (k, -1, g)
+            out.append(
+                Disagreement(kind, repeats[k], names[g], "", one.times, value, *influence, left_out, sentence, index)
             )
-        )
     return out
+
+
+def _value_sentence(
+    kind: Kind,
+    name: str,
+    value: float,
+    times: float,
+    influence: tuple[float, float, float, float],
+    count: int,
+    far: bool,
+    robust: bool,
+) -> str:
+    mean, clean_mean, std, clean_std = influence
+    unit = _UNIT[kind]
+    label = f"{kind} of mode {name}" if kind != "response" else f"response {name}"
+    with_, rest = f"{mean:.5g} ± {std:.2g}{unit}", f"{clean_mean:.5g} ± {clean_std:.2g}{unit}"
+    share = 100.0 * abs(value - clean_mean) / abs(clean_mean) if clean_mean else float("inf")
+    done = f"left out: the mean is {rest}, with it {with_}" if robust else f"kept: {with_}, without it {rest}"
+    if not far:
+        done = f"kept, as {count} repeats are too few to leave it out safely: the mean is {with_}, without it {rest}"
+    return (
+        f"the {label}, {value:.5g}{unit}, is {share:.2g} % from the mean of the others, {times:.3g} standard "
+        f"deviations of a repeat; {done}"
+    )
 
 
 # -- shapes ------------------------------------------------------------------------------------------------------------

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
 LEVEL = 2e-4
 """Chance that anything in one table of Gaussian repeats is called outlying."""
+VALUE_LEVEL = 5e-4
+"""The same of a table of single numbers, which is tested once; shapes are tested as entries, channels and modes."""
+NAMED_LEVEL = 1e-2
+"""Chance below which a single number is named but kept."""
 REPEATS_FEWEST = 3
 """Of two repeats that disagree, nothing tells which one is wrong."""
 OUTLIERS_MOST = 10
 """Outliers sought in one group, and never half of it or more."""
-GROUPS_FEWEST = 4
+GROUPS_FEWEST = 3
 """With fewer groups their variances do not tell what a group without much data may have."""
-SPREAD_DOUBT = 2.5
-"""Relative standard error of a squared median absolute deviation, times the root of the number of values."""
+ALIKE = (2.0, 4.0, 8.0, 16.0, 64.0)
+"""Degrees of freedom that the variances of groups may have around their common one, all as likely beforehand.
+
+The standard deviations of groups then spread by a factor of 1.9, 1.5, 1.3, 1.2 and 1.1.
+"""
+SPOILT, SPOILT_WIDTH = 0.05, 14.0
+"""Share of groups whose variance an outlier spoils, and the width over which its logarithm may then lie."""
 SHAPE_RESOLUTION = 1e-4
 """Standard deviation, in parts of the largest entry, that rounding alone gives shapes."""
 
@@ -47,16 +57,19 @@ def find_outlying(
 
     The generalised extreme studentised deviate test (Rosner 1983) over the repeats of each group: the most distant
     repeat is taken out, up to `OUTLIERS_MOST` times and short of half of them; all that were taken out up to the last
-    significant one are outlying, so that two alike do not mask each other. A distance is judged by an F test of
+    significant one are outlying, so that two alike do not mask each other. What was found is left out of the other
+    groups' variances, and all is tested again until nothing more is found. A distance is judged by an F test of
 
         ``|x_k - mean of the others|^2 (n - 1)/n / s^2``,
 
     on 1 (complex: 2) and as many times ``n - 2`` degrees of freedom: the errors within one block may move together, so
-    that a block counts as a single observation. Three repeats know little about their scatter; ``s^2`` is therefore
-    moderated by the other groups (Smyth 2004): ``(d0 s0^2 + d s^2)/(d0 + d)``, where ``s0^2`` and the ``d0`` degrees of
-    freedom come from the median and the median absolute deviation of the logarithms of the groups' variances. Groups
-    that scatter differently give a small ``d0``, and each is judged by itself. The level is divided by the number of
-    blocks (Bonferroni).
+    that a block counts as a single observation. Few repeats know little about their scatter; ``s^2`` is therefore
+    moderated by the other groups (Smyth 2004): ``(d0 s0^2 + d s^2)/(d0 + d)``. What a group borrows never rests on the
+    group itself, so that an outlier is not compared with its own variance: ``s0^2`` is the median of the logarithms of
+    the other groups' variances, and its uncertainty lessens the degrees of freedom borrowed. How alike the variances
+    of groups are, a few groups cannot tell; the chance is the mean over `ALIKE`, weighted by the likelihood of the
+    other groups' variances, each of which an outlier may have spoilt. Groups that scatter differently thus lend
+    little. The level is divided by the number of blocks (Bonferroni).
 
     Parameters
     ----------
@@ -84,34 +97,57 @@ def find_outlying(
     # as differences from one of the repeats, so that squares do not cancel
     values = np.where(kept, blocks - _some(blocks), 0.0)
     start = kept.any(axis=2).sum(axis=0)
-    tests = max(int(start.sum()), 1)
     floor = np.broadcast_to(np.asarray(resolution, dtype=float) ** 2, (n_groups,))
+    least = level / max(int(start.sum()), 1)
+    found: list[Outlying] = []
+    while more := _outlying(values, kept, start, floor, parts, least):
+        found += more
+        for one in more:
+            kept[one.repeat, one.group] = False
+            values[one.repeat, one.group] = 0.0
+    return tuple(sorted(found, key=lambda one: -one.times))
+
+
+def _outlying(
+    values: np.ndarray, kept: np.ndarray, start: np.ndarray, floor: np.ndarray, parts: int, least: float
+) -> list[Outlying]:
+    """Blocks whose chance is below ``least``; of each group fewer than half of those it had at the ``start``."""
+    n_groups = len(start)
+    count = kept.any(axis=2).sum(axis=0)
+    lent = _lent(_variance(values, kept, floor), parts * (count - 1.0), count > 1)
+    values, kept = values.copy(), kept.copy()
     removed: list[list[Outlying]] = [[] for _ in range(n_groups)]
     last = np.zeros(n_groups, dtype=int)
-    for _ in range(min(OUTLIERS_MOST, (n_repeats - 1) // 2)):
+    for _ in range(min(OUTLIERS_MOST, (len(values) - 1) // 2)):
         count = kept.any(axis=2).sum(axis=0)
         active = (count >= REPEATS_FEWEST) & (2 * (start - count + 1) < start)
         if not active.any():
             break
         distance, excess, others = _leave_one_out(values, kept)
         freedom = parts * (count - 2.0)
-        borrowed, common = _prior(_variance(values, kept, floor), parts * (count - 1.0), active)
-        scale = (borrowed * common + freedom * np.maximum(others, floor)) / np.maximum(borrowed + freedom, 1e-9)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(scale > 0, distance / scale, np.where(distance > 0, np.inf, 0.0))
-        ratio[~kept.any(axis=2)] = -1.0
-        worst = np.argmax(ratio, axis=0)
-        largest = ratio[worst, np.arange(n_groups)]
-        chance = special.fdtrc(parts, np.maximum(borrowed + freedom, 1e-9), np.maximum(largest, 0.0))
+        total = np.maximum(lent.borrowed + freedom, 1e-9)
+        own, given = freedom / total, lent.borrowed / total * lent.common
+        others = np.maximum(others, floor)
+        mean = (lent.weight * given).sum(axis=0) + (lent.weight * own).sum(axis=0) * others
+        worst = np.argmax(np.where(kept.any(axis=2), _ratio(distance, mean), -1.0), axis=0)
+        at = (worst, np.arange(n_groups))
+        times = np.sqrt(_ratio(distance[at], mean[at]))
+        ratio = _ratio(distance[at], given + own * others[at])
+        chance = (lent.weight * special.fdtrc(parts, total, ratio)).sum(axis=0)
         for g in np.flatnonzero(active).tolist():
             k = int(worst[g])
-            removed[g].append(Outlying(k, g, float(np.sqrt(largest[g])), float(excess[k, g])))
+            removed[g].append(Outlying(k, g, float(times[g]), float(excess[k, g])))
             kept[k, g] = False
             values[k, g] = 0.0
-            if chance[g] * tests < level:
+            if chance[g] < least:
                 last[g] = len(removed[g])
-    found = [one for g in range(n_groups) for one in removed[g][: last[g]]]
-    return tuple(sorted(found, key=lambda one: -one.times))
+    return [one for g in range(n_groups) for one in removed[g][: last[g]]]
+
+
+def _ratio(distance: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Distance over scale; of no scale infinite, unless there is no distance either."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(scale > 0, distance / scale, np.where(distance > 0, np.inf, 0.0)))
 
 
 def _some(blocks: np.ndarray) -> np.ndarray:
@@ -154,37 +190,104 @@ def _variance(values: np.ndarray, kept: np.ndarray, floor: np.ndarray) -> np.nda
     return np.asarray(np.maximum(each, floor))
 
 
-def _prior(variance: np.ndarray, freedom: np.ndarray, active: np.ndarray) -> tuple[float, float]:
-    """Degrees of freedom that a group borrows from the others, and their common variance."""
-    used = active & (variance > 0)
-    count = int(used.sum())
-    if count < GROUPS_FEWEST:
-        return 0.0, 0.0
+@dataclass(frozen=True)
+class _Lent:
+    """What the other groups tell about the variance of each: hypotheses (n_hypotheses, n_groups) with their weights."""
+
+    weight: np.ndarray
+    borrowed: np.ndarray
+    common: np.ndarray
+
+
+def _lent(variance: np.ndarray, freedom: np.ndarray, known: np.ndarray) -> _Lent:
+    """Degrees of freedom that each group may borrow from the others, and their common variance."""
+    n_groups = len(variance)
+    used = np.flatnonzero(known & (variance > 0))
+    if len(used) < GROUPS_FEWEST:
+        nothing = np.zeros((1, n_groups))
+        return _Lent(nothing + 1.0, nothing, nothing)
     half = freedom[used] / 2.0
+    # of a chi square, so that the mean is the logarithm of the variance
     logs = np.log(variance[used]) - special.digamma(half) + np.log(half)
-    middle = float(np.median(logs))
-    spread = (1.4826 * float(np.median(np.abs(logs - middle)))) ** 2
-    # a spread seen in few groups may be larger than it looks; to borrow less is the safe side
-    beyond = spread * (1.0 + SPREAD_DOUBT / np.sqrt(count)) - float(np.mean(special.polygamma(1, half)))
-    # so few groups cannot vouch for more
-    most = float(count)
-    borrowed = most if beyond <= special.polygamma(1, most / 2.0) else 2.0 * _inverse_trigamma(beyond)
-    return borrowed, float(np.exp(middle + special.digamma(borrowed / 2.0) - np.log(borrowed / 2.0)))
+    others = np.full(n_groups, len(used))
+    others[used] -= 1
+    middle = np.full(n_groups, np.median(logs))
+    middle[used] = _median_of_others(logs)
+    alike = np.array(ALIKE)[:, None] / 2.0
+    within = float(np.mean(special.polygamma(1, half)))
+    # a median knows the middle of Gaussian numbers as well as 2/pi times as many do by their mean
+    spread = special.polygamma(1, alike)
+    doubt = spread + np.pi / 2.0 * (spread + within) / others
+    borrowed = 2.0 * _inverse_trigamma(doubt)
+    common = np.exp(middle + special.digamma(borrowed / 2.0) - np.log(borrowed / 2.0))
+    scale = np.median(logs) + special.digamma(alike) - np.log(alike)
+    z = np.log(variance[used]) - scale
+    density = np.exp(
+        half * (np.log(half / alike) + z)
+        - (half + alike) * np.log1p(half / alike * np.exp(z))
+        - special.betaln(half, alike)
+    )
+    likelihood = np.log((1.0 - SPOILT) * density + SPOILT / SPOILT_WIDTH)
+    log_weight = np.repeat(likelihood.sum(axis=1, keepdims=True), n_groups, axis=1)
+    log_weight[:, used] -= likelihood
+    weight = np.exp(log_weight - log_weight.max(axis=0))
+    return _Lent(weight / weight.sum(axis=0), borrowed, common)
 
 
-def _inverse_trigamma(value: float) -> float:
+def _median_of_others(values: np.ndarray) -> np.ndarray:
+    """Median of all values (n,) but one, for each of them; n > 1."""
+    order = np.argsort(values, kind="stable")
+    rank = np.empty(len(values), dtype=int)
+    rank[order] = np.arange(len(values))
+    ordered, rest = values[order], len(values) - 1
+    low, high = (rest - 1) // 2, rest // 2
+    return np.asarray((ordered[low + (rank <= low)] + ordered[high + (rank <= high)]) / 2.0)
+
+
+def _inverse_trigamma(value: np.ndarray) -> np.ndarray:
     """Argument at which the trigamma function has a value > 0, by Newton's method on its reciprocal (Smyth 2004)."""
     x = 0.5 + 1.0 / value
     for _ in range(50):
-        first, second = float(special.polygamma(1, x)), float(special.polygamma(2, x))
+        first, second = special.polygamma(1, x), special.polygamma(2, x)
         step = first * (1.0 - first / value) / second
-        x += step
-        if abs(step) < 1e-8 * x:
+        x = x + step
+        if np.all(np.abs(step) < 1e-8 * x):
             break
-    return x
+    return np.asarray(x)
 
 
-def quantum(table: np.ndarray) -> float:
+def far_values(table: np.ndarray, columns: np.ndarray, level: float) -> list[Outlying]:
+    """Single values that are far from those of the other repeats.
+
+    Parameters
+    ----------
+    table : ndarray (n_repeats, n_values)
+        NaN where unknown.
+    columns : ndarray of int
+        Values whose relative scatter may be alike; the others are not looked at.
+    level : float
+        Chance of any finding among Gaussian repeats.
+    """
+    own = table[:, columns]
+    known = np.isfinite(own)
+    size = np.array([np.abs(np.median(c[k])) if k.any() else 0.0 for c, k in zip(own.T, known.T, strict=True)])
+    usable = size > 0
+    divisor = np.where(usable, size, 1.0)
+    rounding = np.where(usable, _quantum(own) / divisor, 0.0) / np.sqrt(12.0)
+    relative = np.where(usable, own / divisor, np.nan)
+    found = find_outlying(relative[:, :, None], np.maximum(rounding, 1e-6), level)
+    return [replace(one, group=int(columns[one.group])) for one in found]
+
+
+def emptied(table: np.ndarray, found: Sequence[Outlying]) -> np.ndarray:
+    """A table (n_repeats, n_values) with NaN at what was found."""
+    out = table.copy()
+    for one in found:
+        out[one.repeat, one.group] = np.nan
+    return out
+
+
+def _quantum(table: np.ndarray) -> float:
     """Smallest difference between repeats (n_repeats, n_groups): what rounding leaves; 0 where all are the same."""
     ordered = np.sort(table, axis=0)
     steps = np.diff(ordered, axis=0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -60,7 +61,7 @@ class MeasuredResponses:
         Parameters
         ----------
         kinds : mapping from response name to kind
-            See `calib.correlation.responses.response_rows`.
+            See `response_kinds`.
         """
         if self.repeats is None:
             return self
@@ -102,6 +103,15 @@ class MeasuredResponses:
         return replace(self, targets=targets, shares=shares)
 
 
+def response_kinds(names: Iterable[str]) -> dict[str, str]:
+    """Kind of each plain response: its name up to the first underscore where several share it, else ``response``."""
+    names = tuple(names)
+    heads = {name: name.split("_", 1)[0] for name in names if "_" in name}
+    shared = Counter(heads.values())
+    kinds = {name: head for name, head in heads.items() if head and shared[head] > 1}
+    return {name: kinds.get(name, "response") for name in names}
+
+
 def read_responses(path: Path, pooling: Pooling = "robust") -> MeasuredResponses:
     """Read plain responses from a table, see `calib.measurement.csv_format.read_responses_csv`.
 
@@ -134,7 +144,9 @@ def read_responses(path: Path, pooling: Pooling = "robust") -> MeasuredResponses
     given = {n: [table[n][1] for table in tables.values() if n in table] for n in names}
     if any(std is not None for n in names if len(given[n]) > 1 for std in given[n]):
         notes.append(f"the deviations in the file are not used: the scatter between {len(tables)} repeats is")
-    found = value_disagreements("response", labels, names, values, pooling == "robust")
+    found = value_disagreements(
+        "response", labels, names, values, pooling == "robust", list(response_kinds(names).values())
+    )
     for one in found:
         if one.left_out:
             values[one.index[0], one.index[2]] = np.nan

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.correlation.responses import response_rows
 from calib.effect import Effect
 from calib.function import FunctionModel
+from calib.measurement.responses import response_kinds
 from calib.space import Parameter, ParameterSpace
 
 RELATIVE = 0.3
@@ -22,7 +22,7 @@ Function = Callable[[Mapping[str, float]], Mapping[str, float]]
 
 def blocks_of(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Responses that may be off together: those of one kind, or each by itself where all are of one kind."""
-    kinds = {row.sensor: row.kind for row in response_rows(names)}
+    kinds = response_kinds(names)
     if len(set(kinds.values())) == 1:
         return {name: (name,) for name in names}
     return {kind: tuple(n for n in names if kinds[n] == kind) for kind in dict.fromkeys(kinds.values())}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calib.measurement.disagreements import value_disagreements
 from calib.measurement.outliers import find_outlying
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 
@@ -101,6 +102,75 @@ def test_a_bad_frequency_and_its_influence():
     assert one.value == pytest.approx(given[4].natural_freq[3])
     assert robust.freq_count.tolist() == [5, 5, 5, 4, 5, 5]
     assert robust.natural_freq[3] == pytest.approx(FREQ[3], rel=0.005)
+
+
+def frequencies(rng, count, modes=5, uneven=0.0):
+    """Frequencies (n_repeats, n_modes) that scatter by 0.2 %, in modes unlike by a factor exp(uneven)."""
+    scatter = 0.002 * np.exp(uneven * rng.normal(size=modes))
+    return np.linspace(8.0, 60.0, modes) * (1 + scatter * rng.normal(size=(count, modes)))
+
+
+def value_places(table, robust=True):
+    labels, names = [f"r{k}" for k in range(len(table))], [f"m{k}" for k in range(table.shape[1])]
+    found = value_disagreements("frequency", labels, names, table, robust)
+    assert robust or not any(one.left_out for one in found)
+    return {one.index[::2]: one.left_out for one in found}
+
+
+@pytest.mark.parametrize(("count", "times", "least"), [(5, 25, 0.95), (5, 10, 0.2), (3, 100, 0.95), (10, 10, 0.9)])
+def test_a_far_frequency_is_left_out(count, times, least):
+    """Five modes: what one far value does to the scatter of its own mode says nothing about that of the others."""
+    rng, runs, left_out = np.random.default_rng(20), 100, 0
+    for _ in range(runs):
+        table = frequencies(rng, count)
+        table[1, 3] *= 1 + 0.002 * times
+        left_out += value_places(table).get((1, 3), False)
+    assert left_out >= least * runs
+
+
+def test_far_frequencies_of_two_modes_do_not_mask_each_other():
+    rng, runs, left_out = np.random.default_rng(21), 100, 0
+    for _ in range(runs):
+        table = frequencies(rng, 5)
+        table[1, 3] *= 1.06
+        table[4, 0] *= 0.95
+        found = value_places(table)
+        left_out += found.get((1, 3), False) and found.get((4, 0), False)
+    assert left_out >= 0.9 * runs
+
+
+def test_what_three_repeats_cannot_decide_is_named_and_kept():
+    rng, runs, named, kept = np.random.default_rng(22), 100, 0, 0
+    for _ in range(runs):
+        table = frequencies(rng, 3)
+        table[1, 3] *= 1 + 0.002 * 25
+        found = value_places(table)
+        named += (1, 3) in found
+        kept += found.get((1, 3)) is False
+    assert named >= 0.9 * runs
+    assert kept > 0.3 * runs
+    given = repeats(10, 3)
+    given[2].natural_freq[3] *= 1.035
+    robust, plain = (combine_repeats(given, pooling=p) for p in ("robust", "plain"))
+    assert places(robust) == places(plain) == {("frequency", "r2", "", "d")}
+    (one,) = robust.disagreements
+    assert not one.left_out and one.value == given[2].natural_freq[3]
+    assert (one.mean_with, one.std_with) == pytest.approx((plain.natural_freq[3], plain.freq_std[3]))
+    assert one.mean_without == pytest.approx(np.mean([r.natural_freq[3] for r in given[:2]]))
+    np.testing.assert_array_equal(robust.natural_freq, plain.natural_freq)
+    np.testing.assert_array_equal(robust.freq_std, plain.freq_std)
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.5])
+@pytest.mark.parametrize("count", [3, 5, 10])
+def test_clean_frequencies_are_rarely_named_and_more_rarely_left_out(count, uneven):
+    rng, runs, named, left_out = np.random.default_rng(23), 200, 0, 0
+    for k in range(runs):
+        found = value_places(frequencies(rng, count, (4, 8, 12)[k % 3], uneven))
+        named += bool(found)
+        left_out += any(found.values())
+    assert named <= 0.05 * runs
+    assert left_out <= 0.01 * runs
 
 
 def test_of_two_repeats_none_is_left_out():

@@ -54,6 +54,23 @@ def test_an_outlier_is_named_with_its_influence(tmp_path):
     assert one.std_with > 5 * one.std_without
 
 
+def test_a_far_value_is_found_among_those_of_its_own_kind(tmp_path):
+    """Frequencies scatter by 0.1 %, shapes by 0.3 to 2 %: these say nothing about the scatter of a frequency."""
+    path, runs, left_out = tmp_path / "r.csv", 20, 0
+    truth = {f"freq_{k}": 4.5 * k for k in range(1, 6)} | {f"shape_{k}": 0.1 + 0.02 * k for k in range(25)}
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        scatter = {n: 0.001 if n.startswith("freq") else rng.uniform(0.003, 0.02) for n in truth}
+        table = {n: v * (1 + scatter[n] * rng.normal(size=5)) for n, v in truth.items()}
+        table["freq_2"][2] *= 1.05
+        rows = [f"{n},{v!r},{k}" for n, values in table.items() for k, v in enumerate(values.tolist())]
+        path.write_text("response,value,repeat\n" + "\n".join(rows) + "\n")
+        found = read_responses(path)
+        left_out += {d.mode for d in found.disagreements if d.left_out} == {"freq_2"}
+        assert {n for n, count in found.counts.items() if count < 5} <= {"freq_2"}
+    assert left_out >= 0.95 * runs
+
+
 def test_without_repeats_the_table_is_as_it_stands(tmp_path):
     path = tmp_path / "r.csv"
     path.write_text("response,value,std\na,1,0.1\nb,2,\n")
