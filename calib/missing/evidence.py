@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.linalg as la
+from scipy.optimize import minimize_scalar
 from scipy.special import log_ndtr
 
 from calib.effect import Effect
@@ -99,6 +100,33 @@ def favoured(ln_bayes: float, strength: float, std: float, prior_sd: float) -> f
     m = strength / (precision * std**2)
     best = np.sqrt(max(m**2 - 1 / precision, 0.0))
     return rescaled(ln_bayes, strength, std, prior_sd, min(float(best) / prior_sd, 1.0))
+
+
+def ln_wrong(difference: np.ndarray, covariance: np.ndarray) -> float:
+    """Largest log density, less ``-n/2 ln 2 pi``, of data that are wrong by errors of any common plausible size.
+
+    Independent normal errors of the size s raise the covariance C of the difference d between the data and what all
+    others predict to ``C + s^2 I``. As of every fault of a measurement that size counts which speaks most for it, see
+    `ln_evidence`; of one value it is ``s^2 = d^2 - C``.
+
+    Parameters
+    ----------
+    difference : ndarray (n,)
+        d, whitened.
+    covariance : ndarray (n, n)
+        C, of a right measurement.
+    """
+    own, axes = np.linalg.eigh(covariance)
+    square = (axes.T @ difference) ** 2
+
+    def ln(variance: float) -> float:
+        return -0.5 * float(np.sum(np.log(own + variance) + square / (own + variance)))
+
+    largest = float(np.max(square - own))  # beyond it no part of the sum grows
+    if largest <= 0:
+        return ln(0.0)
+    found = minimize_scalar(lambda u: -ln(np.exp(u) * largest), bounds=(-12.0, 0.0), method="bounded")
+    return max(-float(found.fun), ln(largest), ln(0.0))
 
 
 def expected_ln_bayes(score: float, rho: float) -> float:

@@ -21,6 +21,8 @@ from calib.missing.left_out import left_out
 from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
 from calib.missing.score import Scores, family_p
 from calib.missing.state import State, nearest_whole
+from calib.missing.suspect import suspects
+from calib.missing.wrong_datum import wrong_datum
 
 LEAST_MODES = 4
 """Fewer modes cannot tell an effect from a parameter."""
@@ -34,8 +36,8 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
     Calibrate; test whether the largest score among named effects and among unnamed local changes, or the goodness of
     fit, could be chance; fit the most promising effects; take the scatter for understated when most modes ask for it,
     and begin anew; accept an effect, or two, when the evidence outweighs the length of the library, no parameter has to
-    take an unbelievable value, no local change fits better, no fault of the measurement about as well, and nothing
-    organised is left.
+    take an unbelievable value, no local change fits better, no fault of the measurement and no single wrong datum
+    explains about as well, and nothing organised is left.
 
     Raises
     ------
@@ -100,6 +102,8 @@ class _Decision:
         )  # fmt: skip
         if check.passes(alpha):
             return plain
+        accused = suspects(base.state, hypotheses.rows, hypotheses.fitted_factors, hypotheses.scatter_freedom, alpha)
+        plain = replace(plain, suspects=accused)
         singles = fits.singles(base, groups, check.named, starts)
         atom = fits.best_atom(base, check.atoms, check.named, singles)
         fault = fits.fault(base, check.atoms, singles[0])
@@ -107,6 +111,7 @@ class _Decision:
             singles[0].ln_evidence, -math.inf if atom is None else atom.ln_evidence + CREDIBLE
         ):
             atom = fault
+        plain = replace(plain, datum=wrong_datum(fits, base, accused, singles[0]))
         # One of many local changes fits best by chance; against a named effect it pays for their number.
         unnamed = [t.ln_evidence for t in (atom, fault) if t is not None]
         rival = max(unnamed, default=-math.inf) - math.log(max(len(hypotheses.atoms) / len(groups), 1.0))
@@ -140,7 +145,8 @@ class _Decision:
                 return self.named(plain, singles, best, best_check)
         plain = replace(plain, trials=(*singles, *pairs), measured_scale=self.scale(base, best, atom, *pairs[:1]))
         second = 2 * CREDIBLE + math.log(max(len(groups) - 1, 1))
-        alone = -math.inf if fault is None else fault.ln_evidence + CREDIBLE
+        wrong = -math.inf if plain.datum is None else plain.datum.ln_evidence
+        alone = max(wrong, -math.inf if fault is None else fault.ln_evidence) + CREDIBLE
         pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival, alone), groups)
         if pair:
             pair_check = self.check(pair[0], self.beside(pair[0], able))
@@ -176,7 +182,8 @@ class _Decision:
     def named(self, found: Findings, singles: Sequence[Trial], best: Trial, check: Check) -> Findings:
         """One effect, or several that explain about as well and that a careful reader would believe.
 
-        Where a fault of the measurement explains about as well, nobody can tell either.
+        Where a fault of the measurement explains about as well, nobody can tell either. So it is with a single datum
+        without which everything fits. It does not pay for the number of data: that was asked of its chance already.
         """
         lowest = singles[0].ln_evidence - CREDIBLE
         fitted = {t.names[0] for t in singles}
@@ -191,9 +198,13 @@ class _Decision:
         fault = found.fault
         if fault is not None and fault.ln_evidence <= best.ln_evidence - CREDIBLE:
             fault = None
+        datum = found.datum
+        if fault is not None or (datum is not None and datum.ln_evidence <= best.ln_evidence - CREDIBLE):
+            datum = None
         found = replace(found, trials=tuple(singles))
-        verdict = "effect" if len(credible) == 1 and fault is None else "indistinguishable"
-        done = replace(self.done(found, verdict, best, check, credible), fault=fault)
+        alone = len(credible) == 1 and fault is None and datum is None
+        done = self.done(found, "effect" if alone else "indistinguishable", best, check, credible)
+        done = replace(done, fault=fault, datum=datum)
         return done.unconfirmed() if done.unrivalled else done
 
     def done(
@@ -202,7 +213,7 @@ class _Decision:
         """The findings with their verdict."""
         return replace(
             found, verdict=verdict, chosen=chosen, chosen_check=check, credible=credible, fault=None,
-            evaluations=self.fits.hypotheses.evaluations,
+            datum=None, evaluations=self.fits.hypotheses.evaluations,
         )  # fmt: skip
 
     def best(self, singles: Sequence[Trial], candidates: Sequence[Effect]) -> tuple[Trial, Check]:

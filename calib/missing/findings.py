@@ -10,6 +10,7 @@ from calib.effect import Effect
 from calib.missing.alike import Group
 from calib.missing.score import Scores
 from calib.missing.state import State
+from calib.missing.suspect import COLUMNS
 
 LEAST_FREEDOM = 2 - 1e-6
 """Effective degrees of freedom that a fit must leave for a name; priors take a little of the last one."""
@@ -87,6 +88,32 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
+class WrongDatum:
+    """The model without any effect, one datum wrong by whatever it takes.
+
+    Attributes
+    ----------
+    what : str
+        Such as ``frequency of 2B``.
+    kind : {"value", "shape", "mode", "sensor"}
+    ln_evidence : float
+        As that of a fitted model, see `calib.missing.evidence.ln_evidence`.
+    p_fit : float
+        Of goodness of fit of all other data.
+    """
+
+    what: str
+    kind: str
+    ln_evidence: float
+    p_fit: float
+
+    @property
+    def told(self) -> str:
+        """Such as ``a wrong frequency of 2B``."""
+        return f"a wrong {self.what}" if self.kind in ("value", "shape") else f"a wrong measurement of {self.what}"
+
+
+@dataclass(frozen=True, eq=False)
 class Findings:
     """Everything an explanation found.
 
@@ -121,6 +148,10 @@ class Findings:
         Whether single effects were fitted from the adopted values too, and not from the base fit alone.
     fault : Trial or None
         The fault of the measurement that explains about as well as the best effect of an ``indistinguishable`` answer.
+    datum : WrongDatum or None
+        The single datum whose being wrong explains about as well as that effect, or better; None beside a fault.
+    suspects : DataFrame
+        Data without which the base model fits, see `calib.missing.suspect.suspects`.
     """
 
     verdict: str
@@ -138,6 +169,8 @@ class Findings:
     alpha: float = 0.01
     begun_anew: bool = False
     fault: Trial | None = None
+    datum: WrongDatum | None = None
+    suspects: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(COLUMNS)))
 
     def ln_bayes(self, trial: Trial) -> float:
         """Log Bayes factor of a trial against the base model."""
@@ -174,12 +207,13 @@ class Findings:
 
     def unconfirmed(self) -> Findings:
         """The same without a name: what fits is the best attempt."""
-        return replace(self, verdict="unconfirmed", credible=(), fault=None)
+        return replace(self, verdict="unconfirmed", credible=(), fault=None, datum=None)
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Effects, and a fault of the measurement, that explain about as well as the best."""
-        return (*self.credible, *(() if self.fault is None else self.fault.names))
+        """Effects, and what may be wrong with the measurement, that explain about as well as the best."""
+        fault = () if self.fault is None else self.fault.names
+        return (*self.credible, *fault, *(() if self.datum is None else (self.datum.told,)))
 
     @property
     def singles(self) -> tuple[Trial, ...]:

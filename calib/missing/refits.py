@@ -44,6 +44,12 @@ _LEAST = 8
 _HOPELESS = 1.05
 """A rough fit that leaves so much more than another is not followed."""
 
+
+def near_to(reached: float) -> float:
+    """How far below the best what is fitted to the end may be, that having gained so much log evidence."""
+    return max(_CLOSE, _NEARLY * reached)
+
+
 Progress = Callable[[str], None]
 
 
@@ -164,7 +170,7 @@ class Refits:
             raise EvaluationError("no effect could be fitted")
         out.sort(key=lambda t: -t.ln_evidence)
         reached = out[0].ln_evidence - base.ln_evidence
-        near = max(_CLOSE, _NEARLY * reached)
+        near = near_to(reached)
         alike = {g.effect.name: g.others for g in groups}
         for one in tuple(out):
             close = out[0].ln_evidence - one.ln_evidence < near
@@ -174,7 +180,7 @@ class Refits:
         out.sort(key=lambda t: -t.ln_evidence)
         # Places of whole-number parameters may have followed what was missing: the best are allowed to move them back.
         reached = out[0].ln_evidence - base.ln_evidence
-        near = max(_CLOSE, _NEARLY * reached)
+        near = near_to(reached)
         for k, one in enumerate(out[:_POLISHED]):
             close = reached > CREDIBLE and out[0].ln_evidence - one.ln_evidence < near
             if close and not self.spent(EARLY if k else 1.0):
@@ -276,7 +282,7 @@ class Refits:
         reached = best.ln_evidence - base.ln_evidence
         if not usable.size or usable.max() <= 0 or self.spent():
             return None
-        if reached - usable.max() ** 2 / 2 > max(_CLOSE, _NEARLY * reached):
+        if reached - usable.max() ** 2 / 2 > near_to(reached):
             return None
         return self._local(found.owners[int(np.argmax(usable))], base, found, [best])
 

@@ -186,12 +186,16 @@ def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
             (found.ln_bayes(found.fault), f"a fault of the measurement: {local_change(found.fault).told}")
         )
         check = "Or: " + " ".join(e.look_for for e in found.fault.effects)
+    if found.datum is not None:
+        explaining.append((found.datum.ln_evidence - found.base.ln_evidence, found.datum.told))
+        check = f"Or measure the {found.datum.what} again."
     explaining.sort(key=lambda one: -one[0])
     odds = math.exp(explaining[0][0] - explaining[1][0])
     named = "; or ".join(words for _, words in explaining)
     credible = [e for n in rows["name"] for e in _effects(found) if e.name == n]
+    wrong = ", or a measurement is wrong" if len(explaining) > len(rows) else ""
     return [
-        f"Something is missing: {_family(found)}.",
+        f"Something is missing{wrong}: {_family(found)}.",
         f"These data cannot tell between: {named}. The odds of the first against the second are {rounded(odds)}:1.",
         _clean(found),
         "As it is, the model says: " + " ".join(e.lacks for e in credible),

@@ -20,6 +20,7 @@ from calib.questions.compare import Answer, answer_at, responses_at
 from calib.questions.explained_fit import explained_fit
 from calib.questions.judge import FitProgress, Judgement, RecordedResidual, Shared, criteria, fitted, judged
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
+from calib.questions.recorded import Counts
 from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.stored import confirm
 from calib.results import Results
@@ -50,7 +51,8 @@ class CaseFound:
     Attributes
     ----------
     result : CaseResult
-        Reported values, with the misfit of the objective there; counts and time of the whole case.
+        Reported values, with the misfit of the objective there; counts and time of the search, or of least squares
+        where nothing was searched.
     search : CaseResult or None
         Where the genetic algorithm ended; None without one.
     search_full_order : float
@@ -198,14 +200,14 @@ class CaseFinder:
             started = time.perf_counter()
             drawn = [space.complete(x) for x in sample(space, count, case.seed).points]
             starts = [*self.known, space.values, *drawn][: max(count, len(self.known) + 1)]
-            steps = _Steps(case.name, count, self.progress)
+            steps, counts = _Steps(case.name, count, self.progress), Counts()
             with _told(study):
-                judgement = self.polished(reduction, starts, REFITS, steps)
+                judgement = self.polished(reduction, starts, REFITS, steps, counts=counts)
                 self.progress(case.name, count, count, judgement.misfit)
-            asked = len(steps.lowest)
             here = CaseResult(
                 name=case.name, values=judgement.values, misfit=np.nan, responses={}, convergence=steps.table(),
-                asked=asked, solved=asked, reused=0, infeasible=0, failed=0, seconds=time.perf_counter() - started,
+                asked=counts.asked, solved=counts.solved, reused=counts.reused, infeasible=0, failed=counts.failed,
+                seconds=time.perf_counter() - started,
             )  # fmt: skip
             yield self.reported(objective_of(study), here, None, judgement)
 
@@ -224,14 +226,16 @@ class CaseFinder:
         refits: int,
         progress: FitProgress = lambda start, fits, misfit: None,
         shared: bool = False,
+        counts: Counts | None = None,
     ) -> Judgement:
         """Least squares from some points; first on a reduced basis where there is one, then at full order.
 
         ``shared`` adds the points that all cases have in common. Full order begins at the best of what the basis has
-        found and of `known`, so that it never ends above those.
+        found and of `known`, so that it never ends above those. ``counts`` is told every point that is asked.
         """
-        study, exact = self.study, self.exact
-        residual = exact if reduction is None else RecordedResidual(reduction.problem, self.ledger)
+        study, counts = self.study, counts or Counts()
+        exact = RecordedResidual(study.problem, self.ledger, counts)
+        residual = exact if reduction is None else RecordedResidual(reduction.problem, self.ledger, counts)
         common = self._in_common(residual, refits) if shared else None
         near = fitted(study, residual, starts, refits, progress, shared=common)
         if reduction is None:

@@ -21,14 +21,13 @@ from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
 from calib.missing.advice import Prospects, advice_sentence, advise
 from calib.missing.evidence import CREDIBLE
-from calib.missing.findings import Findings, Trial
+from calib.missing.findings import Findings, Trial, WrongDatum
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Hypotheses, Scaled
 from calib.missing.left_out import left_out
 from calib.missing.local import local_change
 from calib.missing.profile import profile_interval
 from calib.missing.suspect import sentence as suspect_sentence
-from calib.missing.suspect import suspects
 from calib.missing.tables import (
     confounding_table,
     effects_table,
@@ -239,12 +238,11 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     h, seed = side.hypotheses, side.study.settings.explain.seed
     accuracy = less_accurate(found, h.rows, side.relative_std, h.fitted_factors, h.scatter_freedom, seed)
     assumed = assumed_words(side.study)
-    suspected = suspects(found.base.state, h.rows, h.fitted_factors, h.scatter_freedom, found.alpha)
     rests = f"All this rests on an assumed scatter: {assumed}." if assumed else ""
     disagreements = disagreements_table(side.study)
     unlocated = found.verdict == "misfit_unlocated"
     figures |= {"misfit_at": misfit_at(found.base_check, disagreements) if unlocated else None}
-    more = (suspect_sentence(suspected), accuracy_sentence(accuracy), rests)
+    more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy), rests)
     words = (*sentences(found, effects, errors, advice, disagreements), *filter(None, more))
     errors = errors.assign(scatter="assumed" if assumed else "stated")
     figures |= {"accuracy": accuracy_words(side.study), "scatter_assumed": assumed}
@@ -259,7 +257,7 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
         "tried": tried_table(found),
         "next_measurement": next_table,
         "accuracy": accuracy,
-        "suspects_explained": suspected,
+        "suspects_explained": found.suspects,
         TABLE: explained_fits(side.study, found),
         **side.tables(stages),
     }
@@ -359,6 +357,10 @@ def _local_change(atom: Trial) -> dict[str, object]:
     return {"name": change.effect.name, "value": change.value, "low": change.low, "high": change.high, "unit": unit}
 
 
+def _wrong_datum(found: Findings, datum: WrongDatum) -> dict[str, object]:
+    return {"what": datum.what, "kind": datum.kind, "ln_bayes": datum.ln_evidence - found.base.ln_evidence}
+
+
 def summary(study: Study, answer: Explanation) -> dict[str, object]:
     """``explanation.json``."""
     found, check = answer.findings, answer.findings.base_check
@@ -392,6 +394,7 @@ def summary(study: Study, answer: Explanation) -> dict[str, object]:
         "local_change": None if found.atom is None else _local_change(found.atom),
         "refused": found.refused or None,
         "measurement_fault": None if found.fault is None else _local_change(found.fault),
+        "wrong_datum": None if found.datum is None else _wrong_datum(found, found.datum),
         "evaluations": found.evaluations,
         "begun_anew": found.begun_anew,
         "errors": errors,

@@ -21,7 +21,7 @@ from calib.missing.goodness import goodness, misfit_factor, overall
 from calib.missing.hypotheses import Label
 from calib.missing.suspect import suspects
 from calib.questions.compare import responses_at
-from calib.questions.recorded import RecordedModes, recorded_problem
+from calib.questions.recorded import Counts, RecordedModes, recorded_problem
 from calib.questions.scatter import assumed_words
 from calib.space import ParameterSpace
 from calib.study import Problem, Study
@@ -47,20 +47,23 @@ class RecordedResidual:
     problem : ModalProblem or FunctionProblem
         The study's own, or a reduced stand-in.
     ledger : Ledger
+    counts : Counts
+        Of what it is asked; may be shared by several residuals.
     """
 
     problem: Problem
     ledger: Ledger
+    counts: Counts = field(default_factory=Counts)
     _inner: RecordedModes | DifferencedResponses = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         problem = self.problem
         inner: RecordedModes | DifferencedResponses
         if isinstance(problem, FunctionProblem):
-            known = recorded_problem(problem, self.ledger)
+            known = recorded_problem(problem, self.ledger, self.counts)
             inner = DifferencedResponses(partial(responses_at, known), problem.targets, problem.space)
         else:
-            inner = RecordedModes(ModalResidual(problem), self.ledger)
+            inner = RecordedModes(ModalResidual(problem), self.ledger, self.counts)
         object.__setattr__(self, "_inner", inner)
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:

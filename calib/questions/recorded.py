@@ -22,6 +22,23 @@ _REMEMBERED = 8
 """Solved points kept with their modes, so that a derivative does not solve them again."""
 
 
+@dataclass(eq=False)
+class Counts:
+    """Points that were asked: those the model was solved at, those already known, and those without an answer.
+
+    A derivative asks for points too: by differences each of their ends, of modes the point itself.
+    """
+
+    solved: int = 0
+    reused: int = 0
+    failed: int = 0
+
+    @property
+    def asked(self) -> int:
+        """All of them."""
+        return self.solved + self.reused + self.failed
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedFunction:
     """The function of a problem, asked only where the ledger does not know the answer.
@@ -35,26 +52,37 @@ class RecordedFunction:
     ledger : Ledger
     evaluator : BatchEvaluator
         Of that problem.
+    counts : Counts
+        Of what it is asked.
     """
 
     asked: Callable[[Mapping[str, float]], Mapping[str, float]]
     fingerprint: str
     ledger: Ledger
     evaluator: BatchEvaluator
+    counts: Counts = field(default_factory=Counts)
 
     def __call__(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Named responses; EvaluationError where the function fails, or did."""
+        key = key_of(values)
+        before = self.ledger.lookup(self.fingerprint, [key]).get(key)
         (outcome,) = self.ledger.evaluate(self.fingerprint, [values], self.evaluator)
         if outcome.status == "failed":
+            self.counts.failed += 1
             raise failure(outcome)
+        if before is not None and before.status == "ok":
+            self.counts.reused += 1
+        else:
+            self.counts.solved += 1
         return outcome.responses
 
 
-def recorded_problem(problem: FunctionProblem, ledger: Ledger) -> FunctionProblem:
-    """The same problem behind a ledger; one that is behind one stays as it is."""
+def recorded_problem(problem: FunctionProblem, ledger: Ledger, counts: Counts | None = None) -> FunctionProblem:
+    """The same problem behind a ledger, with counts of its own; one that is behind one stays there."""
+    counts = counts or Counts()
     if isinstance(problem.function, RecordedFunction):
-        return problem
-    asked = RecordedFunction(problem.function, problem.fingerprint, ledger, evaluator_of(problem))
+        return replace(problem, function=replace(problem.function, counts=counts))
+    asked = RecordedFunction(problem.function, problem.fingerprint, ledger, evaluator_of(problem), counts)
     return replace(problem, function=asked)
 
 
@@ -99,10 +127,13 @@ class RecordedModes:
     ----------
     inner : ModalResidual
     ledger : Ledger
+    counts : Counts
+        Of what it is asked.
     """
 
     inner: ModalResidual
     ledger: Ledger
+    counts: Counts = field(default_factory=Counts)
     _identity: str = field(init=False, repr=False)
     _solved: dict[str, Comparison] = field(init=False, repr=False, default_factory=dict)
 
@@ -119,7 +150,9 @@ class RecordedModes:
         complete = self.problem.space.complete(values)
         key = key_of(complete)
         known = self.ledger.vectors(self._identity, key, [""])
-        if "" not in known:
+        if "" in known:
+            self.counts.reused += 1
+        else:
             known = {"": self.inner.of(self.at(complete))}
             self.ledger.keep_vectors(self._identity, key, known)
         return known[""]
@@ -136,6 +169,8 @@ class RecordedModes:
             columns = dict(zip(new, slope.T, strict=True))
             self.ledger.keep_vectors(self._identity, key, columns)
             known = known | columns
+        elif names:
+            self.counts.reused += 1
         return np.column_stack([known[name] for name in names]) if names else np.zeros((self.inner.n_rows, 0))
 
     def freq_jacobian(
@@ -149,9 +184,11 @@ class RecordedModes:
         """Model against measurement at all parameters; a point that could not be solved is not tried again."""
         key, identity = key_of(values), self.problem.fingerprint
         if key in self._solved:
+            self.counts.reused += 1
             return self._solved[key]
         before = self.ledger.lookup(identity, [key]).get(key)
         if before is not None and before.status == "failed" and not before.transient:
+            self.counts.failed += 1
             raise EvaluationError(before.error)
         started = time.perf_counter()
         try:
@@ -159,7 +196,9 @@ class RecordedModes:
         except EvaluationError as fault:
             outcome = Outcome(dict(values), "failed", {}, str(fault), time.perf_counter() - started)
             self.ledger.append(identity, [outcome])
+            self.counts.failed += 1
             raise
+        self.counts.solved += 1
         seconds = time.perf_counter() - started
         self.ledger.append(identity, [Outcome(dict(values), "ok", self.problem.responses(found), "", seconds)])
         while len(self._solved) >= _REMEMBERED:

@@ -52,7 +52,8 @@ class CaseResult:
         ``generation``, ``best`` (misfit so far), ``mean`` (over the generation) and ``feasible`` (number of individuals
         that kept the constraints and could be evaluated; the mean is over them); NaN where there is nothing to tell.
     asked, solved, reused, infeasible, failed : int
-        Individuals; ``asked`` is the sum of the others. They are the same after an interruption.
+        Individuals of a search, which are the same after an interruption; of least squares the points asked in this
+        call, those of derivatives included. ``asked`` is the sum of the others.
     seconds : float
         Duration of this call.
     """

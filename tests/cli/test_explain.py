@@ -81,7 +81,7 @@ def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(guy
         "effects", "chosen", "adequacy_p_family", "adequacy_p_fit",
         "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale", "local_changes", "local_change",
         "evaluations", "errors", "begun_anew", "accuracy", "scatter_assumed", "accuracy_that_explains",
-        "misfit_at", "measurement_fault", "refused",
+        "misfit_at", "measurement_fault", "wrong_datum", "refused",
         "basis_error", "discretisation", "seconds", "evaluations_intervals", "evaluations_advice",
     }  # fmt: skip
     assert set(explanation()["effects"][0]) == {

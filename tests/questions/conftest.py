@@ -44,7 +44,7 @@ def guyed(
 ) -> tuple[Study, Results, Explanation, list[str]]:
     """A mast with a guy rope that its model lacks; one mode and two sensors are withheld. Last what was told."""
     folder = tmp_path_factory.mktemp("guyed")
-    study = Study.load(edited(mast.write_study(folder / "mast", {"guy": 9000.0}), *HELD))
+    study = Study.load(edited(mast.write_study(folder / "mast", {"guy": 12000.0}), *HELD))
     results, told = Results.at(folder / "results", study.name), []
     return study, results, explain(study, results, told.append), told
 

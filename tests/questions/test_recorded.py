@@ -1,5 +1,6 @@
 """Least squares reads the ledger: no point is solved a second time, within a run and in the next one."""
 
+import json
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from calib.errors import EvaluationError
 from calib.ledger import Ledger, key_of
 from calib.questions.calibrate import calibrate
 from calib.questions.judge import RecordedResidual, fitted
+from calib.questions.recorded import Counts
 from calib.results import Results
 from calib.sensitivity.sampling import sample
 from calib.study import Study
@@ -77,6 +79,55 @@ def test_modes_are_solved_once_and_not_again_by_the_next_run(tmp_path, solved):
     assert second.values == first.values and second.misfit == first.misfit
     assert np.array_equal(second.fit.jacobian, first.fit.jacobian)
     assert second.predictions.equals(first.predictions)
+
+
+def test_solved_modes_are_counted_and_so_is_what_was_known(tmp_path, solved):
+    study = Study.load(RIG)
+    space = study.search_space
+    starts = [space.complete(x) for x in sample(space, 2, 1).points]
+    counts = []
+    for _ in range(2):
+        with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+            solved.clear()
+            counts.append(Counts())
+            fitted(study, RecordedResidual(study.problem, ledger, counts[-1]), starts, 1)
+            assert counts[-1].solved == sum(solved.values()) and counts[-1].failed == 0
+    first, second = counts
+    assert first.solved > 10 and second.solved <= 1
+    assert first.asked == second.asked == second.solved + second.reused
+
+
+def test_a_failed_point_counts_as_failed_whether_it_was_known_or_not(tmp_path):
+    problem, counts = replace(Study.load(RIG).problem, mode_count=5), Counts()  # of a model with four
+    with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+        for number in (1, 2):
+            with pytest.raises(EvaluationError):
+                RecordedResidual(problem, ledger, counts).residual(problem.space.values)
+            assert (counts.asked, counts.failed) == (number, number)
+
+
+def test_least_squares_tell_the_points_that_they_have_asked(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("plain").mkdir()
+    Path("plain/model.py").write_text(PLAIN)
+    Path("plain/study.toml").write_text(PLAIN_STUDY)
+    Path("plain/measured.csv").write_text("response,value,std\ny,5.0,0.1\nz,4.0,0.1\nw,6.0,0.1\n")
+    study, told = Study.load(Path("plain")), []
+    for _ in range(2):
+        with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+            known = ledger.count(study.problem.fingerprint)
+            calibrate(study, Results.at(tmp_path / "results", "plain"), ledger)
+            new = ledger.count(study.problem.fingerprint) - known
+        summary = json.loads(Path("results/plain/summary.json").read_text())
+        cases = summary["cases"].values()
+        told.append([[case[name] for name in ("evaluations", "solved", "reused", "failed")] for case in cases])
+        for asked, by_model, reused, failed in told[-1]:
+            assert asked == by_model + reused and failed == 0
+        # Least squares begin at the adopted values, which were asked before.
+        assert sum(case[1] for case in told[-1]) == max(new - 1, 0)
+    first, second = told
+    assert [case[0] for case in first] == [case[0] for case in second]
+    assert sum(case[1] for case in first) > 20 and all(case[1] == 0 for case in second)
 
 
 def test_a_point_that_could_not_be_solved_is_not_tried_again(tmp_path, solved):

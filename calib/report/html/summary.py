@@ -61,6 +61,9 @@ def _explanation(answers: Answers) -> str:
     fault = told.get("measurement_fault")
     if isinstance(fault, dict):
         credible.append(f"{fault.get('name', '')}, a fault of the measurement")
+    datum = told.get("wrong_datum")
+    if isinstance(datum, dict):
+        credible.append(f"{datum.get('what', '')}, measured wrong")
     words = {
         "effect": f"Something is missing in the model, and it is named: {' and '.join(chosen)}.",
         "two_effects": f"Two things are missing in the model, and they are named: {' and '.join(chosen)}.",

@@ -84,7 +84,7 @@ def ask(folder, *questions):
 def everything(tmp_path_factory):
     """Results of a mast with a guy rope that its model lacks; one mode and two sensors are withheld."""
     folder = module_of(ROOT / "tests/template/mast_effects.py").write_study(
-        tmp_path_factory.mktemp("told") / "mast", {"guy": 9000.0}
+        tmp_path_factory.mktemp("told") / "mast", {"guy": 12000.0}
     )
     file = folder / "study.toml"
     file.write_text(file.read_text().replace(*HELD))

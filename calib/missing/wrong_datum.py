@@ -1,0 +1,83 @@
+"""A single wrong datum as the rival of a missing effect: the model as it is, fitted to all other data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from calib.errors import EvaluationError
+from calib.missing.evidence import ln_evidence, ln_wrong
+from calib.missing.findings import Trial, WrongDatum
+from calib.missing.goodness import goodness, overall
+from calib.missing.hypotheses import Question
+from calib.missing.refits import Refits, near_to
+from calib.missing.state import fitted
+from calib.missing.suspect import data_of
+from calib.space import ParameterSpace
+
+
+def wrong_datum(fits: Refits, base: Trial, accused: pd.DataFrame, best: Trial) -> WrongDatum | None:
+    """The first of the data that explain a misfit to first order, once the model is fitted without it.
+
+    Its evidence is that of all other data times the density of the datum given them, with an error of any size
+    (`calib.missing.evidence.ln_wrong`). It is None where no datum explains the misfit, where what one promises comes
+    nowhere near the best effect, and where the others turn out not to fit.
+
+    Parameters
+    ----------
+    fits : Refits
+    base : Trial
+        The model without effects.
+    accused : DataFrame
+        From `calib.missing.suspect.suspects`, of the same fit.
+    best : Trial
+        The best effect.
+    """
+    guilty = accused[accused["explains"].astype(bool)]
+    if guilty.empty or fits.spent():
+        return None
+    first, reached = guilty.iloc[0], best.ln_evidence - base.ln_evidence
+    if reached - float(first["chi2"]) / 2 > near_to(reached):
+        return None
+    h = fits.hypotheses
+    gone = next(d.rows for d in data_of(h.rows) if (d.what, d.kind) == (first["what"], first["kind"]))
+    kept = np.setdiff1d(np.arange(len(h.rows)), gone)
+    question = fits.question(())
+    fits.progress(f"fitting without {first['what']}")
+    try:
+        rest = fitted(_Part(question, kept), (), base.state.values)
+        difference = question.residual(rest.values)[gone]
+        slope = question.jacobian(rest.values, rest.names)[gone]
+    except EvaluationError:
+        return None
+    others = [h.rows[k] for k in kept]
+    p_fit = overall(*goodness(rest, others, h.fitted_factors, h.scatter_freedom))
+    if p_fit <= fits.settings.alpha:
+        return None
+    covariance = np.eye(len(gone)) + slope @ rest.covariance @ slope.T
+    ln = ln_evidence(rest, ()) + ln_wrong(difference, covariance)
+    return WrongDatum(str(first["what"]), str(first["kind"]), ln, p_fit)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A question about some of the rows, (n_kept,)."""
+
+    inner: Question
+    kept: np.ndarray
+
+    @property
+    def space(self) -> ParameterSpace:
+        """That of the question."""
+        return self.inner.space
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Whitened residual, (n_kept,)."""
+        return self.inner.residual(values)[self.kept]
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Its derivative, (n_kept, n_params)."""
+        return self.inner.jacobian(values, names)[self.kept]

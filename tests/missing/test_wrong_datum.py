@@ -1,0 +1,90 @@
+"""A single wrong datum as a rival of an effect: where nothing can tell them apart, and where other data do."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.missing.evidence import CREDIBLE, ln_wrong
+from calib.missing.explain import explain
+
+PLACE = ("M3", "frequency")
+
+
+def beside(toy, share):
+    """The toy whose effect E2 moves one frequency, and its other data by that share of all it does.
+
+    Parameters move shapes only, so that the frequency shows it whole.
+    """
+    one = np.array([(row.mode, row.kind) == PLACE for row in toy.rows])
+    rest = np.where(one, 0.0, np.random.default_rng(5).standard_normal(len(one)))
+    column = 8.0 * (np.sqrt(1 - share**2) * one + share * rest / np.linalg.norm(rest))
+    held = {p.name: np.where(one, 0.0, toy.columns[p.name]) for p in toy.base.parameters}
+    return replace(toy, columns={**toy.columns, **held, "E2": column})
+
+
+def spoilt(toy, rng, size):
+    """Data of a model that lacks nothing, the frequency moved by so many standard deviations."""
+    one = toy.drawn(rng)
+    return replace(one, data=one.data + size * np.array([(row.mode, row.kind) == PLACE for row in toy.rows]))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_a_wrong_datum_is_no_proof_of_an_effect(toy, share):
+    made, rng = beside(toy(), share), np.random.default_rng(1)
+    found = [explain(spoilt(made, rng, 12.0)) for _ in range(10)]
+    assert not [f for f in found if f.verdict in ("effect", "two_effects")]
+    told = [f for f in found if f.verdict == "indistinguishable"]
+    assert len(told) >= 8
+    for f in told:
+        assert f.datum.what == "frequency of M3" and f.untold[-1] == f.datum.told
+        assert f.datum.ln_evidence > f.chosen.ln_evidence - CREDIBLE and f.datum.p_fit > f.alpha
+        # Of one value in a linear model, half of z^2 - 1 - ln z^2 with z the studentised difference.
+        z2 = f.suspects.set_index("what").loc[f.datum.what, "chi2"]
+        ln_bayes = f.datum.ln_evidence - f.base.ln_evidence
+        assert ln_bayes == pytest.approx(0.5 * (z2 - 1 - np.log(z2)), abs=0.01)
+
+
+def test_an_effect_that_moves_one_datum_alone_cannot_be_told_from_its_being_wrong(toy):
+    found = beside(toy(), 0.0).explained({"E2": 1.5}, 10)
+    assert Counter(f.verdict for f in found)["effect"] == 0
+    assert sum(f.verdict == "indistinguishable" and f.credible == ("E2",) for f in found) >= 8
+
+
+def test_an_effect_that_moves_other_data_too_stays_named(toy):
+    """The datum alone explains nothing then, or much less than the effect."""
+    found = beside(toy(), 0.5).explained({"E2": 1.5}, 20)
+    named = [f for f in found if f.verdict == "effect" and f.credible == ("E2",) and f.datum is None]
+    assert len(named) >= 18
+    assert any(f.suspects["explains"].any() for f in found)  # it was asked, and weighed less
+
+
+def test_effects_of_two_modes_stay_named(toy):
+    assert all(f.datum is None for f in toy().explained({"E2": 1.5}, 10))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_evidence_of_a_wrong_datum_is_that_of_the_likeliest_size(seed):
+    """Against densities of the predicted difference under many sizes."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((4, 4))
+    covariance = np.eye(4) + root @ root.T
+    d = 6.0 * rng.standard_normal(4)
+
+    def ln(variance):
+        c = covariance + variance * np.eye(4)
+        return -0.5 * (np.linalg.slogdet(c)[1] + d @ np.linalg.solve(c, d))
+
+    found = ln_wrong(d, covariance)
+    assert found == pytest.approx(max(ln(v) for v in np.geomspace(1e-4, 1e3, 4000)), abs=1e-4)
+    assert ln_wrong(1e-3 * d, covariance) == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1], abs=1e-4)
+
+
+def test_what_leads_the_parameters_far_is_fitted_without(toy):
+    """In a curved model a datum that is far off promises more than it takes to explain everything."""
+    made, rng = beside(toy(curvature=0.05), 0.0), np.random.default_rng(2)
+    found = [f for f in (explain(spoilt(made, rng, 30.0)) for _ in range(6)) if f.datum is not None]
+    assert found
+    for f in found:
+        assert 2 * (f.datum.ln_evidence - f.base.ln_evidence) < f.base.state.misfit
