@@ -15,7 +15,7 @@ from calib.missing.alike import Group, grouped
 from calib.missing.anew import anew, led_astray
 from calib.missing.evidence import CREDIBLE, at_lower
 from calib.missing.findings import LEAST_FREEDOM, Check, Findings, Trial
-from calib.missing.goodness import by_sensor, goodness, noise_scale, overall
+from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.left_out import left_out
 from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
@@ -98,7 +98,7 @@ class _Decision:
         plain = Findings(
             verdict="nothing_detectable", base=base, base_check=check, groups=groups, trials=(), atom=None,
             chosen=None, chosen_check=None, credible=(), noise_scale=fits.scale,
-            measured_scale=noise_scale(check.modes), evaluations=hypotheses.evaluations, alpha=alpha,
+            measured_scale=self.scale(base), evaluations=hypotheses.evaluations, alpha=alpha,
         )  # fmt: skip
         if check.passes(alpha):
             return plain
@@ -238,10 +238,10 @@ class _Decision:
     # -- tests ---------------------------------------------------------------------------------------------------------
 
     def scale(self, *trials: Trial | None) -> float:
-        """What the shapes of all modes ask for at the best of some fits; 1 when it is not common to them."""
+        """What shapes ask for at the best of some fits; 1 when it is not common to all modes and sensors."""
         best = max((t for t in trials if t is not None), key=lambda t: t.ln_evidence)
         h = self.fits.hypotheses
-        return noise_scale(goodness(best.state, h.rows, h.fitted_factors, h.scatter_freedom)[1])
+        return common_scale(best.state, h.rows, h.fitted_factors, h.scatter_freedom, self.fits.settings.alpha)
 
     def promised_scale(self, trial: Trial, others: Scores) -> float:
         """The same if the effect that stands out beside a fit did all that its score promises."""

@@ -218,3 +218,58 @@ def noise_scale(modes: pd.DataFrame) -> float:
     tail = 2 * np.minimum(special.fdtrc(*variate), special.fdtr(*variate))
     alike = float(tail.min()) * len(shapes) > _ALIKE
     return float(np.sqrt(square)) if alike or square < 1 else 1.0
+
+
+def lone_sensor(
+    state: Fit, rows: Sequence[Label], fitted_factors: Mapping[tuple[str, str], int], level: float
+) -> str | None:
+    """The sensor whose share of the misfit of all shapes is more than that of the others explains; None without one.
+
+    Its sum of squares over its degrees of freedom, against that of all other sensors, is an F variate whatever the
+    scatter; the largest of n sensors counts n times (Bonferroni).
+    """
+    shape = [k for k, row in enumerate(rows) if row.kind == "shape"]
+    if not shape:
+        return None
+    blocks, which = _numbered([(rows[k].mode, rows[k].kind) for k in shape])
+    names, of = _numbered([rows[k].sensor for k in shape])
+    share = np.array([fitted_factors.get(block, 0) for block in blocks]) / np.bincount(which)
+    chi2 = np.bincount(of, np.asarray(state.residual)[shape] ** 2)
+    freedom = np.bincount(of, row_freedom(state.slope, state.prior_sd)[shape] - share[which])
+    others = freedom.sum() - freedom
+    usable = (freedom >= 1) & (others >= 1)
+    if not usable.any():
+        return None
+    ratio = np.where(usable, chi2 / np.maximum(freedom, 1), 0) / ((chi2.sum() - chi2) / np.maximum(others, 1))
+    p = np.where(usable, special.fdtrc(np.maximum(freedom, 1), np.maximum(others, 1), ratio), 1.0)
+    worst = int(np.argmin(p))
+    return names[worst] if p[worst] * len(names) <= level else None
+
+
+def common_scale(
+    state: Fit,
+    rows: Sequence[Label],
+    fitted_factors: Mapping[tuple[str, str], int],
+    scatter_freedom: Mapping[str, float],
+    level: float,
+) -> float:
+    """Factor on the scatter that all modes ask for, see `noise_scale`, without a sensor that alone may ask for it.
+
+    A bad channel spoils the shapes of all modes as an understated scatter does, but at one sensor; at the level that
+    one stands out (`lone_sensor`), the others tell.
+    """
+    factor = noise_scale(goodness(state, rows, fitted_factors, scatter_freedom)[1])
+    lone = lone_sensor(state, rows, fitted_factors, level) if factor > 1 else None
+    if lone is None:
+        return factor
+    kept = [k for k, row in enumerate(rows) if row.sensor != lone]
+    rest = _Rows(np.asarray(state.residual)[kept], np.asarray(state.slope)[kept], state.prior_sd)
+    return noise_scale(goodness(rest, [rows[k] for k in kept], fitted_factors, scatter_freedom)[1])
+
+
+class _Rows(NamedTuple):
+    """Some rows of a fit."""
+
+    residual: np.ndarray
+    slope: np.ndarray
+    prior_sd: np.ndarray
