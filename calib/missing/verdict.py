@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from calib.effect import Effect
+from calib.missing.evidence import CREDIBLE
 from calib.missing.findings import Check, Findings
 from calib.missing.held_out import CONTRADICTED, contradicting
 from calib.missing.local import local_change
@@ -194,12 +195,14 @@ def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
     named = "; or ".join(words for _, words in explaining)
     credible = [e for n in rows["name"] for e in _effects(found) if e.name == n]
     wrong = ", or a measurement is wrong" if len(explaining) > len(rows) else ""
+    # Only what is wrong with the measurement may be far ahead; an effect that is would be named.
+    first = "A wrong measurement explains it best" if odds > math.exp(CREDIBLE) else "These data cannot tell between"
     return [
         f"Something is missing{wrong}: {_family(found)}.",
-        f"These data cannot tell between: {named}. The odds of the first against the second are {rounded(odds)}:1.",
+        f"{first}: {named}. The odds of the first against the second are {rounded(odds)}:1.",
         _clean(found),
-        "As it is, the model says: " + " ".join(e.lacks for e in credible),
-        f"Look for: {' Or: '.join(e.look_for for e in credible)} {check}".strip(),
+        "As it is, the model says: " + " ".join(_ended(e.lacks) for e in credible),
+        f"Look for: {' Or: '.join(_ended(e.look_for) for e in credible)} {check}".strip(),
     ]
 
 
