@@ -40,6 +40,10 @@ class Allowance:
         """Whether that part is used up."""
         return self.used > part * self.most
 
+    def ensure(self, least: float) -> None:
+        """See to it that so many evaluations are left, whatever was spent before."""
+        self.most = max(self.most, self.used + least)
+
     @contextmanager
     def uncharged(self) -> Iterator[None]:
         """Within it, evaluations are charged to nothing here."""

@@ -36,7 +36,8 @@ _POLISHED = 3
 """Effects, and pairs of effects, that may move whole numbers back."""
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects; for looking where whole numbers may have been led astray."""
-
+PAIRED = 0.5
+"""Part of the budget that pairs of effects may spend at least, whatever single effects have spent."""
 _SMALLER = (0.1, 0.01)
 """Parts of a step that are tried where the whole step ended above the fit it began from."""
 _LEAST = 8
@@ -300,9 +301,11 @@ class Refits:
         """Two effects at a time, best first: the best one with what then stands out, and the runner-up likewise.
 
         ``found`` are the scores of the other candidates beside the best one. What was missing may have led whole
-        numbers astray, where a second effect cannot be seen: their neighbours are asked too.
+        numbers astray, where a second effect cannot be seen: their neighbours are asked too. What single effects have
+        spent leaves pairs a part of the budget of their own.
         """
-        if self.spent():
+        self.allowance.ensure(PAIRED * self.settings.budget)
+        if self.allowance.left <= 0:
             return []
         tests = [(best, found, PAIRS_OF_BEST)]
         for runner_up in [t for t in singles if t is not best][:1]:

@@ -7,6 +7,7 @@ import pytest
 
 from calib.errors import EvaluationError
 from calib.missing.explain import Settings, explain
+from calib.missing.refits import Refits
 from calib.missing.state import fitted
 
 
@@ -41,11 +42,20 @@ def test_asking_again_gives_the_same_findings(toy):
         assert explain(toy, settings).verdict == first.verdict
 
 
-def test_beyond_the_budget_no_pairs_are_fitted(toy):
+def test_what_single_effects_have_spent_leaves_pairs_their_part(toy, monkeypatch):
+    """Two effects are missing, and the single ones use up the budget: the pair is named as with any budget."""
     toy = toy(signed=("E4",)).drawn(np.random.default_rng(1), {"E0": 1.2, "E4": -1.2})
-    assert any(len(t.effects) == 2 for t in explain(toy).trials)
-    found = explain(replace(toy, count=[0]), Settings(budget=1))
-    assert all(len(t.effects) == 1 for t in found.trials) and found.credible == ()
+    whole, spent = explain(toy), []
+    pairs = Refits.pairs
+
+    def telling(fits, *given):
+        spent.append(fits.spent())
+        return pairs(fits, *given)
+
+    monkeypatch.setattr(Refits, "pairs", telling)
+    found = explain(replace(toy, count=[0]), Settings(budget=6))
+    assert spent == [True]
+    assert found.verdict == whole.verdict == "two_effects" and set(found.credible) == set(whole.credible)
 
 
 def test_the_order_of_the_library_does_not_matter(toy):
