@@ -131,16 +131,11 @@ def measured_table(study: Study) -> pd.DataFrame:
 
 def _std_used(study: Study, whole: MeasuredModes) -> tuple[np.ndarray, np.ndarray]:
     """Relative standard deviations of frequency and damping, (n_modes,): as fits weigh by, withheld modes as judged."""
-    used, judged = study.measured, scatter_of(whole)
-    if used is None:
-        return judged.freq, judged.damping
-    own = scatter_of(used)
-    place = {name: i for i, name in enumerate(used.names)}
-    pairs = (
-        (own.freq[place[n]], own.damping[place[n]]) if n in place else (judged.freq[i], judged.damping[i])
-        for i, n in enumerate(whole.names)
-    )
-    freq, damping = np.array(list(pairs)).T
+    judged = scatter_of(whole)
+    freq, damping = judged.freq.copy(), judged.damping.copy()
+    if study.measured is not None:
+        fitted, rows = scatter_of(study.measured), [whole.names.index(name) for name in study.measured.names]
+        freq[rows], damping[rows] = fitted.freq, fitted.damping
     return freq, damping
 
 
