@@ -9,7 +9,7 @@ from calib.errors import InputError
 from calib.named_values import read_json
 from calib.questions.calibrate import fingerprint
 from calib.questions.places import QUICK
-from calib.questions.sensitivity import selecting, selection_is_of
+from calib.questions.sensitivity import outdated_selection, selecting
 from calib.results import Results
 from calib.settings import read_settings
 from calib.space import ParameterSpace
@@ -86,7 +86,7 @@ def _values(study: Study, folder: Results) -> Found | None:
         return None
     if isinstance(study.settings.selection, str) and not folder.has("selection.csv"):
         return None
-    if selection_is_of(study, folder):
+    if outdated_selection(study, folder):
         return None
     remedy = f"run 'calib calibrate {shell_argument(study.file)}' again"
     summary = read_json(folder.path / "summary.json", {"fingerprint": str, "best_case": str}, remedy=remedy)

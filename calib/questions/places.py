@@ -37,6 +37,11 @@ def results_of(
     return _opened(study, root, "-".join(parts))
 
 
+def is_quick(study: StudyFile, results: Results) -> bool:
+    """Whether a folder is one for quick looks, as `results_of` names them."""
+    return results.path.parent.name == study.name and results.path.name.split("-")[0] == QUICK
+
+
 def ledger_of(study: Study, root: Path) -> Ledger:
     """The one ledger of a study, shared by whole, quick and single-case runs."""
     home = results_of(study, root)

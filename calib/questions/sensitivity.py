@@ -15,7 +15,7 @@ from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.failures import reasons, reasons_sentence
-from calib.questions.places import QUICK_SAMPLES, open_evaluator
+from calib.questions.places import QUICK_SAMPLES, is_quick, open_evaluator
 from calib.questions.record import begin_answer, questions_of, write_record
 from calib.questions.state import changed, made_from
 from calib.questions.stored import confirmed
@@ -26,6 +26,7 @@ from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
 from calib.study import Study, shell_argument
 from calib.table import read_table
+from calib.written import is_own
 
 SampleProgress = Callable[[int, int], None]
 
@@ -115,28 +116,31 @@ def sensitivity(
 def selected_by_measures(study: Study, home: Results) -> Study:
     """The study with the parameters that its sensitivity analysis selected, if it leaves the choice to it.
 
-    InputError where there is no selection, or one of an earlier state of the study.
+    InputError where there is no selection, or one that no longer holds.
     """
-    if told := selection_is_of(study, home):
-        again = " --quick" if questions_of(home)["sensitivity"].get("quick") else ""
+    if why := outdated_selection(study, home):
+        again = " --quick" * is_quick(study, home)
         raise InputError(
-            f"parameters were selected at an earlier state of {', '.join(told)}",
+            f"parameters were selected {why}",
             place=home.path / "selection.csv",
             remedy=f"run 'calib sensitivity {shell_argument(study.file)}{again}' again",
         )
     return selecting(study, home)
 
 
-def selection_is_of(study: Study, home: Results) -> list[str]:
-    """What has changed since the measures selected parameters, in words; nothing where they still hold."""
+def outdated_selection(study: Study, home: Results) -> str:
+    """Why a selection by measures no longer holds; empty where it does, or the study or its user has made it."""
+    if not isinstance(study.settings.selection, str):
+        return ""
     asked = questions_of(home).get("sensitivity")
-    if asked is None or not isinstance(study.settings.selection, str):
-        return []
-    return changed(asked.get("made_from", {}), made_from(study, "sensitivity"))
+    if asked is None:  # `begin_answer` has taken it out of the record, and nothing has put it back
+        return "by an analysis that broke off" if is_own(home.path / "selection.csv") else ""
+    found = changed(asked.get("made_from", {}), made_from(study, "sensitivity"))
+    return f"at an earlier state of {', '.join(found)}" if found else ""
 
 
 def selecting(study: Study, home: Results) -> Study:
-    """As `selected_by_measures`, whatever the state of the study was that the measures are of."""
+    """As `selected_by_measures`, whether the selection still holds or not."""
     if not isinstance(study.settings.selection, str):
         return study
     path: Path = home.path / "selection.csv"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import InputError
-from calib.questions.places import QUICK
+from calib.questions.places import QUICK, is_quick
 from calib.questions.record import questions_of
 from calib.questions.sensitivity import selected_in, selecting
 from calib.questions.state import WRITES, changed, made_from, made_from_on_paper
@@ -48,14 +48,14 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
     root : Path, optional
         Where results of all studies go, for the commands that are proposed; None where it is the default.
     """
-    asked = questions_of(results)
+    quick = " --quick" * is_quick(study, results)
     place = "" if root is None else f" --results {shell_argument(root)}"
     sentences: dict[str, str] = {}
     writer: dict[str, str] = {}
-    for question, told in asked.items():
-        writer |= dict.fromkeys(WRITES.get(question, ()), question)
+    for question, told in questions_of(results).items():
         if question not in WRITES:
             continue
+        writer |= dict.fromkeys(WRITES[question], question)
         then = told.get("made_from", {})
         if isinstance(study, Study):
             now = made_from(_selecting(study, results, told) if question == "calibrate" else study, question)
@@ -63,7 +63,6 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
             found = found_earlier(study, results)
             now = made_from_on_paper(study, question, then, _selected(study, results, told), found)
         if differs := changed(then, now):
-            quick = " --quick" if told.get("quick") else ""
             options = "".join(f" {shlex.quote(option)}" for option in told.get("options", ()))
             sentences[question] = (
                 f"'{question}' was asked of an earlier state of {', '.join(differs)}, and its answer is not shown; ask "
@@ -76,7 +75,7 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
         if _OWN[question] & written:
             sentences[question] = (
                 f"'{question}' broke off before its answer was whole, and what it wrote is not shown; ask again with: "
-                f"calib {_verb(question)} {shell_argument(study.file)}{place}"
+                f"calib {_verb(question)} {shell_argument(study.file)}{quick}{place}"
             )
     return Stale(sentences, frozenset(stale | written))
 

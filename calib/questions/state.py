@@ -93,8 +93,8 @@ def made_from_on_paper(
     """What an answer would be made from now, as far as it can be told without running the study's code.
 
     The digests of model and settings that an answer has are taken as they are as long as the files with code, what
-    the study's file says, and the selection are the same. A change outside the study's folder is not seen, nor
-    are newer values of an earlier study that are taken over.
+    the study's file says, the selection, and the values taken over from an earlier study are the same. Of a change
+    outside the study's folder nothing else is seen.
 
     Parameters
     ----------

@@ -43,8 +43,7 @@ def found_earlier(study: StudyFile, results: Results) -> list[dict[str, float]]:
 
 
 def _best_case(folder: Path) -> dict[str, float]:
-    remedy = "run 'calib calibrate' again"
-    best = read_json(folder / "summary.json", {"best_case": str}, remedy=remedy)["best_case"]
+    best = read_json(folder / "summary.json", {"best_case": str}, ["best_case"])["best_case"]
     table = read_table(folder / "parameters.csv", ["case", "parameter"], ["value"], complete=["value"])
     found = table[table["case"] == best]
     return dict(zip(found["parameter"], found["value"], strict=True))

@@ -150,6 +150,12 @@ def test_answers_that_rest_on_earlier_values_are_stale_when_those_change(phases,
     assert cli.answer(["calibrate", "two"]) == 0 and not outdated()
 
 
+def test_a_damaged_answer_of_the_earlier_study_says_nothing(phases):
+    assert cli.answer(["calibrate", "two"]) == 0
+    Path("results/one/summary.json").write_text("{}")
+    assert not stale_answers(StudyFile.read(Path("two")), Results(ROOT / "two")).sentences
+
+
 def test_a_quick_look_is_content_with_a_quick_answer(phases, capsys):
     assert cli.answer(["calibrate", "two", "--quick"]) == 0
     assert Path("results/one/quick/summary.json").exists() and not Path("results/one/summary.json").exists()

@@ -97,6 +97,7 @@ def test_a_calibration_of_one_case_is_as_old_as_the_selection_it_takes(selected,
     for place, chosen in ((home, "ab"), (other, "c")):
         rows = "".join(f"{name},{name in chosen}\n" for name in "abc")
         place.write_table("selection", pd.read_csv(io.StringIO(f"parameter,selected\n{rows}")))
+        write_record(study, place, "sensitivity", {})
     fitted = selected_by_measures(study, home)
     write_record(fitted, results, "calibrate", {}, (), quick, ["--case", "A1", "--method", "genetic"])
     for now in (study, StudyFile.read(Path("plain"))):
@@ -124,3 +125,23 @@ def test_a_selection_of_an_earlier_state_is_refused(selected, capsys, file, old,
     assert {p.name: p.read_bytes() for p in Path("results/plain").glob("*.csv")} == before
     assert cli.answer(["sensitivity", "plain", "--workers", "1"]) == 0
     assert cli.answer(["calibrate", "plain", "--workers", "1"]) == 0
+
+
+@pytest.mark.parametrize("quick", [[], ["--quick"]])
+def test_a_selection_of_an_analysis_that_broke_off_is_refused(selected, monkeypatch, capsys, quick):
+    ask = [["sensitivity", "plain", "--workers", "1", *quick], ["calibrate", "plain", "--workers", "1", *quick]]
+
+    def stop(*given, **more):
+        raise InputError("the disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("calib.questions.sensitivity.write_record", stop)
+        assert cli.answer(ask[0]) == 2
+    capsys.readouterr()
+    assert cli.answer(ask[1]) == 2
+    said = capsys.readouterr().err
+    assert "selection.csv" in said and f"'calib sensitivity plain{' --quick' * bool(quick)}'" in said
+    results = Results.at(Path("results"), "plain", "quick" * bool(quick))
+    (words,) = stale_answers(StudyFile.read(Path("plain")), results).sentences.values()
+    assert words.endswith(f"calib sensitivity plain{' --quick' * bool(quick)}")
+    assert [cli.answer(verb) for verb in ask] == [0, 0]
