@@ -23,7 +23,7 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
 
 
 @pytest.mark.parametrize(
-    ("verdict", "names", "credible", "added"),
+    ("verdict", "names", "untold", "added"),
     [
         ("effect", ["guy"], ["guy"], "it: guy"),
         ("two_effects", ["guy", "lamp"], ["guy", "lamp"], "them: guy lamp"),
@@ -31,9 +31,9 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
         ("indistinguishable", ["guy"], ["guy", "lamp"], ""),
     ],
 )
-def test_only_what_has_no_rival_is_to_be_added(capsys, verdict, names, credible, added):
+def test_only_what_has_no_rival_is_to_be_added(capsys, verdict, names, untold, added):
     chosen = SimpleNamespace(names=names)
-    found = SimpleNamespace(verdict=verdict, chosen=chosen, credible=credible, untold=credible, names_something=True)
+    found = SimpleNamespace(verdict=verdict, chosen=chosen, untold=untold)
     console.tell_what_to_add(SimpleNamespace(file=Path("mast/study.toml")), found)
     them, _, which = added.partition(": ")
     told = f"Add {them} with: calib extend mast {which} --into FOLDER\n" if added else ""

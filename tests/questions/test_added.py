@@ -61,11 +61,9 @@ def study(mast, tmp_path_factory):
     return Study.load(mast.write_study(tmp_path_factory.mktemp("added") / "mast"))
 
 
-def found(verdict, *names, credible=()):
+def found(verdict, *names, untold=()):
     chosen = SimpleNamespace(names=names) if names else None
-    return SimpleNamespace(
-        verdict=verdict, chosen=chosen, credible=credible or names, untold=credible or names, unrivalled=False
-    )
+    return SimpleNamespace(verdict=verdict, chosen=chosen, untold=untold or names, unrivalled=False)
 
 
 def test_only_what_is_named_without_a_rival_is_added():
@@ -73,7 +71,7 @@ def test_only_what_is_named_without_a_rival_is_added():
     assert to_add(found("two_effects", "guy", "lamp")).names == ("guy", "lamp")
     for verdict in ("indistinguishable", "partial", "none_explains"):
         assert to_add(found(verdict, "guy")) is None
-    assert to_add(found("two_effects", "guy", "lamp", credible=("guy", "lamp", "ice"))) is None  # ice looks as one does
+    assert to_add(found("two_effects", "guy", "lamp", untold=("guy", "lamp", "ice"))) is None  # ice looks as one does
     assert to_add(found("nothing_detectable")) is None and to_add(found("noise_underestimated")) is None
 
 
@@ -91,7 +89,7 @@ def test_only_what_is_named_without_a_rival_is_added():
     ],
 )
 def test_why_nothing_is_added_is_told_and_written(study, verdict, words, tmp_path):
-    answer = write_nothing_added(study, found(verdict, "guy", credible=("guy", "lamp")), Results(tmp_path))
+    answer = write_nothing_added(study, found(verdict, "guy", untold=("guy", "lamp")), Results(tmp_path))
     assert words in answer.sentence and answer.effects == () and answer.errors.empty
     told = json.loads((tmp_path / "added.json").read_text())
     assert told["sentence"] == answer.sentence and told["effects"] == [] and told["conclusion"] == ""
