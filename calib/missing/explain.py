@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
-from calib.freedom import effective_freedom
 from calib.missing.alike import Group, grouped
 from calib.missing.anew import anew, led_astray
 from calib.missing.evidence import CREDIBLE, at_lower
-from calib.missing.findings import LEAST_FREEDOM, Check, Findings, Trial
+from calib.missing.findings import Check, Findings, Trial, WrongDatum
 from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.left_out import left_out
@@ -72,6 +72,14 @@ def require_modes(count: int) -> None:
         )
 
 
+class _Lead(NamedTuple):
+    """Single effects that were fitted, best first, and the one that may be named, with its tests."""
+
+    singles: list[Trial]
+    best: Trial
+    check: Check
+
+
 @dataclass(frozen=True, eq=False)
 class _Decision:
     """The decision with one scale of the scatter."""
@@ -81,94 +89,165 @@ class _Decision:
     def findings(self, starts: dict[tuple[str, ...], dict[str, float]]) -> Findings:
         """Everything found; ``starts`` are the fits of a first decision, by the names of their effects."""
         fits, hypotheses, alpha = self.fits, self.fits.hypotheses, self.fits.settings.alpha
-        fits.progress("calibrating the base model")
-        question = fits.question(())
-        start = starts.get(()) or nearest_whole(question, question.space.values)
-        base = fits.trial((), start, whole=0 if fits.spent(EARLY) else 1)
-        fits.progress("testing whether anything is missing")
-        # By name: neither draws nor ties nor what a budget leaves out may depend on the order of the library.
-        able = sorted(hypotheses.effects, key=lambda e: e.name)
-        named = fits.scores(base.state, able)
-        able = [e for e in able if e.name in named.owners]
-        if not able:
-            raise EvaluationError("the model cannot be solved with any of the effects")
-        library = [e for e in hypotheses.effects if e in able]
-        groups = grouped(library, named, fits.settings.merge)
+        base = self.calibrated(starts.get(()))
+        able, named = self.candidates(base)
+        groups = grouped([e for e in hypotheses.effects if e in able], named, fits.settings.merge)
         check = self.check(base, named)
-        plain = Findings(
+        found = Findings(
             verdict="nothing_detectable", base=base, base_check=check, groups=groups, trials=(), atom=None,
             chosen=None, chosen_check=None, credible=(), noise_scale=fits.scale,
             measured_scale=self.scale(base), evaluations=hypotheses.evaluations, alpha=alpha,
         )  # fmt: skip
         if check.passes(alpha):
-            return plain
-        accused = suspects(base.state, hypotheses.rows, hypotheses.fitted_factors, hypotheses.scatter_freedom, alpha)
-        plain = replace(plain, suspects=accused)
+            return found
         singles = fits.singles(base, groups, check.named, starts)
-        atom = fits.best_atom(base, check.atoms, check.named, singles)
-        fault = fits.fault(base, check.atoms, singles[0])
-        if fault is not None and fault.ln_evidence > max(
-            singles[0].ln_evidence, -math.inf if atom is None else atom.ln_evidence + CREDIBLE
-        ):
-            atom = fault
-        plain = replace(plain, datum=wrong_datum(fits, base, accused, singles[0]))
-        # One of many local changes fits best by chance; against a named effect it pays for their number.
-        unnamed = [t.ln_evidence for t in (atom, fault) if t is not None]
-        rival = max(unnamed, default=-math.inf) - math.log(max(len(hypotheses.atoms) / len(groups), 1.0))
-        needed = max(base.ln_evidence + math.log(len(groups)) + CREDIBLE, rival)
-        best, best_check = self.best(singles, able)
-        settled = self.accepted(best, best_check, needed) and not self.scale(base, best, atom) > GUARD
+        found = self.with_rivals(found, singles[0])
+        needed = self.needed(found)
+        lead = self.lead(singles, able)
+        settled = self.accepted(lead, needed) and not self.scale(base, lead.best, found.atom) > GUARD
         if not settled and not starts and fits.settings.budget > 0 and led_astray(base, check):
             with fits.allowance.uncharged():  # it has an allowance of its own
-                singles = anew(fits, base, singles, able)
-            best, best_check = self.best(singles, able)
-            plain = replace(plain, begun_anew=True)
-        plain = replace(
-            plain, trials=tuple(singles), atom=atom, fault=fault, measured_scale=self.scale(base, best, atom)
+                lead = self.lead(anew(fits, base, lead.singles, able), able)
+            found = replace(found, begun_anew=True)
+        found = replace(found, measured_scale=self.scale(base, lead.best, found.atom))
+        doubted = found.measured_scale > GUARD and not starts
+        if doubted and self.promised_scale(lead.best, lead.check.named) > GUARD:
+            return self.done(found, lead.singles, "none_explains", lead.best, lead.check)
+        if self.accepted(lead, needed):
+            return self.named(found, lead)
+        lead = self.moved(lead, able)
+        if self.accepted(lead, needed):
+            return self.named(found, lead)
+        pairs = fits.pairs(lead.best, lead.check.named, lead.singles, able)
+        again = fits.alone(lead.singles, pairs)
+        lead = lead if again is lead.singles else self.lead(again, able)
+        if self.accepted(lead, needed):
+            return self.named(found, lead)
+        found = replace(found, measured_scale=self.scale(base, lead.best, found.atom, *pairs[:1]))
+        return self.two_effects(found, lead, pairs, able) or self.unexplained(found, lead, pairs, needed)
+
+    # -- steps ---------------------------------------------------------------------------------------------------------
+
+    def calibrated(self, start: dict[str, float] | None) -> Trial:
+        """The base model, fitted from a start or from the adopted values with the most promising whole numbers."""
+        fits = self.fits
+        fits.progress("calibrating the base model")
+        question = fits.question(())
+        start = start or nearest_whole(question, question.space.values)
+        return fits.trial((), start, whole=0 if fits.spent(EARLY) else 1)
+
+    def candidates(self, base: Trial) -> tuple[list[Effect], Scores]:
+        """The effects with which the model can be solved, by name, and their scores.
+
+        Neither draws nor ties nor what a budget leaves out may depend on the order of the library.
+        """
+        self.fits.progress("testing whether anything is missing")
+        able = sorted(self.fits.hypotheses.effects, key=lambda e: e.name)
+        named = self.fits.scores(base.state, able)
+        able = [e for e in able if e.name in named.owners]
+        if not able:
+            raise EvaluationError("the model cannot be solved with any of the effects")
+        return able, named
+
+    def with_rivals(self, found: Findings, best: Trial) -> Findings:
+        """The findings with what else may explain: a local change, a fault of the measurement, a wrong datum."""
+        fits, h, base, check = self.fits, self.fits.hypotheses, found.base, found.base_check
+        atom = fits.best_atom(base, check.atoms, check.named, best)
+        fault = fits.fault(base, check.atoms, best)
+        if _ln(fault) > max(best.ln_evidence, _ln(atom) + CREDIBLE):
+            atom = fault
+        accused = suspects(base.state, h.rows, h.fitted_factors, h.scatter_freedom, found.alpha)
+        datum = wrong_datum(fits, base, accused, best)
+        return replace(found, atom=atom, fault=fault, datum=datum, suspects=accused)
+
+    def moved(self, lead: _Lead, able: Sequence[Effect]) -> _Lead:
+        """The same with the best effect where whole numbers are chosen with it in the model."""
+        moved = None if self.fits.spent(LATE) else self.fits.moved(lead.best)
+        if moved is None:
+            return lead
+        others = [t for t in lead.singles if t is not lead.best]
+        return self.lead(sorted([moved, *others], key=lambda t: -t.ln_evidence), able)
+
+    def two_effects(
+        self, found: Findings, lead: _Lead, pairs: Sequence[Trial], able: Sequence[Effect]
+    ) -> Findings | None:
+        """Two effects that may be named, with those that look the same; None where there are none."""
+        second = 2 * CREDIBLE + math.log(max(len(found.groups) - 1, 1))
+        measurement = max(_ln(found.fault), _ln(found.datum)) + CREDIBLE
+        needed = max(lead.singles[0].ln_evidence + second, self.rival(found), measurement)
+        pair = self.pair(pairs, needed, found.groups)
+        if not pair:
+            return None
+        check = self.check(pair[0], self.beside(pair[0], able))
+        if not (self.adequate(check) and self.predicts(pair[0], found.base)):
+            return None
+        credible = tuple(dict.fromkeys(name for t in pair for name in t.names))
+        return self.done(found, (*lead.singles, *pairs), "two_effects", pair[0], check, credible)
+
+    def unexplained(self, found: Findings, lead: _Lead, pairs: Sequence[Trial], needed: float) -> Findings:
+        """What is told where nothing may be named."""
+        alpha, verdict = found.alpha, "none_explains"
+        if lead.best.ln_evidence > needed and not lead.best.implausible and lead.check.p_family <= alpha:
+            verdict = "partial"
+        elif found.base_check.p_family > alpha:
+            verdict = "misfit_unlocated"  # a fit that is bad although nothing stands out is no organised misfit
+        return self.done(found, (*lead.singles, *pairs), verdict, lead.best, lead.check)
+
+    def named(self, found: Findings, lead: _Lead) -> Findings:
+        """One effect, or several that explain about as well and that a careful reader would believe.
+
+        Where a fault of the measurement explains about as well, nobody can tell either. So it is with a single datum
+        without which everything fits. It does not pay for the number of data: that was asked of its chance already.
+        """
+        lowest = lead.singles[0].ln_evidence - CREDIBLE
+        fitted = {t.names[0] for t in lead.singles}
+        alike = {group.effect.name: tuple(e.name for e in group.others) for group in found.groups}
+        credible = tuple(
+            name
+            for t in lead.singles
+            if t.ln_evidence > lowest and not t.implausible
+            # What looks the same and was not fitted explains as well.
+            for name in (t.names[0], *(n for n in alike.get(t.names[0], ()) if n not in fitted))
         )
-        if plain.measured_scale > GUARD and not starts and self.promised_scale(best, best_check.named) > GUARD:
-            return self.done(plain, "none_explains", best, best_check)
-        if self.accepted(best, best_check, needed):
-            return self.named(plain, singles, best, best_check)
-        moved = None if fits.spent(LATE) else fits.moved(best)
-        if moved is not None:
-            singles = sorted([moved, *(t for t in singles if t is not best)], key=lambda t: -t.ln_evidence)
-            best, best_check = self.best(singles, able)
-            if self.accepted(best, best_check, needed):
-                return self.named(plain, singles, best, best_check)
-        pairs = fits.pairs(best, best_check.named, singles, able)
-        again = fits.alone(singles, pairs)
-        if again is not singles:
-            singles = again
-            best, best_check = self.best(singles, able)
-            if self.accepted(best, best_check, needed):
-                return self.named(plain, singles, best, best_check)
-        plain = replace(plain, trials=(*singles, *pairs), measured_scale=self.scale(base, best, atom, *pairs[:1]))
-        second = 2 * CREDIBLE + math.log(max(len(groups) - 1, 1))
-        wrong = -math.inf if plain.datum is None else plain.datum.ln_evidence
-        alone = max(wrong, -math.inf if fault is None else fault.ln_evidence) + CREDIBLE
-        pair = self.pair(pairs, max(singles[0].ln_evidence + second, rival, alone), groups)
-        if pair:
-            pair_check = self.check(pair[0], self.beside(pair[0], able))
-            if pair_check.adequate(alpha) and self.told_by_data(pair[0]) and self.predicts(pair[0], base):
-                credible = dict.fromkeys(name for t in pair for name in t.names)
-                both = self.done(plain, "two_effects", pair[0], pair_check, tuple(credible))
-                return both.unconfirmed() if both.unrivalled else both
-        partial = best.ln_evidence > needed and not best.implausible and best_check.p_family <= alpha
-        if partial:
-            return self.done(plain, "partial", best, best_check)
-        # A fit that is bad although nothing stands out is no organised misfit.
-        return self.done(plain, "misfit_unlocated" if check.p_family > alpha else "none_explains", best, best_check)
+        near = lead.best.ln_evidence - CREDIBLE
+        fault = found.fault if _ln(found.fault) > near else None
+        datum = found.datum if fault is None and _ln(found.datum) > near else None
+        alone = len(credible) == 1 and fault is None and datum is None
+        verdict = "effect" if alone else "indistinguishable"
+        return self.done(found, lead.singles, verdict, lead.best, lead.check, credible, fault, datum)
 
-    def accepted(self, trial: Trial, check: Check, needed: float) -> bool:
-        """Whether an effect may be named."""
-        adequate = check.adequate(self.fits.settings.alpha) and self.told_by_data(trial)
-        return trial.ln_evidence > needed and not trial.implausible and adequate
+    def done(
+        self, found: Findings, trials: Sequence[Trial], verdict: str, chosen: Trial, check: Check,
+        credible: tuple[str, ...] = (), fault: Trial | None = None, datum: WrongDatum | None = None,
+    ) -> Findings:  # fmt: skip
+        """The findings with their verdict; a name that nothing could have spoken against is withheld."""
+        done = replace(
+            found, trials=tuple(trials), verdict=verdict, chosen=chosen, chosen_check=check, credible=credible,
+            fault=fault, datum=datum, evaluations=self.fits.hypotheses.evaluations,
+        )  # fmt: skip
+        return done.unconfirmed() if done.names_something and done.unrivalled else done
 
-    def told_by_data(self, trial: Trial) -> bool:
-        """Whether enough data are left to speak against a fit."""
-        factors = sum(self.fits.hypotheses.fitted_factors.values())
-        return effective_freedom(trial.state.slope, trial.state.prior_sd, factors) >= LEAST_FREEDOM
+    # -- what may be named ---------------------------------------------------------------------------------------------
+
+    def rival(self, found: Findings) -> float:
+        """Log evidence of what is unnamed and fits best.
+
+        One of many local changes fits best by chance; against a named effect it pays for their number.
+        """
+        number = len(self.fits.hypotheses.atoms) / len(found.groups)
+        return max(_ln(found.atom), _ln(found.fault)) - math.log(max(number, 1.0))
+
+    def needed(self, found: Findings) -> float:
+        """Log evidence beyond which one effect may be named."""
+        return max(found.base.ln_evidence + math.log(len(found.groups)) + CREDIBLE, self.rival(found))
+
+    def accepted(self, lead: _Lead, needed: float) -> bool:
+        """Whether the leading effect may be named."""
+        return lead.best.ln_evidence > needed and not lead.best.implausible and self.adequate(lead.check)
+
+    def adequate(self, check: Check) -> bool:
+        """Whether nothing organised is left although enough data could tell."""
+        return check.adequate(self.fits.settings.alpha) and check.can_tell
 
     def predicts(self, trial: Trial, base: Trial) -> bool:
         """Whether data that are left out, mode by mode or one by one, are predicted no worse than by the base model."""
@@ -179,48 +258,11 @@ class _Decision:
 
         return error(trial.state) <= error(base.state)
 
-    def named(self, found: Findings, singles: Sequence[Trial], best: Trial, check: Check) -> Findings:
-        """One effect, or several that explain about as well and that a careful reader would believe.
-
-        Where a fault of the measurement explains about as well, nobody can tell either. So it is with a single datum
-        without which everything fits. It does not pay for the number of data: that was asked of its chance already.
-        """
-        lowest = singles[0].ln_evidence - CREDIBLE
-        fitted = {t.names[0] for t in singles}
-        alike = {group.effect.name: tuple(e.name for e in group.others) for group in found.groups}
-        credible = tuple(
-            name
-            for t in singles
-            if t.ln_evidence > lowest and not t.implausible
-            # What looks the same and was not fitted explains as well.
-            for name in (t.names[0], *(n for n in alike.get(t.names[0], ()) if n not in fitted))
-        )
-        fault = found.fault
-        if fault is not None and fault.ln_evidence <= best.ln_evidence - CREDIBLE:
-            fault = None
-        datum = found.datum
-        if fault is not None or (datum is not None and datum.ln_evidence <= best.ln_evidence - CREDIBLE):
-            datum = None
-        found = replace(found, trials=tuple(singles))
-        alone = len(credible) == 1 and fault is None and datum is None
-        done = self.done(found, "effect" if alone else "indistinguishable", best, check, credible)
-        done = replace(done, fault=fault, datum=datum)
-        return done.unconfirmed() if done.unrivalled else done
-
-    def done(
-        self, found: Findings, verdict: str, chosen: Trial, check: Check, credible: tuple[str, ...] = ()
-    ) -> Findings:
-        """The findings with their verdict."""
-        return replace(
-            found, verdict=verdict, chosen=chosen, chosen_check=check, credible=credible, fault=None,
-            datum=None, evaluations=self.fits.hypotheses.evaluations,
-        )  # fmt: skip
-
-    def best(self, singles: Sequence[Trial], candidates: Sequence[Effect]) -> tuple[Trial, Check]:
+    def lead(self, singles: list[Trial], candidates: Sequence[Effect]) -> _Lead:
         """The effect of the highest evidence, with its tests; a believable one of nearly the same goes first."""
         near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - CREDIBLE and not t.implausible]
         best = near[0] if near else singles[0]
-        return best, self.check(best, self.beside(best, candidates))
+        return _Lead(singles, best, self.check(best, self.beside(best, candidates)))
 
     def pair(self, pairs: Sequence[Trial], needed: float, groups: Sequence[Group]) -> tuple[Trial, ...]:
         """The pair of effects that may be named, with those that look the same; empty when there is none.
@@ -272,3 +314,8 @@ class _Decision:
             p_fit=overall(kinds, modes),
             sensors=by_sensor(trial.state, hypotheses.rows, hypotheses.fitted_factors, freedom),
         )
+
+
+def _ln(one: Trial | WrongDatum | None) -> float:
+    """Log evidence; that of nothing is minus infinity."""
+    return -math.inf if one is None else one.ln_evidence

@@ -51,6 +51,11 @@ class Check:
         """Effective degrees of freedom that the fit leaves."""
         return float(self.kinds["freedom"].sum())
 
+    @property
+    def can_tell(self) -> bool:
+        """Whether enough data are left to speak against the fit."""
+        return self.freedom >= LEAST_FREEDOM
+
     def passes(self, alpha: float) -> bool:
         """Whether nothing seems missing."""
         return self.p_family > alpha and self.p_fit > alpha
@@ -172,8 +177,8 @@ class Findings:
     datum: WrongDatum | None = None
     suspects: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(COLUMNS)))
 
-    def ln_bayes(self, trial: Trial) -> float:
-        """Log Bayes factor of a trial against the base model."""
+    def ln_bayes(self, trial: Trial | WrongDatum) -> float:
+        """Log Bayes factor of a trial, or of a wrong datum, against the base model."""
         return trial.ln_evidence - self.base.ln_evidence
 
     @property
@@ -188,7 +193,7 @@ class Findings:
             return ""
         if trial.implausible:
             return "implausible"
-        if check.freedom < LEAST_FREEDOM:
+        if not check.can_tell:
             return "freedom"
         if not check.adequate(self.alpha):
             return "misfit"

@@ -249,13 +249,13 @@ class Refits:
             out.append({**state.values, **moved, **point, name: size})
         return out
 
-    def best_atom(self, base: Trial, found: Scores, named: Scores, singles: Sequence[Trial]) -> Trial | None:
+    def best_atom(self, base: Trial, found: Scores, named: Scores, best: Trial) -> Trial | None:
         """The unnamed local change with the largest score, fitted; not one that only says what the best effect says.
 
         A change of a part comes before something added at a sensor: that must fit clearly better.
         """
         usable = np.array(found.strength)
-        column = named.unit[:, named.best(singles[0].names[0])]
+        column = named.unit[:, named.best(best.names[0])]
         usable[np.abs(found.unit.T @ column) > SAME] = -np.inf
         scales = np.array([bool(self._by_name[n].part) for n in found.owners], dtype=bool)
         part, other = (
@@ -266,10 +266,10 @@ class Refits:
         )  # fmt: skip
         atom = None
         if part is not None and first > 0:
-            atom = self._local(found.owners[part], base, found, singles)
+            atom = self._local(found.owners[part], base, found, best)
         clearly = second > first + CREDIBLE and not (atom is not None and self.spent())
         if other is not None and (clearly or (atom is None and second > 0)):
-            rival = self._local(found.owners[other], base, found, singles)
+            rival = self._local(found.owners[other], base, found, best)
             if rival is not None and (atom is None or rival.ln_evidence > atom.ln_evidence + CREDIBLE):
                 return rival
         return atom
@@ -285,15 +285,15 @@ class Refits:
             return None
         if reached - usable.max() ** 2 / 2 > near_to(reached):
             return None
-        return self._local(found.owners[int(np.argmax(usable))], base, found, [best])
+        return self._local(found.owners[int(np.argmax(usable))], base, found, best)
 
-    def _local(self, name: str, base: Trial, found: Scores, singles: Sequence[Trial]) -> Trial | None:
+    def _local(self, name: str, base: Trial, found: Scores, best: Trial) -> Trial | None:
         """One local change fitted, to the end where it comes near the best effect."""
         first = self.starts(base.state, found, name)[0]
         atom = self.best_of((name,), [first], base)
         if self.spent():
             return atom
-        if atom is not None and singles[0].ln_evidence - atom.ln_evidence < _CLOSE:
+        if atom is not None and best.ln_evidence - atom.ln_evidence < _CLOSE:
             atom = self.followed(atom)
         return atom
 

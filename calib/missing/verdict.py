@@ -188,7 +188,7 @@ def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
         )
         check = "Or: " + " ".join(e.look_for for e in found.fault.effects)
     if found.datum is not None:
-        explaining.append((found.datum.ln_evidence - found.base.ln_evidence, found.datum.told))
+        explaining.append((found.ln_bayes(found.datum), found.datum.told))
         check = f"Or measure the {found.datum.what} again."
     explaining.sort(key=lambda one: -one[0])
     odds = math.exp(explaining[0][0] - explaining[1][0])
