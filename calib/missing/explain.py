@@ -18,6 +18,7 @@ from calib.missing.findings import Check, Findings, Trial, WrongDatum
 from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.left_out import left_out
+from calib.missing.pairs import alone, fit_pairs
 from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
 from calib.missing.score import Scores, family_p
 from calib.missing.state import State, nearest_whole
@@ -118,8 +119,8 @@ class _Decision:
         lead = self.moved(lead, able)
         if self.accepted(lead, needed):
             return self.named(found, lead)
-        pairs = fits.pairs(lead.best, lead.check.named, lead.singles, able)
-        again = fits.alone(lead.singles, pairs)
+        pairs = fit_pairs(fits, lead.best, lead.check.named, lead.singles, able)
+        again = alone(fits, lead.singles, pairs)
         lead = lead if again is lead.singles else self.lead(again, able)
         if self.accepted(lead, needed):
             return self.named(found, lead)
@@ -212,8 +213,8 @@ class _Decision:
         near = lead.best.ln_evidence - CREDIBLE
         fault = found.fault if _ln(found.fault) > near else None
         datum = found.datum if fault is None and _ln(found.datum) > near else None
-        alone = len(credible) == 1 and fault is None and datum is None
-        verdict = "effect" if alone else "indistinguishable"
+        only = len(credible) == 1 and fault is None and datum is None
+        verdict = "effect" if only else "indistinguishable"
         return self.done(found, lead.singles, verdict, lead.best, lead.check, credible, fault, datum)
 
     def done(

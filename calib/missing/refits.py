@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,33 +10,29 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
-from calib.missing.alike import Group, grouped
+from calib.missing.alike import Group
 from calib.missing.allowance import Allowance
-from calib.missing.evidence import CREDIBLE, at_lower, ln_bayes_linear, ln_evidence
+from calib.missing.evidence import CREDIBLE, ln_bayes_linear, ln_evidence
 from calib.missing.findings import Trial
 from calib.missing.hypotheses import Hypotheses, Question, Scaled
 from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.score import Scores, scores
-from calib.missing.state import FINE, ROUGH, WORTH, State, fitted, grown, nearest_whole, neighbours
+from calib.missing.state import FINE, ROUGH, State, fitted, grown, nearest_whole
 from calib.updating.gauss_newton import FitSettings
 
 SAME = 0.98
 """Correlation of fingerprints from which a local change says the same as a named effect."""
-PAIRS_OF_BEST, PAIRS_OF_NEXT = 3, 2
-"""Effects that are tried beside the best one and beside the runner-up."""
 _FAR = 30.0
 """Log Bayes factor from which an effect leaves no room for those that promise a quarter of it."""
 _CLOSE = 10.0
 """Effects whose log evidence is within this of the best are fitted to the end."""
 _NEARLY = 0.35
 """The same, as a part of what the best one has gained."""
-_POLISHED = 3
+POLISHED = 3
 """Effects, and pairs of effects, that may move whole numbers back."""
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects; for looking where whole numbers may have been led astray."""
-PAIRED = 0.5
-"""Part of the budget that pairs of effects may spend at least, whatever single effects have spent."""
 _SMALLER = (0.1, 0.01)
 """Parts of a step that are tried where the whole step ended above the fit it began from."""
 _LEAST = 8
@@ -108,7 +103,8 @@ class Refits:
         object.__setattr__(self, "allowance", Allowance(self.hypotheses, self.settings.budget))
 
     @cached_property
-    def _by_name(self) -> Mapping[str, Effect]:
+    def by_name(self) -> Mapping[str, Effect]:
+        """Effects and local changes."""
         return {e.name: e for e in (*self.hypotheses.effects, *self.hypotheses.atoms)}
 
     def question(self, names: tuple[str, ...]) -> Question:
@@ -153,7 +149,7 @@ class Refits:
         starts: dict[tuple[str, ...], dict[str, float]],
     ) -> list[Trial]:
         """The most promising effects, fitted, and those that look the same as what fits well; best first."""
-        plausible = np.array([self._by_name[n].plausible for n in named.owners])
+        plausible = np.array([self.by_name[n].plausible for n in named.owners])
         promise = ln_bayes_linear(named.strength, named.size, plausible)
         by_effect = {g.effect.name: max(promise[k] for k, n in enumerate(named.owners) if n in g.names) for g in groups}
         order = sorted(by_effect, key=lambda n: (-by_effect[n], n))[: self.settings.refits]
@@ -182,7 +178,7 @@ class Refits:
         # Places of whole-number parameters may have followed what was missing: the best are allowed to move them back.
         reached = out[0].ln_evidence - base.ln_evidence
         near = near_to(reached)
-        for k, one in enumerate(out[:_POLISHED]):
+        for k, one in enumerate(out[:POLISHED]):
             close = reached > CREDIBLE and out[0].ln_evidence - one.ln_evidence < near
             if close and not self.spent(EARLY if k else 1.0):
                 out[k] = self.followed(one, whole=1)
@@ -192,7 +188,7 @@ class Refits:
         self, base: Trial, named: Scores, name: str, starts: dict[tuple[str, ...], dict[str, float]]
     ) -> Trial | None:
         """One effect, fitted from where it was fitted before, or one step from the base model."""
-        self.progress(f"fitting {self._by_name[name].title}")
+        self.progress(f"fitting {self.by_name[name].title}")
         known = [starts[(name,)]] if (name,) in starts else None
         return self.best_of((name,), known or self.starts(base.state, named, name), base)
 
@@ -233,12 +229,12 @@ class Refits:
         return further if further.state.misfit <= trial.state.misfit else trial
 
     def _judged(self, names: tuple[str, ...], state: State) -> Trial:
-        effects = tuple(self._by_name[n] for n in names)
+        effects = tuple(self.by_name[n] for n in names)
         return Trial(effects, state, ln_evidence(state, effects), implausible(state, effects))
 
     def starts(self, state: State, found: Scores, name: str) -> list[dict[str, float]]:
         """Where to start the fit of an effect: one step from the state, of the best points of its grid."""
-        effect, out = self._by_name[name], []
+        effect, out = self.by_name[name], []
         for k in found.steps(name, 2 if effect.nuisance else 1):
             p, point = effect.strength, found.points[k]
             size = found.z[k] / found.size[k] if found.size[k] > 0 else 0.0
@@ -257,7 +253,7 @@ class Refits:
         usable = np.array(found.strength)
         column = named.unit[:, named.best(best.names[0])]
         usable[np.abs(found.unit.T @ column) > SAME] = -np.inf
-        scales = np.array([bool(self._by_name[n].part) for n in found.owners], dtype=bool)
+        scales = np.array([bool(self.by_name[n].part) for n in found.owners], dtype=bool)
         part, other = (
             int(np.argmax(np.where(own, usable, -np.inf))) if own.any() else None for own in (scales, ~scales)
         )
@@ -279,7 +275,7 @@ class Refits:
 
         It counts even where it says what that effect says: then nobody can tell whether model or measurement is wrong.
         """
-        usable = np.where([self._by_name[n].of_measurement for n in found.owners], found.strength, -np.inf)
+        usable = np.where([self.by_name[n].of_measurement for n in found.owners], found.strength, -np.inf)
         reached = best.ln_evidence - base.ln_evidence
         if not usable.size or usable.max() <= 0 or self.spent():
             return None
@@ -297,73 +293,6 @@ class Refits:
             atom = self.followed(atom)
         return atom
 
-    def pairs(self, best: Trial, found: Scores, singles: Sequence[Trial], candidates: Sequence[Effect]) -> list[Trial]:
-        """Two effects at a time, best first: the best one with what then stands out, and the runner-up likewise.
-
-        ``found`` are the scores of the other candidates beside the best one. What was missing may have led whole
-        numbers astray, where a second effect cannot be seen: their neighbours are asked too. What single effects have
-        spent leaves pairs a part of the budget of their own.
-        """
-        self.allowance.ensure(PAIRED * self.settings.budget)
-        if self.allowance.left <= 0:
-            return []
-        tests = [(best, found, PAIRS_OF_BEST)]
-        for runner_up in [t for t in singles if t is not best][:1]:
-            rest = [e for e in candidates if e.name not in runner_up.names]
-            if rest:
-                tests.append((runner_up, self.scores(runner_up.state, rest), PAIRS_OF_NEXT))
-        wanted: dict[frozenset[str], list[dict[str, float]]] = {}
-        for first, beside, count in tests:
-            places = [] if self.spent(LATE) else neighbours(first.state)
-            views = [(place, beside.at(place)) for place in (first.state, *places)]
-            left = {n: self._left(views, n) for n in dict.fromkeys(beside.owners)}
-            for name in self._first_of(left, views, candidates, count):
-                _, place, there = left[name]
-                start = self.starts(place, there, name)[0]
-                wanted.setdefault(frozenset((first.names[0], name)), []).append(start)
-        out: list[Trial] = []
-        for key, starts in wanted.items():
-            if self.spent():
-                break
-            names = tuple(sorted(key))
-            self.progress("fitting " + " with ".join(self._by_name[n].title for n in names))
-            parent = min((t for t in (best, *singles) if t.names[0] in key), key=lambda t: t.state.misfit)
-            pair = self.best_of(names, starts[:1], parent)
-            if len(starts) > 1 and (pair is None or pair.implausible):
-                pair = self.best_of(names, [*starts[1:], *([pair.state.values] if pair else [])], parent)
-            if pair is not None:
-                out.append(pair)
-        # What one effect has led astray may hide the other: several pairs are allowed to move whole numbers back.
-        order = sorted(range(len(out)), key=lambda k: -out[k].ln_evidence)
-        for k in order[:_POLISHED]:
-            if not self.spent() or (k == order[0] and not out[k].implausible):
-                out[k] = self.followed(out[k], whole=1, settings=ROUGH)
-        out.sort(key=lambda t: -t.ln_evidence)
-        if out and not self.spent():
-            out[0] = self.followed(out[0])
-        return sorted(out, key=lambda t: -t.ln_evidence)
-
-    def _first_of(
-        self,
-        left: Mapping[str, tuple[float, State, Scores]],
-        views: Sequence[tuple[State, Scores]],
-        candidates: Sequence[Effect],
-        count: int,
-    ) -> list[str]:
-        """The effects that promise to leave least, each with all that look the same beside the first effect."""
-        able = [e for e in candidates if e.name in left]
-        groups = {g.effect.name: g.names for g in grouped(able, views[0][1], self.settings.merge)}
-        order = sorted(groups, key=lambda n: (min(left[m][0] for m in groups[n]), n))[:count]
-        return [name for leader in order for name in groups[leader]]
-
-    @staticmethod
-    def _left(views: Sequence[tuple[State, Scores]], name: str) -> tuple[float, State, Scores]:
-        """Least sum of squares an effect promises to leave, and where; a place but the first one must be worth it."""
-        left = [s.misfit - max(float(f.strength[f.best(name)]), 0.0) ** 2 for s, f in views]
-        best = int(np.argmin(left))
-        best = best if left[best] < left[0] - WORTH else 0
-        return (left[best], *views[best])
-
     def moved(self, trial: Trial) -> Trial | None:
         """The same effect where whole numbers are chosen with it in the model; None when that is no better.
 
@@ -380,25 +309,3 @@ class Refits:
             return None
         found = self.trial(trial.names, found.state.values)
         return found if found.state.misfit < trial.state.misfit else None
-
-    def alone(self, singles: list[Trial], pairs: Sequence[Trial]) -> list[Trial]:
-        """The single effects once more where a pair in which the other one vanished has found a better fit."""
-        better = {}
-        for pair in pairs:
-            if self.spent():
-                break
-            left = [e for e in pair.effects if not at_lower(pair.state, e)]
-            if len(left) != 1 or len(pair.effects) == 1:
-                continue
-            name = left[0].name
-            known = next((t.state.misfit for t in singles if t.names == (name,)), math.inf)
-            if pair.state.misfit < known - 1.0:
-                gone = {n for e in pair.effects if e.name != name for n in e.names}
-                start = {n: v for n, v in pair.state.values.items() if n not in gone}
-                found = self.trial((name,), start, whole=1)
-                if found.state.misfit < known:
-                    better[name] = found
-        if not better:
-            return singles
-        kept = [t for t in singles if t.names[0] not in better]
-        return sorted([*kept, *better.values()], key=lambda t: -t.ln_evidence)

@@ -7,7 +7,7 @@ import pytest
 
 from calib.errors import EvaluationError
 from calib.missing.explain import Settings, explain
-from calib.missing.refits import Refits
+from calib.missing.pairs import fit_pairs
 from calib.missing.state import fitted
 
 
@@ -46,13 +46,12 @@ def test_what_single_effects_have_spent_leaves_pairs_their_part(toy, monkeypatch
     """Two effects are missing, and the single ones use up the budget: the pair is named as with any budget."""
     toy = toy(signed=("E4",)).drawn(np.random.default_rng(1), {"E0": 1.2, "E4": -1.2})
     whole, spent = explain(toy), []
-    pairs = Refits.pairs
 
     def telling(fits, *given):
         spent.append(fits.spent())
-        return pairs(fits, *given)
+        return fit_pairs(fits, *given)
 
-    monkeypatch.setattr(Refits, "pairs", telling)
+    monkeypatch.setattr("calib.missing.explain.fit_pairs", telling)
     found = explain(replace(toy, count=[0]), Settings(budget=6))
     assert spent == [True]
     assert found.verdict == whole.verdict == "two_effects" and set(found.credible) == set(whole.credible)

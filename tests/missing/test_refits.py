@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing import refits
+from calib.missing import pairs
 from calib.missing.anew import ANEW
 from calib.missing.explain import _Decision, explain
-from calib.missing.refits import DEFAULT, PAIRED, PAIRS_OF_BEST, Refits, Settings
+from calib.missing.pairs import PAIRED, PAIRS_OF_BEST
+from calib.missing.refits import DEFAULT, Refits, Settings
 from calib.missing.score import DETECTABLE, scores
 
 VERDICTS = {
@@ -62,7 +63,7 @@ def test_a_second_effect_is_found_although_places_were_led_astray(astray, begun,
     assert values["place"] == 1 and [values["E0"], values["E2"]] == pytest.approx([2.0, 2.0], abs=0.5)
     assert next(place for names, place in begun if names == ("E0", "E2")) == 1
     # Asked only where the single effect stands, the second one is not even tried.
-    monkeypatch.setattr(refits, "neighbours", lambda state: [])
+    monkeypatch.setattr(pairs, "neighbours", lambda state: [])
     blind = explain(replace(one, count=[0]))
     assert blind.credible == () and not any(t.names == ("E0", "E2") for t in blind.trials)
 
