@@ -240,13 +240,15 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     assumed = assumed_words(side.study)
     rests = f"All this rests on an assumed scatter: {assumed}." if assumed else ""
     disagreements = disagreements_table(side.study)
-    unlocated = found.verdict == "misfit_unlocated"
-    figures |= {"misfit_at": misfit_at(found.base_check, disagreements) if unlocated else None}
     more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy), rests)
     words = (*sentences(found, effects, errors, advice, disagreements), *filter(None, more))
     errors = errors.assign(scatter="assumed" if assumed else "stated")
-    figures |= {"accuracy": accuracy_words(side.study), "scatter_assumed": assumed}
-    figures |= {"accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at}
+    figures |= {
+        "misfit_at": misfit_at(found.base_check, disagreements) if found.verdict == "misfit_unlocated" else None,
+        "accuracy": accuracy_words(side.study),
+        "scatter_assumed": assumed,
+        "accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at,
+    }
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     tables = {

@@ -14,7 +14,7 @@ from calib.correlation.responses import ResponseRow, response_freedom, response_
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel, extend_function
-from calib.outcome import attempt
+from calib.outcome import Outcome, attempt
 from calib.questions.function_atoms import Remembered, function_atoms
 from calib.questions.hypotheses import question_space
 from calib.space import ParameterSpace
@@ -35,17 +35,12 @@ class Failure(NamedTuple):
     ----------
     effects : tuple of str
         Effects and local changes that were not 0.
-    values : dict
-        All parameters, those of these effects included, each in its own unit.
-    error : str
-    trace : str
-        Traceback of what went wrong in the user's code; empty without one.
+    outcome : Outcome
+        Its values are those of all parameters, of these effects too.
     """
 
     effects: tuple[str, ...]
-    values: dict[str, float]
-    error: str
-    trace: str = ""
+    outcome: Outcome
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +107,7 @@ class Answers:
         if key not in self._found:
             outcome = attempt(problem.evaluate, given)
             if outcome.error:
-                self.failures.append(Failure(active, given, outcome.error, outcome.trace))
+                self.failures.append(Failure(active, outcome))
                 self._found[key] = outcome.error
             else:
                 residual = self._whitened.residual(outcome.responses)

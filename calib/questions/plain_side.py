@@ -80,7 +80,7 @@ class PlainSide:
         notes = []
         if failures:
             points = f"{len(failures)} point{'s' * (len(failures) > 1)} failed"
-            notes = [f"{points}; the first{_with(failures[0])}: {failures[0].error}."]
+            notes = [f"{points}; the first{_with(failures[0])}: {failures[0].outcome.error}."]
         return pd.concat(parts, ignore_index=True), notes, {"failed": len(failures)}
 
     def _whitened(
@@ -100,7 +100,7 @@ class PlainSide:
 
     def failed(self) -> list[Outcome]:
         """All points that failed."""
-        return [Outcome(f.values, "failed", {}, f.error, trace=f.trace) for f in self.hypotheses.failures]
+        return [failure.outcome for failure in self.hypotheses.failures]
 
     def prospects(self, found: Findings) -> Prospects | None:
         """A function does not tell what else could be measured."""

@@ -202,8 +202,8 @@ def test_failed_points_do_not_end_the_search():
     assert found.verdict == "effect" and found.credible == ("e0",)
     assert "e3" not in [t.names[0] for t in found.singles]
     assert found.base_check.named.size[3] == 0
-    assert any(f.effects == ("e3",) and "ZeroDivisionError" in f.error for f in hypotheses.failures)
-    assert any(f.effects == () and f.values["t1"] > best for f in hypotheses.failures)
+    assert any(f.effects == ("e3",) and "ZeroDivisionError" in f.outcome.error for f in hypotheses.failures)
+    assert any(f.effects == () and f.outcome.values["t1"] > best for f in hypotheses.failures)
     assert hypotheses.evaluations == len(problem.function.asked)
 
 
