@@ -65,15 +65,9 @@ def solved(monkeypatch):
 
 
 @pytest.fixture
-def plain(tmp_path, monkeypatch):
+def plain(plain_study):
     """A study of plain responses, whose function writes a line for every point that it is asked."""
-    monkeypatch.chdir(tmp_path)
-    folder = Path("plain")
-    folder.mkdir()
-    (folder / "model.py").write_text(PLAIN)
-    (folder / "study.toml").write_text(PLAIN_STUDY)
-    (folder / "measured.csv").write_text("response,value,std\ny,5.0,0.1\nz,4.0,0.1\nw,6.0,0.1\n")
-    return Study.load(folder)
+    return Study.load(plain_study("plain", PLAIN, PLAIN_STUDY, y=(5.0, 0.1), z=(4.0, 0.1), w=(6.0, 0.1)))
 
 
 def test_modes_are_solved_once_and_not_again_by_the_next_run(tmp_path, solved):

@@ -41,14 +41,9 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process", "undrawn")
 
 
 @pytest.fixture
-def selected(tmp_path, monkeypatch):
+def selected(plain_study):
     """Writes ``selection.csv`` and tells which parameters are then searched."""
-    monkeypatch.chdir(tmp_path)
-    folder = Path("plain")
-    folder.mkdir()
-    (folder / "model.py").write_text(MODEL)
-    (folder / "measured.csv").write_text("response,value,std\np,3.5,0.01\nq,1.1,0.01\nr,1.5,0.01\n")
-    (folder / "study.toml").write_text(STUDY)
+    folder = plain_study("plain", MODEL, STUDY, p=(3.5, 0.01), q=(1.1, 0.01), r=(1.5, 0.01))
     assert cli.answer(["sensitivity", "plain", "--workers", "1"]) == 0
     home = Results(Path("results/plain"))
     study = Study.load(folder)

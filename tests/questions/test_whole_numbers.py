@@ -1,7 +1,5 @@
 """What a calibration tells about whole-number parameters."""
 
-from pathlib import Path
-
 import pandas as pd
 import pytest
 
@@ -37,15 +35,10 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
 @pytest.mark.parametrize("refits", [case.REFITS, 2])
-def test_a_search_over_whole_numbers_that_was_cut_short_says_so(tmp_path, monkeypatch, capsys, refits):
-    monkeypatch.chdir(tmp_path)
+def test_a_search_over_whole_numbers_that_was_cut_short_says_so(plain_study, monkeypatch, capsys, refits):
     monkeypatch.setattr(case, "REFITS", refits)
     monkeypatch.setattr(cli, "draw_all", lambda *given: [])
-    folder = Path("plain")
-    folder.mkdir()
-    (folder / "study.toml").write_text(STUDY)
-    (folder / "model.py").write_text(MODEL)
-    (folder / "measured.csv").write_text("response,value,std\ny,51.0,0.1\nz,7.0,0.1\nw,2.0,0.1\n")
+    plain_study("plain", MODEL, STUDY, y=(51.0, 0.1), z=(7.0, 0.1), w=(2.0, 0.1))
     assert cli.answer(["calibrate", "plain", "--method", "gauss-newton", "--workers", "1"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert (UNTRIED in out) == (refits == 2)
@@ -70,15 +63,10 @@ def model():
 
 
 @pytest.mark.parametrize("more", ["polish = true", "polish = false", 'method = "gauss-newton"'])
-def test_a_study_of_whole_numbers_alone_is_calibrated(tmp_path, monkeypatch, more):
-    monkeypatch.chdir(tmp_path)
+def test_a_study_of_whole_numbers_alone_is_calibrated(plain_study, monkeypatch, more):
     monkeypatch.setattr(cli, "draw_all", lambda *given: [])
-    folder = Path("whole")
-    folder.mkdir()
     text = STUDY.replace('["a", "n"]', '["m", "n"]').replace("starts = 1", f"population = 8\ngenerations = 4\n{more}")
-    (folder / "study.toml").write_text(text)
-    (folder / "model.py").write_text(WHOLE_MODEL)
-    (folder / "measured.csv").write_text("response,value,std\ny,53.02,0.1\nz,7.01,0.1\nw,28.01,0.1\n")
+    plain_study("whole", WHOLE_MODEL, text, y=(53.02, 0.1), z=(7.01, 0.1), w=(28.01, 0.1))
     assert cli.answer(["run" if more == "polish = true" else "calibrate", "whole", "--workers", "1"]) == 0
     found = pd.read_csv("results/whole/parameters.csv").set_index("parameter")
     assert list(found.index) == ["m", "n"] and (found["value"] % 1 == 0).all()
