@@ -14,6 +14,9 @@ KNOWN = 1e9
 POOL_BELOW = 10
 """With fewer repeats the scatter of a single number is itself too uncertain (34 % with five) and is pooled."""
 
+LEAST_FREEDOM = 2 - 1e-6
+"""Effective degrees of freedom below which data cannot speak against a fit; priors take a little of the last one."""
+
 _ZERO = 1e-13
 
 

@@ -125,6 +125,7 @@ def ln_wrong(difference: np.ndarray, covariance: np.ndarray) -> float:
     largest = float(np.max(square - own))  # beyond it no part of the sum grows
     if largest <= 0:
         return ln(0.0)
+    # C is no less than one, beside which e^-12 of an error that matters is nothing.
     found = minimize_scalar(lambda u: -ln(np.exp(u) * largest), bounds=(-12.0, 0.0), method="bounded")
     return max(-float(found.fun), ln(largest), ln(0.0))
 

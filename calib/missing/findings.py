@@ -7,13 +7,11 @@ from dataclasses import dataclass, field, replace
 import pandas as pd
 
 from calib.effect import Effect
+from calib.freedom import LEAST_FREEDOM
 from calib.missing.alike import Group
 from calib.missing.score import Scores
 from calib.missing.state import State
 from calib.missing.suspect import COLUMNS
-
-LEAST_FREEDOM = 2 - 1e-6
-"""Effective degrees of freedom that a fit must leave for a name; priors take a little of the last one."""
 
 
 @dataclass(frozen=True, eq=False)

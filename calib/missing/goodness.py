@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from calib.freedom import KNOWN, chance, row_freedom
+from calib.freedom import chance, row_freedom
 from calib.missing.hypotheses import Label
 
 _Name = TypeVar("_Name", bound=Hashable)
 
 _ALIKE = 0.01
 """Level at which modes differ by more than a common factor."""
-_FOLLOWED = 0.02
+FOLLOWED = 0.02
 """Part of a row's variance left by the parameters below which it says nothing."""
 
 
@@ -94,7 +94,7 @@ class Layout:
     factors : ndarray (n_blocks,)
         Numbers fitted to each.
     scatter : ndarray (n_kinds,)
-        Degrees of freedom behind the scatter of each kind.
+        Degrees of freedom behind the scatter of each kind; infinite where it is known.
     """
 
     blocks: tuple[tuple[str, str], ...]
@@ -115,7 +115,7 @@ class Layout:
         blocks, which = _numbered([(row.mode, row.kind) for row in rows])
         kinds, kind_of = _numbered([kind for _, kind in blocks])
         factors = np.array([float(fitted_factors.get(block, 0)) for block in blocks])
-        scatter = np.array([min(scatter_freedom.get(kind, np.inf), KNOWN) for kind in kinds])
+        scatter = np.array([scatter_freedom.get(kind, np.inf) for kind in kinds])
         return cls(tuple(blocks), tuple(kinds), which, kind_of, factors, scatter)
 
     def sums(self, squares: np.ndarray, freedom: np.ndarray, kept: np.ndarray) -> Sums:
@@ -136,7 +136,7 @@ class Layout:
         some = present.astype(float) @ kind > 0
         kinds = {"chi2": chi2 @ kind, "freedom": left @ kind}
         kinds["p"] = np.where(some, chance(kinds["chi2"], kinds["freedom"], self.scatter), 1.0)
-        studied = (counts == 1) & (left > _FOLLOWED)
+        studied = (counts == 1) & (left > FOLLOWED)
         chi2 = np.divide(chi2, left, out=chi2.copy(), where=studied)
         modes = {"chi2": chi2, "freedom": np.where(studied, 1.0, left)}
         modes["p"] = np.where(present, chance(modes["chi2"], modes["freedom"], self.scatter[self.kind_of]), 1.0)
@@ -166,18 +166,23 @@ def by_sensor(
 ) -> pd.DataFrame:
     """Sum of squares of every sensor, or plain response, over all modes: ``sensor, chi2, freedom, p``, worst first.
 
-    Factors fitted to a shape are shared by its rows. ``p`` is that of one sensor; among n it counts n times.
+    ``p`` is that of one sensor; among n it counts n times.
     """
+    table = _sensors(state, rows, fitted_factors)
+    scatter = np.array([scatter_freedom.get(kind, np.inf) for kind in table["kind"]])
+    table["p"] = chance(table["chi2"].to_numpy(), table["freedom"].to_numpy(), scatter)
+    table = table[table["sensor"] != ""].drop(columns="kind")
+    return table.sort_values(["p", "chi2"], ascending=[True, False], ignore_index=True, kind="stable")
+
+
+def _sensors(state: Fit, rows: Sequence[Label], fitted_factors: Mapping[tuple[str, str], int]) -> pd.DataFrame:
+    """``sensor, kind, chi2, freedom`` in the order of the rows; factors fitted to a shape are shared by its rows."""
     blocks, which = _numbered([(row.mode, row.kind) for row in rows])
     share = np.array([fitted_factors.get(block, 0) for block in blocks]) / np.bincount(which)
     freedom = row_freedom(state.slope, state.prior_sd) - share[which]
     names, of = _numbered([(row.sensor, row.kind) for row in rows])
     table = pd.DataFrame(names, columns=["sensor", "kind"])
-    table["chi2"], table["freedom"] = np.bincount(of, state.residual**2), np.bincount(of, freedom)
-    scatter = np.array([min(scatter_freedom.get(kind, np.inf), KNOWN) for kind in table["kind"]])
-    table["p"] = chance(table["chi2"].to_numpy(), table["freedom"].to_numpy(), scatter)
-    table = table[table["sensor"] != ""].drop(columns="kind")
-    return table.sort_values(["p", "chi2"], ascending=[True, False], ignore_index=True, kind="stable")
+    return table.assign(chi2=np.bincount(of, state.residual**2), freedom=np.bincount(of, freedom))
 
 
 def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
@@ -228,22 +233,17 @@ def lone_sensor(
     Its sum of squares over its degrees of freedom, against that of all other sensors, is an F variate whatever the
     scatter; the largest of n sensors counts n times (Bonferroni).
     """
-    shape = [k for k, row in enumerate(rows) if row.kind == "shape"]
-    if not shape:
-        return None
-    blocks, which = _numbered([(rows[k].mode, rows[k].kind) for k in shape])
-    names, of = _numbered([rows[k].sensor for k in shape])
-    share = np.array([fitted_factors.get(block, 0) for block in blocks]) / np.bincount(which)
-    chi2 = np.bincount(of, np.asarray(state.residual)[shape] ** 2)
-    freedom = np.bincount(of, row_freedom(state.slope, state.prior_sd)[shape] - share[which])
-    others = freedom.sum() - freedom
+    table = _sensors(state, rows, fitted_factors)
+    table = table[table["kind"] == "shape"]
+    chi2, freedom = table["chi2"].to_numpy(), table["freedom"].to_numpy()
+    rest, others = chi2.sum() - chi2, freedom.sum() - freedom
     usable = (freedom >= 1) & (others >= 1)
     if not usable.any():
         return None
-    ratio = np.where(usable, chi2 / np.maximum(freedom, 1), 0) / ((chi2.sum() - chi2) / np.maximum(others, 1))
-    p = np.where(usable, special.fdtrc(np.maximum(freedom, 1), np.maximum(others, 1), ratio), 1.0)
+    p = np.ones(len(table))
+    p[usable] = chance((chi2 * others)[usable] / rest[usable], freedom[usable], others[usable])
     worst = int(np.argmin(p))
-    return names[worst] if p[worst] * len(names) <= level else None
+    return str(table["sensor"].iloc[worst]) if p[worst] * len(table) <= level else None
 
 
 def common_scale(

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as la
-from scipy import special
 
 from calib.errors import InputError
+from calib.freedom import chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,7 @@ class LeftOut:
         some = freedom >= 1
         if not some.any():
             return 1.0
-        ratio = self.chi2[some] / freedom[some]
-        chance = special.fdtrc(freedom[some], min(scatter_freedom, 1e9), ratio)
-        return float(min(1.0, chance.min() * some.sum()))
+        return float(min(1.0, chance(self.chi2[some], freedom[some], scatter_freedom).min() * some.sum()))
 
 
 def left_out(residual: np.ndarray, slope: np.ndarray, prior_sd: np.ndarray, groups: Sequence[Hashable]) -> LeftOut:

@@ -7,23 +7,19 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
-from calib.freedom import hat_root
-from calib.missing.goodness import Fit, Layout, goodness, overall
+from calib.freedom import LEAST_FREEDOM, chance, hat_root
+from calib.missing.goodness import FOLLOWED, Fit, Layout, goodness, overall
 from calib.missing.hypotheses import Label
 
 COLUMNS = ("what", "kind", "rows", "chi2", "freedom", "p", "p_fit_without", "explains")
 LEVEL = 0.01
 """Chance of calling a datum bad when none is, over all that are left out in turn."""
-_LEAST = 2.0
-"""Degrees of freedom without a datum below which nothing can be said to fit."""
-_FOLLOWED = 0.02
-"""Part of a value's variance left by the parameters below which the others do not predict it."""
+_SINGULAR = 1e-9
+"""Part of the variance of any combination of several values left by the parameters, below which its prediction by the
+others is rounding."""
 _AT_ONCE = 256
 """Data that are left out at once, each with a row of numbers as long as the data."""
-_SINGULAR = 1e-9
-"""The same of any combination of several values, below which their prediction is rounding."""
 
 
 class Datum(NamedTuple):
@@ -131,7 +127,7 @@ def suspects(
         b = datum.rows
         here = root[b]
         inverse = np.eye(len(b)) - here @ here.T
-        if np.linalg.eigvalsh(inverse)[0] < (_FOLLOWED if len(b) == 1 else _SINGULAR):
+        if np.linalg.eigvalsh(inverse)[0] < (FOLLOWED if len(b) == 1 else _SINGULAR):
             continue  # a parameter stands on these data alone
         predicted = np.linalg.solve(inverse, e[b])
         whole = np.bincount(layout.which[b], minlength=len(size)) == size  # their factors are left out with them
@@ -140,9 +136,8 @@ def suspects(
     table = pd.DataFrame(
         [(o.datum.what, o.datum.kind, len(o.datum.rows), o.chi2, o.freedom) for o in asked], columns=list(COLUMNS[:5])
     )
-    drops, counts, behind = np.array([(o.chi2, o.freedom, o.scatter) for o in asked]).reshape(-1, 3).T
-    each = special.fdtrc(counts, behind, drops / counts)
-    table["p"] = np.minimum(1.0, len(data) * each)
+    tests = np.array([(o.chi2, o.freedom, o.scatter) for o in asked]).reshape(-1, 3)
+    table["p"] = np.minimum(1.0, len(data) * chance(*tests.T))
     table["p_fit_without"], left = np.nan, np.zeros(len(table))
     improbable = np.flatnonzero(table["p"] < level)
     for k in range(0, len(improbable), _AT_ONCE):
@@ -150,7 +145,7 @@ def suspects(
         rest = _rest(e, root, [asked[j] for j in some])
         found = layout.sums(*rest)
         table.loc[some, "p_fit_without"], left[some] = found.overall, found.kinds["freedom"].sum(axis=1)
-    table["explains"] = (table["p"] < level) & (table["p_fit_without"] > level) & (left >= _LEAST)
+    table["explains"] = (table["p"] < level) & (table["p_fit_without"] > level) & (left >= LEAST_FREEDOM)
     # Of two that explain, the one with fewer rows says more.
     order = np.lexsort((-table["chi2"], np.where(table["explains"], table["rows"], 0), ~table["explains"].astype(bool)))
     return table.iloc[order].reset_index(drop=True)
