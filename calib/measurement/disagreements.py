@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import nan
 from typing import Literal
 
 import numpy as np
@@ -117,28 +118,30 @@ def without(
     for one in found:
         if not one.left_out or one.index[0] < 0:
             continue
-        k, i, m = one.index
+        k, _, m = one.index
         if one.kind == "frequency":
             freq[k, m] = np.nan
         elif one.kind == "damping":
             damping[k, m] = np.nan
         else:
             # the imaginary part too: a zero there would count as a value
-            stack[k, slice(None) if i < 0 else i, slice(None) if m < 0 else m] = complex(np.nan, np.nan)
+            stack[_place(one.index)] = complex(np.nan, np.nan)
     return freq, damping, stack
+
+
+def _place(index: tuple[int, int, int]) -> tuple[int, int | slice, int | slice]:
+    """Where in shapes (n_repeats, n_sensors, n_modes) a block is, of which -1 stands for all."""
+    k, i, m = index
+    return k, slice(None) if i < 0 else i, slice(None) if m < 0 else m
 
 
 def bad_shape(repeat: str, freq: float, mode: str, agreement: float) -> Disagreement:
     """A mode that was set aside because its shape is another one than the other repeats show at that frequency."""
-    nan = float("nan")
     sentence = (
         f"{repeat}: its mode at {freq:.4g} Hz is near mode {mode} but has a MAC of only {agreement:.2f} with the other "
         "repeats; it is set aside"
     )
     return Disagreement("shape", repeat, mode, "", nan, agreement, nan, nan, nan, nan, True, sentence)
-
-
-_UNIT = {"frequency": " Hz", "damping": "", "response": ""}
 
 
 def value_disagreements(
@@ -170,41 +173,34 @@ def value_disagreements(
     rest = emptied(table, far)
     near = [one for columns in places for one in far_values(rest, columns, NAMED_LEVEL / len(places))]
     out = []
-    for found, before, left_out in ((far, table, robust), (near, rest if robust else table, False)):
+    for found, before in ((far, table), (near, rest if robust else table)):
         (mean, std), (clean_mean, clean_std) = mean_and_std(before), mean_and_std(emptied(before, found))
         for one in sorted(found, key=lambda one: -one.times):
             k, g = one.repeat, one.group
-            influence = (float(mean[g]), float(clean_mean[g]), float(std[g]), float(clean_std[g]))
-            value, count = float(table[k, g]), int(np.isfinite(table[:, g]).sum())
-            sentence = _value_sentence(kind, names[g], value, one.times, influence, count, found is far, robust)
-            sentence, index = f"{repeats[k]}: {sentence}", (k, -1, g)
-            out.append(
-                Disagreement(kind, repeats[k], names[g], "", one.times, value, *influence, left_out, sentence, index)
-            )
+            influence = (float(column[g]) for column in (mean, clean_mean, std, clean_std))
+            told = Disagreement(
+                kind, repeats[k], names[g], "", one.times, float(table[k, g]), *influence, robust and found is far, "",
+                (k, -1, g),
+            )  # fmt: skip
+            too_few = 0 if found is far else int(np.isfinite(table[:, g]).sum())
+            out.append(replace(told, sentence=_value_sentence(told, too_few)))
     return out
 
 
-def _value_sentence(
-    kind: Kind,
-    name: str,
-    value: float,
-    times: float,
-    influence: tuple[float, float, float, float],
-    count: int,
-    far: bool,
-    robust: bool,
-) -> str:
-    mean, clean_mean, std, clean_std = influence
-    unit = _UNIT[kind]
-    label = f"{kind} of mode {name}" if kind != "response" else f"response {name}"
-    with_, rest = f"{mean:.5g} ± {std:.2g}{unit}", f"{clean_mean:.5g} ± {clean_std:.2g}{unit}"
-    share = 100.0 * abs(value - clean_mean) / abs(clean_mean) if clean_mean else float("inf")
-    done = f"left out: the mean is {rest}, with it {with_}" if robust else f"kept: {with_}, without it {rest}"
-    if not far:
-        done = f"kept, as {count} repeats are too few to leave it out safely: the mean is {with_}, without it {rest}"
+def _value_sentence(one: Disagreement, too_few: int) -> str:
+    """Of a single value; ``too_few`` repeats hold it to leave it out safely, 0 where there are enough."""
+    unit = " Hz" if one.kind == "frequency" else ""
+    label = f"response {one.mode}" if one.kind == "response" else f"{one.kind} of mode {one.mode}"
+    with_ = f"{one.mean_with:.5g} ± {one.std_with:.2g}{unit}"
+    rest = f"{one.mean_without:.5g} ± {one.std_without:.2g}{unit}"
+    off = one.value - one.mean_without
+    share = 100.0 * abs(off / one.mean_without) if one.mean_without else float("inf")
+    done = f"left out: the mean is {rest}, with it {with_}" if one.left_out else f"kept: {with_}, without it {rest}"
+    if too_few:
+        done = f"kept, as {too_few} repeats are too few to leave it out safely: the mean is {with_}, without it {rest}"
     return (
-        f"the {label}, {value:.5g}{unit}, is {share:.2g} % from the mean of the others, {times:.3g} standard "
-        f"deviations of a repeat; {done}"
+        f"{one.repeat}: the {label}, {one.value:.5g}{unit}, is {share:.2g} % from the mean of the others, "
+        f"{one.times:.3g} standard deviations of a repeat; {done}"
     )
 
 
@@ -221,11 +217,7 @@ class _Block:
 
     @property
     def place(self) -> tuple[int, int | slice, int | slice]:
-        return (
-            self.repeat,
-            slice(None) if self.sensor < 0 else self.sensor,
-            slice(None) if self.mode < 0 else self.mode,
-        )
+        return _place((self.repeat, self.sensor, self.mode))
 
 
 def _shape_disagreements(
@@ -287,8 +279,8 @@ def _told(
     both = np.isfinite(mine) & np.isfinite(rest)
     a, b = np.atleast_1d(mine)[np.atleast_1d(both)], np.atleast_1d(rest)[np.atleast_1d(both)]
     size = float(np.vdot(b, b).real)
-    gain = float(np.vdot(b, a).real) / size if size > 0 else float("nan")
-    share = float(np.sqrt(np.vdot(a, a).real / size)) if size > 0 else float("nan")
+    gain = float(np.vdot(b, a).real) / size if size > 0 else nan
+    share = float(np.sqrt(np.vdot(a, a).real / size)) if size > 0 else nan
     sensor = sensors[one.sensor] if one.sensor >= 0 else ""
     mode = modes[one.mode] if one.mode >= 0 else ""
     kind: Kind = "entry" if sensor and mode else "sensor" if sensor else "shape"
@@ -310,7 +302,6 @@ def _told(
         f"{repeats[one.repeat]}: {what}, {one.times:.3g} standard deviations of a repeat away; {done} the standard "
         f"deviation of the mean there is {100 * with_:.2g} % of the largest entry, without it {100 * rest_:.2g} %"
     )
-    nan = float("nan")
     return Disagreement(
         kind, repeats[one.repeat], mode, sensor, one.times, value, nan, nan, with_, rest_, robust, sentence,
         (one.repeat, one.sensor, one.mode),
@@ -328,7 +319,6 @@ def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarr
     product = (one.conj() * two).sum(axis=1)
     small = sizes.min(axis=0)
     alike = np.abs(product) ** 2 > ALIKE_ABOVE * np.prod(sizes**2, axis=0) * modes**2
-    nan = float("nan")
     names = f"{repeats[held[0]]} and {repeats[held[1]]}"
     out = []
     for i in np.flatnonzero(modes > 1).tolist():
@@ -339,14 +329,16 @@ def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarr
         if small[i] < DEAD_BELOW / 2 * large:
             which = repeats[held[int(np.argmin(sizes[:, i]))]]
             share = small[i] / large
-            sentence = f"{which}: sensor {sensors[i]} looks dead (it moves {100 * share:.0f} % of what it does in the "
-            sentence += "other repeat); kept: of two repeats, none is left out"
+            sentence = (
+                f"{which}: sensor {sensors[i]} looks dead (it moves {100 * share:.0f} % of what it does in the other "
+                "repeat); kept: of two repeats, none is left out"
+            )
             out.append(Disagreement("sensor", which, "", sensors[i], nan, share, nan, nan, nan, nan, False, sentence))
         elif gain < TURNED_BELOW and alike[i]:
             sentence = (
                 f"sensor {sensors[i]} has opposite signs in {names}; it is turned round in one of them, and both "
+                "are kept"
             )
-            sentence += "are kept"
             out.append(Disagreement("sensor", names, "", sensors[i], nan, gain, nan, nan, nan, nan, False, sentence))
     return out
 

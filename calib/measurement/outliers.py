@@ -9,11 +9,11 @@ import numpy as np
 from scipy import special
 
 LEVEL = 2e-4
-"""Chance that anything in one table of Gaussian repeats is called outlying."""
+"""Level of one test of a table of Gaussian repeats; see `find_outlying` for the chance of a false alarm."""
 VALUE_LEVEL = 5e-4
-"""The same of a table of single numbers, which is tested once; shapes are tested as entries, channels and modes."""
+"""The same for a table of single numbers, which is tested once; shapes are tested as entries, channels and modes."""
 NAMED_LEVEL = 1e-2
-"""Chance below which a single number is named but kept."""
+"""The same for single numbers that are named but kept."""
 REPEATS_FEWEST = 3
 """Of two repeats that disagree, nothing tells which one is wrong."""
 OUTLIERS_MOST = 10
@@ -29,6 +29,8 @@ SPOILT, SPOILT_WIDTH = 0.05, 14.0
 """Share of groups whose variance an outlier spoils, and the width over which its logarithm may then lie."""
 SHAPE_RESOLUTION = 1e-4
 """Standard deviation, in parts of the largest entry, that rounding alone gives shapes."""
+VALUE_RESOLUTION = 1e-6
+"""Least standard deviation of a single number, relative: repeats that agree more closely tell no scatter."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,8 @@ def find_outlying(
     the other groups' variances, and its uncertainty lessens the degrees of freedom borrowed. How alike the variances
     of groups are, a few groups cannot tell; the chance is the mean over `ALIKE`, weighted by the likelihood of the
     other groups' variances, each of which an outlier may have spoilt. Groups that scatter differently thus lend
-    little. The level is divided by the number of blocks (Bonferroni).
+    little. The level is divided by the number of blocks (Bonferroni). That holds for one step; of a group by itself,
+    where two or more may be taken out (five repeats or more), any step is significant up to twice as often.
 
     Parameters
     ----------
@@ -78,7 +81,7 @@ def find_outlying(
     resolution : float or ndarray (n_groups,)
         Standard deviation that rounding alone gives.
     level : float
-        Chance of any finding among Gaussian repeats.
+        Of the whole table.
 
     Returns
     -------
@@ -266,7 +269,7 @@ def far_values(table: np.ndarray, columns: np.ndarray, level: float) -> list[Out
     columns : ndarray of int
         Values whose relative scatter may be alike; the others are not looked at.
     level : float
-        Chance of any finding among Gaussian repeats.
+        Of these values together.
     """
     own = table[:, columns]
     known = np.isfinite(own)
@@ -275,7 +278,7 @@ def far_values(table: np.ndarray, columns: np.ndarray, level: float) -> list[Out
     divisor = np.where(usable, size, 1.0)
     rounding = np.where(usable, _quantum(own) / divisor, 0.0) / np.sqrt(12.0)
     relative = np.where(usable, own / divisor, np.nan)
-    found = find_outlying(relative[:, :, None], np.maximum(rounding, 1e-6), level)
+    found = find_outlying(relative[:, :, None], np.maximum(rounding, VALUE_RESOLUTION), level)
     return [replace(one, group=int(columns[one.group])) for one in found]
 
 

@@ -85,8 +85,9 @@ class MeasuredResponses:
 
     def _widened(self, name: str) -> tuple[float, float | None]:
         value, std = self.targets[name]
-        own = std is None or self.counts[name] < POOL_BELOW  # one line only: the deviation is that of the file
-        return value, std if own or std is None else std * float(widened_by(self.counts[name] - 1.0))
+        if std is None or self.counts[name] < POOL_BELOW:  # one line only: the deviation is that of the file
+            return value, std
+        return value, std * float(widened_by(self.counts[name] - 1.0))
 
     def claiming(
         self, kinds: Mapping[str, str], accuracy: str | float | Mapping[str, str | float] | None

@@ -20,7 +20,6 @@ from models.railway.equipment import equipment
 from models.railway.vehicle_effects_equipment import UNIT_RATIO
 
 ITEMS = {"hung_converter": "traction converter", "hung_roof_unit": "front roof unit"}
-SAGS = (0.1, 0.3, 0.8, 1.7, 3.9, 7.9)
 
 
 def of_the_twin(library: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -30,7 +29,9 @@ def of_the_twin(library: Sequence[Effect]) -> tuple[Effect, ...]:
 
 def _held(effect: Effect) -> Effect:
     build = partial(_unit, name=effect.name, item=ITEMS[effect.name])
-    return replace(effect, build=build, nuisance=(), grid=tuple({effect.name: sag} for sag in SAGS))
+    return replace(
+        effect, build=build, nuisance=(), grid=tuple({effect.name: point[effect.name]} for point in effect.grid)
+    )
 
 
 def _unit(model: StructuralModel, name: str, item: str) -> Addition:

@@ -204,3 +204,12 @@ def test_the_rate_of_false_alarms():
             scale = np.exp(uneven * rng.normal(size=(1, 12, 1)))
             alarms += bool(find_outlying(scale * rng.normal(size=((3, 5)[k % 2], 12, 1))))
         assert alarms <= most
+
+
+@pytest.mark.parametrize(("count", "most"), [(3, 1), (4, 1), (5, 2), (10, 2)])
+def test_groups_by_themselves_are_called_outlying_at_the_level(count, most):
+    """Two groups lend nothing: one step is an exact test but for Bonferroni, several at most double the level."""
+    rng, level, runs = np.random.default_rng(31), 0.05, 800
+    rate = np.mean([bool(find_outlying(rng.normal(size=(count, 2, 1)), level=level)) for _ in range(runs)])
+    doubt = 3 * np.sqrt(level / runs)
+    assert level - doubt < rate < most * level + doubt
