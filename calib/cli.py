@@ -21,6 +21,7 @@ from calib.questions import explain as explanation
 from calib.questions import extend as extension
 from calib.questions import phases, places
 from calib.questions import sensitivity as influence
+from calib.questions.explanation import Explanation
 from calib.questions.isolation import isolated
 from calib.questions.reduction import fingerprints
 from calib.questions.stale import stale_answers
@@ -311,7 +312,7 @@ def _fit(study: Study, folder: Results, root: Path, workers: int | None, quick: 
     return _calibrate(study, folder, root, workers, None, quick, None)
 
 
-def _explain(study: Study, folder: Results, root: Path) -> explanation.Explanation:
+def _explain(study: Study, folder: Results, root: Path) -> Explanation:
     console.head(study, "explain")
     with progress.told() as step:
         answer = explanation.explain(study, folder, step, places.results_of(study, root))

@@ -22,7 +22,7 @@ from calib.missing.verdict import rounded
 from calib.questions.added import WORDS, Added, by_group, to_add
 from calib.questions.calibrate import Calibration
 from calib.questions.compare import Answer
-from calib.questions.explain import Explanation
+from calib.questions.explanation import Explanation
 from calib.questions.extend import Extension
 from calib.questions.places import is_modal
 from calib.questions.record import assumptions_table, check_repeats

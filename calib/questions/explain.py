@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -21,11 +21,10 @@ from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
 from calib.missing.advice import Prospects, advice_sentence, advise
 from calib.missing.evidence import CREDIBLE
-from calib.missing.findings import Findings, Trial, WrongDatum
+from calib.missing.findings import Findings, Trial
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Hypotheses, Scaled
 from calib.missing.left_out import left_out
-from calib.missing.local import local_change
 from calib.missing.profile import profile_interval
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import (
@@ -35,12 +34,12 @@ from calib.missing.tables import (
     strain_table,
     tried_table,
 )
-from calib.missing.verdict import GROUPS as WORDS
 from calib.missing.verdict import misfit_at, sentences
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.outcome import Outcome, as_cause, failure
 from calib.questions.budget import Budget
 from calib.questions.explained_fit import TABLE, explained_fits
+from calib.questions.explanation import Explanation, summary
 from calib.questions.failures import SHOWN, reasons
 from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
@@ -51,7 +50,6 @@ from calib.results import Results
 from calib.study import Study
 
 Progress = Callable[[str], None]
-GROUPS = ("fit", *WORDS)
 
 
 class Side(Protocol):
@@ -108,49 +106,6 @@ class Side(Protocol):
     def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:
         """Further tables by name."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class Explanation:
-    """What is missing, with the tables that show it.
-
-    Attributes
-    ----------
-    findings : Findings
-    sentences : tuple of str
-        The verdict and what supports it.
-    notes : tuple of str
-        What a reader must know, such as a scatter that had to be assumed.
-    effects, errors : DataFrame
-        ``effects.csv`` and ``errors.csv``.
-    tables : mapping from str to DataFrame
-        All others by the name of their file.
-    figures : mapping from str to object
-        Further numbers of the summary.
-    seconds : float
-    traces : tuple of str
-        Tracebacks of the commonest failures in the user's code.
-    """
-
-    findings: Findings
-    sentences: tuple[str, ...]
-    notes: tuple[str, ...]
-    effects: pd.DataFrame
-    errors: pd.DataFrame
-    tables: dict[str, pd.DataFrame]
-    figures: dict[str, object]
-    seconds: float
-    traces: tuple[str, ...] = ()
-
-    @property
-    def sentence(self) -> str:
-        """The verdict and what supports it."""
-        return " ".join(self.sentences)
-
-    @property
-    def verdict(self) -> str:
-        """One of the verdicts of `calib.missing.explain.Findings`."""
-        return self.findings.verdict
 
 
 def explain(
@@ -351,55 +306,3 @@ def _atoms(side: Side, found: Findings) -> pd.DataFrame:
         score = scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0)  # of the other sign it cannot exist
         rows.append((name, kind, *place, sensor, score, scores.gamma[k]))
     return pd.DataFrame(rows, columns=["atom", "kind", "x", "y", "z", "sensor", "score", "gamma"])
-
-
-def _local_change(atom: Trial) -> dict[str, object]:
-    change = local_change(atom)
-    unit = change.effect.strength.unit
-    return {"name": change.effect.name, "value": change.value, "low": change.low, "high": change.high, "unit": unit}
-
-
-def _wrong_datum(found: Findings, datum: WrongDatum) -> dict[str, object]:
-    return {"what": datum.what, "kind": datum.kind, "ln_bayes": datum.ln_evidence - found.base.ln_evidence}
-
-
-def summary(study: Study, answer: Explanation) -> dict[str, object]:
-    """``explanation.json``."""
-    found, check = answer.findings, answer.findings.base_check
-    columns = (
-        "name", "z", "gamma", "phi", "phi_low", "phi_high", "phi_min", "ln_bayes", "posterior", "heldout_gain",
-        "implausible", "confounded_with",
-    )  # fmt: skip
-    errors: dict[str, dict[str, float | None]] = {group: {"before": None, "after": None} for group in GROUPS}
-    for row in answer.errors[answer.errors["stage"] != "attempt"].to_dict("records"):
-        errors[str(row["group"])][str(row["stage"])] = float(row["rms"])
-    chosen, fits = found.chosen, found.chosen_check
-    return {
-        "study": study.name,
-        "synthetic": study.synthetic,
-        "verdict": found.verdict,
-        "sentence": answer.sentence,
-        "sentences": list(answer.sentences),
-        "notes": list(answer.notes),
-        "p_family": check.p_family,
-        "p_fit": check.p_fit,
-        "credible_set": list(found.credible),
-        "effects": answer.effects[list(columns)].replace(np.inf, np.nan).to_dict("records"),
-        "chosen": [] if chosen is None else list(chosen.names),
-        "chosen_values": {} if chosen is None else {n: chosen.state.values[n] for e in chosen.effects for n in e.names},
-        "adequacy_p": None if fits is None else min(fits.p_family, fits.p_fit),
-        "adequacy_p_family": None if fits is None else fits.p_family,
-        "adequacy_p_fit": None if fits is None else fits.p_fit,
-        "noise_scale": found.noise_scale,
-        "measured_noise_scale": found.measured_scale,
-        "local_changes": len(set(check.atoms.owners)),
-        "local_change": None if found.atom is None else _local_change(found.atom),
-        "refused": found.refused or None,
-        "measurement_fault": None if found.fault is None else _local_change(found.fault),
-        "wrong_datum": None if found.datum is None else _wrong_datum(found, found.datum),
-        "evaluations": found.evaluations,
-        "begun_anew": found.begun_anew,
-        "errors": errors,
-        "seconds": answer.seconds,
-        **answer.figures,
-    }

@@ -9,7 +9,8 @@ from types import ModuleType
 import pytest
 
 from calib.loading import module_of
-from calib.questions.explain import Explanation, explain
+from calib.questions.explain import explain
+from calib.questions.explanation import Explanation
 from calib.questions.library import modal_hypotheses
 from calib.results import Results
 from calib.study import Study

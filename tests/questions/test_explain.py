@@ -12,7 +12,8 @@ import pytest
 from calib.missing.local import local_change
 from calib.missing.profile import profile_interval
 from calib.questions import explain as asked
-from calib.questions.explain import GROUPS, explain, summary
+from calib.questions.explain import explain
+from calib.questions.explanation import GROUPS, summary
 from calib.results import Results
 from calib.study import Study
 

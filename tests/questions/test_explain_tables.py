@@ -10,7 +10,8 @@ import pytest
 
 from calib.missing.left_out import left_out
 from calib.missing.tables import EFFECT_COLUMNS
-from calib.questions.explain import GROUPS, explain
+from calib.questions.explain import explain
+from calib.questions.explanation import GROUPS
 from calib.results import Results
 from calib.study import Study
 
