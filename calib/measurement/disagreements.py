@@ -177,10 +177,10 @@ def value_disagreements(
         (mean, std), (clean_mean, clean_std) = mean_and_std(before), mean_and_std(emptied(before, found))
         for one in sorted(found, key=lambda one: -one.times):
             k, g = one.repeat, one.group
-            influence = (float(column[g]) for column in (mean, clean_mean, std, clean_std))
             told = Disagreement(
-                kind, repeats[k], names[g], "", one.times, float(table[k, g]), *influence, robust and found is far, "",
-                (k, -1, g),
+                kind, repeats[k], names[g], "", one.times, float(table[k, g]),
+                float(mean[g]), float(clean_mean[g]), float(std[g]), float(clean_std[g]),
+                robust and found is far, "", (k, -1, g),
             )  # fmt: skip
             too_few = 0 if found is far else int(np.isfinite(table[:, g]).sum())
             out.append(replace(told, sentence=_value_sentence(told, too_few)))
