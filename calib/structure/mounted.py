@@ -90,7 +90,7 @@ class MountedBody:
             upper = sp.hstack([sp.csr_array((n, n)), block])
             return sp.csr_array(sp.vstack([upper, sp.hstack([block.T, sp.csr_array((6, 6))])]))
 
-        def own(block: np.ndarray) -> sp.csr_array:
+        def on_body(block: np.ndarray) -> sp.csr_array:
             return sp.csr_array(sp.block_diag([sp.csr_array((n, n)), sp.csr_array(block)]))
 
         def grown(power: int, factor: float = 1.0, **powers: float) -> Grown:
@@ -99,13 +99,13 @@ class MountedBody:
         mixed = on_carrier(shifts, lowered)
         return Addition(
             stiffness=tuple(
-                term(f"mounts {name}", own(block), _scaled(1.0, powers, sag, grow))
+                term(f"mounts {name}", on_body(block), _scaled(1.0, powers, sag, grow))
                 for name, block, powers, grow in self._gaps(lower, sideways)
             ),
             damping=tuple(
                 term(
                     f"dampers {name}",
-                    own(block),
+                    on_body(block),
                     _scaled(2 * root, {damping_ratio: 1.0, sag: 0.5, **powers}, sag, grow),
                 )
                 for name, block, powers, grow in self._gaps(lower, sideways)
@@ -117,8 +117,8 @@ class MountedBody:
                 term("coupling of shifts", coupling(shifts, shift), Monomial(root, ((sag, 0.5),))),
                 term("coupling of shifts, lower", coupling(lowered, shift), grown(1, root, **{sag: 0.5, lower: 1.0})),
                 term("coupling of turns", coupling(turns, turning @ turn), grown(2, root, **{sag: 0.5})),
-                term("own shifts", own(shift.T @ shift), Monomial(1 / GRAVITY, ((sag, 1.0),))),
-                term("own turns", own(turn.T @ turning @ turn), grown(2, 1 / GRAVITY, **{sag: 1.0})),
+                term("own shifts", on_body(shift.T @ shift), Monomial(1 / GRAVITY, ((sag, 1.0),))),
+                term("own turns", on_body(turn.T @ turning @ turn), grown(2, 1 / GRAVITY, **{sag: 1.0})),
             ),
             n_added=6,
         )

@@ -20,6 +20,8 @@ from models.railway.equipment import SEAT_X, SEAT_Z, UNDER_FLOOR, equipment, pas
 UNIT_RATIO, SEAT_RATIO = 0.03, 0.07
 SIDEWAYS = 0.7
 """Stiffness of rubber mounts sideways over that upright."""
+RATIO_SD, SIDEWAYS_SD, DROP_SD = 0.015, 0.2, 0.15
+"""Prior standard deviations: damping ratio, stiffness sideways over that upright, height of the centre in m."""
 BOXES = {"traction converter": (2.4, 0.7, 1.8), "front roof unit": (2.4, 0.3, 1.8)}
 """Sides along x, y and z in m of boxes of even density that turn as the units do."""
 OFFSET_REACH, CARRYING = 0.4, "floor_beam"
@@ -71,23 +73,23 @@ def equipment_effects() -> tuple[Effect, ...]:
     )  # fmt: skip
 
 
-def _hung(name: str, item: str, lower: tuple[float, float], title: str, lacks: str, look_for: str) -> Effect:
-    """A unit that moves on mounts at its feet; how high its centre is and how stiff its mounts are sideways is open."""
+def _hung(name: str, item: str, drop: tuple[float, float], title: str, lacks: str, look_for: str) -> Effect:
+    """A unit that moves on mounts at its feet; its centre may be lower than the model has it, within ``drop`` in m."""
     return Effect(
         name=name, title=title, lacks=lacks, look_for=look_for,
         strength=Parameter(name, 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
         build=partial(_unit, name=name, item=item),
         nuisance=(
             Parameter(
-                f"{name}_drop", 0.0, *lower, "m", prior_sd=0.15,
+                f"{name}_drop", 0.0, *drop, "m", prior_sd=DROP_SD,
                 description="height by which its centre is lower than the model has it",
             ),
             Parameter(
-                f"{name}_sideways", SIDEWAYS, 0.3, 1.5, "-", prior_sd=0.2,
+                f"{name}_sideways", SIDEWAYS, 0.3, 1.5, "-", prior_sd=SIDEWAYS_SD,
                 description="stiffness of its mounts sideways over that upright",
             ),
             Parameter(
-                f"{name}_damping", UNIT_RATIO, 0.005, 0.15, "-", prior_sd=0.015,
+                f"{name}_damping", UNIT_RATIO, 0.005, 0.15, "-", prior_sd=RATIO_SD,
                 description="damping ratio of its mounts upright",
             ),
         ),
@@ -108,11 +110,15 @@ def _unit(model: StructuralModel, name: str, item: str) -> Addition:
     carrier = np.array([motion(model, unit.at, direction) for direction in (UX, UY, UZ, RX, RY, RZ)])
     loose = body.let_go(carrier, name, f"{name}_drop", f"{name}_sideways", f"{name}_damping")
     assumed = (
-        Assumption(f"{item}: damping ratio on its mounts", f"{UNIT_RATIO} +- 0.015", "-", "rubber"),
+        Assumption(f"{item}: damping ratio on its mounts", f"{UNIT_RATIO} +- {RATIO_SD}", "-", "rubber"),
         Assumption(f"{item}: mounts", "at its feet", "-", "as the model has them"),
         Assumption(f"{item}: sides of a box that turns as it does", ", ".join(f"{c:g}" for c in box), "m", _BOX),
-        Assumption(f"{item}: its centre lower than the model has it", "0 +- 0.15", "m", "where it is heavy is open"),
-        Assumption(f"{item}: mounts, sideways over upright stiffness", f"{SIDEWAYS} +- 0.2", "-", "rubber blocks"),
+        Assumption(
+            f"{item}: its centre lower than the model has it", f"0 +- {DROP_SD}", "m", "where it is heavy is open"
+        ),
+        Assumption(
+            f"{item}: mounts, sideways over upright stiffness", f"{SIDEWAYS} +- {SIDEWAYS_SD}", "-", "rubber blocks"
+        ),
     )
     return replace(loose, assumptions=assumed)
 

@@ -79,6 +79,5 @@ def test_a_right_model_of_many_repeats_is_rejected_as_often_as_the_level_says(tm
     for level in (0.01, 0.05):
         found = np.mean(np.array(p) < level)
         assert level / 5 < found < level + 3 * np.sqrt(level * (1 - level) / len(p))
-        assert (
-            np.mean(np.array(known) < level) > 1.5 * level
-        )  # as a pooled deviation it would be taken for too well known
+        # taken for pooled deviations they would count as too well known
+        assert np.mean(np.array(known) < level) > 1.5 * level
