@@ -138,8 +138,11 @@ class Refits:
         self, names: tuple[str, ...], start: dict[str, float], whole: int = 0, settings: FitSettings = FINE
     ) -> Trial:
         """The model with the named effects or local changes, fitted from a start; see `calib.missing.state.fitted`."""
-        settings = replace(settings, evaluations=min(settings.evaluations, max(self.allowance.left, _LEAST)))
-        return self._judged(names, fitted(self.question(names), names, start, whole, settings))
+        return self._judged(names, fitted(self.question(names), names, start, whole, self.affordable(settings)))
+
+    def affordable(self, settings: FitSettings) -> FitSettings:
+        """The same with no more residuals than the budget leaves, but as many as the verdict needs."""
+        return replace(settings, evaluations=min(settings.evaluations, max(self.allowance.left, _LEAST)))
 
     def singles(
         self,
@@ -274,10 +277,11 @@ class Refits:
         """The fault of the measurement of the largest score, fitted; None where it comes nowhere near the best effect.
 
         It counts even where it says what that effect says: then nobody can tell whether model or measurement is wrong.
+        The verdict needs it, so that it is fitted whatever has been spent.
         """
         usable = np.where([self.by_name[n].of_measurement for n in found.owners], found.strength, -np.inf)
         reached = best.ln_evidence - base.ln_evidence
-        if not usable.size or usable.max() <= 0 or self.spent():
+        if not usable.size or usable.max() <= 0:
             return None
         if reached - usable.max() ** 2 / 2 > near_to(reached):
             return None

@@ -14,7 +14,7 @@ from calib.missing.findings import Trial, WrongDatum
 from calib.missing.goodness import goodness, overall
 from calib.missing.hypotheses import Question
 from calib.missing.refits import Refits, near_to
-from calib.missing.state import fitted
+from calib.missing.state import FINE, fitted
 from calib.missing.suspect import data_of
 from calib.space import ParameterSpace
 
@@ -24,7 +24,8 @@ def wrong_datum(fits: Refits, base: Trial, accused: pd.DataFrame, best: Trial) -
 
     Its evidence is that of all other data times the density of the datum given them, with an error of any size
     (`calib.missing.evidence.ln_wrong`). It is None where no datum explains the misfit, where what one promises comes
-    nowhere near the best effect, and where the others turn out not to fit.
+    nowhere near the best effect, and where the others turn out not to fit. The verdict needs it, so that it is fitted
+    whatever has been spent.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def wrong_datum(fits: Refits, base: Trial, accused: pd.DataFrame, best: Trial) -
         The best effect.
     """
     guilty = accused[accused["explains"].astype(bool)]
-    if guilty.empty or fits.spent():
+    if guilty.empty:
         return None
     first, reached = guilty.iloc[0], best.ln_evidence - base.ln_evidence
     if reached - float(first["chi2"]) / 2 > near_to(reached):
@@ -48,7 +49,7 @@ def wrong_datum(fits: Refits, base: Trial, accused: pd.DataFrame, best: Trial) -
     question = fits.question(())
     fits.progress(f"fitting without {first['what']}")
     try:
-        rest = fitted(_Part(question, kept), (), base.state.values)
+        rest = fitted(_Part(question, kept), (), base.state.values, settings=fits.affordable(FINE))
         difference = question.residual(rest.values)[gone]
         slope = question.jacobian(rest.values, rest.names)[gone]
     except EvaluationError:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing.explain import explain
+from calib.missing.explain import Settings, explain
 from calib.missing.local import LocalChange, local_change
 
 
@@ -60,6 +60,13 @@ def test_a_fault_of_the_measurement_is_a_rival_of_an_effect(toy, likeness, size,
     found = explain(replace(made, atoms=atoms).drawn(np.random.default_rng(1), {"E0": size}))
     assert (found.verdict, found.untold, found.credible) == (verdict, untold, ("E0",))
     assert (found.fault is None) == (len(untold) == 1)
+
+
+def test_a_used_up_budget_hides_no_fault_of_the_measurement(toy):
+    made = toy().alike("A5", "E0", 0.999)
+    atoms = tuple(replace(a, of_measurement=a.name == "A5") for a in made.atoms)
+    found = explain(replace(made, atoms=atoms).drawn(np.random.default_rng(1), {"E0": 1.0}), Settings(budget=3))
+    assert found.evaluations > 3 and found.untold == ("E0", "A5")
 
 
 def test_a_fault_that_explains_clearly_better_forbids_the_name(toy):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.missing.evidence import CREDIBLE, ln_wrong
-from calib.missing.explain import explain
+from calib.missing.explain import Settings, explain
 
 PLACE = ("M3", "frequency")
 
@@ -44,6 +44,14 @@ def test_a_wrong_datum_is_no_proof_of_an_effect(toy, share):
         z2 = f.suspects.set_index("what").loc[f.datum.what, "chi2"]
         ln_bayes = f.datum.ln_evidence - f.base.ln_evidence
         assert ln_bayes == pytest.approx(0.5 * (z2 - 1 - np.log(z2)), abs=0.01)
+
+
+def test_a_used_up_budget_hides_no_wrong_datum(toy):
+    made, rng = beside(toy(), 0.0), np.random.default_rng(1)
+    for _ in range(5):
+        found = explain(spoilt(made, rng, 12.0), Settings(budget=3))
+        assert found.evaluations > 3
+        assert found.verdict == "indistinguishable" and found.datum.what == "frequency of M3"
 
 
 def test_an_effect_that_moves_one_datum_alone_cannot_be_told_from_its_being_wrong(toy):
