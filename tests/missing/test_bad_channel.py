@@ -49,6 +49,6 @@ def test_beside_a_bad_channel_the_factor_is_that_of_all_others(made):
 @pytest.mark.parametrize("noise", [1.0, 2.0])
 def test_where_no_sensor_is_bad_hardly_ever_one_stands_out(made, noise):
     rng = np.random.default_rng(3)
-    states = [made.drawn(rng, noise=noise) for _ in range(300)]
-    found = [lone_sensor(one.calibrated(), one.rows, {}, 0.05) for one in states]
+    drawn = [made.drawn(rng, noise=noise) for _ in range(300)]
+    found = [lone_sensor(one.calibrated(), one.rows, {}, 0.05) for one in drawn]
     assert sum(name is not None for name in found) <= 28  # 5 % of 300, and three standard deviations

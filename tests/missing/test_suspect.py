@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calib.missing.goodness import goodness, overall
@@ -132,13 +133,16 @@ def test_without_a_converged_fit_nothing_is_accused(toy):
     assert not linearised(state.question, (), state.values).converged
 
 
-def test_hundreds_of_data_are_left_out_in_turn(toy):
+def test_how_many_data_are_left_out_at_once_does_not_matter(toy, monkeypatch):
     """Of 900 values more than a hundred are improbable."""
     made = toy(modes=30, sensors=28, parameters=12).drawn(np.random.default_rng(1))
     made = replace(made, data=made.data + 4 * np.random.default_rng(2).standard_normal(len(made.rows)))
     state = made.calibrated()
-    table = suspects(state, made.rows, {(f"M{k}", "shape"): 1 for k in range(30)}, {})
+    factors = {(f"M{k}", "shape"): 1 for k in range(30)}
+    table = suspects(state, made.rows, factors, {})
     assert len(made.rows) == 900 and (table["p"] < 0.01).sum() > 100
+    monkeypatch.setattr("calib.missing.suspect._AT_ONCE", 7)
+    pd.testing.assert_frame_equal(suspects(state, made.rows, factors, {}), table)
 
 
 def test_data_that_parameters_stand_on_alone_leave_an_empty_table():
