@@ -105,12 +105,13 @@ class _Decision:
         found = self.with_rivals(found, singles[0])
         needed = self.needed(found)
         lead = self.lead(singles, able)
-        settled = self.accepted(lead, needed) and not self.scale(base, lead.best, found.atom) > GUARD
+        found = replace(found, measured_scale=self.scale(base, lead.best, found.atom))
+        settled = self.accepted(lead, needed) and not found.measured_scale > GUARD
         if not settled and not starts and fits.settings.budget > 0 and led_astray(base, check):
             with fits.allowance.uncharged():  # it has an allowance of its own
-                lead = self.lead(anew(fits, base, lead.singles, able), able)
-            found = replace(found, begun_anew=True)
-        found = replace(found, measured_scale=self.scale(base, lead.best, found.atom))
+                singles = anew(fits, base, singles, able)
+            lead = self.lead(singles, able)
+            found = replace(found, begun_anew=True, measured_scale=self.scale(base, lead.best, found.atom))
         doubted = found.measured_scale > GUARD and not starts
         if doubted and self.promised_scale(lead.best, lead.check.named) > GUARD:
             return self.done(found, lead.singles, "none_explains", lead.best, lead.check)
