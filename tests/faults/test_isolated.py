@@ -39,10 +39,6 @@ population = 6
 generations = 3
 cases = [{ name = "A1", seed = 1 }]
 """
-FAULTS = {
-    "os._exit(3)": WORKER_DIED,
-    "time.sleep(1000)": f"{TOOK_TOO_LONG} 1 s",
-}
 
 
 @pytest.fixture
@@ -62,15 +58,18 @@ def rows():
     return [(json.loads(p)["a"], status, error) for p, status, error in found]
 
 
-@pytest.mark.parametrize(("fault", "more"), [("os._exit(3)", []), ("time.sleep(1000)", ["--workers", "1"])])
-def test_a_point_that_ends_its_process_is_a_row_whatever_the_workers(faults, fault, more, runner):
+@pytest.mark.parametrize(
+    ("fault", "told", "more"),
+    [("os._exit(3)", WORKER_DIED, []), ("time.sleep(1000)", f"{TOOK_TOO_LONG} 1 s", ["--workers", "1"])],
+)
+def test_a_point_that_ends_its_process_is_a_row_whatever_the_workers(faults, fault, told, more, runner):
     faults(fault)
     run = runner.fork("sensitivity", "faults", *more)  # were it to end this process, the run would tell
     assert run.wait() == 0, run.err
     found = rows()
     assert len(found) == 9 and any(a > 2.75 for a, _, _ in found)
     for a, status, error in found:
-        assert (status, error) == (("failed", FAULTS[fault]) if a > 2.75 else ("ok", "")), a
+        assert (status, error) == (("failed", told) if a > 2.75 else ("ok", "")), a
     assert run.nobody_left()
 
 
