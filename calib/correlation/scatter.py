@@ -16,6 +16,10 @@ from calib.measurement.modal import MeasuredModes
 from calib.structure.model import Assumption
 
 
+OWN_FROM = 4
+"""Repeats from which a value may keep its own deviation; with fewer the t variate of its mean has no finite variance."""
+
+
 @dataclass(frozen=True)
 class Floors:
     """Errors that no number of repeats removes, and what is taken where the scatter is unknown.
@@ -84,8 +88,9 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
     over all entries (root mean square; for shapes over ``n_sensors - 1`` entries a mode, since a factor was fitted to
     every repeat). Values over fewer repeats than others weigh by their degrees of freedom, and each takes its share of
     the pooled scatter by its own number of repeats. Deviations given by a file of a single repeat, and those of ten or
-    more repeats, are taken one by one, the latter widened as `calib.freedom.widened_by` says. Unknown ones take the
-    pooled value when there is one, else the floors' ``unknown_*``; see `assumptions`. What the measurement claims as
+    more repeats, are taken one by one, the latter widened as `calib.freedom.widened_by` says. Unknown ones, and those of
+    values that fewer than `OWN_FROM` repeats hold, take the pooled value when there is one, else the floors'
+    ``unknown_*``; see `assumptions`. What the measurement claims as
     its accuracy is added in squares, and where the scatter is unknown it stands alone.
 
     Parameters
@@ -237,8 +242,9 @@ def _taken(std: np.ndarray, counts: np.ndarray, unknown: float, pooled: bool, lo
     common = np.sqrt(single * lost / n)
     if pooled:
         return common
-    repeated = np.any(n[known] > 1)
-    return np.where(known, std * (widened_by(n - 1.0) if repeated else 1.0), common)
+    if not np.any(n[known] > 1):
+        return np.where(known, std, common)
+    return np.where(known & (n >= OWN_FROM), std * widened_by(n - 1.0), common)
 
 
 def _beside(std: np.ndarray, floor: float, unknown: float) -> np.ndarray:

@@ -81,3 +81,19 @@ def test_a_right_model_of_many_repeats_is_rejected_as_often_as_the_level_says(tm
         assert level / 5 < found < level + 3 * np.sqrt(level * (1 - level) / len(p))
         # taken for pooled deviations they would count as too well known
         assert np.mean(np.array(known) < level) > 1.5 * level
+
+
+@pytest.mark.parametrize("held", [2, 3, 4])
+def test_a_mode_that_few_of_many_repeats_hold_is_off_by_its_deviation(tmp_path, held):
+    """Mode m0 is in a few of twelve repeats: two or three tell next to nothing of its own scatter."""
+    path, rng, off = tmp_path / "modes.csv", np.random.default_rng(0), []
+    none, places = Floors(freq=0.0, damping=0.0, shape=0.0), [(i, k) for i in range(5) for k in range(12)]
+    for _ in range(100):
+        path.write_text("mode,freq,freq_kind,repeat\n" + "".join(
+            f"m{i},{(10 + 10 * i) * (1 + 0.002 * rng.standard_normal())},natural,{k}\n"
+            for i, k in places if i or k < held
+        ))  # fmt: skip
+        measured = read_measurement([path])
+        off.append((measured.natural_freq[0] / 10 - 1) / scatter_of(measured, none).freq[0])
+    assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.3
+    assert np.abs(off).max() < 5
