@@ -15,9 +15,8 @@ from calib.measurement.accuracy import KINDS
 from calib.measurement.modal import MeasuredModes
 from calib.structure.model import Assumption
 
-
 OWN_FROM = 4
-"""Repeats from which a value may keep its own deviation; with fewer the t variate of its mean has no finite variance."""
+"""Repeats from which a value may keep a deviation of its own: with fewer, its t variate has no finite variance."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +87,10 @@ def scatter_of(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | Non
     over all entries (root mean square; for shapes over ``n_sensors - 1`` entries a mode, since a factor was fitted to
     every repeat). Values over fewer repeats than others weigh by their degrees of freedom, and each takes its share of
     the pooled scatter by its own number of repeats. Deviations given by a file of a single repeat, and those of ten or
-    more repeats, are taken one by one, the latter widened as `calib.freedom.widened_by` says. Unknown ones, and those of
-    values that fewer than `OWN_FROM` repeats hold, take the pooled value when there is one, else the floors'
-    ``unknown_*``; see `assumptions`. What the measurement claims as
-    its accuracy is added in squares, and where the scatter is unknown it stands alone.
+    more repeats, are taken one by one, the latter widened as `calib.freedom.widened_by` says. Unknown ones, and those
+    of values that fewer than `OWN_FROM` repeats hold, take the pooled value when there is one, else the floors'
+    ``unknown_*``; see `assumptions`. What the measurement claims as its accuracy is added in squares, and where the
+    scatter is unknown it stands alone.
 
     Parameters
     ----------
