@@ -10,8 +10,8 @@ import scipy.sparse as sp
 
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.model import DofMap, Mesh, StructuralModel
-from models.chain import ChainLocator
+from calib.structure.geometry import DofMap, Mesh, NodeLocator
+from calib.structure.model import StructuralModel
 
 STOREYS = 4
 MASS = 0.1122
@@ -74,5 +74,5 @@ def four_storey_rig(masses_known: bool = True) -> StructuralModel:
         mesh=Mesh(points, lines, ("storey",) * STOREYS),
         dofs=dofs,
         clusters={"storeys.x": np.arange(STOREYS)},
-        locator=ChainLocator(points, expansion),
+        locator=NodeLocator(points, expansion),
     )

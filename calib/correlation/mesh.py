@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from calib.structure.model import Mesh
+from calib.structure.geometry import Mesh
 
 
 def points_table(mesh: Mesh) -> pd.DataFrame:

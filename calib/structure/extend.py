@@ -12,7 +12,8 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, SelectedTerm, Term
-from calib.structure.model import Assumption, DofMap, Locator, StructuralModel
+from calib.structure.geometry import DofMap, Locator
+from calib.structure.model import Assumption, StructuralModel
 
 
 @dataclass(frozen=True)

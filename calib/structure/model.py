@@ -3,69 +3,24 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
+import pandas as pd
 import scipy.sparse as sp
 
 from calib.errors import InputError
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.space import ParameterSpace
+from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial
 from calib.structure.energy import strain_energy, strain_energy_shares
+from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
+from calib.structure.matrices import DofTable, Terms, affine, require_mass, require_used
 from calib.structure.modes import Modes
 from calib.structure.reduced_matrix import ReducedSlope
 from calib.structure.solve import solve_modes
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """Nodes, lines and faces of a model, for pictures and for finding places.
-
-    Attributes
-    ----------
-    points : ndarray (n_nodes, 3)
-        Coordinates in metres.
-    lines : ndarray (n_lines, 2), int
-        Node indices of each line element and of each edge of a face.
-    groups : tuple of str
-        Group name of each line; an edge has that of a face.
-    faces : ndarray (n_faces, 4), int
-        Node indices of each shell element, in turn.
-    face_groups : tuple of str
-        Group name of each face.
-    """
-
-    points: np.ndarray
-    lines: np.ndarray
-    groups: tuple[str, ...]
-    faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), dtype=int))
-    face_groups: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class DofMap:
-    """How nodal motions follow from the free degrees of freedom.
-
-    Attributes
-    ----------
-    expansion : csr_array (6 * n_nodes, n_dof)
-        Nodal motions (ux, uy, uz, rx, ry, rz of every node) over the free degrees of freedom; suppressed motions are
-        empty rows, shared and rigidly linked ones have several entries.
-    node, direction : ndarray (n_dof,), int
-        Node index and direction index (0..5) that name each free degree of freedom.
-    """
-
-    expansion: sp.csr_array
-    node: np.ndarray
-    direction: np.ndarray
-
-    @property
-    def n_dof(self) -> int:
-        """Number of free degrees of freedom."""
-        return self.expansion.shape[1]
 
 
 @dataclass(frozen=True)
@@ -109,29 +64,6 @@ Matrix = sp.csc_array | np.ndarray
 
 MatrixSlope = sp.csc_array | np.ndarray | ReducedSlope
 """A derivative of one: it multiplies shapes, and ``abs`` tells the sizes of its entries."""
-
-
-class Locator(Protocol):
-    """Finds points of the geometry on a model."""
-
-    def row(self, point: Sequence[float], direction: int, on: str | None = None) -> tuple[np.ndarray, float]:
-        """Motion of a point over the free degrees of freedom.
-
-        Parameters
-        ----------
-        point : (3,) coordinates in metres
-        direction : int
-            0..5 for ux, uy, uz, rx, ry, rz.
-        on : str, optional
-            Name of the part that carries the point; without it the nearest part.
-
-        Returns
-        -------
-        row : ndarray (n_dof,)
-        distance : float
-            From the point to the part, in metres.
-        """
-        ...
 
 
 class ModalModel(Protocol):
@@ -240,6 +172,9 @@ class StructuralModel:
         Largest distance in metres between a sensor and the part that carries it.
     parts : tuple of Part
         What the matrices are made of; a search for what is missing looks at each. No answer depends on them.
+    labels : tuple of int
+        Node labels that the model shares with the measurement, length n_nodes; empty where sensors are found by their
+        place alone.
     """
 
     name: str
@@ -254,6 +189,92 @@ class StructuralModel:
     assumptions: tuple[Assumption, ...] = ()
     sensor_tolerance: float = 0.25
     parts: tuple[Part, ...] = ()
+    labels: tuple[int, ...] = ()
+
+    @staticmethod
+    def from_matrices(
+        stiffness: Terms,
+        mass: Terms,
+        damping: Terms | None = None,
+        *,
+        dofs: pd.DataFrame | Iterable[tuple[int, str]],
+        parameters: Iterable[Parameter] = (),
+        lines: Iterable[tuple[int, int]] = (),
+        name: str = "matrices",
+    ) -> StructuralModel:
+        """A model of matrices that another code has assembled.
+
+        Each matrix is one (n_dof, n_dof) array, dense or sparse, or a mapping of named ones that add up. A matrix named
+        like a parameter is multiplied by it; ``(matrix, "parameter")`` and ``(matrix, {"parameter": power, ...})``
+        say so whatever the name. Values are those of the parameters in SI (N/m for a parameter in kN/m). Of a symmetric
+        matrix one triangle is enough. Mass may be singular and the structure free.
+
+        Parameters
+        ----------
+        stiffness, mass : Terms
+        damping : Terms, optional
+            Viscous; without it modes are real.
+        dofs : DataFrame or iterable of (node, direction)
+            What each row of the matrices is: columns ``node, direction`` and, for pictures and for sensors that are
+            found by their place, ``x, y, z`` in m. Directions are x, y, z, rx, ry, rz, or 1 to 6.
+        parameters : iterable of Parameter
+        lines : iterable of (node, node)
+            Drawn between nodes.
+        name : str
+
+        Raises
+        ------
+        InputError
+            When sizes do not match, an entry is no finite number, a matrix is not symmetric, a row is named twice, a
+            mass is negative, or a parameter scales nothing.
+
+        Examples
+        --------
+        Two masses on springs in a row; the second spring is a parameter.
+
+        >>> import numpy as np
+        >>> from calib.space import Parameter
+        >>> from calib.structure.model import StructuralModel
+        >>> ground, between = np.diag([1.0, 0.0]), np.array([[1.0, -1.0], [-1.0, 1.0]])
+        >>> model = StructuralModel.from_matrices(
+        ...     stiffness={"ground": 2e4 * ground, "k": between},
+        ...     mass=np.diag([1.0, 2.0]),
+        ...     dofs=[(1, "x"), (2, "x")],
+        ...     parameters=[Parameter("k", 1e4, 5e3, 2e4, "N/m")],
+        ... )
+        >>> model.modes({"k": 8e3}, 2).natural_freq.round(2)
+        array([ 8.32, 27.23])
+        """
+        table = DofTable.of(dofs, name)
+        space = ParameterSpace(tuple(parameters))
+        viscous: Terms = {} if damping is None else damping
+        given: Mapping[str, Terms] = {"stiffness": stiffness, "damping": viscous, "mass": mass}
+        read = {kind: affine(kind, terms, space, table, name) for kind, terms in given.items()}
+        matrices = {kind: matrix for kind, (matrix, _) in read.items()}
+        require_used(space, list(matrices.values()), name)
+        require_mass(matrices["mass"](space.si(space.values)), table, name)
+        place = {label: k for k, label in enumerate(table.labels)}
+        ends = [[_index(node, place, name) for node in line] for line in lines]
+        expansion = table.expansion
+        return StructuralModel(
+            name=name,
+            space=space,
+            mesh=Mesh(table.points, np.array(ends, dtype=int).reshape(-1, 2), ("lines",) * len(ends)),
+            dofs=DofMap(expansion, table.node, table.direction),
+            clusters={
+                d: np.flatnonzero(table.direction == k) for k, d in enumerate(DIRECTIONS) if k in table.direction
+            },
+            locator=NodeLocator(table.points, expansion),
+            assumptions=tuple(
+                Assumption(f"{kind} {key!r}", "symmetric", "-", "one triangle was given and has been mirrored")
+                for kind, (_, completed) in read.items()
+                for key in completed
+            ),
+            labels=table.labels,
+            stiffness=matrices["stiffness"],
+            damping=matrices["damping"],
+            mass=matrices["mass"],
+        )
 
     @property
     def n_dof(self) -> int:
@@ -310,11 +331,7 @@ class StructuralModel:
         rows = np.zeros((len(sensors), self.n_dof))
         for i, sensor in enumerate(sensors):
             place = f"sensor {sensor.name}"
-            if sensor.point is None:
-                raise InputError(
-                    "no place is known for it", place=place, remedy="add its node to the study's sensor table"
-                )
-            row, distance = self.locator.row(sensor.point, DIRECTIONS.index(sensor.direction), sensor.on)
+            row, distance = self._row_of(sensor)
             if distance > self.sensor_tolerance:
                 raise InputError(
                     f"it lies {distance:.3f} m off the model {self.name}"
@@ -331,6 +348,23 @@ class StructuralModel:
             rows[i] = row
         return rows
 
+    def _row_of(self, sensor: Sensor) -> tuple[np.ndarray, float]:
+        """Motion at a sensor, and how far it lies off: by its place, or by its node's label where one has none."""
+        direction = DIRECTIONS.index(sensor.direction)
+        if sensor.point is not None and np.all(np.isfinite(self.mesh.points)):
+            return self.locator.row(sensor.point, direction, sensor.on)
+        if sensor.node in self.labels:
+            index = 6 * self.labels.index(sensor.node) + direction
+            return self.dofs.expansion[[index]].toarray()[0], 0.0
+        known = "no place is known for it" if sensor.point is None else "the model has no coordinates"
+        if not self.labels:
+            raise InputError(known, place=f"sensor {sensor.name}", remedy="add its node to the study's sensor table")
+        raise InputError(
+            f"{known}, and the model {self.name} has no node {sensor.node}",
+            place=f"sensor {sensor.name}",
+            remedy="give coordinates to both, or number its node as the model does",
+        )
+
     def energy_shares(self, values: Mapping[str, float], shapes: np.ndarray, names: Sequence[str]) -> np.ndarray:
         """Share of each mode's strain energy in each named cluster, (n_names, n_modes); see `strain_energy_shares`."""
         named = {name: self.clusters[name] for name in names}
@@ -346,3 +380,11 @@ class StructuralModel:
         """Translations of all nodes, shape (n_nodes, 3, n_modes), from shapes (n_dof, n_modes)."""
         full = self.dofs.expansion @ shapes
         return full.reshape(len(self.mesh.points), 6, -1)[:, :3, :]
+
+
+def _index(node: int, place: Mapping[int, int], name: str) -> int:
+    if node not in place:
+        raise InputError(
+            f"a line ends at node {node}, which no row names", place=f"model {name}, lines", remedy="correct the label"
+        )
+    return place[node]

@@ -20,8 +20,9 @@ from calib.structure.affine import AffineMatrix
 from calib.structure.basis import Basis
 from calib.structure.energy import shares_of, strain_energy
 from calib.structure.extend import extend
+from calib.structure.geometry import Mesh
 from calib.structure.inertia import symmetric_factor
-from calib.structure.model import Assumption, Mesh, StructuralModel
+from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduced_energy import ClusterEnergy
 from calib.structure.reduced_matrix import ReducedMatrix, ReducedSlope, reduce_matrix

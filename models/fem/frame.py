@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors import InputError
-from calib.structure.model import DofMap, Mesh
+from calib.structure.geometry import DofMap, Mesh
 from models.fem import beam
 from models.fem.member import Member, Particle, Suppression, Tie
 from models.fem.nodes import MERGE, NodeTable, assemble

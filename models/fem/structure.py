@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from scipy.spatial import KDTree
 
 from calib.errors import InputError
-from calib.structure.model import Mesh
+from calib.structure.geometry import Mesh
 from models.fem import shell, surface
 from models.fem.frame import Carrier, Frame, known_groups
 from models.fem.nodes import MERGE, NodeTable, assemble

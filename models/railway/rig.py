@@ -11,7 +11,8 @@ import scipy.sparse as sp
 
 from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, Term, parameter
-from calib.structure.model import Assumption, DofMap, StructuralModel
+from calib.structure.geometry import DofMap
+from calib.structure.model import Assumption, StructuralModel
 from models.fem.discrete import FrameLocator, Spring, mass_matrix, spring_matrix
 from models.fem.frame import Frame
 from models.fem.member import Member

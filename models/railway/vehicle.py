@@ -11,7 +11,8 @@ import scipy.sparse as sp
 from calib.errors import InputError
 from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.model import Assumption, DofMap, Part, StructuralModel
+from calib.structure.geometry import DofMap
+from calib.structure.model import Assumption, Part, StructuralModel
 from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.parts import (
     Reduced,

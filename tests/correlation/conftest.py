@@ -10,7 +10,8 @@ import scipy.sparse as sp
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.model import DofMap, Mesh, StructuralModel
+from calib.structure.geometry import DofMap, Mesh
+from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 
 N = 6

@@ -1,7 +1,7 @@
 import numpy as np
 
 from calib.correlation.mesh import elements_table, points_table
-from calib.structure.model import Mesh
+from calib.structure.geometry import Mesh
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 2, 0]], dtype=float)
 LINES = np.array([[3, 4], [0, 1], [1, 2], [2, 3], [3, 0]])

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from calib.structure.model import DofMap
+from calib.structure.geometry import DofMap
 from calib.structure.modes import Modes
 from calib.structure.solve import solve_modes
 from models.fem.discrete import PointMass, Spring, mass_matrix, spring_matrix

@@ -9,7 +9,8 @@ import scipy.sparse as sp
 
 from calib.space import LinearConstraint, Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, Term, parameter
-from calib.structure.model import DofMap, Mesh, StructuralModel
+from calib.structure.geometry import DofMap, Mesh
+from calib.structure.model import StructuralModel
 
 
 def springs(n: int, pairs: list[tuple[int, int]]) -> sp.csr_array:

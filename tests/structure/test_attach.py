@@ -27,7 +27,8 @@ from calib.structure.attach import (
     softened_part,
 )
 from calib.structure.extend import extend
-from calib.structure.model import DofMap, Mesh, Part, StructuralModel
+from calib.structure.geometry import DofMap, Mesh
+from calib.structure.model import Part, StructuralModel
 
 M0, K0 = 3.0, 3.0 * (2 * np.pi * 4.0) ** 2
 

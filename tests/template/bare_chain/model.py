@@ -5,7 +5,8 @@ import scipy.sparse as sp
 
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Term, parameter
-from calib.structure.model import DofMap, Mesh, StructuralModel
+from calib.structure.geometry import DofMap, Mesh
+from calib.structure.model import StructuralModel
 
 K = np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 1]]) * 1e4
 M = np.eye(3)

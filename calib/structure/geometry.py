@@ -1,0 +1,103 @@
+"""Nodes, their motions and their places: what a model of matrices needs beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Nodes, lines and faces of a model, for pictures and for finding places.
+
+    Attributes
+    ----------
+    points : ndarray (n_nodes, 3)
+        Coordinates in metres.
+    lines : ndarray (n_lines, 2), int
+        Node indices of each line element and of each edge of a face.
+    groups : tuple of str
+        Group name of each line; an edge has that of a face.
+    faces : ndarray (n_faces, 4), int
+        Node indices of each shell element, in turn.
+    face_groups : tuple of str
+        Group name of each face.
+    """
+
+    points: np.ndarray
+    lines: np.ndarray
+    groups: tuple[str, ...]
+    faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), dtype=int))
+    face_groups: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DofMap:
+    """How nodal motions follow from the free degrees of freedom.
+
+    Attributes
+    ----------
+    expansion : csr_array (6 * n_nodes, n_dof)
+        Nodal motions (ux, uy, uz, rx, ry, rz of every node) over the free degrees of freedom; suppressed motions are
+        empty rows, shared and rigidly linked ones have several entries.
+    node, direction : ndarray (n_dof,), int
+        Node index and direction index (0..5) that name each free degree of freedom.
+    """
+
+    expansion: sp.csr_array
+    node: np.ndarray
+    direction: np.ndarray
+
+    @property
+    def n_dof(self) -> int:
+        """Number of free degrees of freedom."""
+        return self.expansion.shape[1]
+
+
+class Locator(Protocol):
+    """Finds points of the geometry on a model."""
+
+    def row(self, point: Sequence[float], direction: int, on: str | None = None) -> tuple[np.ndarray, float]:
+        """Motion of a point over the free degrees of freedom.
+
+        Parameters
+        ----------
+        point : (3,) coordinates in metres
+        direction : int
+            0..5 for ux, uy, uz, rx, ry, rz.
+        on : str, optional
+            Name of the part that carries the point; without it the nearest part.
+
+        Returns
+        -------
+        row : ndarray (n_dof,)
+        distance : float
+            From the point to the part, in metres.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class NodeLocator:
+    """Finds the nearest node, where there are no elements to interpolate over.
+
+    Attributes
+    ----------
+    points : ndarray (n_nodes, 3)
+        Coordinates, m.
+    expansion : csr_array (6 * n_nodes, n_dof)
+        As in `DofMap`.
+    """
+
+    points: np.ndarray
+    expansion: sp.csr_array
+
+    def row(self, point: Sequence[float], direction: int, on: str | None = None) -> tuple[np.ndarray, float]:
+        """See `Locator`; there are no parts, so ``on`` says nothing here."""
+        distance = np.linalg.norm(self.points - np.asarray(point, dtype=float), axis=1)
+        nearest = int(np.argmin(distance))
+        return self.expansion[[6 * nearest + direction]].toarray()[0], float(distance[nearest])
