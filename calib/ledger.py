@@ -6,7 +6,6 @@ questions, and the ledger answers those that were asked before.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -27,7 +26,7 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.evaluate import BatchEvaluator
-from calib.outcome import Outcome
+from calib.outcome import Outcome, key_of
 
 _VERSION = 1
 _BUSY_SECONDS = 30.0
@@ -72,12 +71,6 @@ _VECTORS = """CREATE TABLE IF NOT EXISTS vector (
     name TEXT NOT NULL,
     numbers BLOB NOT NULL,
     PRIMARY KEY (fingerprint, key, name)) WITHOUT ROWID"""
-
-
-def key_of(values: Mapping[str, float]) -> str:
-    """Key of a point: a 128-bit hash over all names, sorted, with their exact values."""
-    text = "\n".join(f"{name}={float(values[name])!r}" for name in sorted(values))
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 @dataclass(frozen=True)

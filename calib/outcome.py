@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import math
 import os
 import sysconfig
@@ -89,6 +90,20 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
     if error:
         return Outcome(given, "failed", {}, error, seconds, trace)
     return Outcome(given, "ok", responses, "", seconds)
+
+
+def key_of(values: Mapping[str, float]) -> str:
+    """Key of a point: a 128-bit hash over all names, sorted, with their exact values."""
+    text = "\n".join(f"{name}={float(values[name])!r}" for name in sorted(values))
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def answered(function: Function, values: Mapping[str, float]) -> dict[str, float]:
+    """Named responses of a function that may be the user's own; EvaluationError for whatever goes wrong in it."""
+    outcome = attempt(function, values)
+    if outcome.status == "failed":
+        raise failure(outcome)
+    return outcome.responses
 
 
 def failure(outcome: Outcome) -> EvaluationError:

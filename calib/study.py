@@ -28,7 +28,7 @@ from calib.structure.basis import Basis
 from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
 
-Problem = ModalProblem | FunctionProblem
+ForwardProblem = ModalProblem | FunctionProblem
 Targets = Mapping[str, tuple[float, float | None]]
 _NONE: Mapping[str, float] = MappingProxyType({})
 
@@ -147,7 +147,7 @@ class Study(StudyFile):
     model: Model
     measured: MeasuredModes | None
     targets: Targets
-    problem: Problem
+    problem: ForwardProblem
     sensitivity_space: ParameterSpace
     search_space: ParameterSpace
     whole: MeasuredModes | None = None
@@ -357,7 +357,7 @@ class _Reader:
         whole, responses = self._measurement(model)
         whole_targets = {} if responses is None else responses.targets
         measured, targets = self._used(whole, whole_targets)
-        problem: Problem
+        problem: ForwardProblem
         if isinstance(model, FunctionModel):
             assert isinstance(base, FunctionModel)
             mark = self._fingerprint(fingerprint_of(base, included, model))
@@ -473,7 +473,7 @@ class _Reader:
         return used, {}
 
     def _problem(self, model: StructuralModel, measured: MeasuredModes, n_added: int) -> ModalProblem:
-        """Problem over what is used; the degrees of freedom that effects added bring as many modes more."""
+        """ForwardProblem over what is used; the degrees of freedom that effects added bring as many modes more."""
         pairing = self.settings.pairing
         default = min(2 * measured.n_modes, model.n_dof - n_added)
         count = pairing.mode_count if pairing.mode_count is not None else default

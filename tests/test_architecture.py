@@ -9,10 +9,10 @@ ROOT = Path(__file__).resolve().parent.parent
 RANKS = (
     {"errors", "interrupt", "written", "neighbours"},
     {"space", "mac", "freedom", "outcome", "table", "fingerprint"},
-    {"effect", "measurement", "worker", "named_values"},
+    {"effect", "differences", "measurement", "worker", "named_values"},
     {"structure"},
     {"function", "correlation"},
-    {"settings", "evaluate", "results"},
+    {"settings", "evaluate", "results", "problem"},
     {"limits", "ledger", "loading"},
     {"study"},
     {"sensitivity", "updating"},

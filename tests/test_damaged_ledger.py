@@ -5,8 +5,8 @@ import random
 import pytest
 
 from calib.errors import InputError
-from calib.ledger import Asked, Ledger, key_of
-from calib.outcome import Outcome
+from calib.ledger import Asked, Ledger
+from calib.outcome import Outcome, key_of
 
 POINTS = [{"a": float(k), "b": 2.0} for k in range(60)]
 

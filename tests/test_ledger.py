@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from calib.errors import InputError
 from calib.evaluate import Evaluator
-from calib.ledger import Asked, Ledger, key_of
-from calib.outcome import OUT_OF_MEMORY, WORKER_DIED, Outcome, attempt
+from calib.ledger import Asked, Ledger
+from calib.outcome import OUT_OF_MEMORY, WORKER_DIED, Outcome, attempt, key_of
 
 FORK = multiprocessing.get_context("fork")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -15,6 +15,7 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import USUAL, Floors, Scatter, freedom_behind, scatter_of
 from calib.fingerprint import digest_of
 from calib.mac import is_real
+from calib.space import ParameterSpace
 from calib.structure.derivatives import ModeDerivatives, mode_derivatives
 
 _BESIDE = 1e-6
@@ -184,9 +185,31 @@ class ModalResidual:
 
     # -- at named values -----------------------------------------------------------------------------------------------
 
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the model."""
+        return self.problem.space
+
+    @property
+    def told_by_responses(self) -> bool:
+        """Whether a solution can be restored from its responses."""
+        return False
+
+    def solve(self, values: Mapping[str, float]) -> Comparison:
+        """Model against measurement at named values; EvaluationError when the model cannot be solved there."""
+        return self.problem.compare(values)
+
+    def responses(self, solution: Comparison) -> dict[str, float]:
+        """See `ModalProblem.responses`."""
+        return self.problem.responses(solution)
+
+    def restored(self, responses: Mapping[str, float]) -> None:
+        """None: responses do not tell the modes."""
+        return
+
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual at named values, shape (n_rows,); EvaluationError when the model cannot be solved there."""
-        return self.of(self.problem.compare(values))
+        return self.of(self.solve(values))
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Derivative of the residual, per one of each parameter's own unit, shape (n_rows, n_params).
@@ -196,8 +219,20 @@ class ModalResidual:
         of the sum of squares is exact. Rows of unpaired modes, and shape rows of modes without a derivative (see
         `calib.structure.derivatives`), are 0.
         """
-        found = self.problem.compare(self.regular(values, names))
+        return self.slope(values, names, self.solve)
+
+    def slope(
+        self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison]
+    ) -> np.ndarray:
+        """The same with solutions from ``at``."""
+        found = at(self.regular(values, names))
         return self.slope_of(found, names, self.derivatives(found, names))
+
+    def frequencies(
+        self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison]
+    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+        """As `freq_jacobian` of all model modes, with solutions from ``at``."""
+        return self.freq_jacobian(values, names, every=True, found=at(self.regular(values, names)))
 
     def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         """Where derivatives by the named parameters are taken: beside 0 for one that stands under a root.

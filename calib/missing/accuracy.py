@@ -11,9 +11,9 @@ import pandas as pd
 from calib.freedom import beside_known
 from calib.missing.findings import Findings
 from calib.missing.goodness import goodness, overall
-from calib.missing.hypotheses import Label
 from calib.missing.score import Scores, family_p, scored
 from calib.missing.state import State
+from calib.problem import Label
 
 GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 """Accuracies that are asked, as shares of a value; of shapes, of the largest entry."""

@@ -11,7 +11,7 @@ import pandas as pd
 from scipy import special
 
 from calib.freedom import chance, row_freedom
-from calib.missing.hypotheses import Label
+from calib.problem import Label
 
 _Name = TypeVar("_Name", bound=Hashable)
 

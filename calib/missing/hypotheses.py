@@ -9,27 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from calib.effect import Effect
+from calib.problem import Label
 from calib.space import ParameterSpace
 from calib.updating.gauss_newton import LeastSquares
-
-
-class Label(Protocol):
-    """What one row of the residual compares."""
-
-    @property
-    def mode(self) -> str:
-        """Measured mode; empty for a plain response."""
-        ...
-
-    @property
-    def kind(self) -> str:
-        """Kind of response, such as ``frequency``, ``damping``, ``shape`` or ``response``."""
-        ...
-
-    @property
-    def sensor(self) -> str:
-        """Sensor of a shape or name of a plain response, else empty."""
-        ...
 
 
 class Question(LeastSquares, Protocol):

@@ -11,8 +11,9 @@ import scipy.linalg as la
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
-from calib.missing.hypotheses import Label, Question
+from calib.missing.hypotheses import Question
 from calib.missing.state import State
+from calib.problem import Label
 
 DETECTABLE = 4.0
 """Expected score from which an effect is found with about 90 % power at a family-wise level of 1 %."""

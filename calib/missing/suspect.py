@@ -10,7 +10,7 @@ import pandas as pd
 
 from calib.freedom import LEAST_FREEDOM, chance, hat_root
 from calib.missing.goodness import FOLLOWED, Fit, Layout, goodness, overall
-from calib.missing.hypotheses import Label
+from calib.problem import Label
 
 COLUMNS = ("what", "kind", "rows", "chi2", "freedom", "p", "p_fit_without", "explains")
 LEVEL = 0.01

@@ -88,9 +88,7 @@ def budget_of(hypotheses: ModalHypotheses, state: State, modes: Modes, sensor_sh
     if float(similar[np.arange(len(names)), which].min()) < _ALIKE:
         raise InputError("the finer model does not have the modes that were measured", place="finer_options")
     shapes = sensor_shapes[:, which] / np.abs(sensor_shapes[:, which]).max(axis=0)
-    twin = imagined_measurement(
-        measured, question.inner.scatter, names, modes, which.tolist(), measured.sensors, shapes
-    )
+    twin = imagined_measurement(measured, question.pair.scatter, names, modes, which.tolist(), measured.sensors, shapes)
     problem = hypotheses.problem
     clusters = {m: c for m, c in problem.mode_clusters.items() if m in names}
     imagined = replace(problem, measured=twin, mode_clusters=clusters, override={}, reference=state.values)

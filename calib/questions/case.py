@@ -15,12 +15,12 @@ import pandas as pd
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.ledger import Ledger
-from calib.outcome import Outcome, as_cause
-from calib.questions.compare import Answer, answer_at, responses_at
+from calib.outcome import Outcome, answered, as_cause
+from calib.problem import Counts, Pair, Problem
+from calib.questions.compare import Answer, answer_at
 from calib.questions.explained_fit import explained_fit
-from calib.questions.judge import FitProgress, Judgement, RecordedResidual, Shared, criteria, fitted, judged
+from calib.questions.judge import FitProgress, Judgement, Shared, criteria, fitted, judged, posed
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
-from calib.questions.recorded import Counts
 from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.stored import confirm
 from calib.results import Results
@@ -145,9 +145,9 @@ class CaseFinder:
     _shared: dict[str, Shared] = field(init=False, repr=False, default_factory=dict)
 
     @property
-    def exact(self) -> RecordedResidual:
-        """The residual at full order."""
-        return RecordedResidual(self.study.problem, self.ledger)
+    def exact(self) -> Problem[Pair]:
+        """What is fitted, at full order."""
+        return posed(self.study, self.ledger)
 
     @cached_property
     def known(self) -> tuple[dict[str, float], ...]:
@@ -234,22 +234,22 @@ class CaseFinder:
         found and of `known`, so that it never ends above those. ``counts`` is told every point that is asked.
         """
         study, counts = self.study, counts or Counts()
-        exact = RecordedResidual(study.problem, self.ledger, counts)
-        residual = exact if reduction is None else RecordedResidual(reduction.problem, self.ledger, counts)
-        common = self._in_common(residual, refits) if shared else None
-        near = fitted(study, residual, starts, refits, progress, shared=common)
+        exact = posed(study, self.ledger, counts=counts)
+        problem = exact if reduction is None else posed(study, self.ledger, reduction.problem, counts)
+        common = self._in_common(problem, refits) if shared else None
+        near = fitted(study, problem, starts, refits, progress, shared=common)
         if reduction is None:
             return near
         begin = min((near.values, *self.known), key=lambda values: sum(criteria(study, exact, values)))
         return fitted(study, exact, [begin], 1, before=near)
 
-    def _in_common(self, residual: RecordedResidual, refits: int) -> Shared:
+    def _in_common(self, problem: Problem[Pair], refits: int) -> Shared:
         """Fits from the points that all cases share, once a basis."""
-        key, space = residual.problem.fingerprint, self.study.search_space
+        key, space = problem.pair.problem.fingerprint, self.study.search_space
 
         def ended(starts: Sequence[Mapping[str, float]]) -> MixedResult | None:
             with suppress(EvaluationError, InfeasibleError):
-                return fit_mixed(residual, space, starts, refits=refits) if starts else None
+                return fit_mixed(problem, space, starts, refits=refits) if starts else None
             return None
 
         if key not in self._shared:
@@ -265,11 +265,11 @@ class CaseFinder:
         if search is not None and plain:
             confirm(self.study, self.ledger, Outcome(search.values, "ok", search.responses))
         answer = answer_at(self.study, judgement.values)
-        responses = responses_at(problem, judgement.values)
+        responses = answered(problem.evaluate, judgement.values)
         final = replace(result, values=judgement.values, misfit=objective(responses), responses=responses)
         full, points = float("nan"), []
         if search is not None:
-            full = objective(search.responses if plain else responses_at(problem, search.values))
+            full = objective(search.responses if plain else answered(problem.evaluate, search.values))
             points.append((final.name, SEARCH, full, *criteria(self.study, self.exact, search.values)))
         if judgement.fit is not None:
             points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))

@@ -17,12 +17,12 @@ from calib.correlation.units import frequency_hint, response_hints
 from calib.errors import EvaluationError, InputError
 from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
-from calib.outcome import as_cause, attempt, failure
+from calib.outcome import answered, as_cause
 from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import traced
 from calib.questions.scatter import scatter_notes
 from calib.results import Results
-from calib.study import Problem, Study
+from calib.study import Study
 
 
 @dataclass(frozen=True)
@@ -152,16 +152,8 @@ def _frequency_hints(comparison: Comparison) -> tuple[str, ...]:
     return () if hint is None else (hint,)
 
 
-def responses_at(problem: Problem, values: Mapping[str, float]) -> dict[str, float]:
-    """Responses of a problem whose model may be the user's own: whatever goes wrong in it is an EvaluationError."""
-    outcome = attempt(problem.evaluate, values)
-    if outcome.status == "failed":
-        raise failure(outcome)
-    return outcome.responses
-
-
 def _plain_answer(study: Study, problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
-    responses = responses_at(problem, values)
+    responses = answered(problem.evaluate, values)
     rows = []
     for name, (value, std) in problem.targets.items():
         error = (responses[name] - value) / abs(value) if value else np.nan

@@ -10,7 +10,7 @@ import pandas as pd
 from calib.correlation.problem import FunctionProblem
 from calib.missing.held_out import contradicting
 from calib.missing.verdict import GROUPS
-from calib.questions.compare import responses_at
+from calib.outcome import answered
 from calib.study import Study
 
 _NAMED = {"withheld_modes": "mode", "withheld_responses": "response"}
@@ -74,7 +74,7 @@ def every_response(study: Study, before: Mapping[str, float], after: Mapping[str
     measured = pd.Series({name: value for name, (value, _) in study.whole_targets.items()})
     table = pd.DataFrame({"withheld": measured.index.isin(study.settings.withheld.responses), "measured": measured})
     for stage, values in {"before": before, "after": after}.items():
-        table[stage] = pd.Series(responses_at(whole, values))
+        table[stage] = pd.Series(answered(whole.evaluate, values))
     for stage in ("before", "after"):
         table[f"error_{stage}"] = (table[stage] - measured) / measured.abs().where(measured != 0)
     return table.rename_axis("response").reset_index()

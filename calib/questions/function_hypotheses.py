@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.correlation.problem import FunctionProblem
+from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.responses import ResponseRow, response_freedom, response_rows
+from calib.differences import difference
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel, extend_function
@@ -18,7 +20,6 @@ from calib.outcome import Outcome, attempt
 from calib.questions.function_atoms import Remembered, function_atoms
 from calib.questions.hypotheses import question_space
 from calib.space import ParameterSpace
-from calib.updating.differences import DifferencedResponses, difference
 
 LEAST_RESPONSES = 4
 """Fewer responses cannot tell an effect from a parameter."""
@@ -76,8 +77,9 @@ class Answers:
         return {e.name: e for e in (*self.effects, *self.atoms)}
 
     @cached_property
-    def _whitened(self) -> DifferencedResponses:
-        return DifferencedResponses(lambda responses: responses, self.targets, self.model.space)
+    def whitened(self) -> ResponseResidual:
+        """What makes residuals of responses."""
+        return ResponseResidual(FunctionProblem(self.model.space, self.model.function, self.targets, ""))
 
     @property
     def evaluations(self) -> int:
@@ -110,7 +112,7 @@ class Answers:
                 self.failures.append(Failure(active, outcome))
                 self._found[key] = outcome.error
             else:
-                residual = self._whitened.residual(outcome.responses)
+                residual = self.whitened.of(outcome.responses)
                 residual.flags.writeable = False
                 self._found[key] = residual
         found = self._found[key]
@@ -262,9 +264,7 @@ class FunctionHypotheses:
     @cached_property
     def relative_std(self) -> np.ndarray:
         """Standard deviation of every row over the size of its value, (n_rows,); infinite for a value of 0."""
-        values = np.array([value for value, _ in self.targets.values()])
-        std = DifferencedResponses(dict, self.targets, self.space).std
-        return np.divide(std, np.abs(values), out=np.full(len(std), np.inf), where=values != 0)
+        return self.answers.whitened.relative_std
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:

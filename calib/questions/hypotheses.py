@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.correlation.compare import Comparison
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual, Row
 from calib.correlation.scatter import Floors
 from calib.effect import Effect
+from calib.problem import Counts, Problem
 from calib.space import ParameterSpace
 from calib.structure.variants import Variants
 
@@ -20,46 +20,9 @@ _REMEMBERED = 64
 """Points kept, so that a derivative does not solve a model again."""
 
 
-@dataclass(eq=False)
-class Counter:
-    """How many models were solved."""
-
-    count: int = 0
-
-
 def question_space(space: ParameterSpace, effects: Sequence[Effect]) -> ParameterSpace:
     """What is free in a question: the parameters of a calibration, and those of the effects in the model."""
     return ParameterSpace(space.parameters + tuple(p for e in effects for p in e.parameters), space.constraints)
-
-
-@dataclass(frozen=True, eq=False)
-class ModalQuestion:
-    """The whitened residual of one variant; a point is solved once, for residual and derivative."""
-
-    inner: ModalResidual
-    space: ParameterSpace
-    counter: Counter
-    _found: dict[tuple[float, ...], Comparison] = field(init=False, repr=False, default_factory=dict)
-
-    def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """Vector (n_rows,) at named values; EvaluationError where the model cannot be solved."""
-        return self.inner.of(self.at(values))
-
-    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params)."""
-        found = self.at(self.inner.regular(values, names))
-        return self.inner.slope_of(found, names, self.inner.derivatives(found, names))
-
-    def at(self, values: Mapping[str, float]) -> Comparison:
-        """Model against measurement at named values."""
-        complete = self.inner.problem.space.complete(values)
-        key = tuple(complete.values())
-        if key not in self._found:
-            self.counter.count += 1
-            while len(self._found) >= _REMEMBERED:
-                del self._found[next(iter(self._found))]
-            self._found[key] = self.inner.problem.compare(complete)
-        return self._found[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +46,8 @@ class ModalHypotheses:
     space: ParameterSpace
     floors: Floors = field(default_factory=Floors)
     without: tuple[str, ...] = ()
-    counter: Counter = field(init=False, repr=False, default_factory=Counter)
-    _questions: dict[tuple[str, ...], ModalQuestion] = field(init=False, repr=False, default_factory=dict)
+    counts: Counts = field(init=False, repr=False, default_factory=Counts)
+    _questions: dict[tuple[str, ...], Problem[ModalResidual]] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -99,29 +62,29 @@ class ModalHypotheses:
     @property
     def evaluations(self) -> int:
         """Models solved so far."""
-        return self.counter.count
+        return self.counts.solved + self.counts.failed
 
     @cached_property
     def rows(self) -> tuple[Row, ...]:
         """Rows of every residual."""
-        return self.question(()).inner.rows
+        return self.question(()).pair.rows
 
     @cached_property
     def relative_std(self) -> np.ndarray:
         """Standard deviation of every row; see `ModalResidual.relative_std`."""
-        return self.question(()).inner.relative_std
+        return self.question(()).pair.relative_std
 
     @cached_property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
         """Real numbers that scale and turn each shape."""
-        return self.question(()).inner.fitted_factors
+        return self.question(()).pair.fitted_factors
 
     @cached_property
     def scatter_freedom(self) -> Mapping[str, float]:
         """Degrees of freedom behind the scatter of each kind."""
-        return self.question(()).inner.scatter_freedom
+        return self.question(()).pair.scatter_freedom
 
-    def question(self, names: tuple[str, ...]) -> ModalQuestion:
+    def question(self, names: tuple[str, ...]) -> Problem[ModalResidual]:
         """The model with the named effects or atoms added."""
         key = tuple(sorted(names))
         if key not in self._questions:
@@ -131,7 +94,9 @@ class ModalHypotheses:
             base = self.problem if names else None
             problem = replace(self.problem, model=model, mode_count=count, base=base)
             space = question_space(self.space, [known[n] for n in key])
-            self._questions[key] = ModalQuestion(ModalResidual(problem, self.floors), space, self.counter)
+            self._questions[key] = Problem(
+                ModalResidual(problem, self.floors), space, remembered=_REMEMBERED, counts=self.counts
+            )
         return self._questions[key]
 
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -13,19 +12,16 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
-from calib.correlation.responses import response_rows
+from calib.correlation.response_residual import ResponseResidual
 from calib.errors import EvaluationError
 from calib.freedom import effective_freedom
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, misfit_factor, overall
-from calib.missing.hypotheses import Label
 from calib.missing.suspect import suspects
-from calib.questions.compare import responses_at
-from calib.questions.recorded import Counts, RecordedModes, recorded_problem
+from calib.problem import Counts, Pair, Problem
 from calib.questions.scatter import assumed_words
 from calib.space import ParameterSpace
-from calib.study import Problem, Study
-from calib.updating.differences import DifferencedResponses
+from calib.study import ForwardProblem, Study
 from calib.updating.gauss_newton import FitResult, Prior
 from calib.updating.identify import Identification, identify, prediction_interval
 from calib.updating.verdicts import parameter_verdicts, whole_number_std
@@ -38,70 +34,16 @@ EQUAL = 0.1
 """Difference of sums of squares that says nothing: a third of a standard deviation of one parameter."""
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedResidual:
-    """The whitened residual of a problem; no point that the ledger knows is solved again, and every other goes into it.
+def posed(
+    study: Study, ledger: Ledger, problem: ForwardProblem | None = None, counts: Counts | None = None
+) -> Problem[Pair]:
+    """What a study's fits ask: its measurement against its model, every solved point in the ledger.
 
-    Attributes
-    ----------
-    problem : ModalProblem or FunctionProblem
-        The study's own, or a reduced stand-in.
-    ledger : Ledger
-    counts : Counts
-        Of what it is asked; may be shared by several residuals.
+    ``problem`` is a reduced stand-in for the study's own; ``counts`` is told every point that is asked.
     """
-
-    problem: Problem
-    ledger: Ledger
-    counts: Counts = field(default_factory=Counts)
-    _inner: RecordedModes | DifferencedResponses = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        problem = self.problem
-        inner: RecordedModes | DifferencedResponses
-        if isinstance(problem, FunctionProblem):
-            known = recorded_problem(problem, self.ledger, self.counts)
-            inner = DifferencedResponses(partial(responses_at, known), problem.targets, problem.space)
-        else:
-            inner = RecordedModes(ModalResidual(problem), self.ledger, self.counts)
-        object.__setattr__(self, "_inner", inner)
-
-    def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """Vector (n_rows,) at named values; EvaluationError where the model cannot be solved."""
-        return self._inner.residual(values)
-
-    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params)."""
-        return self._inner.jacobian(values, names)
-
-    @property
-    def rows(self) -> Sequence[Label]:
-        """What every entry compares, length n_rows."""
-        return (
-            response_rows(self._inner.targets)
-            if isinstance(self._inner, DifferencedResponses)
-            else self._inner.inner.rows
-        )
-
-    @property
-    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
-        """Real numbers by (mode, kind) that scale and turn shapes; they are no degrees of freedom."""
-        return {} if isinstance(self._inner, DifferencedResponses) else self._inner.inner.fitted_factors
-
-    @property
-    def scatter_freedom(self) -> Mapping[str, float]:
-        """Degrees of freedom behind the standard deviations of each kind; infinite where they are known."""
-        if isinstance(self._inner, RecordedModes):
-            return self._inner.inner.scatter_freedom
-        assert isinstance(self.problem, FunctionProblem)
-        return self.problem.scatter_freedom
-
-    def predictions(self, values: Mapping[str, float], names: Sequence[str], covariance: np.ndarray) -> pd.DataFrame:
-        """Frequencies at named values with 95 % intervals from the scatter of the parameters; empty without modes."""
-        if isinstance(self._inner, DifferencedResponses):
-            return pd.DataFrame(columns=["mode", "natural_freq", "std", "lower", "upper"])
-        labels, freq, slope = self._inner.freq_jacobian(values, names)
-        return prediction_interval(labels, freq, slope, covariance)
+    asked = study.problem if problem is None else problem
+    pair: Pair = ResponseResidual(asked) if isinstance(asked, FunctionProblem) else ModalResidual(asked)
+    return Problem(pair, study.search_space, ledger, counts=counts or Counts())
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,11 +136,11 @@ class Judgement:
         return told + f"{few}the model does not fit within the scatter{rests}; something is missing; {wider}."
 
 
-def criteria(study: Study, residual: RecordedResidual, values: Mapping[str, float]) -> tuple[float, float]:
+def criteria(study: Study, problem: Problem[Pair], values: Mapping[str, float]) -> tuple[float, float]:
     """Sums of squares of data and priors at some values; infinite where the model cannot be evaluated."""
     names = [p.name for p in study.search_space.free if not p.integer]
     try:
-        vector = residual.residual(values)
+        vector = problem.residual(values)
     except EvaluationError:
         return math.inf, math.inf
     own = Prior.of(study.search_space).residual(values, names)
@@ -223,7 +165,7 @@ class Shared:
 
 def fitted(
     study: Study,
-    residual: RecordedResidual,
+    problem: Problem[Pair],
     starts: Sequence[Mapping[str, float]],
     refits: int,
     progress: FitProgress = lambda start, fits, misfit: None,
@@ -238,25 +180,25 @@ def fitted(
     `EQUAL`; to a known one wherever that is better by data and priors together.
     """
     space = study.search_space
-    found: MixedResult = fit_mixed(residual, space, starts, refits=refits, progress=progress)
+    found: MixedResult = fit_mixed(problem, space, starts, refits=refits, progress=progress)
     if shared is not None and shared.adopted is not None:
         found = found.joined(shared.adopted, EQUAL)
     if shared is not None and shared.known is not None:
         found = found.joined(shared.known)
     if before is not None:
-        return _judged(study, residual, found.best.values, found.best, before.profiles, before.complete)
+        return _judged(study, problem, found.best.values, found.best, before.profiles, before.complete)
     profiles = {p.name: found.profile(p.name) for p in space.free if p.integer}
-    return _judged(study, residual, found.best.values, found.best, profiles, found.complete)
+    return _judged(study, problem, found.best.values, found.best, profiles, found.complete)
 
 
-def judged(study: Study, residual: RecordedResidual, values: Mapping[str, float]) -> Judgement:
+def judged(study: Study, problem: Problem[Pair], values: Mapping[str, float]) -> Judgement:
     """What the data say about the parameters at given values, nothing fitted."""
-    return _judged(study, residual, dict(values), None, {}, True)
+    return _judged(study, problem, dict(values), None, {}, True)
 
 
 def _judged(
     study: Study,
-    residual: RecordedResidual,
+    problem: Problem[Pair],
     values: dict[str, float],
     fit: FitResult | None,
     profiles: Profiles,
@@ -267,23 +209,23 @@ def _judged(
     if fit is not None and fit.names == names:
         vector, slope = fit.residual, fit.jacobian
     else:
-        vector, slope = residual.residual(values), residual.jacobian(values, names)
+        vector, slope = problem.residual(values), problem.jacobian(values, names)
     taken = study.held_sd
-    held = residual.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
-    prior_sd, factors = np.array([space[n].prior_width for n in names]), residual.fitted_factors
+    held = problem.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
+    prior_sd, factors = np.array([space[n].prior_width for n in names]), problem.fitted_factors
     misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
     freedom = effective_freedom(slope, prior_sd, sum(factors.values()))
     converged = fit is not None and fit.converged
     at, alpha = _Fitted(vector, slope, prior_sd, converged), study.settings.explain.alpha
-    kinds, modes = goodness(at, residual.rows, factors, residual.scatter_freedom)
+    kinds, modes = goodness(at, problem.rows, factors, problem.scatter_freedom)
     p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, alpha)
     whole = {
         name: whole_number_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
         for name, (numbers, misfits) in profiles.items()
     }
     identification = identify(space, names, slope, values=values, held=held, birge=birge)
-    predictions = residual.predictions(values, names, identification.posterior.covariance)
-    suspected = suspects(at, residual.rows, factors, residual.scatter_freedom, alpha)
+    predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
+    suspected = suspects(at, problem.rows, factors, problem.scatter_freedom, alpha)
     return Judgement(
         values=values, misfit=misfit, prior_misfit=float(own @ own), freedom=freedom, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,

@@ -13,7 +13,7 @@ from calib.ledger import Ledger
 from calib.questions.isolation import ChildFunction
 from calib.questions.recorded import asked_anew, unrecorded
 from calib.results import Results
-from calib.study import EvaluationSource, Problem, Study, StudyFile, shell_argument
+from calib.study import EvaluationSource, ForwardProblem, Study, StudyFile, shell_argument
 from calib.written import LOG
 
 QUICK = "quick"
@@ -112,7 +112,7 @@ def open_evaluator(
     study: Study,
     workers: int | None,
     count: int,
-    problem: Problem | None = None,
+    problem: ForwardProblem | None = None,
     basis: Path | None = None,
     seconds: float | None = None,
 ) -> AbstractContextManager[Evaluator]:
@@ -127,7 +127,7 @@ def open_evaluator(
         Processes; None takes all cores where one process would take longer than a pool pays for, else one.
     count : int
         Evaluations that are foreseen.
-    problem : Problem, optional
+    problem : ForwardProblem, optional
         Default that of the study.
     basis : Path, optional
         File of the basis that ``problem`` is reduced to, for the workers to read.

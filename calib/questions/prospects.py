@@ -22,7 +22,8 @@ from calib.missing.option import Option
 from calib.missing.rivals import Rival, Rivals
 from calib.missing.score import Scores
 from calib.missing.state import State
-from calib.questions.hypotheses import ModalHypotheses, ModalQuestion
+from calib.problem import Problem
+from calib.questions.hypotheses import ModalHypotheses
 from calib.structure.modes import Modes
 
 PLACES = 40
@@ -81,7 +82,7 @@ def modal_prospects(
     seed : int
     """
     imagined = _Imagined(hypotheses, believed[0].state, withheld or {})
-    labels = imagined.question(believed[0].names).inner.rows
+    labels = imagined.question(believed[0].names).pair.rows
     measured = _rows_of(labels, imagined.modes, {s.name for s in imagined.sensors})
     seeds = np.random.default_rng(seed).integers(2**31, size=len(believed))
     points = [drawn(trial.state, draws, int(s)) for trial, s in zip(believed, seeds, strict=True)]
@@ -209,7 +210,7 @@ class _Imagined:
         question = hypotheses.question(state.effects)
         self.hypotheses, self.found = hypotheses, question.at(state.values)
         problem, measured = hypotheses.problem, hypotheses.problem.measured
-        self.scatter = question.inner.scatter
+        self.scatter = question.pair.scatter
         self.sensors = measured.sensors
         index = self.found.pairing.model_index
         self.paired = [int(i) for i in self.found.pairing.paired]
@@ -223,7 +224,7 @@ class _Imagined:
         self.places = self._places() if measured.has_shapes else ()
         self.extra = {s.name: _in_words(s) for s in self.places}
         self.measurement = self._measurement()
-        self._questions: dict[tuple[str, ...], ModalQuestion] = {}
+        self._questions: dict[tuple[str, ...], Problem[ModalResidual]] = {}
 
     def _places(self) -> tuple[Sensor, ...]:
         """Sensors spread over the structure: each time the node farthest from all before."""
@@ -264,11 +265,11 @@ class _Imagined:
         names, sensors = (*self.modes, *self.more), (*self.sensors, *self.places)
         return imagined_measurement(known, self.scatter, names, modes, cols, sensors, shapes)
 
-    def question(self, effects: tuple[str, ...]) -> ModalQuestion:
+    def question(self, effects: tuple[str, ...]) -> Problem[ModalResidual]:
         """Against a variant of the model; modes are paired by what they are."""
         if effects not in self._questions:
             asked = self.hypotheses.question(effects)
-            problem: ModalProblem = asked.inner.problem
+            problem: ModalProblem = asked.pair.problem
             kept = {m: c for m, c in problem.mode_clusters.items() if m in self.modes}
             imagined = replace(
                 problem,
@@ -282,17 +283,17 @@ class _Imagined:
             floors = replace(self.hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)
             # Scale and phase come from the sensors that are there: what others would see is predicted.
             residual = ModalResidual(imagined, floors, factor_sensors=tuple(s.name for s in self.sensors))
-            self._questions[effects] = ModalQuestion(residual, asked.space, asked.counter)
+            self._questions[effects] = replace(asked, pair=residual)
         return self._questions[effects]
 
-    def identified(self, question: ModalQuestion, values: Mapping[str, float]) -> np.ndarray:
+    def identified(self, question: Problem[ModalResidual], values: Mapping[str, float]) -> np.ndarray:
         """Rows of modes that a test of the model with these values would identify as those of the fit, (n_rows,)."""
         found = question.at(values)
         damping = found.paired(found.modes.damping_ratio)  # NaN where there is no such mode
         alike = np.isnan(found.pairing.mac) | (found.pairing.mac >= ALIKE)
         there = (damping < OVERDAMPED) & alike
         names = {name for name, one in zip(self.measurement.names, there, strict=True) if one}
-        return np.array([row.mode in names for row in question.inner.rows])
+        return np.array([row.mode in names for row in question.pair.rows])
 
     def view(
         self,
@@ -327,7 +328,7 @@ class _Imagined:
         factor = seen[:, None] / scale
         table = np.column_stack(columns) * factor
         # The scale of a shape at further sensors is only as well known as the first ones tell it.
-        loose = question.inner.factor_spread(question.at(values)) * seen[:, None]
+        loose = question.pair.factor_spread(question.at(values)) * seen[:, None]
         every = (*names, *(f"scale {k}" for k in range(loose.shape[1])))
         known = np.append(trial.state.prior_sd, np.ones(loose.shape[1]))
         return View(every, known, np.hstack([slope[:, : len(names)] * factor, loose]), table, share)
@@ -350,7 +351,7 @@ class _Imagined:
         return Rival(
             trial.names[0], trial.ln_evidence, state, fit, slope * factor[:, None], tuple(kept),
             np.array(drawn_there), np.array(seen), there,
-            question.inner.factor_spread(question.at(state.values)) * there[:, None],
+            question.pair.factor_spread(question.at(state.values)) * there[:, None],
         )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from calib import __version__
+from calib.correlation.response_residual import response_std
 from calib.correlation.scatter import scatter_of
 from calib.errors import InputError
 from calib.measurement.disagreements import COLUMNS
@@ -21,7 +22,6 @@ from calib.questions.scatter import accuracy_words, assumed_scatter, assumed_wor
 from calib.questions.state import made_from
 from calib.results import Results
 from calib.study import Study
-from calib.updating.differences import DifferencedResponses
 
 PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib", "plotly")
 """Whose versions may change a digit or a picture."""
@@ -111,7 +111,7 @@ def measured_table(study: Study) -> pd.DataFrame:
     if whole is None:
         unused = set(held.responses)
         counts = {} if study.responses is None else study.responses.counts
-        used = DifferencedResponses(dict, study.whole_targets, study.model.space).std
+        used = response_std(study.whole_targets)
         rows = [
             (name, name in unused, value, np.nan if std is None else std, counts.get(name, np.nan), taken)
             for (name, (value, std)), taken in zip(study.whole_targets.items(), used, strict=True)

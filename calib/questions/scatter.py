@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from calib.correlation.response_residual import UNKNOWN_STD
 from calib.correlation.scatter import assumptions
 from calib.structure.model import Assumption
 from calib.study import Study
-from calib.updating.differences import DifferencedResponses
 
 _LISTED = 4
 """Responses that are told by name."""
@@ -18,7 +18,7 @@ def assumed_scatter(study: Study) -> tuple[Assumption, ...]:
     unknown = [name for name, (_, std) in study.targets.items() if not std]
     if not unknown:
         return ()
-    value = f"{100 * DifferencedResponses.unknown_std:g}"
+    value = f"{100 * UNKNOWN_STD:g}"
     reason = "no standard deviation and no accuracy is stated"
     listed = ", ".join(unknown) if len(unknown) <= _LISTED else f"{unknown[0]} and {len(unknown) - 1} more responses"
     return (Assumption(f"standard deviation of {listed}", value, "% of each", reason),)

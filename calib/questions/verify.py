@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -12,14 +11,13 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
+from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.responses import response_rows
 from calib.correlation.scatter import Floors
 from calib.correlation.unused import group_table, withheld_errors
 from calib.freedom import KNOWN, behind, chance, effective_freedom
 from calib.missing.left_out import left_out
-from calib.questions.compare import responses_at
 from calib.study import Study, Targets
-from calib.updating.differences import DifferencedResponses
 from calib.updating.identify import posterior, with_held
 
 _NONE: Mapping[str, float] = MappingProxyType({})
@@ -61,8 +59,7 @@ def whitened(
     """
     if not targets:
         return np.zeros(0), np.zeros((0, len(names) + len(held_sd)))
-    # The function may be the user's own: it is asked as everywhere else, whatever it does to its surroundings.
-    asked = DifferencedResponses(partial(responses_at, replace(problem, targets=targets)), targets, problem.space)
+    asked = ResponseResidual(replace(problem, targets=targets))
     unit = np.array([*np.ones(len(names)), *held_sd.values()])
     return asked.residual(values), asked.jacobian(values, (*names, *held_sd)) * unit
 

@@ -14,8 +14,8 @@ import pandas as pd
 
 from calib.errors import EvaluationError
 from calib.evaluate import BatchEvaluator
-from calib.ledger import Asked, Ledger, key_of
-from calib.outcome import Outcome
+from calib.ledger import Asked, Ledger
+from calib.outcome import Outcome, key_of
 from calib.space import ParameterSpace
 from calib.updating.genetic import GeneticSearch, GeneticSettings
 from calib.updating.objective import Objective

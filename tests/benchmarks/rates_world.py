@@ -240,9 +240,9 @@ class World:
         problem = self.specimen.problem(measured.clean)
         problem = replace(problem, model=self.specimen.fine, mode_count=self._twin_modes)
         asked = ModalHypotheses(problem, self.twin, self.space)
-        without = asked.question(()).inner
+        without = asked.question(()).pair
         size = [
-            self.maker.blind.change_seen(without, asked.question((e.name,)).inner, self.space, measured.only(e))
+            self.maker.blind.change_seen(without, asked.question((e.name,)).pair, self.space, measured.only(e))
             / scenario.noise
             for e in hidden
         ]
@@ -269,7 +269,7 @@ class World:
         assert trial is not None
         out: dict[str, Any] = {}
         for stage, one in (("before", found.base), ("after", trial)):
-            fitted = hypotheses.question(one.names).inner.problem
+            fitted = hypotheses.question(one.names).pair.problem
             whole = self._whole(fitted, measured)
             state = one.state
             covariance = state.covariance

@@ -14,8 +14,9 @@ from calib.missing.evidence import ln_evidence
 from calib.missing.findings import Trial
 from calib.missing.score import scores
 from calib.missing.state import State, fitted
+from calib.problem import Problem
 from calib.questions import prospects as prospects_module
-from calib.questions.hypotheses import ModalHypotheses, ModalQuestion
+from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import modal_hypotheses
 from calib.questions.prospects import BENCH, MORE_MODES, modal_prospects
 from calib.results import Results
@@ -67,7 +68,7 @@ def measured_again(hypotheses, state, extra=(), more_modes=(), scale=1.0, prior=
     scale_of = np.abs(known.shapes).max(axis=0) / np.abs(shapes[: len(known.sensors), : known.n_modes]).max(axis=0)
     largest = np.abs(anywhere @ moved).max(axis=0)
     shapes = shapes * np.append(scale_of, 1 / largest[known.n_modes :])
-    scatter = question.inner.scatter
+    scatter = question.pair.scatter
     freq = found.modes.natural_freq[index]
     measured = replace(
         known, names=names, natural_freq=freq, damped_freq=freq, sensors=sensors, shapes=shapes.astype(complex),
@@ -260,7 +261,7 @@ def test_nothing_is_advised_where_the_model_cannot_be_solved(world, monkeypatch)
 
     _, hypotheses, state = world
     found, trial = scores(state, hypotheses.effects, {}), Trial((), state, 0.0, "")
-    monkeypatch.setattr(ModalQuestion, "jacobian", fails)
+    monkeypatch.setattr(Problem, "jacobian", fails)
     prospects = modal_prospects(hypotheses, [trial], hypotheses.effects, found, 1.0)
     assert prospects.views == () and advise(prospects).empty
 

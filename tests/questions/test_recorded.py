@@ -12,10 +12,11 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.scatter import Floors
 from calib.errors import EvaluationError
-from calib.ledger import Ledger, key_of
+from calib.ledger import Ledger
+from calib.outcome import key_of
+from calib.problem import Counts, Problem
 from calib.questions.calibrate import calibrate
-from calib.questions.judge import RecordedResidual, fitted
-from calib.questions.recorded import Counts
+from calib.questions.judge import fitted, posed
 from calib.results import Results
 from calib.sensitivity.sampling import sample
 from calib.study import Study
@@ -79,7 +80,7 @@ def test_modes_are_solved_once_and_not_again_by_the_next_run(tmp_path, solved):
         with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
             solved.clear()
             counts = Counts()
-            found.append((fitted(study, RecordedResidual(study.problem, ledger, counts), starts, 1), counts))
+            found.append((fitted(study, posed(study, ledger, counts=counts), starts, 1), counts))
             assert sum(solved.values()) <= ledger.count(study.problem.fingerprint) + 1  # and the modes to predict
             assert (counts.solved, counts.failed) == (sum(solved.values()), 0)
     (first, at_first), (second, again) = found
@@ -115,7 +116,7 @@ def test_a_point_that_could_not_be_solved_is_not_tried_again(tmp_path, solved):
         said = []
         for _ in range(2):
             with pytest.raises(EvaluationError) as fault:
-                RecordedResidual(problem, ledger, counts).residual(problem.space.values)
+                Problem(ModalResidual(problem), problem.space, ledger, counts=counts).residual(problem.space.values)
             said.append(str(fault.value))
     assert said[0] == said[1] and sum(solved.values()) == 1
     assert (counts.asked, counts.failed) == (2, 2)

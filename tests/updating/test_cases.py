@@ -10,7 +10,8 @@ import pytest
 
 from calib.errors import EvaluationError, InputError
 from calib.evaluate import Evaluator
-from calib.ledger import Ledger, key_of
+from calib.ledger import Ledger
+from calib.outcome import key_of
 from calib.space import LinearConstraint, Parameter, ParameterSpace
 from calib.updating.cases import Case, agreement, parameters_table, scaled_violation
 from calib.updating.genetic import GeneticSettings

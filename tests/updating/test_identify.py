@@ -13,11 +13,12 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
+from calib.correlation.response_residual import ResponseResidual
 from calib.errors import InputError
 from calib.space import Parameter, ParameterSpace
 from calib.study import Study
-from calib.updating.differences import DifferencedResponses
 from calib.updating.gauss_newton import Prior, fit
 from calib.updating.identify import identify, posterior, prediction_interval
 from calib.updating.verdicts import identified_sentence, parameter_verdicts, whole_number_std
@@ -132,6 +133,10 @@ def chain_freq(values, n=N, k=K, m=M):
     return {f"f{i + 1}": float(f) for i, f in enumerate(np.sqrt(squares) / (2 * np.pi))}
 
 
+def responses(function, targets, space):
+    return ResponseResidual(FunctionProblem(space, function, targets, ""))
+
+
 def chain_space(names, sd=0.1, truth=None):
     adopted = {f"k{i + 1}": K[i] for i in range(N)} | {f"m{i + 1}": M[i] for i in range(N)}
     centre = adopted if truth is None else truth
@@ -151,7 +156,7 @@ def test_a_chain_of_unknown_masses_and_stiffnesses_cannot_be_separated():
     adopted = dict(zip(names, k + m, strict=True))
     space = ParameterSpace(tuple(Parameter(n, v, 0.5 * v, 1.5 * v, prior_sd=0.2 * v) for n, v in adopted.items()))
     freq = chain_freq(adopted, N, k, m)
-    problem = DifferencedResponses(lambda v: chain_freq(v, N, k, m), {n: (f, 1e-3 * f) for n, f in freq.items()}, space)
+    problem = responses(lambda v: chain_freq(v, N, k, m), {n: (f, 1e-3 * f) for n, f in freq.items()}, space)
     found = identify(space, names, problem.jacobian(adopted, names), values=adopted)
     assert not found.parameters["identified"].any()
     pairs = {frozenset(p) for p in found.confounded[["parameter_a", "parameter_b"]].to_numpy().tolist()}
@@ -166,11 +171,11 @@ def test_any_chain_has_a_common_scale_until_one_mass_is_known():
     names = ("k1", "k2", "k3", "m1", "m2", "m3")
     space = chain_space(names, sd=0.3)
     targets = {n: (f, 1e-3 * f) for n, f in chain_freq({}).items()}
-    free = DifferencedResponses(chain_freq, targets, space)
+    free = responses(chain_freq, targets, space)
     found = identify(space, names, free.jacobian({}, names), values=space.values)
     assert found.common_scale < 1e-3 and not found.parameters["identified"].any()
     known = chain_space(names[:3])
-    found = identify(known, names[:3], DifferencedResponses(chain_freq, targets, known).jacobian({}, names[:3]),
+    found = identify(known, names[:3], responses(chain_freq, targets, known).jacobian({}, names[:3]),
                      values=known.values)  # fmt: skip
     assert found.common_scale > 10 and found.parameters["identified"].all()
     assert not any("by the same factor" in s for s in found.sentences())
@@ -181,7 +186,7 @@ def test_a_bad_fit_hides_nothing_from_the_data():
     names = ("k1", "k2", "k3")
     space = chain_space(names)
     targets = {n: (f, 1e-3 * f) for n, f in chain_freq({}).items()}
-    g = DifferencedResponses(chain_freq, targets, space).jacobian({}, names)
+    g = responses(chain_freq, targets, space).jacobian({}, names)
     held = g[:, :1] * 0.01 * K[0]
     good = identify(space, names, g, values=space.values, held=held)
     bad = identify(space, names, g, values=space.values, held=held, birge=1e4)
@@ -238,12 +243,12 @@ def test_coverage_of_a_spring_mass_chain():
         exact = chain_freq(truth)
         # Two of three frequencies are measured, the third is predicted.
         targets = {n: (exact[n] * (1 + 0.01 * rng.standard_normal()), 0.01 * exact[n]) for n in ("f1", "f3")}
-        problem = DifferencedResponses(chain_freq, targets, space)
+        problem = responses(chain_freq, targets, space)
         found = fit(problem, space, prior=Prior.of(space))
         scatter = posterior(names, found.jacobian, Prior.of(space).widths(names))
         error = np.array([found.values[n] - truth[n] for n in names])
         hits += np.abs(error) <= 1.96 * scatter.std
-        whole = DifferencedResponses(chain_freq, {"f2": (exact["f2"], exact["f2"])}, space)
+        whole = responses(chain_freq, {"f2": (exact["f2"], exact["f2"])}, space)
         model = chain_freq(found.values)["f2"]
         slope = -whole.jacobian(found.values, names) * exact["f2"] / model
         table = prediction_interval(["f2"], np.array([model]), slope, scatter.covariance)

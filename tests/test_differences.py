@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from calib.correlation.problem import FunctionProblem
+from calib.correlation.response_residual import ResponseResidual
+from calib.differences import central_jacobian, difference
 from calib.errors import EvaluationError, InputError
 from calib.space import Parameter, ParameterSpace
-from calib.updating.differences import DifferencedResponses, central_jacobian, difference
 from calib.updating.gauss_newton import Prior, fit
 
 WHOLE = Parameter("n", 4.0, 2.0, 8.0, integer=True)
@@ -17,13 +19,17 @@ def box(n):
     return ParameterSpace(tuple(Parameter(f"p{k}", 1.0, 0.0, 4.0, prior_sd=0.7) for k in range(n)))
 
 
+def responses(function, targets, space):
+    return ResponseResidual(FunctionProblem(space, function, targets, ""))
+
+
 def test_plain_responses():
     space = box(2)
 
     def answer(values):
         return {"one": values["p0"] ** 2, "two": math.exp(values["p1"]), "other": 1.0}
 
-    problem = DifferencedResponses(answer, {"one": (9.0, 0.01), "two": (4.0, None)}, space)
+    problem = responses(answer, {"one": (9.0, 0.01), "two": (4.0, None)}, space)
     at = {"p0": 2.0, "p1": 1.0}
     np.testing.assert_allclose(problem.residual(at), [(9 - 4) / 0.01, (4 - math.e) / 0.04])
     np.testing.assert_allclose(
@@ -31,10 +37,12 @@ def test_plain_responses():
     )
     found = fit(problem, space, prior=Prior.none())
     np.testing.assert_allclose([found.values["p0"], found.values["p1"]], [3.0, math.log(4.0)], rtol=1e-4)
+    with pytest.raises(EvaluationError, match="gave no one"):
+        responses(lambda v: {}, {"one": (9.0, 0.01)}, space).residual(at)
     with pytest.raises(EvaluationError, match="'one' is nan"):
-        DifferencedResponses(lambda v: {}, {"one": (9.0, 0.01)}, space).residual(at)
+        responses(answer, {"one": (9.0, 0.01)}, space).of({"one": math.nan})
     with pytest.raises(InputError, match="is 0 and its standard deviation unknown"):
-        DifferencedResponses(answer, {"one": (0.0, None)}, space)
+        responses(answer, {"one": (0.0, None)}, space)
 
 
 def test_differences_stay_inside_the_limits():
@@ -105,5 +113,5 @@ def test_whole_and_held_parameters_have_no_derivative():
 
 def test_without_a_continuous_parameter_the_derivative_has_no_columns():
     space = ParameterSpace((Parameter("n", 2.0, 1.0, 4.0, "-", integer=True),))
-    asked = DifferencedResponses(lambda v: {"a": v["n"], "b": 2 * v["n"]}, {"a": (2.0, 0.1), "b": (4.0, 0.1)}, space)
+    asked = responses(lambda v: {"a": v["n"], "b": 2 * v["n"]}, {"a": (2.0, 0.1), "b": (4.0, 0.1)}, space)
     assert asked.jacobian({"n": 2.0}, ()).shape == (2, 0)

@@ -1,0 +1,66 @@
+"""Derivatives of a vector by differences, for models that tell none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from calib.errors import EvaluationError
+from calib.space import Parameter, ParameterSpace
+
+
+def central_jacobian(
+    residual: Callable[[Mapping[str, float]], np.ndarray],
+    space: ParameterSpace,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    step: float = 1e-4,
+) -> np.ndarray:
+    """Derivative of a vector by central differences, per one of each parameter's own unit, shape (n_rows, n_params).
+
+    Parameters
+    ----------
+    residual : callable
+    space : ParameterSpace
+        Both points are kept within its limits.
+    values : mapping
+    names : sequence of str
+    step : float
+        Over the range between the limits.
+    """
+    complete = space.complete(dict(values))
+    if not names:
+        return np.zeros((len(residual(complete)), 0))
+    return np.column_stack([difference(residual, complete, space[name], step) for name in names])
+
+
+def difference(
+    residual: Callable[[Mapping[str, float]], np.ndarray], values: Mapping[str, float], p: Parameter, step: float
+) -> np.ndarray:
+    """Derivative of a vector along one parameter by a central difference within its limits, shape (n_rows,).
+
+    At a limit, or where one end fails, it is one-sided. Whole-number and held parameters have the derivative 0.
+
+    Raises
+    ------
+    EvaluationError
+        When the vector cannot be had on either side.
+    """
+    middle, half = values[p.name], step * (p.upper - p.lower)
+    if p.integer or half == 0:
+        return np.zeros_like(np.asarray(residual(values), dtype=float))
+    ends, fault = [], EvaluationError(f"no difference along {p.name!r} lies within its limits")
+    for at in (min(middle + half, p.upper), max(middle - half, p.lower)):
+        if at == middle:
+            continue
+        try:
+            ends.append((at, np.asarray(residual({**values, p.name: at}), dtype=float)))
+        except EvaluationError as failed:
+            fault = failed
+    if not ends:
+        raise fault
+    if len(ends) == 1:
+        ends.append((middle, np.asarray(residual(values), dtype=float)))
+    (a, high), (b, low) = ends
+    return (high - low) / (a - b)

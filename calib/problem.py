@@ -1,0 +1,313 @@
+"""Problem: what tests say about models, as rows of one residual over one parameter space."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from calib.errors import EvaluationError
+from calib.outcome import Outcome, failure, key_of
+from calib.space import ParameterSpace
+
+REMEMBERED = 8
+"""Solved points kept with their solutions, so that a derivative does not solve them again."""
+
+
+class Label(Protocol):
+    """What one row of the residual compares."""
+
+    @property
+    def mode(self) -> str:
+        """Measured mode; empty for a plain response."""
+        ...
+
+    @property
+    def kind(self) -> str:
+        """Kind of response, such as ``frequency``, ``damping``, ``shape`` or ``response``."""
+        ...
+
+    @property
+    def sensor(self) -> str:
+        """Sensor of a shape or name of a plain response, else empty."""
+        ...
+
+
+class Pair(Protocol):
+    """A model and a test of it: what a solution of the one says about the other.
+
+    Such as `calib.correlation.residual.ModalResidual` and `calib.correlation.response_residual.ResponseResidual`. What
+    a solution is only the pair knows.
+    """
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the model."""
+        ...
+
+    @property
+    def rows(self) -> Sequence[Label]:
+        """What every entry of the residual compares, length n_rows."""
+        ...
+
+    @property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row over its value, (n_rows,)."""
+        ...
+
+    @property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """Real numbers by (mode, kind) that the residual fits itself, such as the scale of a shape."""
+        ...
+
+    @property
+    def scatter_freedom(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash that changes whenever the residual or its derivatives at the same values could."""
+        ...
+
+    @property
+    def problem(self) -> Any:
+        """What is solved; its ``fingerprint`` changes whenever the responses at the same values could."""
+        ...
+
+    @property
+    def told_by_responses(self) -> bool:
+        """Whether responses tell the solution, so that residuals and derivatives need not be kept beside them."""
+        ...
+
+    def solve(self, values: Mapping[str, float]) -> Any:
+        """The solution at all parameters; EvaluationError where there is none."""
+        ...
+
+    def responses(self, solution: Any) -> dict[str, float]:
+        """Named responses of a solution."""
+        ...
+
+    def restored(self, responses: Mapping[str, float]) -> Any:
+        """A solution from its responses; None where they do not tell it."""
+        ...
+
+    def of(self, solution: Any) -> np.ndarray:
+        """Whitened residual of a solution, (n_rows,)."""
+        ...
+
+    def slope(self, values: Mapping[str, float], names: Sequence[str], at: Callable[..., Any]) -> np.ndarray:
+        """Derivative of the residual per one of each parameter's own unit, (n_rows, n_params).
+
+        ``at`` gives the solution at named values.
+        """
+        ...
+
+    def frequencies(
+        self, values: Mapping[str, float], names: Sequence[str], at: Callable[..., Any]
+    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+        """Labels and natural frequencies of all model modes, Hz, and the derivatives of their logarithms."""
+        ...
+
+
+P = TypeVar("P", bound=Pair)
+
+
+class Store(Protocol):
+    """What keeps solved points from one run to the next, such as `calib.ledger.Ledger`."""
+
+    def lookup(self, fingerprint: str, keys: Iterable[str]) -> Mapping[str, Outcome]:
+        """Known outcomes by key."""
+        ...
+
+    def append(self, fingerprint: str, outcomes: Sequence[Outcome]) -> None:
+        """Keep outcomes."""
+        ...
+
+    def vectors(self, fingerprint: str, key: str, names: Sequence[str]) -> dict[str, np.ndarray]:
+        """Known vectors of a point by name."""
+        ...
+
+    def keep_vectors(self, fingerprint: str, key: str, vectors: Mapping[str, np.ndarray]) -> None:
+        """Keep vectors of a point."""
+        ...
+
+
+@dataclass(eq=False)
+class Counts:
+    """Points that were asked: those the model was solved at, those already known, and those without an answer.
+
+    A derivative asks for points too: by differences each of their ends, of modes the point itself.
+    """
+
+    solved: int = 0
+    reused: int = 0
+    failed: int = 0
+
+    @property
+    def asked(self) -> int:
+        """All of them."""
+        return self.solved + self.reused + self.failed
+
+
+@dataclass(frozen=True, eq=False)
+class Problem(Generic[P]):
+    """A pair of a model and a test over a parameter space: responses, residual, Jacobian, and which row is what.
+
+    A point is solved once as long as it is remembered, and one that could not be solved is not tried again. With a
+    store that holds from one run to the next, and residuals and derivatives are kept too where responses do not tell
+    them.
+
+    Attributes
+    ----------
+    pair : Pair
+    space : ParameterSpace
+        Free are the parameters that a fit moves. It may have fewer parameters than the pair's, which then takes its own
+        values.
+    store : Store or None
+    remembered : int
+        Solutions kept.
+    counts : Counts
+        Of the points that are asked; may be shared by several problems.
+    """
+
+    pair: P
+    space: ParameterSpace
+    store: Store | None = None
+    remembered: int = REMEMBERED
+    counts: Counts = field(default_factory=Counts, repr=False)
+    _solved: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
+    _failed: dict[str, EvaluationError] = field(init=False, repr=False, default_factory=dict)
+    _identity: str = field(init=False, repr=False, default="")
+
+    def __post_init__(self) -> None:
+        if self.store is not None:
+            object.__setattr__(self, "_identity", self.pair.fingerprint)
+
+    @property
+    def rows(self) -> Sequence[Label]:
+        """What every entry of the residual compares, length n_rows."""
+        return self.pair.rows
+
+    @property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row over its value, (n_rows,)."""
+        return self.pair.relative_std
+
+    @property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """Real numbers by (mode, kind) that the residual fits itself; they are no degrees of freedom."""
+        return self.pair.fitted_factors
+
+    @property
+    def scatter_freedom(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
+        return self.pair.scatter_freedom
+
+    def responses(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Named responses; EvaluationError where the model cannot be solved."""
+        return self.pair.responses(self.at(values))
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Whitened residual, (n_rows,); EvaluationError where the model cannot be solved, or could not be."""
+        complete = self.pair.space.complete(dict(values))
+        if self.store is None or self.pair.told_by_responses:
+            return self.pair.of(self.at(complete))
+        key = key_of(complete)
+        known = self.store.vectors(self._identity, key, [""])
+        if "" in known:
+            self.counts.reused += 1
+        else:
+            known = {"": self.pair.of(self.at(complete))}
+            self.store.keep_vectors(self._identity, key, known)
+        return known[""]
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Derivative of the residual per one of each parameter's own unit, (n_rows, n_params)."""
+        complete = self.pair.space.complete(dict(values))
+        if self.store is None or self.pair.told_by_responses:
+            return self.pair.slope(complete, names, self.at)
+        key = key_of(complete)
+        known = self.store.vectors(self._identity, key, names)
+        new = [name for name in names if name not in known]
+        if new:
+            columns = dict(zip(new, self.pair.slope(complete, new, self.at).T, strict=True))
+            self.store.keep_vectors(self._identity, key, columns)
+            known = known | columns
+        elif names:
+            self.counts.reused += 1
+        return np.column_stack([known[name] for name in names]) if names else np.zeros((len(self.rows), 0))
+
+    def frequencies(
+        self, values: Mapping[str, float], names: Sequence[str]
+    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+        """Labels and natural frequencies of all model modes, Hz, and the derivatives of their logarithms; see `Pair`.
+
+        Without modes all are empty.
+        """
+        return self.pair.frequencies(self.pair.space.complete(dict(values)), names, self.at)
+
+    def at(self, values: Mapping[str, float]) -> Any:
+        """The pair's solution at named values; EvaluationError where there is none."""
+        complete = self.pair.space.complete(dict(values))
+        key = key_of(complete)
+        if key in self._solved:
+            self.counts.reused += 1
+            return self._solved[key]
+        try:
+            found = self._found(key, complete)
+        except EvaluationError as fault:
+            self.counts.failed += 1
+            self._failed[key] = fault
+            raise
+        while len(self._solved) >= self.remembered:
+            del self._solved[next(iter(self._solved))]
+        self._solved[key] = found
+        return found
+
+    def _found(self, key: str, values: dict[str, float]) -> Any:
+        """The solution as it is stored, or a new one."""
+        if key in self._failed:
+            raise _again(self._failed[key])
+        found = self._restored(key)
+        if found is not None:
+            self.counts.reused += 1
+            return found
+        found = self._solve(values)
+        self.counts.solved += 1
+        return found
+
+    def _restored(self, key: str) -> Any:
+        """The solution from what is stored; None where it must be solved."""
+        known = None if self.store is None else self.store.lookup(self.pair.problem.fingerprint, [key]).get(key)
+        if known is None or known.transient:
+            return None
+        if known.status == "failed":
+            raise failure(known)
+        return self.pair.restored(known.responses)
+
+    def _solve(self, values: dict[str, float]) -> Any:
+        started = time.perf_counter()
+        try:
+            found = self.pair.solve(values)
+        except EvaluationError as fault:
+            self._keep(Outcome(values, "failed", {}, str(fault), time.perf_counter() - started))
+            raise
+        if self.store is not None:
+            self._keep(Outcome(values, "ok", self.pair.responses(found), "", time.perf_counter() - started))
+        return found
+
+    def _keep(self, outcome: Outcome) -> None:
+        if self.store is not None:
+            self.store.append(self.pair.problem.fingerprint, [outcome])
+
+
+def _again(fault: EvaluationError) -> EvaluationError:
+    """The same failure, without the places it has passed through."""
+    out = EvaluationError(*fault.args)
+    for note in getattr(fault, "__notes__", ()):
+        out.add_note(note)
+    return out
