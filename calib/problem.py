@@ -9,7 +9,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from calib.errors import EvaluationError
+from calib.errors import EvaluationError, InputError
 from calib.outcome import Outcome, failure, key_of
 from calib.space import ParameterSpace
 
@@ -167,6 +167,9 @@ class Problem(Generic[P]):
     space : ParameterSpace
         Free are the parameters that a fit moves. It may have fewer parameters than the pair's, which then takes its own
         values.
+    condition : mapping from str to float
+        Parameters of the model that hold for this test only, each in its own unit, such as the mass of a loaded car.
+        The space has none of them.
     store : Store or None
     remembered : int
         Solutions kept.
@@ -176,6 +179,7 @@ class Problem(Generic[P]):
 
     pair: P
     space: ParameterSpace
+    condition: Mapping[str, float] = field(default_factory=dict, kw_only=True)
     store: Store | None = None
     remembered: int = REMEMBERED
     counts: Counts = field(default_factory=Counts, repr=False)
@@ -184,6 +188,14 @@ class Problem(Generic[P]):
     _identity: str = field(init=False, repr=False, default="")
 
     def __post_init__(self) -> None:
+        self.pair.space.complete(self.condition)
+        for name in self.condition:
+            if name in self.space:
+                raise InputError(
+                    f"{name} holds for this test only and is a parameter of the space too",
+                    place="condition",
+                    remedy="leave it out of one of them",
+                )
         if self.store is not None:
             object.__setattr__(self, "_identity", self.pair.fingerprint)
 
@@ -213,7 +225,7 @@ class Problem(Generic[P]):
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual, (n_rows,); EvaluationError where the model cannot be solved, or could not be."""
-        complete = self.pair.space.complete(dict(values))
+        complete = self._complete(values)
         if self.store is None or self.pair.told_by_responses:
             return self.pair.of(self.at(complete))
         key = key_of(complete)
@@ -227,7 +239,7 @@ class Problem(Generic[P]):
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Derivative of the residual per one of each parameter's own unit, (n_rows, n_params)."""
-        complete = self.pair.space.complete(dict(values))
+        complete = self._complete(values)
         if self.store is None or self.pair.told_by_responses:
             return self.pair.slope(complete, names, self.at)
         key = key_of(complete)
@@ -248,11 +260,11 @@ class Problem(Generic[P]):
 
         Without modes all are empty.
         """
-        return self.pair.frequencies(self.pair.space.complete(dict(values)), names, self.at)
+        return self.pair.frequencies(self._complete(values), names, self.at)
 
     def at(self, values: Mapping[str, float]) -> Any:
         """The pair's solution at named values; EvaluationError where there is none."""
-        complete = self.pair.space.complete(dict(values))
+        complete = self._complete(values)
         key = key_of(complete)
         if key in self._solved:
             self.counts.reused += 1
@@ -268,10 +280,21 @@ class Problem(Generic[P]):
         self._solved[key] = found
         return found
 
+    def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
+        """All parameters of the model under this test's condition."""
+        for name, held in self.condition.items():
+            if values.get(name, held) != held:
+                raise InputError(
+                    f"{name} is held at {held:g} here and asked at {values[name]:g}",
+                    place="condition",
+                    remedy="leave it out",
+                )
+        return self.pair.space.complete({**values, **self.condition})
+
     def _found(self, key: str, values: dict[str, float]) -> Any:
         """The solution as it is stored, or a new one."""
         if key in self._failed:
-            raise _again(self._failed[key])
+            raise again(self._failed[key])
         found = self._restored(key)
         if found is not None:
             self.counts.reused += 1
@@ -305,9 +328,9 @@ class Problem(Generic[P]):
             self.store.append(self.pair.problem.fingerprint, [outcome])
 
 
-def _again(fault: EvaluationError) -> EvaluationError:
-    """The same failure, without the places it has passed through."""
-    out = EvaluationError(*fault.args)
+def again(fault: EvaluationError, words: str | None = None) -> EvaluationError:
+    """The same failure with what was noted of it, in other words if given, without the places it has passed through."""
+    out = EvaluationError(*fault.args) if words is None else EvaluationError(words)
     for note in getattr(fault, "__notes__", ()):
         out.add_note(note)
     return out

@@ -13,7 +13,7 @@ RANKS = (
     {"structure"},
     {"function", "correlation"},
     {"settings", "evaluate", "results", "problem"},
-    {"limits", "ledger", "loading"},
+    {"joint", "limits", "ledger", "loading"},
     {"study"},
     {"sensitivity", "updating"},
     {"missing"},

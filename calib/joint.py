@@ -1,0 +1,199 @@
+"""Several problems as one: what has one name is one parameter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from calib.errors import EvaluationError, InputError
+from calib.freedom import behind
+from calib.problem import Counts, Problem, again
+from calib.space import Parameter, ParameterSpace
+
+_Answer = TypeVar("_Answer")
+
+
+class JointRow(NamedTuple):
+    """What one entry of a joint residual compares.
+
+    Attributes
+    ----------
+    test : str
+        Name of the problem it is of.
+    mode, kind, sensor : str
+        As there; mode and sensor with the test's name before them, since several tests may use one name.
+    """
+
+    test: str
+    mode: str
+    kind: str
+    sensor: str
+
+
+@dataclass(frozen=True, eq=False)
+class JointProblem:
+    """Problems that share parameters by name, asked as one: their residuals one below the other.
+
+    Attributes
+    ----------
+    problems : mapping from str to Problem
+        By name of the test.
+    space : ParameterSpace
+        See `joined`.
+    """
+
+    problems: Mapping[str, Problem[Any]]
+    space: ParameterSpace = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "space", joined({test: p.space for test, p in self.problems.items()}))
+
+    @property
+    def counts(self) -> Counts:
+        """Points that were asked of all tests together."""
+        own = {id(p.counts): p.counts for p in self.problems.values()}.values()
+        return Counts(sum(c.solved for c in own), sum(c.reused for c in own), sum(c.failed for c in own))
+
+    @cached_property
+    def rows(self) -> tuple[JointRow, ...]:
+        """What every entry of the residual compares, length n_rows."""
+        return tuple(
+            JointRow(test, _of(test, row.mode), row.kind, _of(test, row.sensor))
+            for test, problem in self.problems.items()
+            for row in problem.rows
+        )
+
+    @property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row over its value, (n_rows,)."""
+        return np.concatenate([problem.relative_std for problem in self.problems.values()])
+
+    @property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """Real numbers by (mode, kind) that the residuals fit themselves; they are no degrees of freedom."""
+        return {
+            (_of(test, mode), kind): number
+            for test, problem in self.problems.items()
+            for (mode, kind), number in problem.fitted_factors.items()
+        }
+
+    @cached_property
+    def scatter_freedom(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the standard deviations of each kind of row, over all tests; see `behind`."""
+        return {
+            kind: behind(
+                {test: float(sum(row.kind == kind for row in p.rows)) for test, p in self.problems.items()},
+                {test: p.scatter_freedom.get(kind, math.inf) for test, p in self.problems.items()},
+            )
+            for kind in dict.fromkeys(row.kind for row in self.rows)
+        }
+
+    def responses(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Named responses of all tests; EvaluationError where a model cannot be solved."""
+        found = {test: self._asked(test, p.responses, values) for test, p in self.problems.items()}
+        return {_of(test, name): value for test, own in found.items() for name, value in own.items()}
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Whitened residual, (n_rows,); EvaluationError where a model cannot be solved."""
+        return np.concatenate([self._asked(test, p.residual, values) for test, p in self.problems.items()])
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Derivative of the residual per one of each parameter's own unit, (n_rows, n_params).
+
+        It is 0 in the rows of a test without that parameter.
+        """
+        blocks = []
+        for test, problem in self.problems.items():
+            own = [name for name in names if name in problem.space]
+            blocks.append(_spread(self._asked(test, problem.jacobian, values, own), own, names))
+        return np.vstack(blocks)
+
+    def frequencies(
+        self, values: Mapping[str, float], names: Sequence[str]
+    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+        """Labels and natural frequencies of all models' modes, Hz, and the derivatives of their logarithms."""
+        labels: list[str] = []
+        blocks: list[tuple[np.ndarray, np.ndarray]] = []
+        for test, problem in self.problems.items():
+            own = [name for name in names if name in problem.space]
+            found, freq, slope = self._asked(test, problem.frequencies, values, own)
+            labels += [_of(test, label) for label in found]
+            blocks.append((freq, _spread(slope, own, names)))
+        return tuple(labels), np.concatenate([f for f, _ in blocks]), np.vstack([s for _, s in blocks])
+
+    def _asked(self, test: str, ask: Callable[..., _Answer], values: Mapping[str, float], *more: Any) -> _Answer:
+        """What one test answers at the joint values; where it fails, the error names it."""
+        own = {name: v for name, v in self.space.complete(values).items() if name in self.problems[test].space}
+        try:
+            return ask(own, *more)
+        except EvaluationError as fault:
+            raise again(fault, _of(test, str(fault))) from fault
+
+
+def joined(spaces: Mapping[str, ParameterSpace]) -> ParameterSpace:
+    """One space of several: what has one name is one parameter, free where any of them leaves it free.
+
+    Limits are those that all spaces keep in which it is free. Value, prior and description are those of the first such
+    space; constraints hold together.
+
+    Parameters
+    ----------
+    spaces : mapping from str to ParameterSpace
+        By name of the test.
+
+    Raises
+    ------
+    InputError
+        Without a space; where spaces that share a name disagree on its unit, on whether it is a whole number or on a
+        fixed value, or have no value in common.
+    """
+    if not spaces:
+        raise InputError("no problem is given", place="joint problem", remedy="give at least one")
+    names = dict.fromkeys(name for space in spaces.values() for name in space.names)
+    constraints = dict.fromkeys(c for space in spaces.values() for c in space.constraints)
+    shared = (_one({t: s[name] for t, s in spaces.items() if name in s}) for name in names)
+    return ParameterSpace(tuple(shared), tuple(constraints))
+
+
+def _one(alike: Mapping[str, Parameter]) -> Parameter:
+    """The one parameter that several tests have."""
+    free = {test: p for test, p in alike.items() if p.distribution != "fixed"}
+    (first, kept), *others = alike.items()
+    for test, p in others:
+        for told, one, other in (
+            ("unit", kept.unit, p.unit),
+            ("whole number", kept.integer, p.integer),
+            ("fixed value", *((None, None) if free else (kept.value, p.value))),
+        ):
+            if one != other:
+                raise InputError(
+                    f"{kept.name} has {told} {one} in {first} and {other} in {test}", place="joint problem",
+                    remedy="give it in the same way, or another name in one of them",
+                )  # fmt: skip
+    if not free:
+        return kept
+    chosen = next(iter(free.values()))
+    lower, upper = max(p.lower for p in free.values()), min(p.upper for p in free.values())
+    if lower >= upper:
+        raise InputError(
+            f"no value of {kept.name} is within the limits of {' and '.join(free)}", place="joint problem",
+            remedy="widen one of them",
+        )  # fmt: skip
+    value = min(max(chosen.value, lower), upper)
+    return replace(chosen, lower=lower, upper=upper, value=value, prior_sd=chosen.prior_width)
+
+
+def _spread(slope: np.ndarray, own: Sequence[str], names: Sequence[str]) -> np.ndarray:
+    """Columns of some parameters among those of all, 0 for the others."""
+    out = np.zeros((len(slope), len(names)))
+    out[:, [list(names).index(name) for name in own]] = slope
+    return out
+
+
+def _of(test: str, what: str) -> str:
+    return f"{test}: {what}" if what else ""
