@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RANKS = (
     {"errors", "interrupt", "written", "neighbours"},
     {"space", "mac", "freedom", "outcome", "table", "fingerprint"},
-    {"effect", "differences", "measurement", "worker", "named_values"},
+    {"effect", "differences", "measurement", "sampling", "worker", "named_values"},
     {"structure"},
     {"function", "correlation"},
     {"settings", "evaluate", "results", "problem"},

@@ -18,7 +18,7 @@ from calib.ledger import Ledger
 from calib.mac import mac
 from calib.questions.case import objective_of
 from calib.questions.every_mode import all_stages, every_mode
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.structure.training import train_basis
 from calib.study import Study
 from calib.updating.cases import Case, run_case

@@ -24,7 +24,7 @@ from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_eva
 from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.stored import confirm
 from calib.results import Results
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.study import Study
 from calib.updating.cases import Case, CaseResult, run_case
 from calib.updating.genetic import GeneticSettings

@@ -20,7 +20,7 @@ from calib.questions.record import begin_answer, questions_of, write_record
 from calib.questions.state import changed, made_from
 from calib.questions.stored import confirmed
 from calib.results import Results
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares

@@ -6,11 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.errors import InputError
+from calib.sampling import sample
 from calib.space import ParameterSpace
-
-_TRIES = 200_000
-"""Candidates drawn before the constraints are judged too narrow."""
 
 
 def box(spaces: Sequence[ParameterSpace]) -> tuple[np.ndarray, np.ndarray]:
@@ -37,21 +34,8 @@ def covering_points(space: ParameterSpace, count: int, rng: np.random.Generator)
     """Latin hypercube points that keep the constraints, whole numbers dealt out evenly; complete sets of values."""
     if not space.free:
         return [space.complete({})]
-    from scipy.stats import qmc  # slow to import, and seldom asked for
-
-    engine = qmc.LatinHypercube(len(space.free), rng=rng)
     lower, upper, whole = space.lower, space.upper, space.integer
-    kept, tried = np.zeros((0, len(lower))), 0
-    while len(kept) < count:
-        unit = engine.random(4 * count)
-        drawn = np.where(whole, lower + np.floor(unit * (upper - lower + 1)), lower + unit * (upper - lower))
-        kept = np.vstack([kept, drawn[space.feasible(drawn)]])
-        tried += len(drawn)
-        if tried > _TRIES and len(kept) < count:
-            raise InputError(
-                f"only {len(kept)} of {tried} points keep the constraints", place="constraints", remedy="widen them"
-            )
-    points = kept[:count]
+    points = sample(space, count, rng, 4 * count).points
     dealt = points.copy()
     for j in np.flatnonzero(whole):
         dealt[:, j] = rng.permutation(np.resize(np.arange(lower[j], upper[j] + 1), count))

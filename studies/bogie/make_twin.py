@@ -27,7 +27,7 @@ from calib.limits import search_space, sensitivity_space
 from calib.mac import mac
 from calib.measurement.modal import Sensor
 from calib.measurement.uff_write import write_uff
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.settings import read_settings
 from calib.space import ParameterSpace
 from calib.structure.model import StructuralModel

@@ -25,7 +25,7 @@ from page import Page
 from stopwatch import Spent, short, spent
 from subject import study_of
 
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.structure.basis import CHECK_COLUMNS, Basis
 from calib.structure.cover import box, covering_points, middle
 from calib.structure.model import StructuralModel

@@ -27,7 +27,7 @@ from calib.questions.case import objective_of
 from calib.questions.places import open_evaluator
 from calib.questions.reduction import reduction_of
 from calib.results import Results
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.updating.cases import Case, run_case
 from calib.updating.genetic import GeneticSettings
 

@@ -37,7 +37,7 @@ from threadpoolctl import threadpool_limits
 from calib.correlation.energy import emac
 from calib.correlation.pairing import in_window, pair_by_order, pair_by_shape
 from calib.mac import mac
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.space import ParameterSpace
 from calib.structure.energy import strain_energy_shares
 from calib.structure.model import StructuralModel

@@ -29,7 +29,7 @@ from subject import STUDIES, study_of, undamped
 from calib.questions.places import open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
 from calib.results import Results
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.study import Study
 
 SEED, SHOWN = 7, 12

@@ -18,7 +18,7 @@ from calib.problem import Counts, Problem
 from calib.questions.calibrate import calibrate
 from calib.questions.judge import fitted, posed
 from calib.results import Results
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.study import Study
 
 RIG = Path(__file__).parents[2] / "studies/four_storey_rig"

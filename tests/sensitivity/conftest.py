@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.space import LinearConstraint, Parameter, ParameterSpace
 
 

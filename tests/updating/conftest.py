@@ -14,7 +14,7 @@ import pytest
 from calib.errors import EvaluationError
 from calib.ledger import Ledger
 from calib.outcome import Outcome, attempt
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.space import LinearConstraint, Parameter, ParameterSpace
 from calib.updating.cases import Case, CaseResult, run_case, run_id
 from calib.updating.genetic import GeneticSettings

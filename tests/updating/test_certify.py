@@ -5,7 +5,7 @@ import numpy as np
 from calib.evaluate import Evaluator
 from calib.ledger import Ledger
 from calib.outcome import Outcome
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.space import Parameter, ParameterSpace
 from calib.updating.cases import Case, run_case
 from calib.updating.genetic import GeneticSettings

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InputError
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.space import LinearConstraint, Parameter, ParameterSpace
 from calib.updating.genetic import GeneticSearch, GeneticSettings, reflect
 

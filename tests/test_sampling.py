@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputError
-from calib.sensitivity.sampling import sample
+from calib.sampling import sample
 from calib.space import LinearConstraint, Parameter, ParameterSpace
 
 SPACE = ParameterSpace(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from calib.errors import InputError
 from calib.space import ParameterSpace
@@ -41,7 +40,7 @@ class Sample:
         return self.accepted / self.asked
 
 
-def sample(space: ParameterSpace, count: int, seed: int) -> Sample:
+def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, batch: int | None = None) -> Sample:
     """Draw points by Latin hypercube, keeping those that meet the space's constraints.
 
     Without constraints the points are one Latin hypercube (McKay, Beckman and Conover 1979). With constraints, whole
@@ -54,8 +53,10 @@ def sample(space: ParameterSpace, count: int, seed: int) -> Sample:
     space : ParameterSpace
     count : int
         Accepted points wanted.
-    seed : int
+    seed : int or numpy.random.Generator
         Same seed, same points.
+    batch : int, optional
+        Candidates of the first hypercube; as many as points wanted by default.
 
     Returns
     -------
@@ -71,10 +72,12 @@ def sample(space: ParameterSpace, count: int, seed: int) -> Sample:
     if not space.free:
         raise InputError("no parameter is free", place="sample", remedy="select at least one parameter")
     space.require_feasible()
+    from scipy.stats import qmc  # slow to import, and not every command draws
+
     engine = qmc.LatinHypercube(len(space.free), rng=np.random.default_rng(seed))
     kept: list[np.ndarray] = []
     asked = accepted = 0
-    batch = count
+    batch = batch or count
     while accepted < count:
         points = space.from_unit(engine.random(batch))
         good = points[space.feasible(points)]
