@@ -19,7 +19,7 @@ from calib.outcome import Outcome, answered, as_cause
 from calib.problem import Counts, Pair, Problem
 from calib.questions.compare import Answer, answer_at
 from calib.questions.explained_fit import explained_fit
-from calib.questions.judge import FitProgress, Judgement, Shared, criteria, fitted, judged, posed
+from calib.questions.judge import FitProgress, Judgement, Shared, Terms, criteria, fitted, judged, posed
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.stored import confirm
@@ -183,7 +183,7 @@ class CaseFinder:
                     if study.settings.calibration.polish:
                         judgement = self.polished(reduction, [search.values], POLISH_REFITS, shared=True)
                     else:
-                        judgement = judged(study, self.exact, search.values)
+                        judgement = judged(self.exact, Terms.of(study), search.values)
                     yield self.reported(objective, search, search, judgement)
                     before = reduction
                     reduction = None if reduction is None else reduction.after_case(search.values, self.home)
@@ -237,11 +237,12 @@ class CaseFinder:
         exact = posed(study, self.ledger, counts=counts)
         problem = exact if reduction is None else posed(study, self.ledger, reduction.problem, counts)
         common = self._in_common(problem, refits) if shared else None
-        near = fitted(study, problem, starts, refits, progress, shared=common)
+        terms = Terms.of(study)
+        near = fitted(problem, terms, starts, refits, progress, shared=common)
         if reduction is None:
             return near
-        begin = min((near.values, *self.known), key=lambda values: sum(criteria(study, exact, values)))
-        return fitted(study, exact, [begin], 1, before=near)
+        begin = min((near.values, *self.known), key=lambda values: sum(criteria(exact, values)))
+        return fitted(exact, terms, [begin], 1, before=near)
 
     def _in_common(self, problem: Problem[Pair], refits: int) -> Shared:
         """Fits from the points that all cases share, once a basis."""
@@ -270,7 +271,7 @@ class CaseFinder:
         full, points = float("nan"), []
         if search is not None:
             full = objective(search.responses if plain else answered(problem.evaluate, search.values))
-            points.append((final.name, SEARCH, full, *criteria(self.study, self.exact, search.values)))
+            points.append((final.name, SEARCH, full, *criteria(self.exact, search.values)))
         if judgement.fit is not None:
             points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))
         table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -15,9 +15,10 @@ from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.errors import EvaluationError
 from calib.freedom import effective_freedom
+from calib.joint import JointProblem
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, misfit_factor, overall
-from calib.missing.suspect import suspects
+from calib.missing.suspect import LEVEL, suspects
 from calib.problem import Counts, Pair, Problem
 from calib.questions.scatter import assumed_words
 from calib.space import ParameterSpace
@@ -29,6 +30,7 @@ from calib.updating.whole_numbers import MixedResult, fit_mixed
 
 FitProgress = Callable[[int, int, float], None]
 Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
+Asked: TypeAlias = Problem[Pair] | JointProblem
 
 EQUAL = 0.1
 """Difference of sums of squares that says nothing: a third of a standard deviation of one parameter."""
@@ -44,6 +46,30 @@ def posed(
     asked = study.problem if problem is None else problem
     pair: Pair = ResponseResidual(asked) if isinstance(asked, FunctionProblem) else ModalResidual(asked)
     return Problem(pair, study.search_space, ledger, counts=counts or Counts())
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a fit is judged by, beside its problem.
+
+    Attributes
+    ----------
+    alpha : float
+        Level of the test of the fit as a whole.
+    held_sd : mapping from str to float
+        Standard deviations of parameters that are held and were found earlier; see `identify`.
+    assumed : str
+        Standard deviations that nobody stated; see `calib.questions.scatter.assumed_words`.
+    """
+
+    alpha: float = LEVEL
+    held_sd: Mapping[str, float] = field(default_factory=dict)
+    assumed: str = ""
+
+    @classmethod
+    def of(cls, study: Study) -> Terms:
+        """Those of a study."""
+        return cls(study.settings.explain.alpha, study.held_sd, assumed_words(study))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,14 +162,14 @@ class Judgement:
         return told + f"{few}the model does not fit within the scatter{rests}; something is missing; {wider}."
 
 
-def criteria(study: Study, problem: Problem[Pair], values: Mapping[str, float]) -> tuple[float, float]:
+def criteria(problem: Asked, values: Mapping[str, float]) -> tuple[float, float]:
     """Sums of squares of data and priors at some values; infinite where the model cannot be evaluated."""
-    names = [p.name for p in study.search_space.free if not p.integer]
+    names = [p.name for p in problem.space.free if not p.integer]
     try:
         vector = problem.residual(values)
     except EvaluationError:
         return math.inf, math.inf
-    own = Prior.of(study.search_space).residual(values, names)
+    own = Prior.of(problem.space).residual(values, names)
     return float(vector @ vector), float(own @ own)
 
 
@@ -164,59 +190,58 @@ class Shared:
 
 
 def fitted(
-    study: Study,
-    problem: Problem[Pair],
+    problem: Asked,
+    terms: Terms,
     starts: Sequence[Mapping[str, float]],
     refits: int,
     progress: FitProgress = lambda start, fits, misfit: None,
     before: Judgement | None = None,
     shared: Shared | None = None,
 ) -> Judgement:
-    """The best least-squares fit from several starts, with the study's limits, constraints and priors.
+    """The best least-squares fit from several starts, with the limits, constraints and priors of the problem's space.
 
     ``refits`` bounds the combinations of whole-number parameters tried from every start; ``before`` is an earlier fit
     that tried them, for a last one that tries no more; ``shared`` are fits of the same residual from further starts.
     The end of the own starts gives way to that of the adopted values only where the data tell them apart, by more than
     `EQUAL`; to a known one wherever that is better by data and priors together.
     """
-    space = study.search_space
+    space = problem.space
     found: MixedResult = fit_mixed(problem, space, starts, refits=refits, progress=progress)
     if shared is not None and shared.adopted is not None:
         found = found.joined(shared.adopted, EQUAL)
     if shared is not None and shared.known is not None:
         found = found.joined(shared.known)
     if before is not None:
-        return _judged(study, problem, found.best.values, found.best, before.profiles, before.complete)
+        return _judged(problem, terms, found.best.values, found.best, before.profiles, before.complete)
     profiles = {p.name: found.profile(p.name) for p in space.free if p.integer}
-    return _judged(study, problem, found.best.values, found.best, profiles, found.complete)
+    return _judged(problem, terms, found.best.values, found.best, profiles, found.complete)
 
 
-def judged(study: Study, problem: Problem[Pair], values: Mapping[str, float]) -> Judgement:
+def judged(problem: Asked, terms: Terms, values: Mapping[str, float]) -> Judgement:
     """What the data say about the parameters at given values, nothing fitted."""
-    return _judged(study, problem, dict(values), None, {}, True)
+    return _judged(problem, terms, dict(values), None, {}, True)
 
 
 def _judged(
-    study: Study,
-    problem: Problem[Pair],
+    problem: Asked,
+    terms: Terms,
     values: dict[str, float],
     fit: FitResult | None,
     profiles: Profiles,
     complete: bool,
 ) -> Judgement:
-    space = study.search_space
+    space, alpha, taken = problem.space, terms.alpha, terms.held_sd
     names = tuple(p.name for p in space.free if not p.integer)
     if fit is not None and fit.names == names:
         vector, slope = fit.residual, fit.jacobian
     else:
         vector, slope = problem.residual(values), problem.jacobian(values, names)
-    taken = study.held_sd
     held = problem.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
     prior_sd, factors = np.array([space[n].prior_width for n in names]), problem.fitted_factors
     misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
     freedom = effective_freedom(slope, prior_sd, sum(factors.values()))
     converged = fit is not None and fit.converged
-    at, alpha = _Fitted(vector, slope, prior_sd, converged), study.settings.explain.alpha
+    at = _Fitted(vector, slope, prior_sd, converged)
     kinds, modes = goodness(at, problem.rows, factors, problem.scatter_freedom)
     p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, alpha)
     whole = {
@@ -229,8 +254,8 @@ def _judged(
     return Judgement(
         values=values, misfit=misfit, prior_misfit=float(own @ own), freedom=freedom, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
-        predictions=predictions, fit=fit, assumed=assumed_words(study),
-        suspects=suspected,
+        predictions=predictions, fit=fit, suspects=suspected,
+        assumed=terms.assumed,
     )  # fmt: skip
 
 

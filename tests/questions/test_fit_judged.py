@@ -10,7 +10,7 @@ from calib.ledger import Ledger
 from calib.questions.calibrate import calibrate
 from calib.questions.explain import explain
 from calib.questions.extend import extend
-from calib.questions.judge import judged, posed
+from calib.questions.judge import Terms, judged, posed
 from calib.results import Results
 from calib.study import Study
 
@@ -144,6 +144,6 @@ def test_nothing_is_accused_where_nothing_was_fitted(line, tmp_path):
     assert found.best.judgement.suspects["what"][0] == "y_5"
     study = Study.load(tmp_path / "line")
     with Ledger.open(tmp_path / "other.sqlite") as ledger:
-        beside = judged(study, posed(study, ledger), found.best.judgement.values)
+        beside = judged(posed(study, ledger), Terms.of(study), found.best.judgement.values)
     assert beside.p_fit == pytest.approx(found.best.judgement.p_fit) and beside.fits is False
     assert beside.suspects.empty

@@ -16,7 +16,7 @@ from calib.ledger import Ledger
 from calib.outcome import key_of
 from calib.problem import Counts, Problem
 from calib.questions.calibrate import calibrate
-from calib.questions.judge import fitted, posed
+from calib.questions.judge import Terms, fitted, posed
 from calib.results import Results
 from calib.sampling import sample
 from calib.study import Study
@@ -80,7 +80,7 @@ def test_modes_are_solved_once_and_not_again_by_the_next_run(tmp_path, solved):
         with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
             solved.clear()
             counts = Counts()
-            found.append((fitted(study, posed(study, ledger, counts=counts), starts, 1), counts))
+            found.append((fitted(posed(study, ledger, counts=counts), Terms.of(study), starts, 1), counts))
             assert sum(solved.values()) <= ledger.count(study.problem.fingerprint) + 1  # and the modes to predict
             assert (counts.solved, counts.failed) == (sum(solved.values()), 0)
     (first, at_first), (second, again) = found
