@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
-from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import code_files, digest_of, digest_of_files
@@ -475,7 +475,7 @@ class _Reader:
     def _problem(self, model: StructuralModel, measured: MeasuredModes, n_added: int) -> ModalProblem:
         """ForwardProblem over what is used; the degrees of freedom that effects added bring as many modes more."""
         pairing = self.settings.pairing
-        default = min(2 * measured.n_modes, model.n_dof - n_added)
+        default = usual_mode_count(measured, model.n_dof - n_added)
         count = pairing.mode_count if pairing.mode_count is not None else default
         if count < measured.n_modes:
             raise InputError(

@@ -296,6 +296,11 @@ class ModalProblem:
         return out
 
 
+def usual_mode_count(measured: MeasuredModes, n_dof: int) -> int:
+    """Model modes solved where nothing else is asked: twice as many as were measured, as far as there are."""
+    return min(2 * measured.n_modes, n_dof)
+
+
 @dataclass(frozen=True, eq=False)
 class FunctionProblem:
     """Anything else that maps named parameters to named responses: a tire, an external solver, a user's function.

@@ -39,13 +39,12 @@ from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.outcome import Outcome, as_cause, failure
 from calib.questions.budget import Budget
 from calib.questions.explained_fit import TABLE, explained_fits
-from calib.questions.explanation import Explanation, summary
+from calib.questions.explanation import Explanation, Told, summary
 from calib.questions.failures import SHOWN, reasons
 from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
-from calib.questions.record import begin_answer, check_repeats, disagreements_table, write_record
-from calib.questions.scatter import accuracy_words, assumed_words
+from calib.questions.record import begin_answer, check_repeats, write_record
 from calib.results import Results
 from calib.study import Study
 
@@ -53,11 +52,11 @@ Progress = Callable[[str], None]
 
 
 class Side(Protocol):
-    """What the two kinds of study answer each in its own way; see `ModalSide` and `PlainSide`."""
+    """What the two kinds of test answer each in its own way; see `ModalSide` and `PlainSide`."""
 
     @property
-    def study(self) -> Study:
-        """The study."""
+    def told(self) -> Told:
+        """What must be known of the measurement beside its rows."""
         ...
 
     @property
@@ -146,8 +145,9 @@ def explain(
         words, cause = _not_fitted(side, fault)
         remedy = "check values, limits and supports" if cause is None else "correct the function that fails"
         raise InputError(f"the model cannot be fitted: {words}", place=study.file, remedy=remedy) from cause
-    answer = _answer(side, found, progress, started)
-    answer = replace(answer, notes=(*check_repeats(study), *answer.notes))
+    answer = answered(side, found, progress, started)
+    tables = answer.tables | {TABLE: explained_fits(study, found)}
+    answer = replace(answer, notes=(*check_repeats(study), *answer.notes), tables=tables)
     begin_answer(results, "explain")
     results.remove(*ADDED)
     results.write_table("effects", answer.effects)
@@ -171,7 +171,8 @@ def _not_fitted(side: Side, fault: EvaluationError) -> tuple[str, EvaluationErro
     return words, as_cause(failure(common.first))
 
 
-def _answer(side: Side, found: Findings, progress: Progress, started: float) -> Explanation:
+def answered(side: Side, found: Findings, progress: Progress, started: float) -> Explanation:
+    """Everything that is told about a decision; ``started`` is when it began, in seconds of `time.perf_counter`."""
     progress("intervals and data that were left out")
     intervals = {}
     if found.verdict in ("effect", "indistinguishable"):
@@ -190,18 +191,16 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
     progress("what the discretisation alone would look like")
     budget = side.budget(found)
     notes = [*([] if budget is None else [budget.sentence]), *side.notes(), *more_notes]
-    h, seed = side.hypotheses, side.study.settings.explain.seed
-    accuracy = less_accurate(found, h.rows, side.relative_std, h.fitted_factors, h.scatter_freedom, seed)
-    assumed = assumed_words(side.study)
-    rests = f"All this rests on an assumed scatter: {assumed}." if assumed else ""
-    disagreements = disagreements_table(side.study)
+    h, told = side.hypotheses, side.told
+    accuracy = less_accurate(found, h.rows, side.relative_std, h.fitted_factors, h.scatter_freedom, told.seed)
+    rests = f"All this rests on an assumed scatter: {told.assumed}." if told.assumed else ""
     more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy), rests)
-    words = (*sentences(found, effects, errors, advice, disagreements), *filter(None, more))
-    errors = errors.assign(scatter="assumed" if assumed else "stated")
+    words = (*sentences(found, effects, errors, advice, told.disagreements), *filter(None, more))
+    errors = errors.assign(scatter="assumed" if told.assumed else "stated")
     figures |= {
-        "misfit_at": misfit_at(found.base_check, disagreements) if found.verdict == "misfit_unlocated" else None,
-        "accuracy": accuracy_words(side.study),
-        "scatter_assumed": assumed,
+        "misfit_at": misfit_at(found.base_check, told.disagreements) if found.verdict == "misfit_unlocated" else None,
+        "accuracy": told.accuracy,
+        "scatter_assumed": told.assumed,
         "accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at,
     }
     last = "explained" if found.names_something else "attempt"
@@ -215,7 +214,6 @@ def _answer(side: Side, found: Findings, progress: Progress, started: float) -> 
         "next_measurement": next_table,
         "accuracy": accuracy,
         "suspects_explained": found.suspects,
-        TABLE: explained_fits(side.study, found),
         **side.tables(stages),
     }
     if budget is not None:

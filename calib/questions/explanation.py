@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,52 @@ import pandas as pd
 from calib.missing.findings import Findings, Trial, WrongDatum
 from calib.missing.local import local_change
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
+from calib.questions.record import disagreements_table
+from calib.questions.scatter import accuracy_words, assumed_words, scatter_notes
 from calib.study import Study
 
 GROUPS = ("fit", *UNSEEN_GROUPS)
 """Groups of data whose errors are told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What an explanation must know of a measurement beside its rows.
+
+    Attributes
+    ----------
+    assumed : str
+        Standard deviations that nobody stated; see `calib.questions.scatter.assumed_words`.
+    accuracy : str
+        What is claimed beside the repeats; ``none`` without.
+    notes : tuple of str
+        What a reader must know of the scatter.
+    disagreements : DataFrame
+        Repeats that disagree with the others; see `calib.questions.record.disagreements_table`.
+    held_sd : mapping from str to float
+        Standard deviations of parameters that are held and were found earlier.
+    seed : int
+        Of all draws.
+    draws : int
+        Points over which advice is averaged.
+    """
+
+    assumed: str
+    accuracy: str
+    notes: tuple[str, ...]
+    disagreements: pd.DataFrame
+    held_sd: Mapping[str, float]
+    seed: int
+    draws: int
+
+    @classmethod
+    def of(cls, study: Study) -> Told:
+        """That of a study."""
+        own = study.settings.explain
+        return cls(
+            assumed_words(study), accuracy_words(study), scatter_notes(study), disagreements_table(study),
+            study.held_sd, own.seed, own.draws,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,11 +19,11 @@ from calib.missing.findings import Findings, Trial
 from calib.missing.refits import DEFAULT
 from calib.outcome import Outcome
 from calib.questions.budget import Budget, discretisation_budget
+from calib.questions.explanation import Told
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import modal_hypotheses
 from calib.questions.prospects import modal_prospects
 from calib.questions.reduction import worthwhile
-from calib.questions.scatter import scatter_notes
 from calib.questions.verify import modal_errors
 from calib.results import Results
 from calib.structure.atoms import Atom
@@ -37,25 +37,43 @@ BASIS_ERROR = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ModalSide:
-    """A study whose model has modes.
+    """Measured modes against a model with matrices.
 
     Attributes
     ----------
-    study : Study
+    model : StructuralModel
+    problem : ModalProblem
+        The data that are used, at full order.
+    whole : ModalProblem or None
+        All that was measured; None where nothing is withheld.
     hypotheses : ModalHypotheses
     atoms : tuple of Atom
+    told : Told
+    finer : callable
+        The same model on a finer mesh; None where there is none.
+    reduced : bool
+        Whether the model is one to be asked on a reduced basis.
     """
 
-    study: Study
+    model: StructuralModel
+    problem: ModalProblem
+    whole: ModalProblem | None
     hypotheses: ModalHypotheses
     atoms: tuple[Atom, ...]
+    told: Told
+    finer: Callable[[], StructuralModel | None] = lambda: None
+    reduced: bool = False
 
     @classmethod
     def of(cls, study: Study, results: Results, progress: Callable[[str], None]) -> ModalSide:
         """With the reduced basis that is kept among the results, or a new one; InputError with too few modes."""
-        assert study.measured is not None
-        require_modes(study.measured.n_modes)
-        return cls(study, *modal_hypotheses(study, results, progress))
+        problem = study.problem
+        assert isinstance(problem, ModalProblem) and isinstance(study.model, StructuralModel)
+        require_modes(problem.measured.n_modes)
+        return cls(
+            study.model, problem, study.whole_problem(), *modal_hypotheses(study, results, progress), Told.of(study),
+            study.finer_model, worthwhile(study),
+        )  # fmt: skip
 
     @property
     def relative_std(self) -> np.ndarray:
@@ -69,32 +87,29 @@ class ModalSide:
 
     def notes(self) -> list[str]:
         """What was asked at full order against the study's wish, and what scatter had to be assumed."""
-        whole = worthwhile(self.study) and self.hypotheses.variants.basis is None
-        return ["No reduced basis reached its tolerance: the full model was asked."] * whole + self._scatter_notes()
-
-    def _scatter_notes(self) -> list[str]:
-        measured = self.study.measured
-        stated = measured is not None and measured.n_repeats == 1 and np.isfinite(measured.freq_std).any()
-        once = ["There are no repeats: the scatter is the one the file states."] if stated else []
-        return [*once, *scatter_notes(self.study)]
+        out, measured = [], self.problem.measured
+        if self.reduced and self.hypotheses.variants.basis is None:
+            out.append("No reduced basis reached its tolerance: the full model was asked.")
+        if measured.n_repeats == 1 and np.isfinite(measured.freq_std).any():
+            out.append("There are no repeats: the scatter is the one the file states.")
+        return [*out, *self.told.notes]
 
     def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data at full order; what to note, and how far the reduced basis was off."""
-        problem, hypotheses, whole = self.study.problem, self.hypotheses, self.study.whole_problem()
-        assert isinstance(problem, ModalProblem) and isinstance(self.study.model, StructuralModel)
+        problem, hypotheses, whole = self.problem, self.hypotheses, self.whole
         known = {e.name for e in hypotheses.effects}
         parts, worst = [], 0.0
         for stage, trial in stages.items():
             state = trial.state
-            model = extend(self.study.model, [e for e in trial.effects if e.name in known])
-            more = model.n_dof - self.study.model.n_dof
+            model = extend(self.model, [e for e in trial.effects if e.name in known])
+            more = model.n_dof - self.model.n_dof
             fitted = replace(problem, model=model, mode_count=problem.mode_count + more, base=problem)
             everything = (
                 None if whole is None else replace(whole, model=model, mode_count=whole.mode_count + more, base=whole)
             )
             table = modal_errors(
                 fitted, everything, state.values, state.names, state.prior_sd, hypotheses.floors,
-                hypotheses.scatter_freedom, scale, self.study.held_sd,
+                hypotheses.scatter_freedom, scale, self.told.held_sd,
             )  # fmt: skip
             parts.append(table.assign(stage=stage))
             full = ModalResidual(fitted, hypotheses.floors).residual(state.values) / scale
@@ -114,21 +129,21 @@ class ModalSide:
 
     def prospects(self, found: Findings) -> Prospects | None:
         """What else could be measured, seen from what may be the truth."""
-        held, whole = set(self.study.settings.withheld.modes), self.study.whole
-        withheld = {} if whole is None else dict(zip(whole.names, whole.natural_freq.tolist(), strict=True))
-        withheld = {name: freq for name, freq in withheld.items() if name in held}
+        whole = self.problem.measured if self.whole is None else self.whole.measured
+        every = zip(whole.names, whole.natural_freq.tolist(), strict=True)
+        withheld = {name: freq for name, freq in every if name not in self.problem.measured.names}
         candidates = [e for g in found.groups for e in g.effects]
         named = found.base_check.named
         if found.verdict == "none_explains" and found.atom is not None:  # to see where what is unexplained lies
             candidates, named = list(found.atom.effects), found.base_check.atoms
-        own = self.study.settings.explain
+        draws, seed = self.told.draws, self.told.seed
         return modal_prospects(
-            self.hypotheses, found.believed, candidates, named, found.noise_scale, withheld, own.draws, own.seed
+            self.hypotheses, found.believed, candidates, named, found.noise_scale, withheld, draws, seed
         )
 
     def budget(self, found: Findings) -> Budget | None:
-        """What a finer mesh alone would look like; None where the study names none."""
-        finer = self.study.finer_model()
+        """What a finer mesh alone would look like; None without one."""
+        finer = self.finer()
         return None if finer is None else discretisation_budget(self.hypotheses, found.base.state, finer)
 
     def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
@@ -137,8 +152,7 @@ class ModalSide:
 
     def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:
         """``sensor_misfit``: whitened residuals of shapes by sensor; ``unpaired``: modes without partner; the mesh."""
-        assert isinstance(self.study.model, StructuralModel)
-        mesh = self.study.model.mesh
+        mesh = self.model.mesh
         return {
             "sensor_misfit": self._sensors(stages),
             "unpaired": pd.concat([self._unpaired(t).assign(stage=s) for s, t in stages.items()])[

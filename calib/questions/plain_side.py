@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,24 +15,30 @@ from calib.missing.advice import Prospects
 from calib.missing.findings import Findings, Trial
 from calib.outcome import Outcome
 from calib.questions.budget import Budget
+from calib.questions.explanation import Told
 from calib.questions.function_hypotheses import Failure, FunctionHypotheses
-from calib.questions.scatter import scatter_notes
 from calib.questions.verify import plain_errors, plain_scatter, whitened, withheld_targets
 from calib.study import Study, Targets
 
 
 @dataclass(frozen=True, eq=False)
 class PlainSide:
-    """A study whose model is a plain function.
+    """Measured plain responses against a function.
 
     Attributes
     ----------
-    study : Study
+    problem : FunctionProblem
+        The data that are used.
+    withheld : mapping from group to targets
+        Responses that enter no fit.
     hypotheses : FunctionHypotheses
+    told : Told
     """
 
-    study: Study
+    problem: FunctionProblem
+    withheld: Mapping[str, Targets]
     hypotheses: FunctionHypotheses
+    told: Told
 
     @classmethod
     def of(cls, study: Study) -> PlainSide:
@@ -40,12 +46,10 @@ class PlainSide:
         assert isinstance(study.model, FunctionModel)
         problem = study.problem
         assert isinstance(problem, FunctionProblem)
-        return cls(
-            study,
-            FunctionHypotheses(
-                study.model, study.targets, study.search_space, study.candidates, problem.repeats, shares=problem.shares
-            ),
+        hypotheses = FunctionHypotheses(
+            study.model, study.targets, study.search_space, study.candidates, problem.repeats, shares=problem.shares
         )
+        return cls(problem, withheld_targets(study), hypotheses, Told.of(study))
 
     @property
     def relative_std(self) -> np.ndarray:
@@ -59,21 +63,19 @@ class PlainSide:
 
     def notes(self) -> list[str]:
         """What scatter is claimed or had to be assumed."""
-        return list(scatter_notes(self.study))
+        return list(self.told.notes)
 
     def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data; failed points are noted."""
         labels = [row.sensor for row in self.hypotheses.rows]
-        assert isinstance(self.study.problem, FunctionProblem)
-        scatter = plain_scatter(self.study.problem)
+        scatter, held_sd = plain_scatter(self.problem), self.told.held_sd
         parts = []
         for stage, trial in stages.items():
             s = trial.state
-            groups = withheld_targets(self.study).items()
-            withheld = {group: self._whitened(own, trial, s.names, scale) for group, own in groups}
+            withheld = {group: self._whitened(own, trial, s.names, scale) for group, own in self.withheld.items()}
             slope = -s.slope
-            if withheld and self.study.held_sd:  # no unknowns of the fit: their columns are not in its slope
-                slope = np.hstack([slope, self._whitened(self.study.targets, trial, (), scale)[1]])
+            if withheld and held_sd:  # no unknowns of the fit: their columns are not in its slope
+                slope = np.hstack([slope, self._whitened(self.problem.targets, trial, (), scale)[1]])
             table = plain_errors(s.residual, slope, s.names, s.prior_sd, labels, withheld, scatter)
             parts.append(table.assign(stage=stage))
         failures = self.hypotheses.failures
@@ -87,11 +89,9 @@ class PlainSide:
         self, targets: Targets, trial: Trial, names: Sequence[str], scale: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """See `calib.questions.verify.whitened`; of the model with the trial's effects."""
-        base, problem = self.study.model, self.study.problem
-        assert isinstance(base, FunctionModel) and isinstance(problem, FunctionProblem)
-        model = extend_function(replace(base, space=self.study.search_space), trial.effects)
-        problem = replace(problem, space=model.space, function=model.function)
-        residual, jacobian = whitened(problem, targets, trial.state.values, names, self.study.held_sd)
+        model = extend_function(replace(self.hypotheses.model, space=self.hypotheses.space), trial.effects)
+        problem = replace(self.problem, space=model.space, function=model.function)
+        residual, jacobian = whitened(problem, targets, trial.state.values, names, self.told.held_sd)
         return residual / scale, jacobian / scale
 
     def failing(self) -> set[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 from calib.correlation.response_residual import UNKNOWN_STD
 from calib.correlation.scatter import assumptions
 from calib.structure.model import Assumption
@@ -13,9 +15,12 @@ _LISTED = 4
 
 def assumed_scatter(study: Study) -> tuple[Assumption, ...]:
     """Standard deviations that nobody stated and that calibration and explanation take; nothing when all are stated."""
-    if study.measured is not None:
-        return assumptions(study.measured)
-    unknown = [name for name, (_, std) in study.targets.items() if not std]
+    return assumed_responses(study.targets) if study.measured is None else assumptions(study.measured)
+
+
+def assumed_responses(targets: Mapping[str, tuple[float, float | None]]) -> tuple[Assumption, ...]:
+    """The same of plain responses, each a value with its standard deviation or None."""
+    unknown = [name for name, (_, std) in targets.items() if not std]
     if not unknown:
         return ()
     value = f"{100 * UNKNOWN_STD:g}"
@@ -26,7 +31,12 @@ def assumed_scatter(study: Study) -> tuple[Assumption, ...]:
 
 def assumed_words(study: Study) -> str:
     """The same in a few words, such as ``standard deviation of natural frequencies 0.5 % of each``; empty for none."""
-    return "; ".join(f"{a.item} {a.value} {a.unit} ({a.reason})" for a in assumed_scatter(study))
+    return in_words(assumed_scatter(study))
+
+
+def in_words(assumed: Iterable[Assumption]) -> str:
+    """Assumptions in one line; empty for none."""
+    return "; ".join(f"{a.item} {a.value} {a.unit} ({a.reason})" for a in assumed)
 
 
 def scatter_notes(study: Study) -> tuple[str, ...]:
