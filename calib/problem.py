@@ -9,7 +9,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from calib.errors import EvaluationError, InputError
+from calib.errors import EvaluationError
 from calib.outcome import Outcome, failure, key_of
 from calib.space import ParameterSpace
 
@@ -167,9 +167,6 @@ class Problem(Generic[P]):
     space : ParameterSpace
         Free are the parameters that a fit moves. It may have fewer parameters than the pair's, which then takes its own
         values.
-    condition : mapping from str to float
-        Parameters of the model that hold for this test only, each in its own unit, such as the mass of a loaded car.
-        The space has none of them.
     store : Store or None
     remembered : int
         Solutions kept.
@@ -179,7 +176,6 @@ class Problem(Generic[P]):
 
     pair: P
     space: ParameterSpace
-    condition: Mapping[str, float] = field(default_factory=dict, kw_only=True)
     store: Store | None = None
     remembered: int = REMEMBERED
     counts: Counts = field(default_factory=Counts, repr=False)
@@ -188,14 +184,6 @@ class Problem(Generic[P]):
     _identity: str = field(init=False, repr=False, default="")
 
     def __post_init__(self) -> None:
-        self.pair.space.complete(self.condition)
-        for name in self.condition:
-            if name in self.space:
-                raise InputError(
-                    f"{name} holds for this test only and is a parameter of the space too",
-                    place="condition",
-                    remedy="leave it out of one of them",
-                )
         if self.store is not None:
             object.__setattr__(self, "_identity", self.pair.fingerprint)
 
@@ -225,7 +213,7 @@ class Problem(Generic[P]):
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual, (n_rows,); EvaluationError where the model cannot be solved, or could not be."""
-        complete = self._complete(values)
+        complete = self.pair.space.complete(dict(values))
         if self.store is None or self.pair.told_by_responses:
             return self.pair.of(self.at(complete))
         key = key_of(complete)
@@ -239,7 +227,7 @@ class Problem(Generic[P]):
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Derivative of the residual per one of each parameter's own unit, (n_rows, n_params)."""
-        complete = self._complete(values)
+        complete = self.pair.space.complete(dict(values))
         if self.store is None or self.pair.told_by_responses:
             return self.pair.slope(complete, names, self.at)
         key = key_of(complete)
@@ -260,11 +248,11 @@ class Problem(Generic[P]):
 
         Without modes all are empty.
         """
-        return self.pair.frequencies(self._complete(values), names, self.at)
+        return self.pair.frequencies(self.pair.space.complete(dict(values)), names, self.at)
 
     def at(self, values: Mapping[str, float]) -> Any:
         """The pair's solution at named values; EvaluationError where there is none."""
-        complete = self._complete(values)
+        complete = self.pair.space.complete(dict(values))
         key = key_of(complete)
         if key in self._solved:
             self.counts.reused += 1
@@ -279,17 +267,6 @@ class Problem(Generic[P]):
             del self._solved[next(iter(self._solved))]
         self._solved[key] = found
         return found
-
-    def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
-        """All parameters of the model under this test's condition."""
-        for name, held in self.condition.items():
-            if values.get(name, held) != held:
-                raise InputError(
-                    f"{name} is held at {held:g} here and asked at {values[name]:g}",
-                    place="condition",
-                    remedy="leave it out",
-                )
-        return self.pair.space.complete({**values, **self.condition})
 
     def _found(self, key: str, values: dict[str, float]) -> Any:
         """The solution as it is stored, or a new one."""

@@ -287,6 +287,17 @@ class ParameterSpace:
             space = space.replace(name, value=float(value), distribution="fixed")
         return space
 
+    def without(self, values: Mapping[str, float]) -> ParameterSpace:
+        """Same space less the named parameters, which constraints take at the given values."""
+        self.complete(values)
+        kept = []
+        for c in self.constraints:
+            left = tuple((name, k) for name, k in c.coefficients if name not in values)
+            held = sum(k * values[name] for name, k in c.coefficients if name in values)
+            if left:
+                kept.append(replace(c, coefficients=left, lower=c.lower - held, upper=c.upper - held))
+        return ParameterSpace(tuple(p for p in self.parameters if p.name not in values), tuple(kept))
+
     def keep(self, names: Iterable[str]) -> ParameterSpace:
         """Same space with every parameter outside ``names`` fixed at its adopted value."""
         kept = tuple(names)

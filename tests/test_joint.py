@@ -35,17 +35,22 @@ def linear(names, rows, seed, **options):
     return matrix, target, Problem(ResponseResidual(FunctionProblem(space, function, targets, "")), space)
 
 
-def resonance(**condition):
+def resonance(load=0.0):
     """The natural frequency of a mass on a spring, with a load on it that is a condition of the test."""
-    space = ParameterSpace((parameter("k", 30.0, 1.0, 100.0, unit="kN/m"), parameter("m", 7.0, 1.0, 50.0, unit="kg")))
-    whole = replace(space, parameters=(*space.parameters, parameter("load", 0.0, 0.0, 100.0, unit="kg")))
+    space = ParameterSpace(
+        (
+            parameter("k", 30.0, 1.0, 100.0, unit="kN/m"),
+            parameter("m", 7.0, 1.0, 50.0, unit="kg"),
+            parameter("load", 0.0, 0.0, 100.0, unit="kg"),
+        )
+    )
 
     def function(values):
         return {"f": float(np.sqrt(1e3 * values["k"] / (values["m"] + values["load"])) / (2 * np.pi))}
 
-    told = function({**TRUTH, "load": 0.0, **condition})
-    pair = ResponseResidual(FunctionProblem(whole, function, {"f": (told["f"], 1e-3 * told["f"])}, ""))
-    return Problem(pair, space, condition={"load": 0.0, **condition})
+    told = function({**TRUTH, "load": load})
+    held = FunctionProblem(space.freeze({"load": load}), function, {"f": (told["f"], 1e-3 * told["f"])}, "")
+    return Problem(ResponseResidual(held), space.without({"load": load}))
 
 
 # -- closed forms ------------------------------------------------------------------------------------------------------
@@ -87,7 +92,7 @@ def test_the_order_of_tests_does_not_matter():
 
 def test_two_conditions_tell_what_one_cannot():
     """One frequency tells k/m alone; with a known load a second one tells both."""
-    empty, loaded = resonance(), resonance(load=25.0)
+    empty, loaded = resonance(), resonance(25.0)
     joint = JointProblem({"empty": empty, "loaded": loaded})
     found = fit(joint, joint.space, {}, Prior.none())
     assert (found.values["k"], found.values["m"]) == pytest.approx((40.0, 10.0), rel=1e-4)
@@ -157,14 +162,18 @@ def test_what_cannot_be_one_parameter_is_refused(one, other):
     assert all(word in str(told.value) for word in ("a", "rig", "track"))
 
 
-def test_no_problem_and_wrong_conditions_are_refused():
-    empty = resonance()
-    for wrong in (
-        lambda: JointProblem({}),
-        lambda: replace(empty, condition={"speed": 3.0}),
-        lambda: replace(empty, condition={"k": 3.0}),
-        lambda: empty.residual({"load": 3.0}),
-        lambda: JointProblem({"empty": empty}).residual({"load": 3.0}),
-    ):
+def test_no_problem_and_values_that_no_test_shares_are_refused():
+    joint = JointProblem({"empty": resonance(), "loaded": resonance(25.0)})
+    for wrong in (lambda: JointProblem({}), lambda: joint.residual({"load": 3.0})):
         with pytest.raises(InputError):
             wrong()
+
+
+def test_a_space_without_parameters_keeps_constraints_at_their_values():
+    limit = LinearConstraint("sum", (("a", 2.0), ("b", 1.0)), 1.0, 9.0)
+    space = ParameterSpace((parameter("a"), parameter("b")), (limit,))
+    found = space.without({"a": 3.0})
+    assert found.names == ("b",) and found.constraints == (LinearConstraint("sum", (("b", 1.0),), -5.0, 3.0),)
+    assert space.without({"a": 1.0, "b": 2.0}).constraints == ()
+    with pytest.raises(InputError):
+        space.without({"c": 1.0})
