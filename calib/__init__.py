@@ -1,3 +1,64 @@
 """Calibration workbench for structural-dynamics models."""
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from calib.effect import Effect as Effect
+    from calib.errors import EvaluationError as EvaluationError
+    from calib.errors import InputError as InputError
+    from calib.front.explained import Explained as Explained
+    from calib.front.problem import Fit as Fit
+    from calib.front.problem import Problem as Problem
+    from calib.front.shown import Compared as Compared
+    from calib.front.test import ModalTest as ModalTest
+    from calib.front.test import ResponseTest as ResponseTest
+    from calib.function import FunctionModel as FunctionModel
+    from calib.measurement.modal import MeasuredModes as MeasuredModes
+    from calib.measurement.modal import Sensor as Sensor
+    from calib.measurement.read import read_modes as read_modes
+    from calib.measurement.responses import read_responses as read_responses
+    from calib.space import LinearConstraint as LinearConstraint
+    from calib.space import Parameter as Parameter
+    from calib.space import ParameterSpace as ParameterSpace
+    from calib.structure.model import StructuralModel as StructuralModel
+    from calib.study import Study as Study
+
 __version__ = "0.1.0"
+
+_PLACES = {
+    "Compared": "front.shown",
+    "Effect": "effect",
+    "EvaluationError": "errors",
+    "Explained": "front.explained",
+    "Fit": "front.problem",
+    "FunctionModel": "function",
+    "InputError": "errors",
+    "LinearConstraint": "space",
+    "MeasuredModes": "measurement.modal",
+    "ModalTest": "front.test",
+    "Parameter": "space",
+    "ParameterSpace": "space",
+    "Problem": "front.problem",
+    "ResponseTest": "front.test",
+    "Sensor": "measurement.modal",
+    "StructuralModel": "structure.model",
+    "Study": "study",
+    "read_modes": "measurement.read",
+    "read_responses": "measurement.responses",
+}
+"""Where each name stands. It is imported when first asked for: a command that tells its version needs none."""
+
+__all__ = ["__version__", *_PLACES]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'calib' has no attribute {name!r}")
+    return getattr(import_module(f"calib.{_PLACES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -19,7 +19,7 @@ RANKS = (
     {"missing"},
     {"questions"},
     {"report"},
-    {"console", "progress", "example"},
+    {"console", "progress", "example", "front"},
     {"cli"},
     {"__main__"},
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from glob import glob
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,56 @@ def read_measurement(
         disagreements=combined.disagreements,
         misplaced=placed.misplaced,
     )
+
+
+def read_modes(
+    files: str | Path | Sequence[str | Path],
+    *,
+    shapes: str | Path | Sequence[str | Path] = (),
+    sensors: str | Path | None = None,
+    repeats: int | None = None,
+    std_of: StdOf = "mean",
+    mode_names: Sequence[str] | None = None,
+    pooling: Pooling = "robust",
+    synthetic: bool = False,
+) -> MeasuredModes:
+    """Read measured modes: files, or a pattern such as ``"measured/*.uff"``, in the order of their names.
+
+    Parameters
+    ----------
+    files, shapes : path, pattern or sequence of them
+        See `read_measurement`, as for all that follows.
+    sensors : path, optional
+        Table of node places in metres.
+    repeats, std_of, mode_names, pooling, synthetic
+
+    Raises
+    ------
+    InputError
+        Where no file is found, and as `read_measurement`.
+    """
+    return read_measurement(
+        _found(files),
+        shape_files=_found(shapes),
+        sensor_table=None if sensors is None else Path(sensors),
+        repeats=repeats,
+        std_of=std_of,
+        mode_names=mode_names,
+        pooling=pooling,
+        synthetic=synthetic,
+    )
+
+
+def _found(given: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Files that are named or match a pattern."""
+    out = []
+    for one in [given] if isinstance(given, str | Path) else given:
+        found = sorted(Path(name) for name in glob(str(one))) or [Path(one)]
+        for path in found:
+            if not path.is_file():
+                raise InputError("there is no such file", place=path, remedy="paths are relative to the working folder")
+        out += found
+    return out
 
 
 def _tables(paths: Sequence[Path], shapes: Sequence[Path]) -> list[Repeat]:

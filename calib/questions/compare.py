@@ -152,23 +152,21 @@ def _frequency_hints(comparison: Comparison) -> tuple[str, ...]:
     return () if hint is None else (hint,)
 
 
-def _plain_answer(study: Study, problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
+def plain_table(problem: FunctionProblem, values: Mapping[str, float]) -> pd.DataFrame:
+    """``response, measured, model, error, error_in_std`` at named values; EvaluationError where there is no answer."""
     responses = answered(problem.evaluate, values)
     rows = []
     for name, (value, std) in problem.targets.items():
         error = (responses[name] - value) / abs(value) if value else np.nan
-        rows.append(
-            {
-                "response": name,
-                "measured": value,
-                "model": responses[name],
-                "error": error,
-                "error_in_std": (responses[name] - value) / std if std else np.nan,
-            }
-        )
-    table = pd.DataFrame(rows)
-    measured = {name: value for name, (value, _) in problem.targets.items()}
-    hints = (*study.hints, *response_hints(measured, responses))
+        in_std = (responses[name] - value) / std if std else np.nan
+        rows.append((name, value, responses[name], error, in_std))
+    return pd.DataFrame(rows, columns=["response", "measured", "model", "error", "error_in_std"])
+
+
+def _plain_answer(study: Study, problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
+    table = plain_table(problem, values)
+    measured, model = (dict(zip(table["response"], table[name], strict=True)) for name in ("measured", "model"))
+    hints = (*study.hints, *response_hints(measured, model))
     return Answer(table, _mean(table["error"].abs()), np.nan, np.nan, None, hints=hints, scatter=scatter_notes(study))
 
 

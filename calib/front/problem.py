@@ -1,0 +1,279 @@
+"""Problem: models and their tests over one parameter space, and every question that can be asked of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from calib.effect import Effect
+from calib.errors import InputError
+from calib.front.explained import Explained, explained
+from calib.front.shown import Compared, Shown
+from calib.front.test import ModalTest, Model, ResponseTest, Test
+from calib.function import FunctionModel, extend_function
+from calib.joint import JointProblem
+from calib.problem import Counts
+from calib.problem import Problem as Posed
+from calib.questions.judge import Judgement, Terms, fitted, judged
+from calib.questions.scatter import in_words
+from calib.sampling import sample
+from calib.space import ParameterSpace
+from calib.structure.extend import extend
+
+
+def under(model: Model, test: Test) -> Model:
+    """A model whose parameters are held as a test's condition says; InputError for one that it lacks."""
+    try:
+        return replace(model, space=model.space.freeze(test.condition))
+    except InputError as fault:
+        raise InputError(fault.problem, place=f"condition of test {test.name}", remedy=fault.remedy) from None
+
+
+REFITS = 40
+"""Combinations of whole-number parameters that a fit tries from every start."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem:
+    """Models and what the real things did, over one parameter space.
+
+    Nothing is written anywhere; a study in a folder (`calib.Study`) keeps its answers.
+
+    Attributes
+    ----------
+    model : StructuralModel or FunctionModel
+    tests : ModalTest or ResponseTest, or a sequence of them
+        Of that model, each under its own condition.
+    beside : tuple of Problem
+        Other models with their tests; what has one name is one parameter. See `join`.
+
+    Raises
+    ------
+    InputError
+        Where models, tests and parameters do not fit together.
+
+    Examples
+    --------
+    A mass on a spring, whose frequency was measured empty and with 25 kg on it:
+
+    >>> import math
+    >>> import calib
+    >>> space = calib.ParameterSpace((
+    ...     calib.Parameter("k", 30.0, 1.0, 100.0, "kN/m"), calib.Parameter("m", 7.0, 1.0, 50.0, "kg"),
+    ...     calib.Parameter("load", 0.0, 0.0, 50.0, "kg"),
+    ... ))
+    >>> def frequency(v):
+    ...     return {"f": math.sqrt(1e3 * v["k"] / (v["m"] + v["load"])) / (2 * math.pi)}
+    >>> model = calib.FunctionModel("oscillator", space, frequency)
+    >>> empty = calib.ResponseTest({"f": (10.066, 0.01)}, name="empty", condition={"load": 0.0})
+    >>> loaded = calib.ResponseTest({"f": (5.380, 0.005)}, name="loaded", condition={"load": 25.0})
+    >>> fit = calib.Problem(model, [empty, loaded]).calibrate()
+    >>> round(fit.values["k"]), round(fit.values["m"])
+    (40, 10)
+    """
+
+    model: Model
+    tests: Test | Sequence[Test]
+    beside: tuple[Problem, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self._tests:
+            raise InputError("no test is given", place="problem", remedy="give a ModalTest or a ResponseTest")
+        names = [test.name for _, test in self.pairs]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(
+                    f"two tests are named {name!r}", place="problem", remedy='give each its own, such as name="loaded"'
+                )
+        assert self.posed  # what does not fit together is told here
+
+    @staticmethod
+    def join(first: Problem, *others: Problem) -> Problem:
+        """Several problems as one: parameters of one name are one, see `calib.joint.joined`."""
+        return replace(first, beside=(*first.beside, *others))
+
+    @property
+    def _tests(self) -> tuple[Test, ...]:
+        return (self.tests,) if isinstance(self.tests, ModalTest | ResponseTest) else tuple(self.tests)
+
+    @property
+    def pairs(self) -> tuple[tuple[Model, Test], ...]:
+        """Every test with its model, which has the parameters that the test's condition holds fixed there."""
+        own = tuple((under(self.model, test), test) for test in self._tests)
+        return (*own, *(pair for problem in self.beside for pair in problem.pairs))
+
+    @property
+    def space(self) -> ParameterSpace:
+        """All parameters that no test's condition holds; free are those that a fit may move."""
+        return self.posed.space
+
+    @cached_property
+    def posed(self) -> Posed[Any] | JointProblem:
+        """What fits ask: rows, responses, residual and Jacobian."""
+        counts = Counts()
+        made = {
+            test.name: Posed(test.pair(model), model.space.without(dict(test.condition)), counts=counts)
+            for model, test in self.pairs
+        }
+        return next(iter(made.values())) if len(made) == 1 else JointProblem(made)
+
+    def __repr__(self) -> str:
+        told = ", ".join(f"{model.name} against {test.name}" for model, test in self.pairs)
+        return f"Problem({told}; {len(self.posed.rows)} rows, {len(self.space.free)} free parameters)"
+
+    def keep(self, names: Sequence[str]) -> Problem:
+        """The same with only the named parameters free; the others keep their adopted values."""
+        self.space.keep(names)  # tells what cannot be kept
+        return self._keeping(frozenset(names))
+
+    def _keeping(self, names: frozenset[str]) -> Problem:
+        own = self.model.space.keep([p.name for p in self.model.space.free if p.name in names])
+        return replace(self, model=replace(self.model, space=own), beside=tuple(p._keeping(names) for p in self.beside))
+
+    def with_effects(self, effects: Sequence[Effect]) -> Problem:
+        """The same with effects in its model, their strengths free; those of joined problems stay as they are."""
+        if isinstance(self.model, FunctionModel):
+            return replace(self, model=extend_function(self.model, effects))
+        return replace(self, model=extend(self.model, effects))
+
+    # -- questions -----------------------------------------------------------------------------------------------------
+
+    def compare(self, values: Mapping[str, float] | None = None) -> Compared:
+        """Models against tests at named values, or at the adopted ones; nothing is fitted.
+
+        Raises
+        ------
+        EvaluationError
+            Where a model cannot be solved.
+        """
+        complete = self.space.complete(dict(values or {}))
+        found = {}
+        for model, test in self.pairs:
+            own = {name: value for name, value in complete.items() if name in model.space}
+            found[test.name] = test.compared(model, own)
+        return Compared(found)
+
+    def calibrate(self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1) -> Fit:
+        """Fit by least squares, in units of the scatter and with the priors, and judge what the data determine.
+
+        Parameters
+        ----------
+        parameters : sequence of str
+            Those to be fitted; all free ones by default.
+        starts : int
+            Points that the fit begins at: the adopted values, then Latin hypercube points.
+        seed : int
+            Of these points.
+
+        Raises
+        ------
+        InputError
+            For an unknown or a fixed parameter.
+        EvaluationError
+            When no start can be evaluated.
+        """
+        problem = self.keep(parameters) if parameters else self
+        space = problem.space
+        drawn = sample(space, starts - 1, seed).points if starts > 1 else ()
+        points = [space.values, *(space.complete(point) for point in drawn)]
+        return Fit(problem, fitted(problem.posed, problem.terms, points, REFITS))
+
+    def judge(self, values: Mapping[str, float]) -> Fit:
+        """What the data say about the parameters at given values, nothing fitted."""
+        return Fit(self, judged(self.posed, self.terms, self.space.complete(dict(values))))
+
+    def explain(self, effects: Sequence[Effect], *, seed: int = 1) -> Explained:
+        """Which of some effects the model lacks: calibrate, test, fit the promising ones, check what is left.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+            What the model may lack.
+        seed : int
+            Of the draws behind probabilities and advice.
+
+        Raises
+        ------
+        InputError
+            Without an effect, with several tests, and where too little was measured to name anything.
+        """
+        if len(self.pairs) > 1:
+            raise InputError(
+                f"an explanation asks one test, and there are {len(self.pairs)}", place="explain",
+                remedy="explain one problem at a time",
+            )  # fmt: skip
+        ((model, test),) = self.pairs
+        return explained(self, model, test, tuple(effects), seed)
+
+    @property
+    def terms(self) -> Terms:
+        """What fits are judged by, beside the rows."""
+        return Terms(assumed=in_words(a for _, test in self.pairs for a in test.assumed))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Shown):
+    """A problem solved, and what is known of its parameters there.
+
+    Attributes
+    ----------
+    problem : Problem
+        With the fitted parameters free.
+    judgement : Judgement
+    """
+
+    problem: Problem
+    judgement: Judgement
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All parameters, each in its own unit."""
+        return self.judgement.values
+
+    @cached_property
+    def parameters(self) -> Any:
+        """One row a fitted parameter: value, standard deviation, and whether the data determine it.
+
+        Columns as of `calib.updating.verdicts.parameter_verdicts`; the index is the parameter.
+        """
+        return self.judgement.verdicts(self.problem.space, {}).set_index("parameter")
+
+    @property
+    def table(self) -> Any:
+        """What is shown of the parameters."""
+        shown = ["value", "unit", "std", "identified", "on_bound", "confounded_with"]
+        return self.parameters[shown].reset_index()
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Whether the model fits, and what is known of each parameter."""
+        return (self.judgement.sentence, *(f"{name}: {told}" for name, told in self.parameters["sentence"].items()))
+
+    def __repr__(self) -> str:
+        known = int(self.parameters["identified"].fillna(False).astype(bool).sum())
+        return f"Fit({len(self.parameters)} parameters, {known} identified; p = {self.judgement.p_fit:.2g})"
+
+    @cached_property
+    def errors(self) -> Any:
+        """Errors on data used, left out in turn and held out, in units of the scatter, test by test.
+
+        ``test, group, rows, rms, expected, p, unpaired``; ``expected`` is what a right model would show.
+        """
+        import pandas as pd
+
+        parts = []
+        for model, test in self.problem.pairs:
+            own = {name: value for name, value in self.values.items() if name in model.space}
+            names = tuple(p.name for p in model.space.free if not p.integer)
+            parts.append(test.errors(model, own, names).assign(test=test.name))
+        return pd.concat(parts, ignore_index=True)[["test", "group", "rows", "rms", "expected", "p", "unpaired"]]
+
+    def compare(self) -> Compared:
+        """Models against tests at the fitted values."""
+        return self.problem.compare(self.values)
+
+    def explain(self, effects: Sequence[Effect], *, seed: int = 1) -> Explained:
+        """See `Problem.explain`."""
+        return self.problem.explain(effects, seed=seed)

@@ -1,0 +1,219 @@
+"""Test: what the real thing did under one condition."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
+from calib.correlation.residual import ModalResidual
+from calib.correlation.response_residual import ResponseResidual
+from calib.correlation.scatter import Floors, assumptions
+from calib.errors import InputError
+from calib.function import FunctionModel
+from calib.measurement.accuracy import Accuracy
+from calib.measurement.modal import MeasuredModes
+from calib.measurement.responses import MeasuredResponses, response_kinds
+from calib.questions.compare import plain_table
+from calib.questions.scatter import assumed_responses
+from calib.questions.verify import modal_errors, plain_errors, plain_scatter, whitened
+from calib.structure.model import Assumption, StructuralModel
+
+Model = StructuralModel | FunctionModel
+Claimed = str | float | Mapping[str, str | float] | None
+UNSEEN = "withheld_responses"
+"""Group of responses that no fit sees, as verdicts name it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModalTest:
+    """Measured modes, and how they are compared with a model.
+
+    Attributes
+    ----------
+    modes : MeasuredModes
+        Such as `calib.read_modes` gives.
+    held_out : sequence of str
+        Modes and sensors (like ``12y``) that no fit sees; they check it.
+    name : str
+        Told where several tests are fitted together.
+    condition : mapping from str to float
+        Parameters of the model that hold for this test only, each in its own unit.
+    accuracy : str or mapping, optional
+        What the measurement claims beside its repeats, such as ``"1 %"`` or ``{"freq": "0.5 %"}``.
+    clusters : mapping from mode to cluster names
+        Parts of the model whose strain energy carries a mode; see `calib.correlation.problem.ModalProblem`.
+    mode_count : int, optional
+        Model modes that are solved; twice as many as measured by default.
+    freq_window : (float, float), optional
+        Hz; model modes outside are never paired.
+    threshold : float
+        Least EMAC of a pair.
+    override : mapping from mode to int
+        Model modes, from 1, that are paired whatever their EMAC.
+    """
+
+    modes: MeasuredModes
+    held_out: tuple[str, ...] = ()
+    name: str = "test"
+    condition: Mapping[str, float] = field(default_factory=dict)
+    accuracy: Claimed = None
+    clusters: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    mode_count: int | None = None
+    freq_window: tuple[float, float] | None = None
+    threshold: float = 0.3
+    override: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "held_out", tuple(self.held_out))
+        try:
+            claimed = self.modes.accuracy if self.accuracy is None else Accuracy.of(self.accuracy)
+        except ValueError as fault:
+            raise InputError(str(fault), place=f"test {self.name}, accuracy") from None
+        object.__setattr__(self, "modes", replace(self.modes, accuracy=claimed))
+
+    @cached_property
+    def used(self) -> MeasuredModes:
+        """What a fit sees."""
+        modes = [name for name in self.held_out if name in self.modes.names]
+        return self.modes.without(modes, [name for name in self.held_out if name not in modes])
+
+    def problem(self, model: Model) -> ModalProblem:
+        """What a fit sees against a model."""
+        return self._against(model, self.used)
+
+    def pair(self, model: Model) -> ModalResidual:
+        """The same in units of the scatter."""
+        return ModalResidual(self.problem(model))
+
+    def whole_problem(self, model: Model) -> ModalProblem | None:
+        """All that was measured against a model, to check a fit; None where nothing is held out."""
+        return self._against(model, self.modes) if self.held_out else None
+
+    def errors(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> pd.DataFrame:
+        """Errors on data used, left out in turn, and held out; see `calib.questions.verify.modal_errors`."""
+        prior_sd = np.array([model.space[n].prior_width for n in names])
+        freedom = self.pair(model).scatter_freedom
+        return modal_errors(self.problem(model), self.whole_problem(model), values, names, prior_sd, Floors(), freedom)
+
+    @property
+    def assumed(self) -> tuple[Assumption, ...]:
+        """Standard deviations that nobody stated."""
+        return assumptions(self.used)
+
+    def compared(self, model: Model, values: Mapping[str, float]) -> tuple[pd.DataFrame, str]:
+        """Table of what a fit sees, and where the model fails, in words."""
+        found = self.problem(model).compare(values)
+        return found.comparison_table(), found.sentence()
+
+    def _against(self, model: Model, modes: MeasuredModes) -> ModalProblem:
+        if not isinstance(model, StructuralModel):
+            raise InputError(
+                f"the model {model.name} has no modes", place=f"test {self.name}", remedy="give a ResponseTest"
+            )
+        count = self.mode_count if self.mode_count is not None else usual_mode_count(modes, model.n_dof)
+        known = set(modes.names)
+        return ModalProblem(
+            model=model,
+            measured=modes,
+            mode_clusters={m: c for m, c in self.clusters.items() if m in known or m not in self.held_out},
+            mode_count=count,
+            threshold=self.threshold,
+            freq_window=self.freq_window,
+            override={m: k for m, k in self.override.items() if m in known or m not in self.held_out},
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseTest:
+    """Measured plain responses: any numbers that a function of the parameters gives.
+
+    Attributes
+    ----------
+    responses : mapping from str to float or (float, float or None), or MeasuredResponses
+        Each in its own unit: a value, or a value with the standard deviation of its mean; see `calib.read_responses`.
+    held_out : sequence of str
+        Responses that no fit sees; they check it.
+    name, condition
+        As of `ModalTest`.
+    accuracy : str or mapping, optional
+        What the measurement claims: a share of every value, or by response or kind.
+    """
+
+    responses: Mapping[str, float | tuple[float, float | None]] | MeasuredResponses
+    held_out: tuple[str, ...] = ()
+    name: str = "test"
+    condition: Mapping[str, float] = field(default_factory=dict)
+    accuracy: Claimed = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "held_out", tuple(self.held_out))
+        for name in self.held_out:
+            if name not in self.measured.targets:
+                raise InputError(
+                    f"held-out response {name!r} was not measured", place=f"test {self.name}",
+                    remedy=f"the measured ones are {', '.join(self.measured.targets)}",
+                )  # fmt: skip
+
+    @cached_property
+    def measured(self) -> MeasuredResponses:
+        """All that was measured, few repeats pooled and the claimed accuracy added."""
+        given = self.responses
+        if not isinstance(given, MeasuredResponses):
+            pairs = {n: v if isinstance(v, tuple) else (float(v), None) for n, v in given.items()}
+            given = MeasuredResponses(pairs, {})
+        kinds = response_kinds(given.targets)
+        try:
+            return given.pooled(kinds).claiming(kinds, self.accuracy)
+        except InputError as fault:
+            raise InputError(fault.problem, place=f"test {self.name}, accuracy", remedy=fault.remedy) from None
+
+    def problem(self, model: Model) -> FunctionProblem:
+        """What a fit sees against a model."""
+        if not isinstance(model, FunctionModel):
+            raise InputError(
+                f"the model {model.name} answers with modes", place=f"test {self.name}", remedy="give a ModalTest"
+            )
+        measured = self.measured
+        used = {n: t for n, t in measured.targets.items() if n not in self.held_out}
+        return FunctionProblem(
+            model.space, model.function, used, model.fingerprint, measured.pooled_repeats, measured.shares
+        )
+
+    def pair(self, model: Model) -> ResponseResidual:
+        """The same in units of the scatter."""
+        return ResponseResidual(self.problem(model))
+
+    @property
+    def unseen(self) -> dict[str, tuple[float, float | None]]:
+        """Held-out responses."""
+        return {name: self.measured.targets[name] for name in self.held_out}
+
+    def errors(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> pd.DataFrame:
+        """Errors on data used, left out in turn, and held out; see `calib.questions.verify.plain_errors`."""
+        problem = self.problem(model)
+        held_out = {UNSEEN: whitened(problem, self.unseen, values, names)}
+        residual, slope = whitened(problem, problem.targets, values, names)
+        prior_sd = np.array([model.space[n].prior_width for n in names])
+        return plain_errors(residual, slope, names, prior_sd, list(problem.targets), held_out, plain_scatter(problem))
+
+    @property
+    def assumed(self) -> tuple[Assumption, ...]:
+        """Standard deviations that nobody stated."""
+        return assumed_responses({n: t for n, t in self.measured.targets.items() if n not in self.held_out})
+
+    def compared(self, model: Model, values: Mapping[str, float]) -> tuple[pd.DataFrame, str]:
+        """Table of what a fit sees, and where the model fails, in words."""
+        table = plain_table(self.problem(model), values)
+        size = table["error"].abs()
+        if size.isna().all():
+            return table, "All measured values are 0: errors cannot be told as shares of them."
+        worst = table["response"].to_numpy()[int(np.nanargmax(size))]
+        return table, f"The mean absolute error is {100 * size.mean():.2f} %; the largest is that of {worst}."
+
+
+Test = ModalTest | ResponseTest

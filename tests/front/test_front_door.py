@@ -1,0 +1,225 @@
+"""The front door: problems, tests and answers in a notebook's words give what a study in a folder gives."""
+
+import doctest
+import importlib
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.ledger import Ledger
+from calib.questions.calibrate import calibrate
+from calib.questions.compare import answer_at
+from calib.questions.explain import explain
+from calib.results import Results
+from models.five_mass_chain import five_mass_chain
+from models.four_storey_rig import four_storey_rig
+
+STUDIES = Path(__file__).resolve().parents[2] / "studies"
+STOREYS = ("k1", "k2", "k3", "k4")
+CHAIN = ("k1", "k2", "k3", "k4", "k5", "damping")
+
+
+@pytest.fixture(scope="module")
+def rig():
+    modes = calib.read_modes(STUDIES / "four_storey_rig/measured.csv", repeats=100, std_of="repeat")
+    return calib.Problem(four_storey_rig(), calib.ModalTest(modes, mode_count=4))
+
+
+@pytest.fixture(scope="module")
+def chain():
+    measured = calib.read_responses(STUDIES / "five_mass_chain/measured.csv")
+    return calib.Problem(five_mass_chain(), calib.ResponseTest(measured)).keep(CHAIN)
+
+
+@pytest.fixture(scope="module")
+def library():
+    return calib.Study.load(STUDIES / "five_mass_chain").library
+
+
+@pytest.fixture(scope="module")
+def explained(chain, library):
+    return chain.explain(library)
+
+
+# -- the same as a study -----------------------------------------------------------------------------------------------
+
+
+def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
+    study = calib.Study.load(STUDIES / "four_storey_rig")
+    own = answer_at(study, study.model.space.values)
+    assert rig.compare().table.equals(own.table)
+    fit = rig.calibrate(STOREYS, starts=3)
+    results = Results.at(tmp_path, "rig")
+    with Ledger.open(results.path / "ledger.sqlite") as ledger:
+        found = calibrate(study, results, ledger, method="gauss-newton").best.judgement
+    assert fit.judgement.criterion == pytest.approx(found.criterion, abs=1e-3)
+    told = found.verdicts(study.search_space, {}).set_index("parameter")
+    np.testing.assert_allclose(fit.parameters["value"], told["value"], rtol=1e-3)
+    np.testing.assert_allclose(fit.parameters["std"], told["std"], rtol=1e-3)
+    assert fit.compare().table["freq_error"].abs().max() < 1e-3
+
+
+def test_a_function_is_explained_as_in_the_study(chain, explained, tmp_path):
+    study = calib.Study.load(STUDIES / "five_mass_chain")
+    found = explain(study, Results.at(tmp_path, "chain"))
+    why = explained
+    assert why.verdict == found.verdict == "effect"
+    assert [e.name for e in why.named] == list(found.findings.credible)
+    mine, own = why.explanation.effects.set_index("name"), found.effects.set_index("name")
+    np.testing.assert_allclose(mine["phi"], own["phi"], rtol=0.02)
+    before = chain.calibrate()
+    after = why.with_named().calibrate()
+    assert before.judgement.fits is False and after.judgement.fits
+    rms = [fit.errors.set_index("group").loc["left_out", "rms"] for fit in (before, after)]
+    assert rms[1] < 0.5 * rms[0]
+
+
+@pytest.mark.slow
+def test_a_missing_effect_of_a_structure_is_named_and_added(tmp_path):
+    from models.railway import bogie_effects, bogie_on_rig
+
+    folder = STUDIES / "hidden_bogie"
+    settings = calib.Study.load(folder).settings
+    modes = calib.read_modes(str(folder / "measured/*.uff"), sensors=folder / "measured/sensors.csv", synthetic=True)
+    test = calib.ModalTest(
+        modes,
+        held_out=(*settings.withheld.modes, *settings.withheld.sensors),
+        clusters=settings.pairing.clusters,
+        mode_count=12,
+        freq_window=(1.0, 50.0),
+    )
+    problem = calib.Problem(bogie_on_rig(), test).keep(settings.selection)
+    why = problem.explain(bogie_effects())
+    assert why.verdict == "effect" and [e.name for e in why.named] == ["brake_unit"]
+    row = why.table.set_index("name").loc["brake_unit"]
+    assert row["phi_low"] < 60 < row["phi_high"]
+    better = why.with_named().calibrate()
+    before, after = (fit.errors.set_index("group") for fit in (problem.calibrate(), better))
+    assert after.loc["withheld_sensors", "rms"] < 0.6 * before.loc["withheld_sensors", "rms"]
+    assert after.loc["withheld_sensors", "p"] > 0.05 and before.loc["withheld_sensors", "p"] < 1e-6
+
+
+# -- several tests -----------------------------------------------------------------------------------------------------
+
+
+def oscillator():
+    names = (("k", 30.0, 1.0, 100.0, "kN/m"), ("m", 7.0, 1.0, 50.0, "kg"), ("load", 0.0, 0.0, 50.0, "kg"))
+    space = calib.ParameterSpace(tuple(calib.Parameter(*p) for p in names))
+    return calib.FunctionModel("oscillator", space, lambda v: {"w2": 1e3 * v["k"] / (v["m"] + v["load"])})
+
+
+def test_conditions_hold_for_their_test_only():
+    tests = [
+        calib.ResponseTest({"w2": (1e3 * 40 / (10 + x), 1.0)}, name=f"{x}", condition={"load": x}) for x in (0, 25)
+    ]
+    problem = calib.Problem(oscillator(), tests)
+    assert problem.space.names == ("k", "m")
+    fit = problem.calibrate()
+    assert (fit.values["k"], fit.values["m"]) == pytest.approx((40, 10), rel=1e-3)
+    assert fit.compare().table["model"].to_numpy() == pytest.approx([4000, 8000 / 7], rel=1e-3)
+    assert set(fit.errors["test"]) == {"0", "25"}
+    alone = calib.Problem(oscillator(), tests[0]).calibrate()
+    assert fit.parameters["std"]["k"] < 0.1 * alone.parameters["std"]["k"]
+
+
+def test_joined_problems_share_parameters_by_name():
+    first = calib.Problem(oscillator(), calib.ResponseTest({"w2": (4000.0, 4.0)}, name="free", condition={"load": 0.0}))
+    scale = calib.FunctionModel(
+        "scale", calib.ParameterSpace((calib.Parameter("m", 7.0, 1.0, 50.0, "kg"),)), lambda v: {"weight": v["m"]}
+    )
+    second = calib.Problem(scale, calib.ResponseTest({"weight": (10.0, 0.01)}, name="scale"))
+    joint = calib.Problem.join(first, second)
+    fit = joint.calibrate()
+    assert (fit.values["k"], fit.values["m"]) == pytest.approx((40, 10), rel=1e-3)
+    assert fit.parameters["std"]["m"] == pytest.approx(0.01, rel=0.01)
+    held = joint.calibrate(["k"])
+    assert held.values["m"] == 7.0 and list(held.parameters.index) == ["k"]
+    assert calib.Problem.join(second, first).calibrate().values["k"] == pytest.approx(fit.values["k"], rel=1e-5)
+
+
+def test_held_out_data_check_a_fit(chain):
+    ((_, test),) = chain.pairs
+    names = [n for n in test.measured.targets if n.startswith("f")][:2]
+    own = calib.Problem(chain.model, replace(test, held_out=tuple(names)))
+    fit = own.calibrate()
+    groups = fit.errors.set_index("group")
+    assert groups.loc["withheld_responses", "rows"] == 2
+    assert len(own.posed.rows) == len(test.measured.targets) - 2
+    assert not set(names) & {row.sensor for row in own.posed.rows}
+
+
+# -- what is shown, and what is refused --------------------------------------------------------------------------------
+
+
+def test_answers_print_their_table_with_every_number(rig):
+    found = rig.compare()
+    for text in (str(found), found._repr_html_()):
+        assert all(f"{value:.4g}" in text for value in found.table["natural_freq_model"])
+    fit = rig.judge({})
+    assert all(name in str(fit) for name in fit.parameters.index)
+    assert "<table" in fit._repr_html_() and "\n" not in repr(fit) + repr(rig) + repr(found)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda rig, chain: calib.Problem(rig.model, []),
+        lambda rig, chain: calib.Problem(rig.model, chain.tests),
+        lambda rig, chain: calib.Problem(chain.model, rig.tests),
+        lambda rig, chain: calib.Problem(rig.model, [rig.tests, rig.tests]),
+        lambda rig, chain: calib.Problem(rig.model, replace(rig.tests, condition={"speed": 1.0})),
+        lambda rig, chain: calib.Problem(rig.model, replace(rig.tests, held_out=("M9",))),
+        lambda rig, chain: calib.Problem(rig.model, replace(rig.tests, mode_count=2)),
+        lambda rig, chain: calib.Problem(chain.model, replace(chain.tests, held_out=("g1",))),
+        lambda rig, chain: replace(rig.tests, accuracy="lots"),
+        lambda rig, chain: rig.keep(["k9"]),
+        lambda rig, chain: rig.calibrate(["k9"]),
+        lambda rig, chain: rig.explain([]),
+        lambda rig, chain: calib.Problem.join(rig, replace(chain, tests=replace(chain.tests, name="b"))).explain([]),
+        lambda rig, chain: calib.read_modes("nowhere/*.uff"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(rig, chain, wrong):
+    with pytest.raises(calib.InputError):
+        wrong(rig, chain)
+
+
+def test_nothing_named_is_not_added(explained, library):
+    rest = [e for e in library if e not in explained.named]
+    again = explained.with_named().explain(rest)
+    assert again.verdict == "nothing_detectable" and again.named == ()
+    with pytest.raises(calib.InputError):
+        again.with_named()
+
+
+# -- names -------------------------------------------------------------------------------------------------------------
+
+
+def test_every_public_name_is_there_and_documented():
+    assert len(calib.__all__) <= 25 and len(set(calib.__all__)) == len(calib.__all__)
+    for name in calib.__all__:
+        assert getattr(calib, name) is not None
+        assert name == "__version__" or getattr(calib, name).__doc__
+    with pytest.raises(AttributeError):
+        calib.nothing  # noqa: B018
+
+
+def test_importing_the_front_door_imports_nothing_else():
+    told = "import sys, calib; print(sorted(m for m in sys.modules if m.split('.')[0] in ('numpy', 'scipy', 'pandas')))"
+    found = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_examples_of_docstrings_hold():
+    tried = 0
+    for name in calib.__all__[1:]:
+        module = importlib.import_module(getattr(calib, name).__module__)
+        failed, count = doctest.testmod(module)
+        assert not failed
+        tried += count
+    assert tried >= 8
