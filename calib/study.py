@@ -20,7 +20,7 @@ from calib.loading import Model, Sources, fingerprint_of, with_effects
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
-from calib.measurement.read import read_measurement
+from calib.measurement.read import read_modes
 from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
 from calib.settings import StudySettings, line_of, read_settings
 from calib.space import ParameterSpace
@@ -417,10 +417,10 @@ class _Reader:
             except InputError as fault:
                 place = self.place("measurement", "accuracy")
                 raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
-        measured = read_measurement(
+        measured = read_modes(
             [self._path(f, "measurement", "files") for f in given.files],
-            shape_files=[self._path(f, "measurement", "shapes") for f in given.shapes],
-            sensor_table=self._path(given.sensors, "measurement", "sensors") if given.sensors else None,
+            shapes=[self._path(f, "measurement", "shapes") for f in given.shapes],
+            sensors=self._path(given.sensors, "measurement", "sensors") if given.sensors else None,
             repeats=given.repeats,
             std_of=given.std_of,
             mode_names=given.mode_names,

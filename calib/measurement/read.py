@@ -18,14 +18,16 @@ from calib.measurement.repeats import Repeat, ShapeSet, StdOf, combine_repeats
 from calib.measurement.sensors import place_sensors
 from calib.measurement.uff import drop_unmeasured, read_uff
 
+Named = str | Path | Sequence[str | Path]
+"""Files by their paths or by patterns."""
 UFF_SUFFIXES = (".uff", ".unv", ".uf")
 
 
-def read_measurement(
-    files: Sequence[Path],
+def read_modes(
+    files: Named,
     *,
-    shape_files: Sequence[Path] = (),
-    sensor_table: Path | None = None,
+    shapes: Named = (),
+    sensors: str | Path | None = None,
     repeats: int | None = None,
     std_of: StdOf = "mean",
     mode_names: Sequence[str] | None = None,
@@ -36,12 +38,13 @@ def read_measurement(
 
     Parameters
     ----------
-    files : sequence of Path
-        Universal files (``.uff``, ``.unv``, ``.uf``; see `calib.measurement.uff.read_uff`) or modes tables (``.csv``;
-        see `calib.measurement.csv_format.read_modes_csv`), one kind only.
-    shape_files : sequence of Path
+    files : path, pattern such as ``"measured/*.uff"``, or sequence of them
+        What matches a pattern is taken in the order of its name. Universal files (``.uff``, ``.unv``, ``.uf``; see
+        `calib.measurement.uff.read_uff`) or modes tables (``.csv``; see `calib.measurement.csv_format.read_modes_csv`),
+        one kind only.
+    shapes : path, pattern or sequence of them
         Shape tables beside modes tables: none, a single one, or one a repeat.
-    sensor_table : Path, optional
+    sensors : path, optional
         Table of node places in metres; it wins over places in universal files.
     repeats : int, optional
         Number of repeats behind a single file, from 1.
@@ -59,17 +62,18 @@ def read_measurement(
     InputError
         With the file, and where possible line and column, for anything that is not readable as the same modes.
     """
-    paths, shapes = [Path(f) for f in files], [Path(f) for f in shape_files]
-    is_uff = _check_arguments(paths, shapes, repeats, std_of)
+    paths, shape_paths = _found(files), _found(shapes)
+    sensor_table = None if sensors is None else Path(sensors)
+    is_uff = _check_arguments(paths, shape_paths, repeats, std_of)
     points: Mapping[int, Point] | None = None
     read: list[Repeat]
-    table = read_sensor_table(Path(sensor_table)) if sensor_table is not None else {}
+    table = read_sensor_table(sensor_table) if sensor_table is not None else {}
     if is_uff:
         universal = [read_uff(path) for path in paths]
         read = drop_unmeasured([u.repeat for u in universal])
         points = common_points([(u.repeat.source, u.points) for u in universal], table)
     else:
-        read = _tables(paths, shapes)
+        read = _tables(paths, shape_paths)
         if repeats is not None and len(read) > 1 and repeats != len(read):
             raise InputError(
                 f"the number of repeats is given as {repeats}, but the tables hold {len(read)}",
@@ -92,7 +96,7 @@ def read_measurement(
         shape_std=combined.shape_std,
         n_repeats=n_repeats,
         synthetic=synthetic,
-        source=", ".join(map(str, (*paths, *shapes))),
+        source=", ".join(map(str, (*paths, *shape_paths))),
         notes=(*placed.notes, *combined.notes),
         freq_count=_varied(combined.freq_count, n_repeats),
         damping_count=_varied(combined.damping_count, n_repeats),
@@ -102,53 +106,12 @@ def read_measurement(
     )
 
 
-def read_modes(
-    files: str | Path | Sequence[str | Path],
-    *,
-    shapes: str | Path | Sequence[str | Path] = (),
-    sensors: str | Path | None = None,
-    repeats: int | None = None,
-    std_of: StdOf = "mean",
-    mode_names: Sequence[str] | None = None,
-    pooling: Pooling = "robust",
-    synthetic: bool = False,
-) -> MeasuredModes:
-    """Read measured modes: files, or a pattern such as ``"measured/*.uff"``, in the order of their names.
-
-    Parameters
-    ----------
-    files, shapes : path, pattern or sequence of them
-        See `read_measurement`, as for all that follows.
-    sensors : path, optional
-        Table of node places in metres.
-    repeats, std_of, mode_names, pooling, synthetic
-
-    Raises
-    ------
-    InputError
-        Where no file is found, and as `read_measurement`.
-    """
-    return read_measurement(
-        _found(files),
-        shape_files=_found(shapes),
-        sensor_table=None if sensors is None else Path(sensors),
-        repeats=repeats,
-        std_of=std_of,
-        mode_names=mode_names,
-        pooling=pooling,
-        synthetic=synthetic,
-    )
-
-
-def _found(given: str | Path | Sequence[str | Path]) -> list[Path]:
-    """Files that are named or match a pattern."""
-    out = []
+def _found(given: Named) -> list[Path]:
+    """Files that are named, or that match a pattern; one that is neither is kept, to be told by its name."""
+    out: list[Path] = []
     for one in [given] if isinstance(given, str | Path) else given:
-        found = sorted(Path(name) for name in glob(str(one))) or [Path(one)]
-        for path in found:
-            if not path.is_file():
-                raise InputError("there is no such file", place=path, remedy="paths are relative to the working folder")
-        out += found
+        named = Path(one)
+        out += [named] if named.exists() else sorted(Path(name) for name in glob(str(one))) or [named]
     return out
 
 

@@ -26,7 +26,7 @@ from calib import cli
 from calib.errors import InputError
 from calib.loading import module_of
 from calib.measurement.csv_format import read_responses_csv
-from calib.measurement.read import read_measurement
+from calib.measurement.read import read_modes
 from calib.questions.phases import values_found
 from calib.questions.sensitivity import selected_by_measures
 from calib.questions.versions import write_versions
@@ -160,7 +160,7 @@ class Bench:
 
         def modes(folder: Path) -> object:
             files, shapes = ([folder / name for name in names] for names in (given.files, given.shapes))
-            return read_measurement(files, shape_files=shapes, sensor_table=folder / given.sensors)
+            return read_modes(files, shapes=shapes, sensors=folder / given.sensors)
 
         for name in filter(None, (*given.files, *given.shapes, given.sensors)):
             self.read += [(study / name, modes)] * 8

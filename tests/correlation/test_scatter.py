@@ -9,7 +9,7 @@ from calib.correlation.scatter import Floors, assumptions, freedom_behind, scatt
 from calib.freedom import chance
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.average import mean_and_std
-from calib.measurement.read import read_measurement
+from calib.measurement.read import read_modes
 
 MODES = "mode,freq,freq_kind,repeat\n" + "".join(
     f"{mode},{value + step},natural,{k}\n"
@@ -23,7 +23,7 @@ def test_the_assumed_deviation_of_a_mode_is_the_one_that_is_taken(tmp_path):
     """One mode is in one of three repeats: it takes the scatter of a single repeat, not that of a mean."""
     file = tmp_path / "modes.csv"
     file.write_text(MODES)
-    measured = read_measurement([file])
+    measured = read_modes([file])
     assert np.isnan(measured.freq_std).tolist() == [False, False, True]
     taken = scatter_of(measured).freq
     assert taken[2] > 1.5 * np.sqrt(np.mean(taken[:2] ** 2))
@@ -38,7 +38,7 @@ def test_few_repeats_beside_a_known_error_reject_as_often_as_the_level_says(tmp_
     path.write_text("mode,freq,freq_kind,repeat\n" + "".join(
         f"m{i},{10 + i + k / 100},natural,{k}\n" for k in range(2) for i in range(6)
     ))  # fmt: skip
-    read = read_measurement([path])
+    read = read_modes([path])
     assert read.n_repeats == 2 and read.n_modes == 6
     floors = Floors(freq=0.0 if claimed else 0.01, damping=0.0, shape=0.0)
     rng, truth, p, alone, missed = np.random.default_rng(3), np.linspace(5, 50, 6), [], [], []
@@ -65,7 +65,7 @@ def test_a_right_model_of_many_repeats_is_rejected_as_often_as_the_level_says(tm
     path.write_text("mode,freq,freq_kind,repeat\n" + "".join(
         f"m{i},{10 + i + k / 100},natural,{k}\n" for k in range(repeats) for i in range(modes)
     ))  # fmt: skip
-    read = read_measurement([path])
+    read = read_modes([path])
     assert (read.n_repeats, read.n_modes) == (repeats, modes)
     none, rng, truth = Floors(freq=0.0, damping=0.0, shape=0.0), np.random.default_rng(8), np.linspace(5, 50, modes)
     spread, p, known = np.geomspace(1e-4, 1e-2, modes), [], []
@@ -93,7 +93,7 @@ def test_a_mode_that_few_of_many_repeats_hold_is_off_by_its_deviation(tmp_path, 
             f"m{i},{(10 + 10 * i) * (1 + 0.002 * rng.standard_normal())},natural,{k}\n"
             for i, k in places if i or k < held
         ))  # fmt: skip
-        measured = read_measurement([path])
+        measured = read_modes([path])
         off.append((measured.natural_freq[0] / 10 - 1) / scatter_of(measured, none).freq[0])
     assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.3
     assert np.abs(off).max() < 5

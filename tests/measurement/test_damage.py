@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from calib.errors import InputError
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
-from calib.measurement.read import read_measurement
+from calib.measurement.read import read_modes
 from calib.measurement.uff import write_uff
 
 QUICK = settings(
@@ -68,7 +68,7 @@ def damaged(data, todo):
 
 def judge(capfd, names, *arguments, **options):
     try:
-        found = read_measurement(*arguments, **options)
+        found = read_modes(*arguments, **options)
     except InputError as err:
         assert any(name in str(err) for name in names)
         assert "\n" not in str(err)
@@ -108,4 +108,4 @@ def test_damaged_tables(tmp_path, capfd, todo, which):
     paths = [tmp_path / name for name in ("modes.csv", "shapes.csv", "places.csv")]
     for path, table in zip(paths, tables, strict=True):
         path.write_bytes(table)
-    judge(capfd, [p.name for p in paths], [paths[0]], shape_files=[paths[1]], sensor_table=paths[2])
+    judge(capfd, [p.name for p in paths], [paths[0]], shapes=[paths[1]], sensors=paths[2])

@@ -6,7 +6,7 @@ from calib.mac import mac
 from calib.measurement import matching
 from calib.measurement.matching import match_modes
 from calib.measurement.modal import Sensor
-from calib.measurement.read import read_measurement
+from calib.measurement.read import read_modes
 from calib.measurement.uff import write_uff
 
 FREQ = np.array([8.0, 12.0, 12.6, 20.0, 31.0, 45.0])
@@ -66,7 +66,7 @@ def test_one_mode_missing_and_another_at_the_end(tmp_path):
         damping = np.full(5, 0.01)
         files.append(tmp_path / f"{k}.uff")
         write_uff(files[-1], names=names, natural_freq=freq, damping_ratio=damping, sensors=SENSORS, shapes=shapes)
-    found = read_measurement(files)
+    found = read_modes(files)
     np.testing.assert_allclose(found.natural_freq, FREQ, rtol=0.005)
     assert np.nanmax(found.freq_std / found.natural_freq) < 0.005
     rows = [found.sensors.index(s) for s in SENSORS]

@@ -4,7 +4,7 @@ import pytest
 from calib.correlation.responses import response_freedom
 from calib.errors import InputError
 from calib.freedom import chance, repeats_freedom
-from calib.measurement.read import read_measurement
+from calib.measurement.read import read_modes
 from calib.measurement.responses import read_responses
 
 VALUES = {"freq_1": 4.5, "freq_2": 13.4, "mass": 1200.0, "sag": 0.003, "zeta_1": 0.011}
@@ -99,7 +99,7 @@ def test_many_repeats_in_one_table_of_modes_and_one_of_shapes(tmp_path):
     modes, shapes = tmp_path / "modes.csv", tmp_path / "shapes.csv"
     modes.write_text(MODES)
     shapes.write_text(SHAPES)
-    found = read_measurement([modes], shape_files=[shapes])
+    found = read_modes([modes], shapes=[shapes])
     assert found.n_repeats == 3 and found.counts("freq").tolist() == [3, 2]
     np.testing.assert_allclose(found.natural_freq, [11, 21])
     np.testing.assert_allclose(found.freq_std, [1 / np.sqrt(3), 1.0])
@@ -113,7 +113,7 @@ def test_shapes_of_the_mean_go_with_repeated_modes(tmp_path):
     modes, shapes = tmp_path / "modes.csv", tmp_path / "shapes.csv"
     modes.write_text(MODES)
     shapes.write_text("mode,node,direction,re,std\na,1,y,1,0.1\na,2,y,2,0.1\nb,1,y,-4,0.1\nb,2,y,1,\n")
-    found = read_measurement([modes], shape_files=[shapes])
+    found = read_modes([modes], shapes=[shapes])
     np.testing.assert_allclose(found.shapes, [[0.5, -1], [1, 0.25]])
     np.testing.assert_allclose(found.shape_std, [[0.05, 0.025], [0.05, np.nan]])
 
@@ -124,13 +124,13 @@ def test_tables_that_do_not_fit_together_are_refused(tmp_path):
     more.write_text("mode,freq,freq_kind\na,10,natural\n")
     shapes.write_text("mode,node,direction,re,repeat\na,1,y,1,9\n")
     with pytest.raises(InputError, match=r"shapes.csv, line 2, column repeat: unknown repeat '9'"):
-        read_measurement([modes], shape_files=[shapes])
+        read_modes([modes], shapes=[shapes])
     with pytest.raises(InputError, match=r"more.csv|shapes.csv, line 2, column repeat"):
-        read_measurement([more], shape_files=[shapes])
+        read_modes([more], shapes=[shapes])
     with pytest.raises(InputError, match=r"modes.csv: it has a column 'repeat', but other files"):
-        read_measurement([more, modes])
+        read_modes([more, modes])
     with pytest.raises(InputError, match="the tables hold 3"):
-        read_measurement([modes], repeats=2)
+        read_modes([modes], repeats=2)
 
 
 def test_few_repeats_are_pooled_over_the_responses_of_a_kind(tmp_path):

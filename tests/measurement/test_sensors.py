@@ -3,7 +3,7 @@ import pytest
 
 from calib.errors import InputError
 from calib.measurement.modal import Sensor
-from calib.measurement.read import read_measurement
+from calib.measurement.read import read_modes
 from calib.measurement.uff import write_uff
 
 PLACES = {n: (0.5 * n, 1.0 + 0.1 * n, 0.25) for n in range(1, 7)}
@@ -24,7 +24,7 @@ def read(uff, places, scale=1.0):
     table = uff.parent / "sensors.csv"
     rows = "".join(f"{n},{','.join(f'{scale * x:.9g}' for x in place)}\n" for n, place in places.items())
     table.write_text("node,x,y,z\n" + rows)
-    return read_measurement([uff], sensor_table=table)
+    return read_modes([uff], sensors=table)
 
 
 def told(found):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.measurement.read import read_measurement
+from calib.measurement.read import read_modes
 from calib.structure.extend import extend
 from models.railway import bogie_effects, bogie_on_rig
 
@@ -26,7 +26,7 @@ def base(kind="fitted"):
 
 @cache
 def sensors():
-    return read_measurement([STUDY / "repeat_1.uff"], sensor_table=STUDY / "sensors.csv").sensors
+    return read_modes([STUDY / "repeat_1.uff"], sensors=STUDY / "sensors.csv").sensors
 
 
 @pytest.fixture(scope="module")

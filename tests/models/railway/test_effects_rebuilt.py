@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.loading import module_of
-from calib.measurement.read import read_measurement
+from calib.measurement.read import read_modes
 from calib.structure.extend import extend
 from models.railway import bogie_effects, bogie_on_rig
 
@@ -25,7 +25,7 @@ def base():
 @pytest.fixture(scope="module")
 def measure(effect_checks):
     """Noise-free modes of a rebuilt bogie at the sensors of the study."""
-    sensors = read_measurement([STUDY / "repeat_1.uff"], sensor_table=STUDY / "sensors.csv").sensors
+    sensors = read_modes([STUDY / "repeat_1.uff"], sensors=STUDY / "sensors.csv").sensors
 
     def measured(model):
         return effect_checks.noise_free(model, sensors, model.modes({}, MODES), range(MODES))
