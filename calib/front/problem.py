@@ -31,6 +31,11 @@ def under(model: Model, test: Test) -> Model:
         raise InputError(fault.problem, place=f"condition of test {test.name}", remedy=fault.remedy) from None
 
 
+def own(model: Model, test: Test, values: Mapping[str, float]) -> dict[str, float]:
+    """What a model takes of the values of all tests: those it has, except what the test's condition holds."""
+    return {name: v for name, v in values.items() if name in model.space and name not in test.condition}
+
+
 REFITS = 40
 """Combinations of whole-number parameters that a fit tries from every start."""
 
@@ -101,8 +106,8 @@ class Problem:
     @property
     def pairs(self) -> tuple[tuple[Model, Test], ...]:
         """Every test with its model, which has the parameters that the test's condition holds fixed there."""
-        own = tuple((under(self.model, test), test) for test in self._tests)
-        return (*own, *(pair for problem in self.beside for pair in problem.pairs))
+        first = tuple((under(self.model, test), test) for test in self._tests)
+        return (*first, *(pair for problem in self.beside for pair in problem.pairs))
 
     @property
     def space(self) -> ParameterSpace:
@@ -125,12 +130,13 @@ class Problem:
 
     def keep(self, names: Sequence[str]) -> Problem:
         """The same with only the named parameters free; the others keep their adopted values."""
-        self.space.keep(names)  # tells what cannot be kept
-        return self._keeping(frozenset(names))
+        kept = self.space.keep(names)
+        return self._holding({p.name: p.value for p in kept.parameters if p.distribution == "fixed"})
 
-    def _keeping(self, names: frozenset[str]) -> Problem:
-        own = self.model.space.keep([p.name for p in self.model.space.free if p.name in names])
-        return replace(self, model=replace(self.model, space=own), beside=tuple(p._keeping(names) for p in self.beside))
+    def _holding(self, values: Mapping[str, float]) -> Problem:
+        space = self.model.space.freeze({name: v for name, v in values.items() if name in self.model.space})
+        beside = tuple(p._holding(values) for p in self.beside)
+        return replace(self, model=replace(self.model, space=space), beside=beside)
 
     def with_effects(self, effects: Sequence[Effect]) -> Problem:
         """The same with effects in its model, their strengths free; those of joined problems stay as they are."""
@@ -149,11 +155,7 @@ class Problem:
             Where a model cannot be solved.
         """
         complete = self.space.complete(dict(values or {}))
-        found = {}
-        for model, test in self.pairs:
-            own = {name: value for name, value in complete.items() if name in model.space}
-            found[test.name] = test.compared(model, own)
-        return Compared(found)
+        return Compared({test.name: test.compared(model, own(model, test, complete)) for model, test in self.pairs})
 
     def calibrate(self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1) -> Fit:
         """Fit by least squares, in units of the scatter and with the priors, and judge what the data determine.
@@ -265,9 +267,8 @@ class Fit(Shown):
 
         parts = []
         for model, test in self.problem.pairs:
-            own = {name: value for name, value in self.values.items() if name in model.space}
             names = tuple(p.name for p in model.space.free if not p.integer)
-            parts.append(test.errors(model, own, names).assign(test=test.name))
+            parts.append(test.errors(model, own(model, test, self.values), names).assign(test=test.name))
         return pd.concat(parts, ignore_index=True)[["test", "group", "rows", "rms", "expected", "p", "unpaired"]]
 
     def compare(self) -> Compared:

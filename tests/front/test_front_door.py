@@ -127,6 +127,25 @@ def test_conditions_hold_for_their_test_only():
     assert fit.parameters["std"]["k"] < 0.1 * alone.parameters["std"]["k"]
 
 
+def test_a_condition_holds_in_its_test_where_another_test_leaves_the_parameter_free():
+    empty = calib.ResponseTest({"w2": (4000.0, 4.0)}, name="empty", condition={"load": 0.0})
+    loaded = calib.ResponseTest({"w2": (8000 / 7, 1.0)}, name="loaded")
+    fit = calib.Problem(oscillator(), [empty, loaded]).calibrate()
+    assert fit.values["load"] > 1.0
+    assert fit.compare().table["model"].to_numpy() == pytest.approx([4000, 8000 / 7], rel=1e-3)
+    assert fit.errors.set_index(["test", "group"]).loc[("empty", "fit"), "rms"] < 0.1
+
+
+def test_parameters_that_are_not_kept_hold_one_value_in_all_joined_problems():
+    first = calib.Problem(oscillator(), calib.ResponseTest({"w2": (4000.0, 4.0)}, name="free", condition={"load": 0.0}))
+    space = calib.ParameterSpace((calib.Parameter("m", 8.0, 1.0, 50.0, "kg"),))
+    scale = calib.FunctionModel("scale", space, lambda v: {"weight": v["m"]})
+    joint = calib.Problem.join(first, calib.Problem(scale, calib.ResponseTest({"weight": (10.0, 0.01)}, name="scale")))
+    fit = joint.calibrate(["k"])
+    assert fit.values["m"] == 7.0 and fit.values["k"] == pytest.approx(28.0, rel=1e-3)
+    assert fit.compare().table.set_index("test")["model"]["scale"] == 7.0
+
+
 def test_joined_problems_share_parameters_by_name():
     first = calib.Problem(oscillator(), calib.ResponseTest({"w2": (4000.0, 4.0)}, name="free", condition={"load": 0.0}))
     scale = calib.FunctionModel(
