@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import digest_of
+from calib.given import objects
 from calib.space import ParameterSpace
 from calib.structure.model import Assumption
 
@@ -29,6 +30,14 @@ class FunctionModel:
     space: ParameterSpace
     function: Callable[[Mapping[str, float]], Mapping[str, float]]
     assumptions: tuple[Assumption, ...] = ()
+
+    def __post_init__(self) -> None:
+        objects([self.space], ParameterSpace, f"model {self.name}, space")
+        if not callable(self.function):
+            raise InputError(
+                f"its function is {self.function!r:.40}", place=f"model {self.name}",
+                remedy="give a function of named values",
+            )  # fmt: skip
 
     @property
     def fingerprint(self) -> str:

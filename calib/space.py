@@ -12,6 +12,7 @@ import pandas as pd
 from scipy.optimize import linprog
 
 from calib.errors import InputError
+from calib.given import number, objects, values
 
 SI_FACTORS: Mapping[str, float] = {
     "-": 1.0,
@@ -96,8 +97,17 @@ class Parameter:
 
     def __post_init__(self) -> None:
         place = f"parameter {self.name}"
-        if self.unit not in SI_FACTORS:
+        if not isinstance(self.name, str) or not self.name:
+            raise InputError(f"its name is {self.name!r}", place=place, remedy="give it one")
+        if self.distribution not in ("uniform", "fixed"):
+            raise InputError(
+                f"unknown distribution {self.distribution!r}", place=place, remedy="use 'uniform' or 'fixed'"
+            )
+        if self.unit not in tuple(SI_FACTORS):
             raise InputError(f"unknown unit {self.unit!r}", place=place, remedy=f"use one of {', '.join(SI_FACTORS)}")
+        for label in ("value", "lower", "upper", "prior_sd"):
+            if label != "prior_sd" or self.prior_sd is not None:
+                number(getattr(self, label), f"{place}, {label}")
         for label in ("value", "lower", "upper"):
             if not math.isfinite(getattr(self, label)):
                 raise InputError(f"{label} is {getattr(self, label)}", place=place, remedy="give a finite number")
@@ -154,6 +164,8 @@ class LinearConstraint:
     def __post_init__(self) -> None:
         if not self.coefficients:
             raise InputError("no coefficients", place=f"constraint {self.name}")
+        given = values(dict(self.coefficients), f"constraint {self.name}")
+        object.__setattr__(self, "coefficients", tuple(given.items()))
         if math.isnan(self.lower) or math.isnan(self.upper) or self.lower > self.upper:
             raise InputError(
                 f"lower limit {self.lower:g} is above upper limit {self.upper:g}", place=f"constraint {self.name}"
@@ -183,6 +195,7 @@ class ParameterSpace:
     _whole: tuple[str, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", objects(self.parameters, Parameter, "parameter space"))
         by_name = {p.name: p for p in self.parameters}
         if len(by_name) != len(self.parameters):
             raise InputError("two parameters share a name", place="parameter space")
@@ -284,7 +297,7 @@ class ParameterSpace:
         """Same space with the named parameters fixed at the given values."""
         space = self
         for name, value in values.items():
-            space = space.replace(name, value=float(value), distribution="fixed")
+            space = space.replace(name, value=number(value, name), distribution="fixed")
         return space
 
     def without(self, values: Mapping[str, float]) -> ParameterSpace:
@@ -328,7 +341,10 @@ class ParameterSpace:
         if not given.keys() <= self._adopted.keys():
             for name in given:
                 self._require(name, "parameter values")
-        values = {name: float(given.get(name, value)) for name, value in self._adopted.items()}
+        try:
+            values = {name: float(given.get(name, value)) for name, value in self._adopted.items()}
+        except (TypeError, ValueError):
+            values = {name: number(given.get(name, value), f"value of {name}") for name, value in self._adopted.items()}
         if not all(map(math.isfinite, values.values())):
             name, value = next((n, v) for n, v in values.items() if not math.isfinite(v))
             raise InputError(f"value of {name!r} is {value}", place="parameter values")

@@ -355,6 +355,8 @@ class FunctionProblem:
             When a target is missing from the answer or a response is not a finite number.
         """
         answer = self.function(self.space.complete(values))
+        if not hasattr(answer, "keys"):
+            raise EvaluationError(f"the function gave {type(answer).__name__}, not responses by name")
         missing = [name for name in self.targets if name not in answer]
         if missing:
             given = ", ".join(answer) or "nothing"

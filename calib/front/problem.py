@@ -13,6 +13,9 @@ from calib.front.explained import Explained, explained
 from calib.front.shown import Compared, Shown
 from calib.front.test import ModalTest, Model, ResponseTest, Test
 from calib.function import FunctionModel, extend_function
+from calib.given import names as names_of
+from calib.given import objects, whole
+from calib.given import values as values_of
 from calib.joint import JointProblem
 from calib.problem import Counts
 from calib.problem import Problem as Posed
@@ -21,6 +24,7 @@ from calib.questions.scatter import in_words
 from calib.sampling import sample
 from calib.space import ParameterSpace
 from calib.structure.extend import extend
+from calib.structure.model import StructuralModel
 
 
 def under(model: Model, test: Test) -> Model:
@@ -84,7 +88,11 @@ class Problem:
     beside: tuple[Problem, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self._tests:
+        objects([self.model], (StructuralModel, FunctionModel), "problem, model")
+        tests = objects(self.tests, (ModalTest, ResponseTest), "problem, tests")
+        object.__setattr__(self, "tests", tests[0] if len(tests) == 1 else tests)
+        object.__setattr__(self, "beside", objects(self.beside, Problem, "problem, beside"))
+        if not tests:
             raise InputError("no test is given", place="problem", remedy="give a ModalTest or a ResponseTest")
         names = [test.name for _, test in self.pairs]
         for name in names:
@@ -92,12 +100,18 @@ class Problem:
                 raise InputError(
                     f"two tests are named {name!r}", place="problem", remedy='give each its own, such as name="loaded"'
                 )
-        assert self.posed  # what does not fit together is told here
+        for p in self.space.free:  # asking for the space tells what else does not fit together
+            if not p.lower <= p.value <= p.upper:
+                raise InputError(
+                    f"value {p.value:g} {p.unit} is outside its limits [{p.lower:g}, {p.upper:g}]",
+                    place=f"parameter {p.name}", remedy="move one of them",
+                )  # fmt: skip
 
     @staticmethod
     def join(first: Problem, *others: Problem) -> Problem:
         """Several problems as one: parameters of one name are one, see `calib.joint.joined`."""
-        return replace(first, beside=(*first.beside, *others))
+        first, *rest = objects((first, *others), Problem, "join")
+        return replace(first, beside=(*first.beside, *rest))
 
     @property
     def _tests(self) -> tuple[Test, ...]:
@@ -130,7 +144,7 @@ class Problem:
 
     def keep(self, names: Sequence[str]) -> Problem:
         """The same with only the named parameters free; the others keep their adopted values."""
-        kept = self.space.keep(names)
+        kept = self.space.keep(names_of(names, "parameters"))
         return self._holding({p.name: p.value for p in kept.parameters if p.distribution == "fixed"})
 
     def _holding(self, values: Mapping[str, float]) -> Problem:
@@ -140,6 +154,7 @@ class Problem:
 
     def with_effects(self, effects: Sequence[Effect]) -> Problem:
         """The same with effects in its model, their strengths free; those of joined problems stay as they are."""
+        effects = objects(effects, Effect, "effects")
         if isinstance(self.model, FunctionModel):
             return replace(self, model=extend_function(self.model, effects))
         return replace(self, model=extend(self.model, effects))
@@ -154,7 +169,7 @@ class Problem:
         EvaluationError
             Where a model cannot be solved.
         """
-        complete = self.space.complete(dict(values or {}))
+        complete = self._complete({} if values is None else values)
         return Compared({test.name: test.compared(model, own(model, test, complete)) for model, test in self.pairs})
 
     def calibrate(self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1) -> Fit:
@@ -176,7 +191,8 @@ class Problem:
         EvaluationError
             When no start can be evaluated.
         """
-        problem = self.keep(parameters) if parameters else self
+        starts, seed = whole(starts, 1, "starts"), whole(seed, 0, "seed")
+        problem = self.keep(chosen) if (chosen := names_of(parameters, "parameters")) else self
         space = problem.space
         drawn = sample(space, starts - 1, seed).points if starts > 1 else ()
         points = [space.values, *(space.complete(point) for point in drawn)]
@@ -184,7 +200,10 @@ class Problem:
 
     def judge(self, values: Mapping[str, float]) -> Fit:
         """What the data say about the parameters at given values, nothing fitted."""
-        return Fit(self, judged(self.posed, self.terms, self.space.complete(dict(values))))
+        return Fit(self, judged(self.posed, self.terms, self._complete(values)))
+
+    def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
+        return self.space.complete(values_of(values, "values"))
 
     def explain(self, effects: Sequence[Effect], *, seed: int = 1) -> Explained:
         """Which of some effects the model lacks: calibrate, test, fit the promising ones, check what is left.
@@ -201,13 +220,14 @@ class Problem:
         InputError
             Without an effect, with several tests, and where too little was measured to name anything.
         """
+        effects, seed = objects(effects, Effect, "effects"), whole(seed, 0, "seed")
         if len(self.pairs) > 1:
             raise InputError(
                 f"an explanation asks one test, and there are {len(self.pairs)}", place="explain",
                 remedy="explain one problem at a time",
             )  # fmt: skip
         ((model, test),) = self.pairs
-        return explained(self, model, test, tuple(effects), seed)
+        return explained(self, model, test, effects, seed)
 
     @property
     def terms(self) -> Terms:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,6 +16,7 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.scatter import Floors, assumptions
 from calib.errors import InputError
 from calib.function import FunctionModel
+from calib.given import by_name, names, number, objects, values, whole
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses, response_kinds
@@ -69,11 +71,29 @@ class ModalTest:
     override: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "held_out", tuple(self.held_out))
+        place = _named(self)
+        (modes,) = objects([self.modes], MeasuredModes, f"{place}, modes")
+        known = (*modes.names, *(s.name for s in modes.sensors))
+        for name in self.held_out:
+            if name not in known:
+                raise InputError(
+                    f"held-out mode or sensor {name!r} was not measured", place=place,
+                    remedy=f"the measured ones are {', '.join(known)}",
+                )  # fmt: skip
+        object.__setattr__(
+            self, "clusters", {m: names(c, f"{place}, clusters") for m, c in by_name(self.clusters, place).items()}
+        )
+        chosen = by_name(self.override, f"{place}, override")
+        object.__setattr__(self, "override", {m: whole(k, 1, f"{place}, override of {m}") for m, k in chosen.items()})
+        number(self.threshold, f"{place}, threshold")
+        if self.mode_count is not None:
+            object.__setattr__(self, "mode_count", whole(self.mode_count, 1, f"{place}, mode_count"))
+        if self.freq_window is not None:
+            object.__setattr__(self, "freq_window", _window(self.freq_window, f"{place}, freq_window"))
         try:
             claimed = self.modes.accuracy if self.accuracy is None else Accuracy.of(self.accuracy)
-        except ValueError as fault:
-            raise InputError(str(fault), place=f"test {self.name}, accuracy") from None
+        except (TypeError, ValueError) as fault:
+            raise InputError(str(fault), place=f"{place}, accuracy") from None
         object.__setattr__(self, "modes", replace(self.modes, accuracy=claimed))
 
     @cached_property
@@ -151,26 +171,28 @@ class ResponseTest:
     accuracy: Claimed = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "held_out", tuple(self.held_out))
+        place, known = _named(self), self.measured.targets
         for name in self.held_out:
-            if name not in self.measured.targets:
+            if name not in known:
                 raise InputError(
-                    f"held-out response {name!r} was not measured", place=f"test {self.name}",
-                    remedy=f"the measured ones are {', '.join(self.measured.targets)}",
+                    f"held-out response {name!r} was not measured", place=place,
+                    remedy=f"the measured ones are {', '.join(known)}",
                 )  # fmt: skip
 
     @cached_property
     def measured(self) -> MeasuredResponses:
         """All that was measured, few repeats pooled and the claimed accuracy added."""
-        given = self.responses
+        place, given = f"test {self.name}", self.responses
         if not isinstance(given, MeasuredResponses):
-            pairs = {n: v if isinstance(v, tuple) else (float(v), None) for n, v in given.items()}
-            given = MeasuredResponses(pairs, {})
+            read = by_name(given, f"{place}, responses")
+            given = MeasuredResponses({n: _value(v, f"{place}, response {n}") for n, v in read.items()}, {})
         kinds = response_kinds(given.targets)
         try:
             return given.pooled(kinds).claiming(kinds, self.accuracy)
         except InputError as fault:
-            raise InputError(fault.problem, place=f"test {self.name}, accuracy", remedy=fault.remedy) from None
+            raise InputError(fault.problem, place=f"{place}, accuracy", remedy=fault.remedy) from None
+        except (TypeError, ValueError) as fault:
+            raise InputError(str(fault), place=f"{place}, accuracy") from None
 
     def problem(self, model: Model) -> FunctionProblem:
         """What a fit sees against a model."""
@@ -217,3 +239,34 @@ class ResponseTest:
 
 
 Test = ModalTest | ResponseTest
+
+
+def _named(test: Test) -> str:
+    """The place that messages give; checks and completes what both kinds of test have."""
+    if not isinstance(test.name, str) or not test.name:
+        raise InputError(f"its name is {test.name!r}", place="test", remedy='give one, such as name="loaded"')
+    place = f"test {test.name}"
+    object.__setattr__(test, "held_out", names(test.held_out, f"{place}, held_out"))
+    object.__setattr__(test, "condition", values(test.condition, f"{place}, condition"))
+    return place
+
+
+def _value(given: object, place: str) -> tuple[float, float | None]:
+    """A measured value and the standard deviation of its mean, None where it is unknown."""
+    pair = tuple(given) if isinstance(given, tuple | list) else (given, None)
+    if len(pair) != 2:
+        raise InputError(f"it has {len(pair)} entries", place=place, remedy="give a value, or (value, std)")
+    value, std = number(pair[0], place), None if pair[1] is None else number(pair[1], f"{place}, std")
+    if not math.isfinite(value):
+        raise InputError(f"it is {value}", place=place, remedy="give a finite number")
+    if std is not None and not 0 < std < math.inf:
+        raise InputError(f"its standard deviation is {std}", place=place, remedy="give a positive one or None")
+    return value, std
+
+
+def _window(given: object, place: str) -> tuple[float, float]:
+    """Two frequencies, Hz."""
+    ends = tuple(number(f, place) for f in given) if isinstance(given, Sequence | np.ndarray) else ()
+    if isinstance(given, str) or len(ends) != 2:
+        raise InputError(f"it is {given!r:.40}", place=place, remedy="give (low, high) in Hz")
+    return ends[0], ends[1]

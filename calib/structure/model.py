@@ -198,7 +198,7 @@ class StructuralModel:
         damping: Terms | None = None,
         *,
         dofs: pd.DataFrame | Iterable[tuple[int, str]],
-        parameters: Iterable[Parameter] = (),
+        parameters: ParameterSpace | Iterable[Parameter] = (),
         lines: Iterable[tuple[int, int]] = (),
         name: str = "matrices",
     ) -> StructuralModel:
@@ -217,7 +217,7 @@ class StructuralModel:
         dofs : DataFrame or iterable of (node, direction)
             What each row of the matrices is: columns ``node, direction`` and, for pictures and for sensors that are
             found by their place, ``x, y, z`` in m. Directions are x, y, z, rx, ry, rz, or 1 to 6.
-        parameters : iterable of Parameter
+        parameters : iterable of Parameter, or ParameterSpace
         lines : iterable of (node, node)
             Drawn between nodes.
         name : str
@@ -246,7 +246,7 @@ class StructuralModel:
         array([ 8.32, 27.23])
         """
         table = DofTable.of(dofs, name)
-        space = ParameterSpace(tuple(parameters))
+        space = parameters if isinstance(parameters, ParameterSpace) else ParameterSpace(parameters)  # type: ignore[arg-type]
         viscous: Terms = {} if damping is None else damping
         given: Mapping[str, Terms] = {"stiffness": stiffness, "damping": viscous, "mass": mass}
         read = {kind: affine(kind, terms, space, table, name) for kind, terms in given.items()}

@@ -1,0 +1,83 @@
+"""What a user gives, checked at the door: names, numbers, and objects of a kind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+import pandas as pd
+
+from calib.errors import InputError
+
+_Kind = TypeVar("_Kind")
+
+
+def names(given: Any, place: str) -> tuple[str, ...]:
+    """Several names; InputError for a single string, which would be taken letter by letter."""
+    remedy = 'give a list of names, such as ["a", "b"]'
+    if isinstance(given, str | bytes | Mapping) or not isinstance(given, Iterable):
+        raise InputError(f"it is {_told(given)}", place=place, remedy=remedy)
+    found = tuple(given)
+    for name in found:
+        if not isinstance(name, str):
+            raise InputError(f"it holds {_told(name)}, which is no name", place=place, remedy=remedy)
+    return tuple(str(name) for name in found)
+
+
+def number(given: Any, place: str) -> float:
+    """A number; InputError for text, None and arrays."""
+    try:
+        if not isinstance(given, str | bytes):
+            return float(given)
+    except (TypeError, ValueError):
+        pass
+    raise InputError(f"it is {_told(given)}", place=place, remedy="give a number")
+
+
+def whole(given: Any, least: int, place: str) -> int:
+    """A whole number; InputError for another or one below ``least``."""
+    found = number(given, place)
+    if not (found >= least and found == found // 1 and found < float("inf")):
+        raise InputError(f"it is {_told(given)}", place=place, remedy=f"give a whole number from {least}")
+    return int(found)
+
+
+def by_name(given: Any, place: str) -> dict[str, Any]:
+    """Anything by name, from a mapping or a pandas Series; InputError for what is neither."""
+    if not isinstance(given, Mapping | pd.Series):
+        raise InputError(f"it is {_told(given)}", place=place, remedy='give values by name, such as {"a": 1.0}')
+    found = dict(given)
+    for name in found:
+        if not isinstance(name, str):
+            raise InputError(f"it holds {_told(name)}, which is no name", place=place, remedy="give names as text")
+    return found
+
+
+def values(given: Any, place: str) -> dict[str, float]:
+    """Numbers by name; InputError for what is neither."""
+    return {name: number(value, f"{place}, {name}") for name, value in by_name(given, place).items()}
+
+
+def objects(given: Any, kinds: type[_Kind] | tuple[type[_Kind], ...], place: str) -> tuple[_Kind, ...]:
+    """One object or several of some kinds, as a tuple; InputError for anything else."""
+    if isinstance(given, kinds):
+        return (given,)
+    wanted = " or ".join(k.__name__ for k in (kinds if isinstance(kinds, tuple) else (kinds,)))
+    if isinstance(given, str | Mapping) or not isinstance(given, Iterable):
+        raise InputError(f"it is {_told(given)}", place=place, remedy=f"give {wanted}, or a list of them")
+    found = tuple(given)
+    for one in found:
+        if not isinstance(one, kinds):
+            raise InputError(f"it holds {_told(one)}", place=place, remedy=f"give {wanted}")
+    return found
+
+
+def _told(given: Any) -> str:
+    """A wrong value with its type, in one line."""
+    if given is None:
+        return "None"
+    if isinstance(given, type):
+        return f"the class {given.__name__}"
+    if isinstance(given, str | int | float):
+        return f"{given!r:.40}"
+    return f"of type {type(given).__name__}"
