@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from os import PathLike
+from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import pandas as pd
 
 from calib.errors import InputError
@@ -34,12 +37,30 @@ def number(given: Any, place: str) -> float:
     raise InputError(f"it is {_told(given)}", place=place, remedy="give a number")
 
 
+def numbers(given: Any, place: str) -> np.ndarray:
+    """An array of numbers, as it is or from a list; InputError for anything else."""
+    try:
+        found = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        found = np.array(None)
+    if found.dtype.kind not in "biufc":
+        raise InputError("it holds what is no number", place=place, remedy="give an array of numbers")
+    return found
+
+
 def whole(given: Any, least: int, place: str) -> int:
     """A whole number; InputError for another or one below ``least``."""
     found = number(given, place)
     if not (found >= least and found == found // 1 and found < float("inf")):
         raise InputError(f"it is {_told(given)}", place=place, remedy=f"give a whole number from {least}")
     return int(found)
+
+
+def path(given: Any, place: str) -> Path:
+    """A path; InputError for what is none."""
+    if not isinstance(given, str | PathLike):
+        raise InputError(f"it is {_told(given)}", place=place, remedy="give a path")
+    return Path(given)
 
 
 def by_name(given: Any, place: str) -> dict[str, Any]:

@@ -166,6 +166,8 @@ class LinearConstraint:
             raise InputError("no coefficients", place=f"constraint {self.name}")
         given = values(dict(self.coefficients), f"constraint {self.name}")
         object.__setattr__(self, "coefficients", tuple(given.items()))
+        for label in ("lower", "upper"):
+            number(getattr(self, label), f"constraint {self.name}, {label}")
         if math.isnan(self.lower) or math.isnan(self.upper) or self.lower > self.upper:
             raise InputError(
                 f"lower limit {self.lower:g} is above upper limit {self.upper:g}", place=f"constraint {self.name}"

@@ -15,6 +15,7 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import code_files, digest_of, digest_of_files
 from calib.function import FunctionModel
+from calib.given import path as path_of
 from calib.limits import parameter_hints, search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, with_effects
 from calib.measurement.accuracy import Accuracy
@@ -238,13 +239,13 @@ class Study(StudyFile):
         return replace(self, search_space=search_space(self.sensitivity_space, self.settings, reader.place, names))
 
     @staticmethod
-    def load(path: Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE) -> Study:
+    def load(path: str | Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE) -> Study:
         """Read a study folder (or its TOML file) with everything it names; InputError for anything wrong in it.
 
         ``adopted`` are values that an earlier study has found, where this one takes some over, and ``adopted_sd`` their
         standard deviations as far as they are known; see `calib.questions.phases`.
         """
-        told = StudyFile.read(path)
+        told = StudyFile.read(path_of(path, "study"))
         read = told.file_digests  # before the code runs: what changes from here on is not what was read
         return replace(_Reader(told.file, told.settings).study(adopted, adopted_sd), read_files=read)
 

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from calib.errors import InputError
+from calib.given import names, numbers, objects
 from calib.measurement.accuracy import NONE_CLAIMED, Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.places import Misplaced
@@ -38,6 +39,12 @@ class Sensor:
     direction: str
     point: tuple[float, float, float] | None = None
     on: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.point is not None and len(self.point) != 3:
+            raise InputError(
+                f"its place is {self.point!r:.40}", place=f"sensor {self.name}", remedy="give x, y, z in m"
+            )
 
     @property
     def name(self) -> str:
@@ -105,6 +112,14 @@ class MeasuredModes:
     accuracy: Accuracy = NONE_CLAIMED
 
     def __post_init__(self) -> None:
+        place = self.source or "measurement"
+        object.__setattr__(self, "names", names(self.names, f"{place}, names"))
+        object.__setattr__(self, "sensors", objects(self.sensors, Sensor, f"{place}, sensors"))
+        for label in ("natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "shapes", "shape_std"):
+            object.__setattr__(self, label, numbers(getattr(self, label), f"{place}, {label}"))
+        for label in ("freq_std", "damping_std", "shape_std"):
+            if np.any(getattr(self, label) < 0):
+                raise InputError(f"{label} has a negative value", place=place, remedy="give NaN where it is unknown")
         n = len(self.names)
         if len(set(self.names)) != n:
             raise InputError("two measured modes share a name", place=self.source or "measurement")

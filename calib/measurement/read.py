@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from calib.errors import InputError
+from calib.given import objects, whole
+from calib.given import path as path_of
 from calib.measurement.csv_format import ONE, read_modes_csv, read_sensor_table, read_shapes_csv
 from calib.measurement.disagreements import Pooling
 from calib.measurement.modal import MeasuredModes
@@ -63,7 +65,10 @@ def read_modes(
         With the file, and where possible line and column, for anything that is not readable as the same modes.
     """
     paths, shape_paths = _found(files), _found(shapes)
-    sensor_table = None if sensors is None else Path(sensors)
+    sensor_table = None if sensors is None else path_of(sensors, "sensors")
+    repeats = None if repeats is None else whole(repeats, 1, "repeats")
+    if pooling not in ("robust", "plain"):
+        raise InputError(f"pooling is {pooling!r}", place="measurement", remedy="write 'robust' or 'plain'")
     is_uff = _check_arguments(paths, shape_paths, repeats, std_of)
     points: Mapping[int, Point] | None = None
     read: list[Repeat]
@@ -109,7 +114,8 @@ def read_modes(
 def _found(given: Named) -> list[Path]:
     """Files that are named, or that match a pattern; one that is neither is kept, to be told by its name."""
     out: list[Path] = []
-    for one in [given] if isinstance(given, str | Path) else given:
+    each: tuple[str | Path, ...] = objects(given, (str, Path), "measurement")
+    for one in each:
         named = Path(one)
         out += [named] if named.exists() else sorted(Path(name) for name in glob(str(one))) or [named]
     return out

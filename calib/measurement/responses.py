@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.errors import InputError
 from calib.freedom import POOL_BELOW, freedom_each, widened_by
+from calib.given import path as path_of
 from calib.measurement.accuracy import widened
 from calib.measurement.average import mean_and_std
 from calib.measurement.csv_format import ONE, read_responses_csv
@@ -113,7 +115,7 @@ def response_kinds(names: Iterable[str]) -> dict[str, str]:
     return {name: kinds.get(name, "response") for name in names}
 
 
-def read_responses(path: Path, pooling: Pooling = "robust") -> MeasuredResponses:
+def read_responses(path: str | Path, pooling: Pooling = "robust") -> MeasuredResponses:
     """Read plain responses from a table, see `calib.measurement.csv_format.read_responses_csv`.
 
     With a column ``repeat`` each response is the mean over the repeats that hold it, and its standard deviation that of
@@ -121,7 +123,7 @@ def read_responses(path: Path, pooling: Pooling = "robust") -> MeasuredResponses
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     pooling : {"robust", "plain"}
         Whether a value that disagrees with those of the other repeats is left out of mean and scatter, or only named.
 
@@ -130,6 +132,9 @@ def read_responses(path: Path, pooling: Pooling = "robust") -> MeasuredResponses
     InputError
         With file, line and column, for anything that is no such table.
     """
+    path = path_of(path, "measured responses")
+    if pooling not in ("robust", "plain"):
+        raise InputError(f"pooling is {pooling!r}", place=path, remedy="write 'robust' or 'plain'")
     tables = read_responses_csv(path)
     if ONE in tables:
         return MeasuredResponses(tables[ONE], {})

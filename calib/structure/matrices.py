@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 import scipy.sparse as sp
 
 from calib.errors import InputError
+from calib.given import numbers, values
 from calib.measurement.modal import DIRECTIONS
 from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term
@@ -77,7 +78,10 @@ class DofTable:
             When a column is missing, a direction is unknown, a row is named twice, or one node has two places.
         """
         place = f"model {name}, dofs"
-        table = given if isinstance(given, pd.DataFrame) else pd.DataFrame(list(given), columns=["node", "direction"])
+        if isinstance(given, pd.DataFrame):
+            table = given
+        else:
+            table = pd.DataFrame(pairs(given, place, "(node, direction)"), columns=["node", "direction"])
         for column in ("node", "direction"):
             if column not in table:
                 raise InputError(f"the column {column!r} is missing", place=place, remedy="name node and direction")
@@ -111,6 +115,15 @@ def _direction(given: object, k: int, place: str) -> int:
     )
 
 
+def pairs(given: object, place: str, of: str) -> list[tuple[Any, Any]]:
+    """Rows of two entries each; InputError for anything else."""
+    rows: list[Any] = list(given) if isinstance(given, Iterable) and not isinstance(given, str | Mapping) else [given]
+    for k, row in enumerate(rows):
+        if isinstance(row, str) or not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
+            raise InputError(f"row {k + 1} is {row!r:.40}", place=place, remedy=f"give pairs {of}")
+    return [(row[0], row[1]) for row in rows]
+
+
 def _points(table: pd.DataFrame, node: np.ndarray, count: int, labels: np.ndarray, place: str) -> np.ndarray:
     out = np.full((count, 3), np.nan)
     given = [c for c in "xyz" if c in table]
@@ -118,7 +131,9 @@ def _points(table: pd.DataFrame, node: np.ndarray, count: int, labels: np.ndarra
         return out
     if len(given) < 3:
         raise InputError(f"only {', '.join(given)} of the coordinates", place=place, remedy="give x, y and z in m")
-    rows = table[["x", "y", "z"]].to_numpy(dtype=float)
+    rows = table[["x", "y", "z"]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    if np.any(np.isnan(rows) & table[["x", "y", "z"]].notna().to_numpy()):
+        raise InputError("a coordinate is no number", place=place, remedy="give x, y and z in m")
     out[node] = rows
     apart = np.flatnonzero(np.abs(out[node] - rows).max(axis=1) > 0)
     if len(apart):
@@ -152,8 +167,10 @@ def affine(
     terms, completed = [], []
     for key, entry in named.items():
         place = f"model {name}, {kind} {key!r}"
+        if isinstance(entry, tuple) and len(entry) != 2:
+            raise InputError(f"it has {len(entry)} entries", place=place, remedy="give (matrix, parameter)")
         matrix, scaling = entry if isinstance(entry, tuple) else (entry, {key: 1.0} if key in space else {})
-        powers = {scaling: 1.0} if isinstance(scaling, str) else dict(scaling)
+        powers = {scaling: 1.0} if isinstance(scaling, str) else values(scaling, f"{place}, scaling")
         for parameter in powers:
             if parameter not in space:
                 raise InputError(
@@ -169,6 +186,8 @@ def affine(
 
 def _checked(matrix: Array, dofs: DofTable, place: str) -> sp.csr_array:
     n = dofs.n_dof
+    if not sp.issparse(matrix):
+        matrix = numbers(matrix, place)
     if tuple(matrix.shape) != (n, n):
         raise InputError(
             f"its shape is {tuple(matrix.shape)}, and {n} rows are named",

@@ -17,7 +17,7 @@ from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
-from calib.structure.matrices import DofTable, Terms, affine, require_mass, require_used
+from calib.structure.matrices import DofTable, Terms, affine, pairs, require_mass, require_used
 from calib.structure.modes import Modes
 from calib.structure.reduced_matrix import ReducedSlope
 from calib.structure.solve import solve_modes
@@ -254,7 +254,8 @@ class StructuralModel:
         require_used(space, list(matrices.values()), name)
         require_mass(matrices["mass"](space.si(space.values)), table, name)
         place = {label: k for k, label in enumerate(table.labels)}
-        ends = [[_index(node, place, name) for node in line] for line in lines]
+        drawn = pairs(lines, f"model {name}, lines", "(node, node)")
+        ends = [[_index(node, place, name) for node in line] for line in drawn]
         expansion = table.expansion
         return StructuralModel(
             name=name,
@@ -350,6 +351,11 @@ class StructuralModel:
 
     def _row_of(self, sensor: Sensor) -> tuple[np.ndarray, float]:
         """Motion at a sensor, and how far it lies off: by its place, or by its node's label where one has none."""
+        if sensor.direction not in DIRECTIONS:
+            raise InputError(
+                f"its direction is {sensor.direction!r}", place=f"sensor {sensor.name}",
+                remedy=f"one of {', '.join(DIRECTIONS)}",
+            )  # fmt: skip
         direction = DIRECTIONS.index(sensor.direction)
         if sensor.point is not None and np.all(np.isfinite(self.mesh.points)):
             return self.locator.row(sensor.point, direction, sensor.on)
