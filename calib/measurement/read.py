@@ -66,7 +66,7 @@ def read_modes(
     """
     paths, shape_paths = _found(files), _found(shapes)
     sensor_table = None if sensors is None else path_of(sensors, "sensors")
-    repeats = None if repeats is None else whole(repeats, 1, "repeats")
+    repeats = None if repeats is None else whole(repeats, 0, "repeats")
     if pooling not in ("robust", "plain"):
         raise InputError(f"pooling is {pooling!r}", place="measurement", remedy="write 'robust' or 'plain'")
     is_uff = _check_arguments(paths, shape_paths, repeats, std_of)
