@@ -76,7 +76,7 @@ class Frame:
 
 @pytest.fixture(scope="module")
 def measured():
-    """Eight modes of the finer frame at one place a floor, two repeats' worth of noise stated as their scatter."""
+    """Eight modes of the finer frame at three columns a floor, with noise that is stated as their scatter."""
     frame, rng = Frame(7), np.random.default_rng(4)
     truth = {f"EI_{k}": 1.0 for k in range(1, STOREYS + 1)} | {"EI_1": 0.72, "EI_4": 1.18, "EI_9": 0.85}
     whole = sum(truth.get(name, 1.0) * m for name, m in frame.stiffness.items())
@@ -86,19 +86,18 @@ def measured():
     condensed = whole[massive][:, massive].toarray() - whole[massive][:, rest] @ lu.solve(
         whole[rest][:, massive].toarray()
     )
-    own = frame.mass.tocsr()[massive][:, massive]
-    start = np.ones(len(massive))  # a drawn one would turn shapes round, and the noise with them
-    squares, shapes = eigsh(sp.csc_array(condensed), 8, own, sigma=0.0, v0=start)
+    inertia, first = frame.mass.tocsr()[massive][:, massive], np.ones(len(massive))
+    squares, shapes = eigsh(sp.csc_array(condensed), 8, inertia, sigma=0.0, v0=first)
     freq = np.sqrt(squares) / (2 * np.pi)
     rows, sensors = [], []
     for storey in range(1, STOREYS + 1):
-        for direction, x in (("x", 0.0), ("z", BAY)):
+        for node, (direction, x) in enumerate((("x", 0.0), ("z", 0.0), ("z", BAY), ("z", 3 * BAY))):
             at = np.flatnonzero(
                 (frame.dofs["direction"] == direction) & np.isclose(frame.dofs["x"], x)
                 & np.isclose(frame.dofs["z"], storey * HEIGHT)
             )  # fmt: skip
             rows.append(np.flatnonzero(massive == at[0])[0])
-            sensors.append(calib.Sensor(100 * storey + (direction == "z"), direction, (x, 0.0, storey * HEIGHT)))
+            sensors.append(calib.Sensor(10 * storey + node, direction, (x, 0.0, storey * HEIGHT)))
     seen = shapes[rows] / np.abs(shapes[rows]).max(axis=0)
     n, std = len(freq), np.full(seen.shape, 0.02)
     return truth, calib.MeasuredModes(
@@ -123,13 +122,13 @@ def test_matrices_of_another_code_are_compared_and_calibrated(measured):
 
     storeys = [calib.Parameter(name, 1.0, 0.5, 1.5, prior_sd=0.2) for name in stiffness if name != "floors"]
     model = calib.StructuralModel.from_matrices(stiffness, mass, dofs=dofs, parameters=storeys, name="frame")
-    problem = calib.Problem(model, calib.ModalTest(modes))
+    problem = calib.Problem(model, calib.ModalTest(modes, accuracy={"freq": "0.2 %"}))  # what the mesh is good for
     before = problem.compare().table
     fit = problem.calibrate()
     after = fit.compare().table
 
     assert before["mac"].notna().all() and before["freq_error"].abs().mean() > 3 * after["freq_error"].abs().mean()
-    assert after["freq_error"].abs().max() < 6e-3 and after["mac"].min() > 0.97
+    assert after["freq_error"].abs().max() < 4e-3 and after["mac"].min() > 0.97
     off = (fit.parameters["value"] - fit.parameters.index.map(truth)) / fit.parameters["std"]
     assert off.abs().max() < 3.5 and (off**2).mean() < 2.5
     assert fit.parameters["value"]["EI_1"] < 0.85 and fit.judgement.fits
