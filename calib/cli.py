@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -31,6 +32,7 @@ from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.results import Results
 from calib.settings import possible_path
+from calib.settings import schema as settings_schema
 from calib.study import Study, StudyFile, shell_argument
 from calib.written import is_own, noting_kept
 
@@ -94,6 +96,12 @@ def new(folder: NewFolder) -> None:
     for path in write_example(folder):
         console.say(str(path))
     console.say(f"Run it with: calib run {shell_argument(folder)}")
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of study.toml, by which editors complete and check its keys."""
+    typer.echo(json.dumps(settings_schema(), indent=1))
 
 
 @app.command()

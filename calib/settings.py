@@ -253,6 +253,11 @@ class StudySettings(_Section):
     explain: ExplainSettings = ExplainSettings()
 
 
+def schema() -> dict[str, Any]:
+    """JSON schema of ``study.toml``, by which editors complete and check its keys."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **StudySettings.model_json_schema()}
+
+
 def read_settings(file: Path) -> StudySettings:
     """Read and check a study file; InputError names file, line, key and remedy."""
     try:

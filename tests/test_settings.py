@@ -1,4 +1,5 @@
 import shutil
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import strategies as st
 
 from calib.errors import InputError
 from calib.example import write_example
-from calib.settings import line_of, read_settings
+from calib.settings import line_of, read_settings, schema
 from calib.study import Study
 
 TEXT = """\
@@ -97,6 +98,39 @@ def test_random_bytes_are_refused(tmp_path_factory, content):
     with pytest.raises(InputError) as caught:
         read_settings(file)
     assert str(file) in str(caught.value)
+
+
+def test_the_schema_knows_every_key_of_every_shipped_study_and_no_other():
+    told = schema()
+
+    def unknown(given, node, where=""):
+        node = told["$defs"][node["$ref"].rsplit("/", 1)[1]] if "$ref" in node else node
+        for choice in node.get("anyOf", ()):
+            if (isinstance(given, dict) and ("$ref" in choice or choice.get("type") == "object")) or (
+                isinstance(given, list) and choice.get("type") == "array"
+            ):
+                return unknown(given, choice, where)
+        if isinstance(given, list):
+            items = node.get("items", {})
+            return [k for one in given for k in unknown(one, items, where)]
+        if not isinstance(given, dict) or "properties" not in node:
+            known = node.get("additionalProperties")
+            parts = given.items() if isinstance(given, dict) and isinstance(known, dict) else ()
+            return [k for name, one in parts for k in unknown(one, known, f"{where}.{name}")]
+        own = [f"{where}.{k}" for k in given if k not in node["properties"]]
+        return own + [
+            k for n, one in given.items() if n in node["properties"]
+            for k in unknown(one, node["properties"][n], f"{where}.{n}")
+        ]  # fmt: skip
+
+    files = sorted((Path(__file__).parents[1] / "studies").glob("*/study.toml"))
+    assert len(files) > 8
+    for file in files:
+        given = tomllib.loads(file.read_text("utf-8"))
+        assert unknown(given, told) == [], file
+        assert set(told["required"]) <= set(given)
+    wrong = {"title": "a", "pairing": {"windows": 1}, "constraints": [{"nam": "a"}], "parameters": {"k": {"upper": 1}}}
+    assert unknown(wrong, told) == [".pairing.windows", ".constraints.nam", ".parameters.k.upper"]
 
 
 def test_a_folder_instead_of_a_file_is_told(tmp_path):

@@ -30,6 +30,13 @@ SUMMARY = {
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
+def test_the_schema_is_printed_as_json(capsys):
+    assert cli.answer(["schema"]) == 0
+    assert set(json.loads(capsys.readouterr().out)["required"]) == {
+        "title", "model", "measurement", "selection", "calibration",
+    }  # fmt: skip
+
+
 def small_mast(folder: Path) -> Path:
     """The example study, small."""
     file = folder / "mast/study.toml"
