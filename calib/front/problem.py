@@ -19,6 +19,7 @@ from calib.given import values as values_of
 from calib.joint import JointProblem
 from calib.problem import Counts
 from calib.problem import Problem as Posed
+from calib.questions.compare import answer_of
 from calib.questions.judge import Judgement, Terms, fitted, judged
 from calib.questions.scatter import in_words
 from calib.sampling import sample
@@ -170,7 +171,9 @@ class Problem:
             Where a model cannot be solved.
         """
         complete = self._complete({} if values is None else values)
-        return Compared({test.name: test.compared(model, own(model, test, complete)) for model, test in self.pairs})
+        return Compared(
+            {test.name: answer_of(test.problem(model), own(model, test, complete)) for model, test in self.pairs}
+        )
 
     def calibrate(self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1) -> Fit:
         """Fit by least squares, in units of the scatter and with the priors, and judge what the data determine.

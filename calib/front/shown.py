@@ -8,6 +8,8 @@ from html import escape
 
 import pandas as pd
 
+from calib.questions.compare import Answer
+
 
 class Shown:
     """An answer that prints as sentences and a table, in a notebook too."""
@@ -37,25 +39,34 @@ class Compared(Shown):
 
     Attributes
     ----------
-    by_test : mapping from str to (DataFrame, str)
-        Of each test its table, and where the model fails, in words.
+    by_test : mapping from str to Answer
+        Of each test.
     """
 
-    by_test: Mapping[str, tuple[pd.DataFrame, str]]
+    by_test: Mapping[str, Answer]
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Where each model fails."""
+        """Where each model fails, and what makes pairs or units doubtful."""
         several = len(self.by_test) > 1
-        return tuple(f"{name}: {words}" if several else words for name, (_, words) in self.by_test.items())
+        told = [(name, words) for name, answer in self.by_test.items() for words in (*answer.sentences, *_told(answer))]
+        return tuple(f"{name}: {words}" if several else words for name, words in told)
 
     @property
     def table(self) -> pd.DataFrame:
         """One row a measured mode or response, with a column ``test`` where there are several."""
-        tables = [table for table, _ in self.by_test.values()]
+        tables = {name: answer.table for name, answer in self.by_test.items()}
         if len(tables) == 1:
-            return tables[0]
-        return pd.concat([t.assign(test=n) for n, t in zip(self.by_test, tables, strict=True)], ignore_index=True)
+            return next(iter(tables.values()))
+        return pd.concat([table.assign(test=name) for name, table in tables.items()], ignore_index=True)
 
     def __repr__(self) -> str:
-        return f"Compared({', '.join(f'{name}: {len(table)} rows' for name, (table, _) in self.by_test.items())})"
+        return f"Compared({', '.join(f'{name}: {len(answer.table)} rows' for name, answer in self.by_test.items())})"
+
+
+def _told(answer: Answer) -> list[str]:
+    """Suspicious sensors, and the mean error of plain responses."""
+    out = [finding.sentence for finding in answer.findings]
+    if answer.comparison is None:
+        out.append(f"The mean absolute error is {100 * answer.mean_freq_error:.2f} %.")
+    return out

@@ -20,7 +20,6 @@ from calib.given import by_name, names, number, objects, values, whole
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses, response_kinds
-from calib.questions.compare import plain_table
 from calib.questions.scatter import assumed_responses
 from calib.questions.verify import modal_errors, plain_errors, plain_scatter, whitened
 from calib.structure.model import Assumption, StructuralModel
@@ -125,11 +124,6 @@ class ModalTest:
         """Standard deviations that nobody stated."""
         return assumptions(self.used)
 
-    def compared(self, model: Model, values: Mapping[str, float]) -> tuple[pd.DataFrame, str]:
-        """Table of what a fit sees, and where the model fails, in words."""
-        found = self.problem(model).compare(values)
-        return found.comparison_table(), found.sentence()
-
     def _against(self, model: Model, modes: MeasuredModes) -> ModalProblem:
         if not isinstance(model, StructuralModel):
             raise InputError(
@@ -227,15 +221,6 @@ class ResponseTest:
     def assumed(self) -> tuple[Assumption, ...]:
         """Standard deviations that nobody stated."""
         return assumed_responses({n: t for n, t in self.measured.targets.items() if n not in self.held_out})
-
-    def compared(self, model: Model, values: Mapping[str, float]) -> tuple[pd.DataFrame, str]:
-        """Table of what a fit sees, and where the model fails, in words."""
-        table = plain_table(self.problem(model), values)
-        size = table["error"].abs()
-        if size.isna().all():
-            return table, "All measured values are 0: errors cannot be told as shares of them."
-        worst = table["response"].to_numpy()[int(np.nanargmax(size))]
-        return table, f"The mean absolute error is {100 * size.mean():.2f} %; the largest is that of {worst}."
 
 
 Test = ModalTest | ResponseTest

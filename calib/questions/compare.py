@@ -22,7 +22,7 @@ from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import traced
 from calib.questions.scatter import scatter_notes
 from calib.results import Results
-from calib.study import Study
+from calib.study import ForwardProblem, Study
 
 
 @dataclass(frozen=True)
@@ -113,12 +113,22 @@ class Answer:
 
 
 def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
-    """Compare model and measurement at named values; raises EvaluationError when the model cannot be solved there."""
-    if isinstance(study.problem, FunctionProblem):
-        return _plain_answer(study, study.problem, values)
-    comparison = study.problem.compare(values)
+    """Compare a study's model and measurement at named values; raises as `answer_of`."""
+    return answer_of(study.problem, values, study.hints, scatter_notes(study))
+
+
+def answer_of(
+    problem: ForwardProblem, values: Mapping[str, float], hints: Sequence[str] = (), scatter: Sequence[str] = ()
+) -> Answer:
+    """Compare model and measurement at named values; EvaluationError when the model cannot be solved there.
+
+    ``hints`` and ``scatter`` are told with it.
+    """
+    if isinstance(problem, FunctionProblem):
+        return _plain_answer(problem, values, hints, scatter)
+    comparison = problem.compare(values)
     table = comparison.comparison_table()
-    findings = suspicious_sensors(study.problem, comparison)
+    findings = suspicious_sensors(problem, comparison)
     return Answer(
         table=table,
         mean_freq_error=_mean(table["freq_error"].abs()),
@@ -126,9 +136,9 @@ def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
         noise_mac=_mean(pd.Series(comparison.noise_mac())),
         comparison=comparison,
         findings=findings,
-        chosen=study.problem.override,
-        hints=(*study.hints, *_frequency_hints(comparison), *_place_hints(comparison.measured, findings)),
-        scatter=scatter_notes(study),
+        chosen=problem.override,
+        hints=(*hints, *_frequency_hints(comparison), *_place_hints(comparison.measured, findings)),
+        scatter=tuple(scatter),
     )
 
 
@@ -152,22 +162,19 @@ def _frequency_hints(comparison: Comparison) -> tuple[str, ...]:
     return () if hint is None else (hint,)
 
 
-def plain_table(problem: FunctionProblem, values: Mapping[str, float]) -> pd.DataFrame:
-    """``response, measured, model, error, error_in_std`` at named values; EvaluationError where there is no answer."""
+def _plain_answer(
+    problem: FunctionProblem, values: Mapping[str, float], hints: Sequence[str], scatter: Sequence[str]
+) -> Answer:
     responses = answered(problem.evaluate, values)
     rows = []
     for name, (value, std) in problem.targets.items():
         error = (responses[name] - value) / abs(value) if value else np.nan
         in_std = (responses[name] - value) / std if std else np.nan
         rows.append((name, value, responses[name], error, in_std))
-    return pd.DataFrame(rows, columns=["response", "measured", "model", "error", "error_in_std"])
-
-
-def _plain_answer(study: Study, problem: FunctionProblem, values: Mapping[str, float]) -> Answer:
-    table = plain_table(problem, values)
-    measured, model = (dict(zip(table["response"], table[name], strict=True)) for name in ("measured", "model"))
-    hints = (*study.hints, *response_hints(measured, model))
-    return Answer(table, _mean(table["error"].abs()), np.nan, np.nan, None, hints=hints, scatter=scatter_notes(study))
+    table = pd.DataFrame(rows, columns=["response", "measured", "model", "error", "error_in_std"])
+    measured = {name: value for name, (value, _) in problem.targets.items()}
+    told = (*hints, *response_hints(measured, responses))
+    return Answer(table, _mean(table["error"].abs()), np.nan, np.nan, None, hints=told, scatter=tuple(scatter))
 
 
 def compare(study: Study, results: Results) -> Answer:
