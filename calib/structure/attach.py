@@ -30,8 +30,7 @@ def motion(model: StructuralModel, place: Place, direction: int) -> np.ndarray:
     """
     part, point = place
     row, distance = model.locator.row(point, direction, part)
-    extent = float(np.ptp(model.mesh.points, axis=0).max(initial=0.0))
-    if distance > max(extent, model.sensor_tolerance):
+    if distance > model.sensor_tolerance and distance > float(np.ptp(model.mesh.points, axis=0).max(initial=0.0)):
         raise InputError(
             f"the point ({', '.join(f'{c:g}' for c in point)}) lies {distance:.4g} m from the {part or 'model'}",
             remedy="coordinates are in m",

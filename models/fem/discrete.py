@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -128,4 +129,9 @@ class FrameLocator:
     def row(self, point: Sequence[float], direction: int, on: str | None = None) -> tuple[np.ndarray, float]:
         """See `calib.structure.model.Locator`."""
         rows, distance = self.frame.motion(point, on)
-        return rows[direction] @ self.expansion, distance
+        return self._turned @ rows[direction], distance
+
+    @cached_property
+    def _turned(self) -> sp.csc_array:
+        """The expansion's transpose, made once."""
+        return sp.csc_array(self.expansion.T)

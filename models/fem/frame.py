@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -29,6 +30,19 @@ class Carrier(NamedTuple):
     problem: InputError | None = None
 
 
+class Lines(NamedTuple):
+    """Axes of elements: both ends (n, 3), m, their difference and its square (n,)."""
+
+    start: np.ndarray
+    end: np.ndarray
+    along: np.ndarray
+    square: np.ndarray
+
+
+Place = tuple[float, float, float, str | None]
+"""A point, m, and the part that carries it."""
+
+
 @dataclass(frozen=True)
 class Frame:
     """Members, ties and suppressions, cut into elements.
@@ -50,6 +64,7 @@ class Frame:
     ends: np.ndarray = field(init=False, repr=False, compare=False)
     member_of: np.ndarray = field(init=False, repr=False, compare=False)
     particle_nodes: np.ndarray = field(init=False, repr=False, compare=False)
+    _known: dict[Place, Carrier] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         table = NodeTable()
@@ -125,41 +140,59 @@ class Frame:
         distance : float
             Length of the rigid arm, m.
         """
-        p = np.asarray(point, dtype=float)
-        found = self._carriers(p, on)
-        if not found:
-            known = ", ".join(sorted(self.parts))
-            raise InputError(f"the model has no part {on!r}", place="frame", remedy=f"its parts are {known}")
-        nearest = min(found, key=lambda carrier: round(carrier.distance, 9))
-        if nearest.problem is not None:
-            raise nearest.problem
+        nearest = self._nearest(np.asarray(point, dtype=float), on)
         rows = np.zeros((6, self.n_full))
         for k, node in enumerate(nearest.nodes):
             rows[:, 6 * node : 6 * node + 6] += nearest.motion[:, 6 * k : 6 * k + 6]
         return rows, nearest.distance
 
+    def _nearest(self, p: np.ndarray, on: str | None) -> Carrier:
+        """What carries a point; it is sought once, as each direction of a sensor and of a spring asks for it anew."""
+        key = (float(p[0]), float(p[1]), float(p[2]), on)
+        if key not in self._known:
+            found = self._carriers(p, on)
+            if not found:
+                known = ", ".join(sorted(self.parts))
+                raise InputError(f"the model has no part {on!r}", place="frame", remedy=f"its parts are {known}")
+            nearest = min(found, key=lambda carrier: round(carrier.distance, 9))
+            if nearest.problem is not None:
+                raise nearest.problem
+            self._known[key] = nearest
+        return self._known[key]
+
     def _carriers(self, p: np.ndarray, on: str | None) -> list[Carrier]:
         """The nearest place of every kind of element; of equally near ones the first is taken."""
         found = self._particle_carriers(p, on)
-        of_member = np.array([on is None or on in (m.body, m.group) for m in self.members], dtype=bool)
-        allowed = of_member[self.member_of]
-        if not allowed.any():
+        own = self._elements_of.get(on)
+        if own is None:
             return found
-        arm = np.array([m.arm for m in self.members])[self.member_of]
-        start, end = self.points[self.ends[:, 0]] + arm, self.points[self.ends[:, 1]] + arm
-        along = end - start
-        t = np.clip(np.einsum("ij,ij->i", p - start, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
+        start, end, along, square = (a[own] for a in self._lines)
+        t = np.clip(np.einsum("ij,ij->i", p - start, along) / square, 0.0, 1.0)
         foot = start + t[:, None] * along
-        distance = np.where(allowed, np.linalg.norm(foot - p, axis=1), np.inf)
-        e = int(np.argmin(distance))
+        distance = np.linalg.norm(foot - p, axis=1)
+        k = int(np.argmin(distance))
+        e = int(own[k])
         member = self.members[self.member_of[e]]
-        length, rotation = beam.axes(start[e : e + 1], end[e : e + 1], np.array(member.up))
+        length, rotation = beam.axes(start[k : k + 1], end[k : k + 1], np.array(member.up))
         arms = np.broadcast_to(np.array(member.arm), (1, 2, 3))
-        local = beam.motion(member.section, float(length[0]), float(t[e])) @ self._follow(e, length)
+        local = beam.motion(member.section, float(length[0]), float(t[k])) @ self._follow(e, length)
         r6 = np.kron(np.eye(2), rotation[0])
         at_axis = r6.T @ local @ beam.transformation(rotation, arms)[0]
-        at_axis[:3] += beam.arm_matrix(p - foot[e]) @ at_axis[3:]
-        return [*found, Carrier(float(distance[e]), self.ends[e], at_axis)]
+        at_axis[:3] += beam.arm_matrix(p - foot[k]) @ at_axis[3:]
+        return [*found, Carrier(float(distance[k]), self.ends[e], at_axis)]
+
+    @cached_property
+    def _lines(self) -> Lines:
+        """Axes of all elements."""
+        arm = np.array([m.arm for m in self.members]).reshape(-1, 3)[self.member_of]
+        start, end = self.points[self.ends[:, 0]] + arm, self.points[self.ends[:, 1]] + arm
+        along = end - start
+        return Lines(start, end, along, np.einsum("ij,ij->i", along, along))
+
+    @cached_property
+    def _elements_of(self) -> dict[str | None, np.ndarray]:
+        """Indices of the elements of every body and group that has any, and of them all under None."""
+        return indices_of([(m.body, m.group) for m in self.members], self.member_of)
 
     def _particle_carriers(self, p: np.ndarray, on: str | None) -> list[Carrier]:
         own = np.array([on is None or on in (part.body, part.group) for part in self.particles], dtype=bool)
@@ -274,6 +307,25 @@ class Frame:
             return sp.csr_array((n, n))
         elements = np.concatenate([e for e, _ in parts])
         return assemble(self.ends[elements], np.concatenate([b for _, b in parts]), n)
+
+
+def indices_of(parts: Sequence[tuple[str, str]], owner: np.ndarray) -> dict[str | None, np.ndarray]:
+    """Indices of the elements of every body and group that has any, and of them all under None.
+
+    Parameters
+    ----------
+    parts : sequence of (body, group)
+        Of every owner.
+    owner : ndarray (n_elements,) of int
+    """
+    if not len(owner):
+        return {}
+    out: dict[str | None, np.ndarray] = {None: np.arange(len(owner))}
+    for name in {name for both in parts for name in both}:
+        found = np.flatnonzero(np.array([name in both for both in parts])[owner])
+        if len(found):
+            out[name] = found
+    return out
 
 
 def known_groups(wanted: set[str], groups: Iterable[str]) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +63,11 @@ class Quads:
     centre: np.ndarray
     axes: np.ndarray
     arms: np.ndarray
+
+    @cached_property
+    def reach(self) -> np.ndarray:
+        """How far the corners lie from the centre at most, shape (n,), m."""
+        return np.asarray(np.linalg.norm(self.corners, axis=2).max(axis=1))
 
     @property
     def area(self) -> np.ndarray:

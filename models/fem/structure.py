@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.spatial import KDTree
 from calib.errors import InputError
 from calib.structure.geometry import Mesh
 from models.fem import shell, surface
-from models.fem.frame import Carrier, Frame, known_groups
+from models.fem.frame import Carrier, Frame, indices_of, known_groups
 from models.fem.nodes import MERGE, NodeTable, assemble
 from models.fem.panel import Panel
 from models.fem.spider import Spider
@@ -62,6 +63,7 @@ class Structure(Frame):
     corners: np.ndarray = field(init=False, repr=False, compare=False)
     panel_of: np.ndarray = field(init=False, repr=False, compare=False)
     _quads: shell.Quads = field(init=False, repr=False, compare=False)
+    _taken: dict[str | None, shell.Quads] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -135,11 +137,10 @@ class Structure(Frame):
 
     def _carriers(self, p: np.ndarray, on: str | None) -> list[Carrier]:
         found = super()._carriers(p, on)
-        own = np.array([on is None or on in (panel.body, panel.group) for panel in self.panels], dtype=bool)
-        chosen = np.flatnonzero(own[self.panel_of])
-        if not len(chosen):
+        chosen = self._shells_of.get(on)
+        if chosen is None:
             return found
-        quads = self._quads.some(chosen)
+        quads = self._quads_of(on)
         foot = surface.foot(quads, p)
         distance = float(np.linalg.norm(p - foot.place))
         problem = None
@@ -154,6 +155,17 @@ class Structure(Frame):
                 )
         carrier = Carrier(distance, self.corners[chosen[foot.element]], surface.motion(quads, foot, p), problem)
         return [*found, carrier]
+
+    @cached_property
+    def _shells_of(self) -> dict[str | None, np.ndarray]:
+        """Indices of the shells of every body and group that has any, and of them all under None."""
+        return indices_of([(p.body, p.group) for p in self.panels], self.panel_of)
+
+    def _quads_of(self, on: str | None) -> shell.Quads:
+        """Those shells themselves, taken out once."""
+        if on not in self._taken:
+            self._taken[on] = self._quads.some(self._shells_of[on])
+        return self._taken[on]
 
     # -- degrees of freedom and matrices -------------------------------------------------------------------------------
 

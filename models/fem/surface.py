@@ -35,9 +35,8 @@ class Foot(NamedTuple):
 
 def foot(elements: shell.Quads, point: np.ndarray) -> Foot:
     """Nearest place to a point (3,) on the projected elements."""
-    reach = np.linalg.norm(elements.corners, axis=2).max(axis=1)
     away = np.linalg.norm(elements.centre - point, axis=1)
-    near = np.flatnonzero(away - reach <= away.min() * (1 + 1e-12))
+    near = np.flatnonzero(away - elements.reach <= away.min() * (1 + 1e-12))
     corners = elements.corners[near]
     p = np.einsum("eij,ej->ei", elements.axes[near], point - elements.centre[near])
     along = np.roll(corners, -1, axis=1) - corners
