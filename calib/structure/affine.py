@@ -303,17 +303,17 @@ class AffineMatrix:
         It holds only what the parameter touches. A discrete parameter that selects a vector has none: it counts as
         fixed.
         """
-        out = sp.csr_array((self.n_dof, self.n_dof))
+        parts: list[sp.csr_array] = []
         for term in self.terms:
-            slope = term.coefficient.derivative(values, name)
+            slope = term.coefficient.derivative(values, name) if name in term.coefficient.names else 0.0
             if slope:
-                out = out + slope * term.matrix
+                parts.append(slope * term.matrix)
         for chosen in self.selected:
-            slope = chosen.coefficient.derivative(values, name)
+            slope = chosen.coefficient.derivative(values, name) if name in chosen.coefficient.names else 0.0
             if slope:
                 b = sp.csr_array(chosen.vectors[chosen.choice(values)][None])
-                out = out + slope * (b.T @ b)
-        return sp.csc_array(out)
+                parts.append(sp.csr_array(slope * (b.T @ b)))
+        return sp.csc_array(sum(parts[1:], parts[0]) if parts else (self.n_dof, self.n_dof))
 
     def digest(self) -> bytes:
         """Hash over every term, for the model's fingerprint."""

@@ -15,6 +15,7 @@ import scipy.sparse.linalg as spla
 from calib.errors import EvaluationError, InputError
 from calib.space import ParameterSpace
 from calib.structure.modes import Modes
+from calib.structure.solve import DENSE_LIMIT
 
 Matrix = Any
 """A dense ndarray or a SciPy sparse array, shape (n_dof, n_dof), symmetric; a derivative need only be multiplied."""
@@ -160,7 +161,8 @@ def eigen_derivatives(
     if len(chosen) and not (chosen.min() >= 0 and chosen.max() < modes.n_modes):
         raise InputError(f"a mode outside 0..{modes.n_modes - 1} is asked for", place="mode derivatives")
     solver = _Damped if modes.is_complex else _Undamped
-    group = solver(stiffness, damping, mass, list(slopes), modes)
+    stiffness, damping, mass = (_small_as_dense(matrix) for matrix in (stiffness, damping, mass))
+    group = solver(stiffness, damping, mass, [tuple(map(_small_as_dense, slope)) for slope in slopes], modes)
     wanted = None if rows is None else np.asarray(rows)
     without_shapes = wanted is not None and not len(wanted)
     n_rows = stiffness.shape[0] if wanted is None else len(wanted)
@@ -258,6 +260,12 @@ class _Undamped:
                 rest += np.outer(group[:, j], part[j] / (omega**2 - self.omega[near[j]] ** 2))
         own = -0.5 * np.array([phi @ (dm @ phi) for _, _, dm in self.slopes]) - border[:, 0] @ rest
         return slope, rest + np.outer(phi, own), good
+
+
+def _small_as_dense(matrix: Matrix) -> Matrix:
+    """A sparse matrix of few degrees of freedom as an array: there its products and factors cost many times less."""
+    sparse: Any = matrix if sp.issparse(matrix) else None
+    return matrix if sparse is None or sparse.shape[0] > DENSE_LIMIT else sparse.toarray()
 
 
 def _orthogonal(group: np.ndarray, weight: Matrix) -> np.ndarray:
