@@ -10,9 +10,9 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 from scipy import special
-from scipy.stats import rankdata
 
 from calib.sensitivity.partial import orthonormal, orthonormal_beyond, same_rows, table_arrays
+from calib.sensitivity.ranks import mean_ranks
 
 RELEVANT = 0.1
 """Influence below which a certain effect is still not worth a parameter: 1 % of the response's variance."""
@@ -130,7 +130,7 @@ class _Terms:
                 break
         else:
             return None
-        ranks = np.stack([2.0 * (rankdata(column) - 0.5) / n - 1.0 for column in x.T], axis=1)
+        ranks = 2.0 * (mean_ranks(x) - 0.5) / n - 1.0
         values, owners, degrees = [], [], []
         for i in range(p):
             for d in range(1, degree + 1):
@@ -174,6 +174,6 @@ def _cells(terms: _Terms, unit: frozenset[int], scores: np.ndarray, tail: float)
 
 def _normal_scores(y: np.ndarray) -> np.ndarray:
     """Van der Waerden scores of each column, centred; a constant column becomes zeros."""
-    scores = special.ndtri(np.stack([rankdata(column) / (len(column) + 1) for column in y.T], axis=1))
+    scores = special.ndtri(mean_ranks(y) / (len(y) + 1))
     scores = scores - scores.mean(axis=0)
     return np.where(np.ptp(y, axis=0) > 0, scores, 0.0)

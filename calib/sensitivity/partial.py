@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from scipy import special
 from scipy.linalg import qr
-from scipy.stats import rankdata
 
 from calib.errors import InputError
+from calib.sensitivity.ranks import mean_ranks
 
 OWN_PART = 1e-6
 """Part of a column's length outside the span of others below which rounding alone could have made it."""
@@ -140,7 +140,7 @@ def rank_blocks(points: pd.DataFrame, responses: pd.DataFrame) -> Iterator[tuple
 
 def centred_ranks(a: np.ndarray) -> np.ndarray:
     """Ranks of each column about their mean, ties by mean rank; shape as given."""
-    return np.stack([rankdata(column) for column in a.T], axis=1) - (len(a) + 1) / 2 if a.size else a
+    return mean_ranks(a) - (len(a) + 1) / 2 if a.size else a
 
 
 def orthonormal(a: np.ndarray) -> np.ndarray:

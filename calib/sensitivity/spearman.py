@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pandas as pd
 from scipy import special
-from scipy.stats import rankdata
 
 from calib.errors import InputError
+from calib.sensitivity.ranks import mean_ranks
 
 FEWEST_ROWS = 3
 """Complete rows below which a pair stays blank: two points always correlate perfectly."""
@@ -44,7 +44,7 @@ def spearman(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
             both = np.isfinite(x[:, i]) & np.isfinite(y[:, j])
             if both.sum() < FEWEST_ROWS:
                 continue
-            a, b = (rankdata(v[both]) - (both.sum() + 1) / 2 for v in (x[:, i], y[:, j]))
+            a, b = mean_ranks(np.stack([x[both, i], y[both, j]], axis=1)).T - (both.sum() + 1) / 2
             size = math.sqrt((a @ a) * (b @ b))
             if size > 0:
                 out[i, j] = min(1.0, max(-1.0, (a @ b) / size))

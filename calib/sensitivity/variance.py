@@ -7,9 +7,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from SALib.analyze import sobol as sobol_analysis
-from SALib.sample import morris as morris_sampling
-from SALib.sample import sobol as sobol_sampling
 
 from calib.errors import InputError
 from calib.space import ParameterSpace
@@ -68,6 +65,8 @@ def morris_design(
             place="Morris",
             remedy="ask for at least 2 trajectories and an even number of levels",
         )
+    from SALib.sample import morris as morris_sampling  # slow to import, and hardly any command asks it
+
     unit = morris_sampling.sample(_problem(space), trajectories, num_levels=levels, seed=seed)
     span = np.where(space.integer, space.upper - space.lower, 1.0)
     unit = np.where(space.integer, np.round(unit * span) / span, unit)
@@ -142,6 +141,8 @@ def sobol_design(space: ParameterSpace, base: int, seed: int, ignore_constraints
     note = _independent(space, "variance shares (Sobol)", ignore_constraints)
     if base < 2 or base & (base - 1):
         raise InputError(f"{base} base points are asked", place="Sobol", remedy="ask for a power of 2, such as 512")
+    from SALib.sample import sobol as sobol_sampling  # slow to import, and hardly any command asks it
+
     unit = sobol_sampling.sample(_problem(space), base, calc_second_order=False, seed=seed)
     points = space.from_unit(unit)
     return Design("sobol", space.free_names, points, (points - space.lower) / (space.upper - space.lower), note)
@@ -180,6 +181,8 @@ def sobol_shares(design: Design, responses: pd.DataFrame, seed: int = 0) -> pd.D
             place="Sobol",
             remedy="narrow the limits to where the model can be evaluated, leave that response out, or use Morris",
         )
+    from SALib.analyze import sobol as sobol_analysis  # slow to import, and hardly any command asks it
+
     problem = {"num_vars": len(design.names), "names": list(design.names), "bounds": [[0.0, 1.0]] * len(design.names)}
     out = []
     for j, response in enumerate(responses.columns):
