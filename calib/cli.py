@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from threadpoolctl import threadpool_limits
 
 from calib import __version__, console, interrupt, progress
 from calib.errors import InputError
@@ -34,6 +33,7 @@ from calib.results import Results
 from calib.settings import possible_path
 from calib.settings import schema as settings_schema
 from calib.study import Study, StudyFile, shell_argument
+from calib.threads import one_thread
 from calib.written import is_own, noting_kept
 
 app = typer.Typer(
@@ -413,7 +413,7 @@ def answer(arguments: list[str]) -> int:
     try:
         with noting_kept() as kept:
             try:
-                with threadpool_limits(1):  # the matrices are small: several threads of one product wait for each other
+                with one_thread():  # the matrices are small: several threads of one product wait for each other
                     app(args=arguments, prog_name="calib")
             finally:
                 interrupt.answered()

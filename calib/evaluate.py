@@ -14,11 +14,10 @@ from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
 from typing import Protocol
 
-from threadpoolctl import threadpool_limits
-
 from calib import interrupt, worker
 from calib.errors import InputError
 from calib.outcome import TOOK_TOO_LONG, WORKER_DIED, Function, Outcome, attempt
+from calib.threads import one_thread
 from calib.worker import Source
 
 Arrived = Callable[[Outcome], None]
@@ -135,7 +134,7 @@ class Evaluator:
             self._function = self.source()
         outcomes = []
         # Sums of multi-threaded libraries depend on the number of threads.
-        with threadpool_limits(1):
+        with one_thread():
             for values in points:
                 outcomes.append(attempt(self._function, values))
                 arrived(outcomes[-1])

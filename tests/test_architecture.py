@@ -7,7 +7,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
-    {"errors", "interrupt", "written", "neighbours"},
+    {"errors", "interrupt", "written", "neighbours", "threads"},
     {"given", "mac", "freedom", "outcome", "table", "fingerprint"},
     {"space"},
     {"effect", "differences", "measurement", "sampling", "worker", "named_values"},
