@@ -61,12 +61,35 @@ def insert(folder, before, line):
     path.write_text(path.read_text().replace(before, line + before, 1))
 
 
+def write_both(home):
+    """Phase one finds a = 2.3 and b = 1.2; phase two holds them and finds c = 1.5."""
+    write(home / "one", "One", ["a", "b"], (("p", 3.5), ("q", 1.1)))
+    write(home / "two", "Two", ["c"], (("r", 3.45), ("s", 2.7)), ADOPTED)
+
+
 @pytest.fixture
 def phases(tmp_path, monkeypatch):
-    """Phase one finds a = 2.3 and b = 1.2; phase two holds them and finds c = 1.5."""
+    """Both studies in the current folder."""
     monkeypatch.chdir(tmp_path)
-    write(Path("one"), "One", ["a", "b"], (("p", 3.5), ("q", 1.1)))
-    return write(Path("two"), "Two", ["c"], (("r", 3.45), ("s", 2.7)), ADOPTED)
+    write_both(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def calibrated(functions_in_this_process, tmp_path_factory):
+    """A folder in which phase one was calibrated."""
+    home = tmp_path_factory.mktemp("calibrated")
+    write_both(home)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(home)
+        patch.setattr(cli, "draw_all", lambda *a: [])
+        assert cli.answer(["calibrate", "one"]) == 0
+    return home
+
+
+@pytest.fixture
+def found(phases, calibrated):
+    """Both studies in the current folder, and what phase one has found there."""
+    shutil.copytree(calibrated / "results", "results")
 
 
 def test_the_earlier_study_runs_first_and_its_values_are_held(phases, capsys):
@@ -79,8 +102,7 @@ def test_the_earlier_study_runs_first_and_its_values_are_held(phases, capsys):
     assert study.search_space.free_names == ("c",) and study.sensitivity_space.free_names == ("c",)
 
 
-def test_values_in_another_unit_are_refused(phases, capsys):
-    assert cli.answer(["calibrate", "one"]) == 0
+def test_values_in_another_unit_are_refused(found, capsys):
     table, model = Path("results/one/parameters.csv"), Path("two/model.py")
     told = pd.read_csv(table)
     told.assign(unit=told["unit"].where(told["parameter"] != "a", "kg")).to_csv(table, index=False)
@@ -105,10 +127,8 @@ def test_what_the_first_phase_does_not_know_exactly_widens_the_second(phases):
     assert found == pytest.approx(expected, rel=0.02) and found > 1.2 * scatter * np.sqrt(known)
 
 
-def test_an_answer_that_is_there_is_taken_without_a_word(phases, capsys):
-    assert cli.answer(["calibrate", "one"]) == 0
+def test_an_answer_that_is_there_is_taken_without_a_word(found, capsys):
     made = Path("results/one/summary.json").stat().st_mtime_ns
-    capsys.readouterr()
     for verb in ("compare", "calibrate"):
         assert cli.answer([verb, "two"]) == 0
         assert "comes first" not in capsys.readouterr().out
@@ -124,11 +144,9 @@ def test_an_answer_that_is_there_is_taken_without_a_word(phases, capsys):
         ("study.toml", "selection = [", 'parameters.a.search = [1.5, 3.0]\nselection = ['),
     ],
 )  # fmt: skip
-def test_an_answer_of_another_state_of_the_study_is_made_anew(phases, capsys, file, old, new):
-    assert cli.answer(["compare", "two"]) == 0
+def test_an_answer_of_another_state_of_the_study_is_made_anew(found, capsys, file, old, new):
     path = Path("one", file)
     path.write_text(path.read_text().replace(old, new))
-    capsys.readouterr()
     assert cli.answer(["compare", "two"]) == 0
     assert "One comes first" in capsys.readouterr().out
     assert cli.answer(["compare", "two"]) == 0
@@ -172,12 +190,13 @@ def test_a_quick_look_takes_the_selection_of_a_quick_sensitivity_analysis(phases
     assert found.values["a"] == pytest.approx(2.3, abs=1e-3)
 
 
-def test_worker_processes_hold_the_values_too(phases, monkeypatch):
-    monkeypatch.setattr(cli, "isolated", isolated)
+def test_worker_processes_hold_the_values_too(found, monkeypatch):
     text = Path("two/study.toml").read_text().replace('method = "gauss-newton"', "population = 6\ngenerations = 3")
     Path("two/study.toml").write_text(text)
-    assert cli.answer(["calibrate", "two", "--workers", "2"]) == 0
+    shutil.copytree("results", "again")
     assert cli.answer(["calibrate", "two", "--workers", "1", "--results", "again"]) == 0
+    monkeypatch.setattr(cli, "isolated", isolated)
+    assert cli.answer(["calibrate", "two", "--workers", "2"]) == 0
     first, second = (Path(root, "two/parameters.csv").read_bytes() for root in ("results", "again"))
     assert first == second
 
@@ -273,20 +292,17 @@ def test_an_answer_that_is_gone_is_made_anew(phases, capsys):
         ("parameters.csv", lambda text: text.replace("value", "worth")),
     ],
 )
-def test_a_damaged_answer_is_refused_and_left_as_it_is(phases, capsys, file, damage):
-    assert cli.answer(["calibrate", "one"]) == 0
+def test_a_damaged_answer_is_refused_and_left_as_it_is(found, capsys, file, damage):
     path = Path("results/one", file)
     damaged = damage(path.read_text())
     assert damaged != path.read_text()
     path.write_text(damaged)
-    capsys.readouterr()
     assert cli.answer(["compare", "two"]) == 2
     told = capsys.readouterr()
     assert file in told.err and told.err.count("\n") == 1 and path.read_text() == damaged
 
 
-def test_a_spreadsheet_may_have_saved_what_was_found(phases, capsys):
-    assert cli.answer(["calibrate", "one"]) == 0
+def test_a_spreadsheet_may_have_saved_what_was_found(found):
     before = values_found(Study.load(Path("one")), Path("results"))
     path = Path("results/one/parameters.csv")
     path.write_bytes(

@@ -1,4 +1,4 @@
-"""Damaged tables and records among results are told or refused in one sentence: some hundred of them.
+"""Damaged tables and records among results are told or refused in one sentence: some dozens of them, slowly hundreds.
 
 `tests/benchmarks/damaged_tables.py` tries ten thousand.
 """
@@ -31,12 +31,13 @@ def damaged_tables():
         sys.path.remove(str(BENCH))
 
 
-def test_damaged_tables_are_read_or_refused(damaged_tables, everything, plain, tmp_path):
+@pytest.mark.parametrize("trials", [50, pytest.param(400, marks=pytest.mark.slow)])
+def test_damaged_tables_are_read_or_refused(damaged_tables, everything, plain, tmp_path, trials):
     studies = [(home.parent.parent / home.name, home) for home in (everything, plain)]
     studies[1] = (plain.parent.parent / "chain", plain)
     bench = damaged_tables.Bench(tmp_path, *studies)
-    found = [bench.trial(number)[0] for number in range(150)]
-    assert set(found) == {"read", "refused"} and found.count("read") > 30 and found.count("refused") > 30
+    found = [bench.trial(number)[0] for number in range(trials)]
+    assert set(found) == {"read", "refused"} and min(found.count("read"), found.count("refused")) > trials / 5
 
 
 def changed(value, rng):
@@ -55,8 +56,9 @@ def reads(tell, answers, name):
     return name in vars(answers)
 
 
+@pytest.mark.parametrize("trials", [8, pytest.param(48, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["record", "summary", "explanation"])
-def test_values_of_another_kind_are_told_or_refused(folder, name):
+def test_values_of_another_kind_are_told_or_refused(folder, name, trials):
     path = folder / f"{name}.json"
     whole = json.loads(path.read_text())
     for table in ("mesh_points", "deflection_after"):  # what is drawn in space takes longest and reads no such value
@@ -64,7 +66,7 @@ def test_values_of_another_kind_are_told_or_refused(folder, name):
     readers = [tell for tell in (summary, *STORY) if reads(tell, Answers(folder, "Whole", True), name)]
     assert len(readers) > 2
     refused = 0
-    for number in range(24):
+    for number in range(trials):
         path.write_text(json.dumps(changed(whole, random.Random(f"{name} {number}"))))
         answers = Answers(folder, "Damaged", True)
         try:
@@ -73,7 +75,7 @@ def test_values_of_another_kind_are_told_or_refused(folder, name):
         except InputError as fault:
             assert path.name in str(fault) and "\n" not in str(fault)
             refused += 1
-    assert refused > 3
+    assert refused > trials / 8
 
 
 def test_a_row_that_is_there_twice_is_refused_by_its_line(folder):
