@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from calib import cli
-from calib.example import write_example
-from calib.results import Results
+from calib.results import OWNER, Results
 from calib.study import Study
 
 FOLDER = Path("results/mast")
@@ -65,37 +64,38 @@ def weak():
     return NOBODY if os.geteuid() == 0 else None
 
 
-def prepared(shared: Path, runner, user) -> dict[str, bytes]:
-    """A study whose results belong to the weak user, answered once."""
-    write_example(Path("mast"))
-    text = Path("mast/study.toml").read_text().replace("population = 30", "population = 8")
-    Path("mast/study.toml").write_text(text.replace("generations = 60", "generations = 6"))
+@pytest.fixture
+def prepared(shared: Path, calibrated, weak) -> dict[str, bytes]:
+    """The files of a study's results that belong to the weak user, answered once; something is left to be asked."""
+    home = calibrated[0]
+    shutil.copytree(home / "mast", "mast")
+    shutil.copytree(home / "results", "results")
+    (FOLDER / OWNER).unlink()  # it names a place that the weak user cannot see
+    for path in (Path("results"), *Path("results").rglob("*")):
+        if weak is not None:
+            os.chown(path, weak, weak)
     shared.chmod(0o777)
-    run = runner.fork("calibrate", "mast", "--workers", "1", user=user)
-    assert run.wait() == 0, run.err
-    text = Path("mast/study.toml").read_text().replace("seed = 2", "seed = 3")  # so that there is something to add
-    Path("mast/study.toml").write_text(text)
+    text = Path("mast/study.toml").read_text()
+    Path("mast/study.toml").write_text(text.replace("seed = 2", "seed = 3"))
     return files(FOLDER)
 
 
-def test_a_folder_that_may_not_be_written(shared, runner, weak):
-    before = prepared(shared, runner, weak)
+def test_a_folder_that_may_not_be_written(prepared, runner, weak):
     FOLDER.chmod(0o555)
     run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
     assert run.wait() == 2 and one_sentence(run.err) and "cannot be written" in run.err
-    assert files(FOLDER) == before
+    assert files(FOLDER) == prepared
     FOLDER.chmod(0o755)
     run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
     assert run.wait() == 0, run.err
 
 
-def test_a_ledger_that_may_not_be_written(shared, runner, weak):
-    before = prepared(shared, runner, weak)
+def test_a_ledger_that_may_not_be_written(prepared, runner, weak):
     LEDGER.chmod(0o444)
     run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
     assert run.wait() == 2 and one_sentence(run.err) and "ledger.sqlite: it cannot be written" in run.err
-    assert files(FOLDER)["ledger.sqlite"] == before["ledger.sqlite"]
-    assert files(FOLDER)["parameters.csv"] == before["parameters.csv"]
+    assert files(FOLDER)["ledger.sqlite"] == prepared["ledger.sqlite"]
+    assert files(FOLDER)["parameters.csv"] == prepared["parameters.csv"]
     LEDGER.chmod(0o644)
     run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
     assert run.wait() == 0, run.err
@@ -149,6 +149,13 @@ def room(disk: Path) -> int:
     return found.f_bavail * found.f_frsize
 
 
+@pytest.fixture
+def answered_there(small_disk, calibrated) -> Path:
+    """That file system with the results of the example study."""
+    shutil.copytree(calibrated[0] / "results", small_disk, dirs_exist_ok=True)
+    return small_disk
+
+
 def fill(disk: Path, leave: int) -> Path:
     ballast = disk / "ballast"
     ballast.write_bytes(b"\0" * (room(disk) - leave))
@@ -184,11 +191,9 @@ def check_full_disk(disk, runner, left, drafts, kilobytes, whole, draw):
     assert left(FOLDER) == whole
 
 
-def test_a_disk_too_full_for_a_figure(mast, small_disk, runner):
-    first = runner.fork("calibrate", "mast", "--workers", "1")
-    assert first.wait() == 0
+def test_a_disk_too_full_for_a_figure(answered_there, runner):
     before = files(FOLDER)
-    fill(small_disk, 100_000)
+    fill(answered_there, 100_000)
     run = runner.fork("report", "mast", draw=True)
     assert (
         run.wait() == 2
@@ -200,13 +205,11 @@ def test_a_disk_too_full_for_a_figure(mast, small_disk, runner):
     assert all(b.endswith(b"IEND\xaeB`\x82") for n, b in after.items() if n.endswith(".png"))
 
 
-def test_a_full_disk_leaves_earlier_results_whole(mast, small_disk, runner, rows):
-    first = runner.fork("calibrate", "mast", "--workers", "1")
-    assert first.wait() == 0
+def test_a_full_disk_leaves_earlier_results_whole(mast, answered_there, runner, rows):
     before, known = files(FOLDER), rows(LEDGER)
     text = (mast / "study.toml").read_text()
     (mast / "study.toml").write_text(text.replace("seed = 1 }", "seed = 9 }").replace("ions = 6", "ions = 40"))
-    ballast = fill(small_disk, 0)
+    ballast = fill(answered_there, 0)
     run = runner.fork("calibrate", "mast", "--workers", "1")
     assert run.wait() == 2 and one_sentence(run.err), run.err
     assert files(FOLDER) == before | {"ledger.sqlite": LEDGER.read_bytes()}
@@ -235,6 +238,11 @@ def test_a_damaged_ledger(answered, capsys, damage, words):
     assert words in told(capsys, "calibrate", "mast", "--workers", "1")
     tables = {n: b for n, b in files(FOLDER).items() if n.endswith((".csv", ".json"))}
     assert tables == {n: before[n] for n in tables}
+
+
+def test_without_its_damaged_ledger_a_study_is_answered_anew(answered, capsys):
+    LEDGER.write_bytes(b"no database at all")
+    told(capsys, "calibrate", "mast", "--workers", "1")
     LEDGER.rename("away.sqlite")
     assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
 
