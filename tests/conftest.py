@@ -16,6 +16,8 @@ import opensees_code
 import pytest
 from hypothesis import settings
 
+from calib.written import replacing
+
 # A busy machine makes any deadline fail; a submitted change must not fail by the luck of one draw.
 settings.register_profile("calib", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("calib")
@@ -63,6 +65,18 @@ def functions_in_this_process() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calib.cli.isolated", lambda study: study)
         yield
+
+
+@pytest.fixture
+def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made and their files written, but without pixels, which take longest: for tests of the files."""
+
+    def named(figure: Any, path: Path) -> Path:
+        with replacing(path) as draft:
+            draft.write_bytes(b"\x89PNG" + path.stem.encode())
+        return path
+
+    monkeypatch.setattr("calib.report.draw.save", named)
 
 
 @pytest.fixture

@@ -5,7 +5,9 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -209,11 +211,13 @@ _ASKED = {"quick": bool, "options": [str], "made_from": {"files": {ANY: str}, "s
 """Kinds of what later commands read of a question."""
 
 
-def _installed() -> dict[str, str]:
+@cache
+def _installed() -> Mapping[str, str]:
+    """Asked once: every look into the installed packages searches their folders."""
     out = {}
     for name in PACKAGES:
         try:
             out[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return out
+    return MappingProxyType(out)

@@ -175,7 +175,7 @@ def test_rows_of_the_reduced_problem_are_not_called_stale(here, capsys):
     assert "another state" not in first + again
 
 
-def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, monkeypatch, capsys):
+def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, unrendered, monkeypatch, capsys):
     told = Path("results/mast/report.html")
     assert f"one file that opens offline: {told}" in whole[1]
     first = told.read_bytes()
@@ -200,7 +200,7 @@ def test_results_go_where_they_are_told(mast):
     assert Path("out/here/mast/comparison_before.csv").exists() and not Path("results").exists()
 
 
-def test_the_measured_rig_without_shapes(here, drawn, capsys):
+def test_the_measured_rig_without_shapes(here, drawn, unrendered, capsys):
     shutil.copytree(ROOT / "studies/four_storey_rig", "rig")
     text = (
         Path("rig/study.toml").read_text().replace("[calibration]", "[calibration]\ngenerations = 6\npopulation = 12")

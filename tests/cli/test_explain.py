@@ -61,7 +61,7 @@ def test_explain_draws_a_figure_beside_every_table(explained):
         assert f"{name}.png" in out and (folder / f"results/mast/{name}.png").stat().st_size > 5000
 
 
-def test_report_draws_the_explanation_from_tables_alone(explained, here, drawn, monkeypatch, files):
+def test_report_draws_the_explanation_from_tables_alone(explained, here, drawn, unrendered, monkeypatch, files):
     shutil.copytree(explained[0], here, dirs_exist_ok=True)
     drawings = (".png", ".html", ".sha256")
     before = {p: b for p, b in files("results/mast").items() if p.suffix not in drawings}
@@ -199,7 +199,7 @@ def test_frequencies_alone_can_be_explained(here, write_study, capsys, edit, exp
 # -- without matrices --------------------------------------------------------------------------------------------------
 
 
-def test_the_chain_is_explained_twice_and_extended(here, drawn, monkeypatch, capsys, explanation, files):
+def test_the_chain_is_explained_twice_and_extended(here, drawn, unrendered, monkeypatch, capsys, explanation, files):
     truth = json.loads((ROOT / "tests/truth/five_mass_chain.json").read_text("utf-8"))
     assert cli.answer(["explain", CHAIN]) == 0
     out = capsys.readouterr().out

@@ -136,7 +136,7 @@ def test_inputs_among_the_results(sums, capsys):
 
 
 @pytest.mark.parametrize("name", ["measured.csv", "record.json", "parameters.png", "report.html"])
-def test_what_the_user_puts_among_results_is_kept(sums, capsys, monkeypatch, name):
+def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monkeypatch, name):
     if name.endswith(".png"):
         monkeypatch.setattr(cli, "draw_all", draw_all)
     if name.endswith(".html"):

@@ -32,7 +32,7 @@ def damaged_tables():
 
 
 @pytest.mark.parametrize("trials", [50, pytest.param(400, marks=pytest.mark.slow)])
-def test_damaged_tables_are_read_or_refused(damaged_tables, everything, plain, tmp_path, trials):
+def test_damaged_tables_are_read_or_refused(damaged_tables, everything, plain, unrendered, tmp_path, trials):
     studies = [(home.parent.parent / home.name, home) for home in (everything, plain)]
     studies[1] = (plain.parent.parent / "chain", plain)
     bench = damaged_tables.Bench(tmp_path, *studies)

@@ -171,7 +171,7 @@ def test_what_an_answer_that_broke_off_has_written_is_not_shown(sums, monkeypatc
     assert not stale().sentences and not stale().files
 
 
-def test_report_alone_tells_what_is_stale_and_keeps_the_tables(sums):
+def test_report_alone_tells_what_is_stale_and_keeps_the_tables(sums, unrendered):
     ask("report")
     tables = {p.name: p.read_bytes() for p in (ROOT / "sums").glob("*.csv")}
     pictures = {p.name for p in (ROOT / "sums").glob("*.png")}
@@ -221,7 +221,7 @@ def test_nothing_of_a_whole_run_is_stale(everything, tmp_path):
     assert {s.name for s in told} <= {"stale", "versions", "not-asked"}
 
 
-def test_the_report_runs_no_code_of_the_study(sums):
+def test_the_report_runs_no_code_of_the_study(sums, unrendered):
     """Whoever is sent a study with its results may look at them before trusting its code."""
     ask("report")
     before = {s.name for s in sections(answers(stale()))}
