@@ -11,6 +11,8 @@ TEST_WORKERS ?= 2
 TOGETHER := -n $(TEST_WORKERS) --dist loadgroup
 STUDIES := studies/four_storey_rig studies/bogie
 ONE_BLAS_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+# Compiled tests are kept whatever the shell says: or every process compiles all of them and all of calib anew.
+KEPT_BYTECODE := PYTHONDONTWRITEBYTECODE=
 
 .PHONY: run test test-slow lint venv venv-dev clean
 .DELETE_ON_ERROR:
@@ -43,10 +45,10 @@ run: $(VENV)/.installed
 	@echo; echo 'Figures and reports:'; find results \( -name '*.png' -o -name report.html \) -newer $(VENV)/.run-begun | sort
 
 test: $(VENV)/.installed-dev
-	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest $(TOGETHER) $(PYTEST_ARGS)
+	$(ONE_BLAS_THREAD) $(KEPT_BYTECODE) $(BIN)/python -m pytest $(TOGETHER) $(PYTEST_ARGS)
 
 test-slow: $(VENV)/.installed-dev
-	$(ONE_BLAS_THREAD) $(BIN)/python -m pytest -m slow $(TOGETHER) $(PYTEST_ARGS)
+	$(ONE_BLAS_THREAD) $(KEPT_BYTECODE) $(BIN)/python -m pytest -m slow $(TOGETHER) $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
