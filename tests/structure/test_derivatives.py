@@ -8,6 +8,7 @@ import scipy.sparse as sp
 
 from calib.errors import InputError
 from calib.space import Parameter, ParameterSpace
+from calib.structure import derivatives
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.derivatives import eigen_derivatives, eigenvalues, mode_derivatives
 from calib.structure.modes import Modes
@@ -110,10 +111,11 @@ def close(found, expected, rel):
     np.testing.assert_allclose(found / np.where(scale, scale, 1), expected / np.where(scale, scale, 1), atol=rel)
 
 
-@pytest.mark.parametrize("dense", [True, False])
+@pytest.mark.parametrize(("dense", "limit"), [(True, N), (False, N), (False, N - 1)])
 @pytest.mark.parametrize("damped", [True, False])
 @pytest.mark.parametrize("seed", [0, 1, 3])  # of seed 2 two modes are 0.06 % apart and cross within the step
-def test_every_kind_of_parameter_on_random_systems(seed, damped, dense):
+def test_every_kind_of_parameter_on_random_systems(monkeypatch, seed, damped, dense, limit):
+    monkeypatch.setattr(derivatives, "DENSE_LIMIT", limit)
     model = small(seed, damped, dense)
     values = model.space.values
     modes = model.modes(values, N)
