@@ -11,7 +11,15 @@ import numpy as np
 
 from calib.mac import mac
 from calib.measurement.average import mean_and_std, scaled
-from calib.measurement.outliers import NAMED_LEVEL, SHAPE_RESOLUTION, VALUE_LEVEL, emptied, far_values, find_outlying
+from calib.measurement.outliers import (
+    NAMED_LEVEL,
+    SHAPE_RESOLUTION,
+    VALUE_LEVEL,
+    emptied,
+    far_values,
+    find_outlying,
+    median_of_known,
+)
 
 Pooling = Literal["robust", "plain"]
 Kind = Literal["frequency", "damping", "shape", "sensor", "entry", "response"]
@@ -351,7 +359,7 @@ def _middle(stack: np.ndarray) -> np.ndarray:
     """Median over the repeats, of real and imaginary part each; NaN where no repeat has a value."""
     known = np.isfinite(stack).any(axis=0)
     filled = np.where(known, stack, 0.0)
-    return np.where(known, np.nanmedian(filled.real, axis=0) + 1j * np.nanmedian(filled.imag, axis=0), np.nan)
+    return np.where(known, median_of_known(filled.real) + 1j * median_of_known(filled.imag), np.nan)
 
 
 def _aligned(stack: np.ndarray, trusted: np.ndarray | None = None) -> np.ndarray:

@@ -157,10 +157,13 @@ def _some(blocks: np.ndarray) -> np.ndarray:
     """A value of every entry (n_groups, n_entries): the median of the real parts, and of the imaginary ones."""
     known = np.isfinite(blocks)
     filled = np.where(known.any(axis=0), blocks, 0.0)
-    middle = np.nanmedian(filled.real, axis=0)
-    if not np.iscomplexobj(blocks):
-        return np.asarray(middle)
-    return np.asarray(middle + 1j * np.nanmedian(filled.imag, axis=0))
+    middle = median_of_known(filled.real)
+    return middle + 1j * median_of_known(filled.imag) if np.iscomplexobj(blocks) else middle
+
+
+def median_of_known(table: np.ndarray) -> np.ndarray:
+    """Median over the first axis without what is NaN; where all is known it costs a tenth."""
+    return np.asarray(np.nanmedian(table, axis=0) if np.isnan(table).any() else np.median(table, axis=0))
 
 
 def _leave_one_out(values: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -217,9 +220,9 @@ def _lent(variance: np.ndarray, freedom: np.ndarray, known: np.ndarray) -> _Lent
     middle = np.full(n_groups, np.median(logs))
     middle[used] = _median_of_others(logs)
     alike = np.array(ALIKE)[:, None] / 2.0
-    within = float(np.mean(special.polygamma(1, half)))
+    within = float(np.mean(_trigamma(half)))
     # a median knows the middle of Gaussian numbers as well as 2/pi times as many do by their mean
-    spread = special.polygamma(1, alike)
+    spread = _trigamma(alike)
     doubt = spread + np.pi / 2.0 * (spread + within) / others
     borrowed = 2.0 * _inverse_trigamma(doubt)
     common = np.exp(middle + special.digamma(borrowed / 2.0) - np.log(borrowed / 2.0))
@@ -247,11 +250,16 @@ def _median_of_others(values: np.ndarray) -> np.ndarray:
     return np.asarray((ordered[low + (rank <= low)] + ordered[high + (rank <= high)]) / 2.0)
 
 
+def _trigamma(value: np.ndarray) -> np.ndarray:
+    """Second derivative of the log gamma function, as Hurwitz's zeta function (Abramowitz and Stegun 1964, 6.4.10)."""
+    return np.asarray(special.zeta(2.0, value))
+
+
 def _inverse_trigamma(value: np.ndarray) -> np.ndarray:
     """Argument at which the trigamma function has a value > 0, by Newton's method on its reciprocal (Smyth 2004)."""
     x = 0.5 + 1.0 / value
     for _ in range(50):
-        first, second = special.polygamma(1, x), special.polygamma(2, x)
+        first, second = _trigamma(x), -2.0 * special.zeta(3.0, x)
         step = first * (1.0 - first / value) / second
         x = x + step
         if np.all(np.abs(step) < 1e-8 * x):

@@ -67,7 +67,9 @@ def rediscovered(
         return off
 
     first = np.array([start[n] for n in names]) / scale
-    fit = least_squares(left, first, bounds=(low / scale, high / scale), diff_step=1e-4, x_scale="jac", ftol=1e-4, xtol=1e-3)
+    fit = least_squares(
+        left, first, bounds=(low / scale, high / scale), diff_step=1e-4, x_scale="jac", ftol=1e-4, xtol=1e-3
+    )
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
     before = residual(base, changed, mode_count).residual({}) - without
     return Rediscovery(
