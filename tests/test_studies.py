@@ -23,7 +23,7 @@ def summary(folder: Path) -> dict:
 
 
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_four_frequencies_of_the_measured_rig_are_met_within_their_scatter(tmp_path, quick):
+def test_four_frequencies_of_the_measured_rig_are_met_within_their_scatter(undrawn, tmp_path, quick):
     question = ["calibrate", str(ROOT / "studies/four_storey_rig"), "--results", str(tmp_path), "--workers", "1"]
     assert cli.answer([*question, *(["--quick"] if quick else [])]) == 0
     folder = tmp_path / "four_storey_rig" / ("quick" if quick else "")
@@ -120,7 +120,7 @@ def test_without_the_truth_every_result_is_the_same(tmp_path):
     assert tables["here"] == tables["copy"]
 
 
-def test_unknown_masses_are_reported_as_not_separable(tmp_path, capsys):
+def test_unknown_masses_are_reported_as_not_separable(undrawn, tmp_path, capsys):
     question = ["calibrate", str(ROOT / "studies/four_storey_rig_masses"), "--results", str(tmp_path)]
     assert cli.answer([*question, "--method", "gauss-newton"]) == 0
     said = capsys.readouterr().out

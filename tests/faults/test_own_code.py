@@ -179,7 +179,7 @@ def test_an_exception_in_the_only_effect(bent, capsys):
     assert "# here" in LOG.read_text()
 
 
-def test_an_exception_in_one_effect_of_several(bent, capsys):
+def test_an_exception_in_one_effect_of_several(bent, undrawn, capsys):
     folder = bent(2)
     assert cli.answer(["explain", str(folder)]) == 0
     assert fault_of(folder) in " ".join(capsys.readouterr().out.split())
