@@ -27,6 +27,8 @@ SUMMARY = {
     "mean_mac_after", "evaluations", "solved", "reused", "infeasible", "failed", "seconds", "cases",
 }  # fmt: skip
 
+GENERATIONS = 4
+
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
@@ -42,7 +44,7 @@ def small_mast(folder: Path) -> Path:
     file = folder / "mast/study.toml"
     assert cli.answer(["new", str(file.parent)]) == 0
     text = file.read_text()
-    file.write_text(text.replace("generations = 60", "generations = 8").replace("samples = 200", "samples = 20"))
+    file.write_text(text.replace("generations = 60", f"generations = {GENERATIONS}").replace("samples = 200", "samples = 20"))
     return file.parent
 
 
@@ -81,7 +83,7 @@ def test_run_answers_everything_with_the_documented_files(whole):
     assert summary.keys() >= SUMMARY
     assert summary["synthetic"] and summary["study"] == "mast"
     assert set(summary["cases"]) == {"A1", "A2"}
-    assert summary["evaluations"] == 2 * 30 * 8
+    assert summary["evaluations"] == 2 * 30 * GENERATIONS
     assert summary["evaluations"] == sum(summary[k] for k in ("solved", "reused", "infeasible", "failed"))
     for case in summary["cases"].values():
         assert case.keys() >= SUMMARY - {"study", "synthetic", "best_case", "cases"}
@@ -122,7 +124,7 @@ def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
         one["value"].reset_index(drop=True), both.loc[both["case"] == "A2", "value"].reset_index(drop=True)
     )
     again = json.loads(Path("results/mast/case_A2/summary.json").read_text())
-    assert again["evaluations"] == 240
+    assert again["evaluations"] == 30 * GENERATIONS
     assert Path("results/mast/quick/summary.json").exists()
 
 
