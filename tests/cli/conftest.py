@@ -79,5 +79,10 @@ def explanation() -> Callable[..., dict[str, Any]]:
 
 @pytest.fixture(scope="session")
 def files() -> Callable[[Path | str], dict[Path, bytes]]:
-    """Every file below a folder with its content."""
-    return lambda folder: {p.relative_to(folder): p.read_bytes() for p in Path(folder).rglob("*") if p.is_file()}
+    """Every file below a folder with its content, but for what Python compiled."""
+
+    def read(folder: Path | str) -> dict[Path, bytes]:
+        found = [p for p in Path(folder).rglob("*") if p.is_file() and "__pycache__" not in p.parts]
+        return {p.relative_to(folder): p.read_bytes() for p in found}
+
+    return read

@@ -44,7 +44,9 @@ def small_mast(folder: Path) -> Path:
     file = folder / "mast/study.toml"
     assert cli.answer(["new", str(file.parent)]) == 0
     text = file.read_text()
-    file.write_text(text.replace("generations = 60", f"generations = {GENERATIONS}").replace("samples = 200", "samples = 20"))
+    file.write_text(
+        text.replace("generations = 60", f"generations = {GENERATIONS}").replace("samples = 200", "samples = 20")
+    )
     return file.parent
 
 
