@@ -5,13 +5,14 @@ from __future__ import annotations
 import difflib
 import hashlib
 import importlib
+import importlib.machinery
 import importlib.util
 import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any
 
 from calib.effect import Effect
@@ -187,13 +188,22 @@ def _mismatch(build: Callable[..., Any], options: Mapping[str, Any]) -> TypeErro
 def module_of(path: Path) -> ModuleType:
     """A file of Python that belongs to no package, run as a module; raises whatever it raises."""
     unique = f"calib_study_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
-    spec = importlib.util.spec_from_file_location(unique, path)
+    spec = importlib.util.spec_from_file_location(unique, path, loader=_FromSource(unique, str(path)))
     if spec is None or spec.loader is None:
         raise InputError("it cannot be loaded", place=path, remedy="give a file that ends in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[unique] = module
     spec.loader.exec_module(module)
     return module
+
+
+class _FromSource(importlib.machinery.SourceFileLoader):
+    """Compiles anew what it runs: kept bytecode is told from its source by second and size, which an edit may keep."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        """Code of the file as it is now."""
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
 
 
 _NEIGHBOURS = Neighbours(module_of)
