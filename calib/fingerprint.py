@@ -121,6 +121,8 @@ class _Walk:
             yield from self.parts(thing.__wrapped__)
             return
         state = getattr(thing, "__dict__", None)
+        if isinstance(state, dict):
+            state = {name: value for name, value in state.items() if not _is_kept(type(thing), name)}
         if state is None:
             try:
                 state = thing.__reduce_ex__(2)[1:3]
@@ -140,6 +142,11 @@ class _Walk:
             except OSError:
                 self._files[path] = b""
         return self._files[path]
+
+
+def _is_kept(kind: type, name: str) -> bool:
+    """Whether an attribute is what a cached property has kept: it follows from the others and may be there or not."""
+    return any(isinstance(vars(own).get(name), functools.cached_property) for own in kind.__mro__)
 
 
 def _name(kind: type) -> bytes:

@@ -9,6 +9,7 @@ from calib import cli
 from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.study import Study
+from models.railway import bogie_on_rig
 
 MODEL = """
 from functools import partial
@@ -139,6 +140,14 @@ def test_what_cannot_be_looked_into_and_what_holds_itself():
     with open(os.devnull) as stream:
         assert digest_of(stream, loop) == digest_of(stream, loop) != digest_of(stream, [1.0])
     assert digest_of({1, 2}) != digest_of({1, 3}) and digest_of((1, 2)) != digest_of([1, 2])
+
+
+def test_what_an_object_has_kept_of_its_answers_is_no_part_of_what_it_is():
+    rig = bogie_on_rig(0.3)
+    told = digest_of(rig)
+    rig.locator.row((0.0, 0.5, 0.0), 1)
+    assert "_known" in vars(rig.locator.frame)
+    assert digest_of(rig) == told != digest_of(bogie_on_rig(0.25))
 
 
 # -- stored points, asked anew -----------------------------------------------------------------------------------------

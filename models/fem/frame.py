@@ -64,7 +64,6 @@ class Frame:
     ends: np.ndarray = field(init=False, repr=False, compare=False)
     member_of: np.ndarray = field(init=False, repr=False, compare=False)
     particle_nodes: np.ndarray = field(init=False, repr=False, compare=False)
-    _known: dict[Place, Carrier] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         table = NodeTable()
@@ -180,6 +179,11 @@ class Frame:
         at_axis = r6.T @ local @ beam.transformation(rotation, arms)[0]
         at_axis[:3] += beam.arm_matrix(p - foot[k]) @ at_axis[3:]
         return [*found, Carrier(float(distance[k]), self.ends[e], at_axis)]
+
+    @cached_property
+    def _known(self) -> dict[Place, Carrier]:
+        """What carries the points that were asked for."""
+        return {}
 
     @cached_property
     def _lines(self) -> Lines:

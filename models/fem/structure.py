@@ -63,7 +63,6 @@ class Structure(Frame):
     corners: np.ndarray = field(init=False, repr=False, compare=False)
     panel_of: np.ndarray = field(init=False, repr=False, compare=False)
     _quads: shell.Quads = field(init=False, repr=False, compare=False)
-    _taken: dict[str | None, shell.Quads] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -160,6 +159,11 @@ class Structure(Frame):
     def _shells_of(self) -> dict[str | None, np.ndarray]:
         """Indices of the shells of every body and group that has any, and of them all under None."""
         return indices_of([(p.body, p.group) for p in self.panels], self.panel_of)
+
+    @cached_property
+    def _taken(self) -> dict[str | None, shell.Quads]:
+        """Shells of the parts that were asked for."""
+        return {}
 
     def _quads_of(self, on: str | None) -> shell.Quads:
         """Those shells themselves, taken out once."""
