@@ -1,4 +1,7 @@
-"""A genetic algorithm with generational replacement and one elite, by asking and telling."""
+"""A genetic algorithm with generational replacement and an elite, by asking and telling.
+
+The loop is pymoo's; what is particular here are operators that it is given.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pymoo.algorithms.base.genetic import GeneticAlgorithm
-from pymoo.algorithms.soo.nonconvex.ga import comp_by_cv_and_fitness
-from pymoo.core.duplicate import DuplicateElimination, NoDuplicateElimination
+from pymoo.algorithms.soo.nonconvex.ga import GA, comp_by_cv_and_fitness
+from pymoo.core.duplicate import DuplicateElimination
+from pymoo.core.evaluator import Evaluator
 from pymoo.core.mating import Mating
 from pymoo.core.mutation import Mutation
 from pymoo.core.population import Population
 from pymoo.core.problem import Problem
+from pymoo.core.survival import Survival
 from pymoo.operators.crossover.ux import UniformCrossover
 from pymoo.operators.selection.tournament import TournamentSelection
+from pymoo.problems.static import StaticProblem
 
 from calib.errors import InputError
 from calib.space import ParameterSpace
@@ -110,17 +115,30 @@ class GeneticSearch:
             raise InputError("a whole-number parameter starts at a fraction", place="genetic algorithm")
         self.settings = settings
         # Limits only: pymoo never evaluates anything here.
-        problem = Problem(n_var=len(space.free), n_obj=1, n_ieq_constr=1, xl=space.lower, xu=space.upper)
+        self._problem = Problem(n_var=len(space.free), n_obj=1, n_ieq_constr=1, xl=space.lower, xu=space.upper)
         # Another stream than that of a sampler given the same seed, whose numbers would otherwise come again here.
         stream = np.random.SeedSequence(seed, spawn_key=(1,))
-        self._algorithm = _Generational(settings, start, space.integer, seed=stream)
-        self._algorithm.setup(problem)
+        self._algorithm = GA(
+            pop_size=settings.population,
+            sampling=start,
+            mating=_FilledMating(
+                TournamentSelection(func_comp=comp_by_cv_and_fitness),
+                UniformCrossover(prob=settings.crossover),
+                _ShrinkingGaussian(settings, space.integer),
+                eliminate_duplicates=_AmongChildren(),
+                n_max_iterations=20,
+            ),
+            survival=_ChildrenAndElite(settings.elites),
+            # The initial population stays as it is given, with individuals that occur twice.
+            eliminate_duplicates=False,
+        )
+        self._algorithm.setup(self._problem, termination=("n_gen", settings.generations), seed=stream)
         self._asked: Population | None = None
 
     @property
     def generation(self) -> int:
         """Number of the generation asked or to be asked next, from 1; the last one when done."""
-        return min(self._algorithm.n_iter or 1, self.settings.generations)
+        return min(self._algorithm.n_gen or 1, self.settings.generations)
 
     @property
     def done(self) -> bool:
@@ -155,49 +173,24 @@ class GeneticSearch:
         if not (np.all(violation >= 0) and np.all(np.isfinite(misfit[feasible]))):
             raise ValueError("a violation is negative or NaN, or the misfit of a feasible individual is not finite")
         # NaN would tie at random in a tournament.
-        self._asked.set("F", np.where(feasible, misfit, np.inf)[:, None])
-        self._asked.set("G", violation[:, None])
+        told = StaticProblem(self._problem, F=np.where(feasible, misfit, np.inf)[:, None], G=violation[:, None])
+        Evaluator().eval(told, self._asked)
         self._algorithm.tell(infills=self._asked)
         self._asked = None
 
 
-class _Generational(GeneticAlgorithm):
-    """pymoo's loop of tournament, crossover and mutation, with replacement of the whole generation but its elite."""
+class _ChildrenAndElite(Survival):
+    """The best of the parents and all children but the worst ones, whose places they take."""
 
-    pop: Any
+    def __init__(self, elites: int):
+        super().__init__(filter_infeasible=False)  # feasibility is ranked here
+        self.elites = elites
 
-    def __init__(self, settings: GeneticSettings, initial: np.ndarray, integer: np.ndarray, **kwargs: Any):
-        selection = TournamentSelection(func_comp=comp_by_cv_and_fitness)
-        crossover = UniformCrossover(prob=settings.crossover)
-        mutation = _ShrinkingGaussian(settings, integer)
-        self.initial = initial
-        self.elites = settings.elites
-        self.repeating = Mating(selection, crossover, mutation, eliminate_duplicates=NoDuplicateElimination())
-        super().__init__(
-            pop_size=settings.population,
-            sampling=initial,
-            mating=Mating(selection, crossover, mutation, eliminate_duplicates=_AmongChildren(), n_max_iterations=20),
-            termination=("n_gen", settings.generations),
-            **kwargs,
-        )
-
-    def _initialize_infill(self) -> Population:
-        # As given: pymoo would drop individuals that occur twice.
-        return Population.new("X", self.initial)
-
-    def _infill(self) -> Population:
-        given = {"algorithm": self, "random_state": self.random_state}
-        children = self.mating.do(self.problem, self.pop, self.pop_size, **given)
-        missing = self.pop_size - len(children)
-        if missing > 0:  # a small space of whole numbers has not enough different children
-            children = Population.merge(children, self.repeating.do(self.problem, self.pop, missing, **given))
-        return children
-
-    def _advance(self, infills: Population | None = None, **kwargs: Any) -> None:
-        assert infills is not None
-        best = self.pop[_ranking(self.pop)[: self.elites]]
-        children = infills[_ranking(infills)[: len(infills) - self.elites]]
-        self.pop = Population.merge(best, children)
+    def _do(self, problem: Problem, pop: Population, *args: Any, algorithm: Any, **kwargs: Any) -> Population:
+        new = pop.get("n_gen") == algorithm.n_gen
+        parents, children = pop[~new], pop[new]
+        best = parents[_ranking(parents)[: self.elites]]
+        return Population.merge(best, children[_ranking(children)[: len(children) - self.elites]])
 
 
 def _ranking(pop: Population) -> np.ndarray:
@@ -206,8 +199,23 @@ def _ranking(pop: Population) -> np.ndarray:
     return np.lexsort([misfit[:, 0], violation[:, 0]])
 
 
+class _FilledMating(Mating):
+    """Mating that repeats children where a small space of whole numbers has not enough different ones."""
+
+    def do(self, problem: Problem, pop: Population, n_offsprings: int, *args: Any, **kwargs: Any) -> Population:
+        children = super().do(problem, pop, n_offsprings, *args, **kwargs)
+        missing = n_offsprings - len(children)
+        if missing > 0:
+            repeating = Mating(self.selection, self.crossover, self.mutation)
+            children = Population.merge(children, repeating.do(problem, pop, missing, *args, **kwargs))
+        return children
+
+
 class _AmongChildren(DuplicateElimination):
-    """Drops children equal to an earlier child; one equal to a parent may live, as it costs no evaluation."""
+    """Drops children equal to an earlier child; one equal to a parent may live, as it costs no evaluation.
+
+    pymoo's own keep the last of equal ones, and compare with the parents too.
+    """
 
     def do(self, pop: Population, *others: Population, **kwargs: Any) -> Population:
         earlier = others[1] if len(others) > 1 else ()
@@ -241,7 +249,7 @@ class _ShrinkingGaussian(Mutation):
         random_state: np.random.Generator,
         **kwargs: Any,
     ) -> np.ndarray:
-        sigma = self.settings.sigma(algorithm.n_iter)
+        sigma = self.settings.sigma(algorithm.n_gen)
         chosen = random_state.random(x.shape) < self.settings.mutation
         step = sigma * (problem.xu - problem.xl) * random_state.standard_normal(x.shape)
         moved = reflect(x + step, problem.xl, problem.xu)

@@ -1,11 +1,21 @@
+import inspect
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pymoo.algorithms.soo.nonconvex.ga import comp_by_cv_and_fitness
+from pymoo.core.algorithm import Algorithm
+from pymoo.core.population import Population
+from pymoo.core.problem import Problem
+from pymoo.operators.crossover.ux import UniformCrossover
+from pymoo.operators.selection.tournament import TournamentSelection
 
 from calib.errors import InputError
 from calib.sampling import sample
 from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.updating import genetic
+from calib.updating.cases import scaled_violation
 from calib.updating.genetic import GeneticSearch, GeneticSettings, reflect
 
 
@@ -103,6 +113,94 @@ def test_only_the_elite_survives():
             expected = np.vstack([elite, x[np.argsort(bowl(x), kind="stable")[:-1]]])
             np.testing.assert_array_equal(np.sort(now, axis=0), np.sort(expected, axis=0))
         before = now
+
+
+def test_elites_take_the_places_of_as_many_worst_children():
+    settings = GeneticSettings(population=9, generations=5, elites=3, substitutes=3)
+    search = GeneticSearch(box(2), settings, np.random.default_rng(2).random((9, 2)), 1)
+    before = None
+    while not search.done:
+        x = search.ask()
+        search.tell(bowl(x), np.zeros(9))
+        now = search._algorithm.pop.get("F")[:, 0]
+        if before is not None:
+            np.testing.assert_array_equal(np.sort(now), np.sort([*np.sort(before)[:3], *np.sort(bowl(x))[:6]]))
+        before = now
+
+
+# -- the same, written out ---------------------------------------------------------------------------------------------
+
+
+def written_out(space, settings, seed, misfit, violation, initial):
+    """All populations of the search, its loop written out around pymoo's selection and crossover."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    problem = Problem(n_var=len(space.free), n_obj=1, n_ieq_constr=1, xl=space.lower, xu=space.upper)
+    select, cross = TournamentSelection(func_comp=comp_by_cv_and_fitness), UniformCrossover(prob=settings.crossover)
+
+    def mated(parents, count, sigma):
+        pairs = select(problem, parents, -(-count // 2), 2, random_state=rng)
+        x = cross(problem, pairs, random_state=rng).get("X")
+        chosen, step = rng.random(x.shape) < settings.mutation, rng.standard_normal(x.shape)
+        rng.random(len(x))  # pymoo's chance of an individual, which is 1
+        moved = reflect(x + sigma * (space.upper - space.lower) * step, space.lower, space.upper)
+        return np.where(chosen, np.where(space.integer, np.round(moved), moved), x)
+
+    def ranked(x):
+        broken = violation(x)
+        return x[np.lexsort([np.where(broken == 0, misfit(x), np.inf), broken])]
+
+    asked, pool = [np.array(initial, dtype=float)], np.array(initial, dtype=float)
+    for generation in range(2, settings.generations + 1):
+        parents, broken = Population.new("X", pool), violation(pool)
+        parents.set("F", np.where(broken == 0, misfit(pool), np.inf)[:, None])
+        parents.set("G", broken[:, None])
+        children, sigma = [], settings.sigma(generation)
+        for attempt in range(21):
+            missing = settings.population - len(children)
+            if missing:
+                new = mated(parents, missing, sigma)
+                if attempt < 20:  # the last ones may repeat
+                    known = {tuple(child) for child in children}
+                    new = [x for k, x in enumerate(new) if tuple(x) not in known | {tuple(y) for y in new[:k]}]
+                children += list(new)[:missing]
+        asked.append(np.array(children))
+        places = settings.population - settings.elites
+        pool = np.vstack([ranked(pool)[: settings.elites], ranked(asked[-1])[:places]])
+    return np.array(asked)
+
+
+MIXED = ParameterSpace(
+    (*(Parameter(f"p{k}", 0.5, 0.0, 1.0) for k in range(3)), Parameter("n", 1, 1, 4, integer=True)),
+    (LinearConstraint("sum", tuple((f"p{k}", 1.0) for k in range(3)), 1.4, 2.0),),
+)
+FEW = ParameterSpace((Parameter("n", 1, 1, 3, integer=True), Parameter("m", 0, 0, 1, integer=True)))
+
+
+@pytest.mark.parametrize("repeated", [False, True])
+@pytest.mark.parametrize(("space", "population"), [(box(4, -2.0, 1.0), 9), (MIXED, 12), (FEW, 10)])
+def test_populations_are_those_of_the_loop_written_out(space, population, repeated):
+    settings = GeneticSettings(population, 25, elites=2, substitutes=2, crossover=0.7, mutation=0.3)
+    initial = sample(space, population, 3).points
+    if repeated:
+        initial[1::2] = initial[0]
+
+    def tied(x):
+        return np.round(bowl(x), 1)
+
+    def violation(x):
+        failed = np.where(np.round(100 * x.sum(axis=1)) % 7 == 0, 1e12, 0.0)
+        return np.maximum(failed, scaled_violation(space, x))
+
+    expected = written_out(space, settings, 5, tied, violation, initial)
+    np.testing.assert_array_equal(play(space, settings, 5, tied, violation, initial)[0], expected)
+
+
+def test_pymoo_is_given_operators_and_no_part_of_its_loop_is_replaced():
+    own = [c for _, c in inspect.getmembers(genetic, inspect.isclass) if c.__module__ == genetic.__name__]
+    derived = [c for c in own if any(b.__module__.startswith("pymoo") for b in c.__mro__)]
+    assert len(derived) > 2 and not any(issubclass(c, Algorithm) for c in derived)
+    for one in derived:
+        assert {name for name, what in vars(one).items() if inspect.isfunction(what)} <= {"__init__", "do", "_do"}
 
 
 # -- mutation ----------------------------------------------------------------------------------------------------------
