@@ -24,19 +24,19 @@ Arrived = Callable[[Outcome], None]
 """Told every outcome as soon as it is there, in whatever order that is."""
 
 
-def _unheard(outcome: Outcome) -> None:
-    pass
+def unheard(outcome: Outcome) -> None:
+    """For outcomes that nobody waits for."""
 
 
 class BatchEvaluator(Protocol):
-    """Anything that evaluates batches; `Evaluator` is the one used outside tests."""
+    """Anything that evaluates batches: `Evaluator`, or `calib.executor.ExecutorEvaluator`."""
 
     @property
     def isolated(self) -> bool:
         """Whether points are evaluated in other processes: one that ends its process takes nothing with it."""
         ...
 
-    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = _unheard) -> list[Outcome]:
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
         """Outcomes in the order of the points, each also told to ``arrived`` as soon as it is there."""
         ...
 
@@ -95,7 +95,7 @@ class Evaluator:
         """End the worker processes."""
         self._stop(at_once=False)
 
-    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = _unheard) -> list[Outcome]:
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
         """Evaluate a batch.
 
         Parameters
@@ -170,9 +170,9 @@ class Evaluator:
                 done, waiting = done | waiting, set()
             for future in sorted(done, key=numbers.__getitem__):
                 with contextlib.suppress(BrokenProcessPool, CancelledError):
-                    known(numbers[future], _opened(future.result()))
+                    known(numbers[future], opened(future.result()))
         for k in [k for k in late if outcomes[k] is None]:
-            known(k, _failed(points[k], f"{TOOK_TOO_LONG} {self.time_limit:g} s", late[k]))
+            known(k, failed(points[k], f"{TOOK_TOO_LONG} {self.time_limit:g} s", late[k]))
         if not late and any(outcome is None for outcome in outcomes):
             self._stop(at_once=True)
             late = self._died(points, outcomes, known)
@@ -202,10 +202,10 @@ class Evaluator:
         seen = {} if board is None else {k: s for k, s in board.late(0.0).items() if outcomes[k] is None}
         if len(seen) == 1:
             for k, seconds in seen.items():
-                known(k, _failed(points[k], WORKER_DIED, seconds))
+                known(k, failed(points[k], WORKER_DIED, seconds))
         else:
             for k in seen:
-                known(k, self._alone(points[k], _unheard))
+                known(k, self._alone(points[k], unheard))
         return seen
 
     def _patience(self) -> float | None:
@@ -230,7 +230,7 @@ class Evaluator:
         outcomes: list[Outcome | None] = [None]
         self._round([values], outcomes, arrived)
         if (outcome := outcomes[0]) is None:
-            outcome = _failed(values, WORKER_DIED, time.perf_counter() - started)
+            outcome = failed(values, WORKER_DIED, time.perf_counter() - started)
             arrived(outcome)
         return outcome
 
@@ -262,11 +262,13 @@ class Evaluator:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _failed(values: Mapping[str, float], error: str, seconds: float) -> Outcome:
-    return Outcome({str(name): float(value) for name, value in values.items()}, "failed", {}, error, seconds)
+def failed(values: Mapping[str, float], error: str, seconds: float = 0.0, trace: str = "") -> Outcome:
+    """The outcome of a point that was not evaluated to its end."""
+    return Outcome({str(name): float(value) for name, value in values.items()}, "failed", {}, error, seconds, trace)
 
 
-def _opened(answer: Outcome | Exception) -> Outcome:
+def opened(answer: Outcome | Exception) -> Outcome:
+    """The outcome that a task has returned; raises the fault of the set-up that it has returned instead."""
     if isinstance(answer, Exception):
         raise answer
     return answer

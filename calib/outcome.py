@@ -51,7 +51,7 @@ class Outcome:
     @property
     def transient(self) -> bool:
         """Whether the failure is one of the machine, so that another try may succeed."""
-        return self.error in (WORKER_DIED, OUT_OF_MEMORY) or self.error.startswith(TOOK_TOO_LONG)
+        return self.error == OUT_OF_MEMORY or self.error.startswith((WORKER_DIED, TOOK_TOO_LONG))
 
 
 def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
@@ -73,7 +73,7 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
     error = trace = ""
     started = time.perf_counter()
     try:
-        with _directory_kept():
+        with directory_kept():
             answer = function(dict(given))
         responses = {str(name): float(value) for name, value in answer.items()}
         error = next((f"the response {n!r} is {v}" for n, v in responses.items() if math.isinf(v)), "")
@@ -142,7 +142,7 @@ _TRACE = 10_000
 
 
 @contextlib.contextmanager
-def _directory_kept() -> Iterator[None]:
+def directory_kept() -> Iterator[None]:
     """A model may leave for another directory, where nothing relative would be found."""
     try:
         before = os.getcwd()

@@ -1,18 +1,20 @@
-"""A worker process of an evaluator: how it starts, what it does, and how its parent sees what it is working on."""
+"""What works on points: a worker process of the own pool and how its parent sees it, or wherever an executor works."""
 
 from __future__ import annotations
 
 import contextlib
 import multiprocessing
 import os
+import platform
 import signal
 import threading
 import time
 import traceback
+import uuid
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing.context import SpawnContext
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from calib.errors import InputError
 from calib.outcome import Function, Outcome, attempt
@@ -46,6 +48,19 @@ def environment() -> Iterator[None]:
                 os.environ[name] = value
         if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def built(source: Source) -> Function:
+    """The function of a source; InputError where the set-up is wrong, RuntimeError for every other fault."""
+    try:
+        return source()
+    except InputError:
+        raise
+    except Exception as fault:
+        # An exception of the user's own class may not survive the way back.
+        told = RuntimeError(f"the model cannot be built in a worker: {type(fault).__name__}: {fault}")
+        told.add_note(traceback.format_exc())
+        raise told from None
 
 
 class Board:
@@ -92,13 +107,9 @@ def start(source: Source, board: Board) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     try:
-        _Worker.function = source()
-    except InputError as fault:
+        _Worker.function = built(source)
+    except (InputError, RuntimeError) as fault:
         _Worker.fault = fault
-    except Exception as fault:
-        # An exception of the user's own class may not survive the way back.
-        _Worker.fault = RuntimeError(f"the model cannot be built in a worker: {type(fault).__name__}: {fault}")
-        _Worker.fault.add_note(traceback.format_exc())
     _Worker.limits = threadpool_limits(1)
     _Worker.board, _Worker.place = board, board.take_place()
 
@@ -128,3 +139,65 @@ def work(number: int, values: Mapping[str, float]) -> Outcome | Exception:
         return fault
     finally:
         _Worker.board.clear(_Worker.place)
+
+
+# -- wherever an executor works ----------------------------------------------------------------------------------------
+
+
+class Sent:
+    """A source on its way to wherever an executor works; in each process there its function is built once."""
+
+    def __init__(self, source: Source):
+        self.source = source
+        self.name = uuid.uuid4().hex
+        self.home = _process()
+
+    def function(self) -> Function:
+        """The function of the source, as `built`; another process than where it was sent from then keeps to one thread.
+
+        In its own process `calib.executor.ExecutorEvaluator` sets that, and puts it back: the number of threads belongs
+        to the process, and of several tasks at once each would put back what it found.
+        """
+        with _Built.lock:
+            if self.name not in _Built.functions:
+                function = built(self.source)
+                if _process() != self.home:
+                    _Built.limits = threadpool_limits(1)
+                # Of OpenMP every thread has a number of its own.
+                _Built.openmp = ThreadpoolController().select(user_api="openmp")
+                while len(_Built.functions) >= _KEPT:
+                    del _Built.functions[next(iter(_Built.functions))]
+                _Built.functions[self.name] = function
+            return _Built.functions[self.name]
+
+    def forget(self) -> None:
+        """Let go of the function in this process."""
+        with _Built.lock:
+            _Built.functions.pop(self.name, None)
+
+
+_KEPT = 4
+"""Functions that a process keeps; several evaluators may share an executor."""
+
+
+class _Built:
+    """What this process has built of what was sent."""
+
+    lock = threading.Lock()
+    functions: dict[str, Function] = {}  # noqa: RUF012
+    limits: object = None
+    openmp: ThreadpoolController
+
+
+def _process() -> tuple[str, int]:
+    return platform.node(), os.getpid()
+
+
+def work_anywhere(sent: Sent, values: Mapping[str, float]) -> Outcome | Exception:
+    """The task of one point in whatever process or thread; a wrong set-up is returned, not raised."""
+    try:
+        function = sent.function()
+        with _Built.openmp.limit(limits=1):
+            return attempt(function, values)
+    except (InputError, RuntimeError) as fault:
+        return fault

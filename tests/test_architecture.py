@@ -14,7 +14,7 @@ RANKS = (
     {"structure"},
     {"function", "correlation"},
     {"settings", "evaluate", "results", "problem"},
-    {"joint", "limits", "ledger", "loading"},
+    {"joint", "limits", "ledger", "loading", "executor"},
     {"study"},
     {"sensitivity", "updating"},
     {"missing"},

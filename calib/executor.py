@@ -1,0 +1,203 @@
+"""Points evaluated by an executor that the user gives: threads, processes, or a cluster's client."""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import queue
+from collections.abc import Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future
+from dataclasses import dataclass
+from types import TracebackType
+
+from threadpoolctl import threadpool_limits
+
+from calib import worker
+from calib.errors import InputError
+from calib.evaluate import Arrived, failed, opened, unheard
+from calib.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, told
+from calib.worker import Source
+
+_Task = Future[Outcome | Exception]
+
+
+@dataclass(frozen=True)
+class Injected:
+    """An executor with what it supports; nothing by default, since `concurrent.futures` promises none of it.
+
+    Attributes
+    ----------
+    executor : concurrent.futures.Executor
+        It stays the giver's, who shuts it down.
+    time_limit : float or None
+        Seconds after which it ends a task by itself, whose future then raises `TimeoutError`; None where it ends none.
+    isolated : bool
+        Whether a task that ends its process takes no other task with it, and the executor goes on.
+
+    Raises
+    ------
+    InputError
+        For what is no executor, and a limit that is not positive.
+    """
+
+    executor: Executor
+    time_limit: float | None = None
+    isolated: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.executor, Executor):
+            raise InputError(
+                f"it is of type {type(self.executor).__name__}", place="executor",
+                remedy="give one of concurrent.futures, or the one that your cluster's client has",
+            )  # fmt: skip
+        if self.time_limit is not None and not self.time_limit > 0:
+            raise InputError(
+                f"it ends tasks after {self.time_limit:g} s", place="executor",
+                remedy="state a positive number, or none",
+            )  # fmt: skip
+
+    @staticmethod
+    def of(given: Executor | Injected) -> Injected:
+        """What is given, a bare executor as one that supports nothing beyond `concurrent.futures`."""
+        return given if isinstance(given, Injected) else Injected(given)
+
+
+class ExecutorEvaluator:
+    """Evaluates batches of points by an executor that is given; answers are those of `calib.evaluate.Evaluator`.
+
+    Every point is a task of its own and answers come in the order asked, in whatever order tasks end. Numerical
+    libraries use one thread: in this process until the batch is there, in others from their first task on. Threads
+    share their process: a function must not change what its other calls see, such as the working directory.
+
+    Parameters
+    ----------
+    source : callable
+        Builds the evaluation function, once in every process. It goes along with every task; an executor with other
+        processes must be able to pickle it.
+    executor : concurrent.futures.Executor or Injected
+    time_limit : float, optional
+        Seconds after which a point is to be given up.
+    isolated : bool
+        Whether a point that kills its process must be survived.
+
+    Raises
+    ------
+    InputError
+        For a time limit or an isolation that the executor is not stated to support.
+    """
+
+    def __init__(
+        self, source: Source, executor: Executor | Injected, time_limit: float | None = None, isolated: bool = False
+    ):
+        self._injected = Injected.of(executor)
+        self._sent = worker.Sent(source)
+        own = self._injected.time_limit
+        if time_limit is not None and own != time_limit:
+            does = "is not stated to end any" if own is None else f"ends them after {own:g} s"
+            raise InputError(
+                f"a point is allowed {time_limit:g} s, and the executor {does}", place="time limit",
+                remedy="leave it out, or state by calib.executor.Injected what limit the executor keeps",
+            )  # fmt: skip
+        if isolated and not self._injected.isolated:
+            raise InputError(
+                "a point that kills its process must be survived, and the executor is not stated to do so",
+                place="isolation",
+                remedy="leave it out, or state by calib.executor.Injected that the executor does",
+            )
+
+    @property
+    def isolated(self) -> bool:
+        """Whether a point that ends its process takes nothing with it, as the executor states."""
+        return self._injected.isolated
+
+    def __enter__(self) -> ExecutorEvaluator:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the function; the executor goes on."""
+        self._sent.forget()
+
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
+        """Evaluate a batch.
+
+        Parameters
+        ----------
+        points : sequence of mapping
+            Named values.
+        arrived : callable
+            Told every outcome as soon as it is there, in this thread.
+
+        Returns
+        -------
+        list of Outcome
+            In the order given. A point whose worker died, that the executor refused, cancelled or lost has failed.
+
+        Raises
+        ------
+        InputError
+            The set-up is wrong, or cannot be sent to other processes. As with every exception that leaves here, tasks
+            that wait are cancelled; those under way cannot be ended.
+        """
+        outcomes: dict[int, Outcome] = {}
+        numbers: dict[_Task, int] = {}
+        ended: queue.SimpleQueue[_Task] = queue.SimpleQueue()
+
+        def known(k: int, outcome: Outcome) -> None:
+            outcomes[k] = outcome
+            arrived(outcome)
+
+        try:
+            # For threads of this process, which share both.
+            with threadpool_limits(1), directory_kept():
+                for k, values in enumerate(points):
+                    try:
+                        future: _Task = self._injected.executor.submit(worker.work_anywhere, self._sent, dict(values))
+                    except Exception as fault:
+                        known(k, self._lost(values, fault))
+                        continue
+                    numbers[future] = k
+                    future.add_done_callback(ended.put)
+                for _ in range(len(numbers)):
+                    # Waiting by a queue, which an interrupt may hit anywhere; see `Evaluator`.
+                    k = numbers[future := ended.get()]
+                    try:
+                        answer = future.result()
+                    except Exception as fault:
+                        known(k, self._lost(points[k], fault))
+                    else:
+                        known(k, opened(answer))
+        except BaseException:  # also the keyboard's
+            for future in numbers:
+                with contextlib.suppress(Exception):
+                    future.cancel()
+            raise
+        return [outcomes[k] for k in range(len(points))]
+
+    def _lost(self, values: Mapping[str, float], fault: BaseException) -> Outcome:
+        """The row of a point that the executor did not evaluate; InputError where its source cannot be sent at all."""
+        limit = self._injected.time_limit
+        if limit is not None and isinstance(fault, TimeoutError):
+            return failed(values, f"{TOOK_TOO_LONG} {limit:g} s", limit)
+        if isinstance(fault, BrokenExecutor):
+            return failed(values, WORKER_DIED, trace=told(fault))
+        unsent = isinstance(fault, pickle.PicklingError | AttributeError | TypeError)
+        if unsent and (why := _cannot_be_sent(self._sent)):
+            raise InputError(
+                f"the model cannot be sent to other processes: {why}", place="executor",
+                remedy="define its function in a module, or give a ThreadPoolExecutor",
+            )  # fmt: skip
+        return failed(values, f"{WORKER_DIED} ({told(fault)})")
+
+
+def _cannot_be_sent(sent: worker.Sent) -> str:
+    """Why something cannot be pickled; empty where it can."""
+    try:
+        pickle.dumps(sent)
+    except Exception as fault:
+        return told(fault)
+    return ""
