@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from calib.front.explained import Explained as Explained
     from calib.front.problem import Fit as Fit
     from calib.front.problem import Problem as Problem
+    from calib.front.sensitivity import Assessed as Assessed
     from calib.front.shown import Compared as Compared
     from calib.front.test import ModalTest as ModalTest
     from calib.front.test import ResponseTest as ResponseTest
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _PLACES = {
+    "Assessed": "front.sensitivity",
     "Compared": "front.shown",
     "Effect": "effect",
     "EvaluationError": "errors",

@@ -92,7 +92,7 @@ class Asked:
 
 
 class Ledger:
-    """The evaluations of one study, made with `Ledger.open`.
+    """The evaluations of one study, made with `Ledger.open` or `Ledger.in_memory`.
 
     Attributes
     ----------
@@ -146,6 +146,13 @@ class Ledger:
         except BaseException:
             database.close()
             raise
+        return ledger
+
+    @staticmethod
+    def in_memory() -> Ledger:
+        """A ledger without a file, which ends when it is closed."""
+        ledger = Ledger(Path(":memory:"), sqlite3.connect(":memory:", isolation_level=None))
+        ledger._prepare()
         return ledger
 
     def _prepare(self) -> None:

@@ -61,6 +61,18 @@ def test_a_key_is_the_point_and_nothing_else():
     assert len({key_of(v) for v in [{"a": 1.0, "b": 2.0}, *others]}) == 6
 
 
+def test_one_in_memory_remembers_until_it_is_closed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    evaluator = Counting()
+    for _ in range(2):
+        with Ledger.in_memory() as ledger:
+            for _ in range(2):
+                ledger.evaluate("f", [{"x": 1.0}], evaluator)
+            ledger.record("run", "f", 1, [Asked(key_of({"x": 1.0}), "ok", 0.5)])
+            assert ledger.history("run")["status"].tolist() == ["solved"]
+    assert evaluator.batches == [[1.0], [1.0]] and list(tmp_path.iterdir()) == []
+
+
 def test_states_of_the_model_do_not_mix(ledger):
     ledger.append("one", [ok(x=1.0), ok(x=2.0)])
     ledger.append("two", [ok(x=1.0)])

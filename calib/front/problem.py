@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 from calib.effect import Effect
 from calib.errors import InputError
+from calib.executor import Injected
 from calib.front.explained import Explained, explained
+from calib.front.responses import own
+from calib.front.search import Searched, refined, searched
+from calib.front.sensitivity import Assessed, assessed
 from calib.front.shown import Compared, Shown
 from calib.front.test import ModalTest, Model, ResponseTest, Test
 from calib.function import FunctionModel, extend_function
@@ -26,6 +31,7 @@ from calib.sampling import sample
 from calib.space import ParameterSpace
 from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
+from calib.updating.genetic import GeneticSettings
 
 
 def under(model: Model, test: Test) -> Model:
@@ -34,11 +40,6 @@ def under(model: Model, test: Test) -> Model:
         return replace(model, space=model.space.freeze(test.condition))
     except InputError as fault:
         raise InputError(fault.problem, place=f"condition of test {test.name}", remedy=fault.remedy) from None
-
-
-def own(model: Model, test: Test, values: Mapping[str, float]) -> dict[str, float]:
-    """What a model takes of the values of all tests: those it has, except what the test's condition holds."""
-    return {name: v for name, v in values.items() if name in model.space and name not in test.condition}
 
 
 REFITS = 40
@@ -195,15 +196,136 @@ class Problem:
             When no start can be evaluated.
         """
         starts, seed = whole(starts, 1, "starts"), whole(seed, 0, "seed")
-        problem = self.keep(chosen) if (chosen := names_of(parameters, "parameters")) else self
+        problem = self._of(parameters)
         space = problem.space
         drawn = sample(space, starts - 1, seed).points if starts > 1 else ()
         points = [space.values, *(space.complete(point) for point in drawn)]
         return Fit(problem, fitted(problem.posed, problem.terms, points, REFITS))
 
+    def search(
+        self,
+        parameters: Sequence[str] = (),
+        *,
+        cases: int = 3,
+        population: int = 30,
+        generations: int = 250,
+        seed: int = 1,
+        executor: Executor | Injected | None = None,
+    ) -> Fit:
+        """Fit by genetic search from several seeds, then by least squares from where these ended.
+
+        The search makes small the sum over all tests of relative frequency errors and MAC deficits, or of relative
+        errors of plain responses (Ribeiro et al. 2013). Least squares then are those of `calibrate`, from every case's
+        end and from the adopted values; these win only where the data clearly prefer them. What the searches alone have
+        found is the fit's ``search``. Models are solved as they are: only a study searches on a reduced basis.
+
+        Parameters
+        ----------
+        parameters : sequence of str
+            Those to be fitted; all free ones by default.
+        cases : int
+            Independent searches, of seeds ``seed, seed + 1, ...``; whether they agree tells whether the solution is the
+            only one.
+        population, generations : int
+            Each case asks for ``population * generations`` points; further settings are those of
+            `calib.updating.genetic.GeneticSettings`.
+        seed : int
+            Of the first case. Same seed, same fit, whatever the executor.
+        executor : concurrent.futures.Executor or calib.executor.Injected, optional
+            Evaluates the points of a generation; without one this process does. Threads suit models that are solved
+            outside Python; other processes must be able to import the model's functions. It stays yours: shut it down.
+
+        Raises
+        ------
+        InputError
+            For an unknown or a fixed parameter, and a model that the executor's processes cannot be sent.
+        EvaluationError
+            When no point of an initial population can be evaluated.
+
+        Examples
+        --------
+        The two frequencies of a chain fit two pairs of stiffnesses, of which its sag tells the right one. Least squares
+        alone stay at the pair they begin near:
+
+        >>> import numpy as np
+        >>> import calib
+        >>> space = calib.ParameterSpace((
+        ...     calib.Parameter("k1", 12.0, 1.0, 20.0, "kN/m"), calib.Parameter("k2", 2.0, 1.0, 10.0, "kN/m"),
+        ... ))
+        >>> def chain(v):
+        ...     stiffness = 1e3 * np.array([[v["k1"] + v["k2"], -v["k2"]], [-v["k2"], v["k2"]]])
+        ...     low, high = np.sqrt(np.linalg.eigvalsh(stiffness / 10.0)) / (2 * np.pi)
+        ...     return {"f1": low, "f2": high, "sag": 98.1 / v["k1"]}
+        >>> measured = calib.ResponseTest({"f1": (2.06, 0.01), "f2": (6.02, 0.03), "sag": (24.5, 2.0)})
+        >>> problem = calib.Problem(calib.FunctionModel("chain", space, chain), measured)
+        >>> round(problem.calibrate().values["k1"])
+        12
+        >>> fit = problem.search(cases=2, population=10, generations=20)
+        >>> round(fit.values["k1"]), round(fit.values["k2"])
+        (4, 6)
+        >>> fit.search.table["asked"].tolist()
+        [200, 200]
+        """
+        cases, seed = whole(cases, 1, "cases"), whole(seed, 0, "seed")
+        settings = GeneticSettings(whole(population, 4, "population"), whole(generations, 1, "generations"))
+        problem = self._of(parameters)
+        found = searched(problem, range(seed, seed + cases), settings, executor)
+        return Fit(problem, refined(problem, found), found)
+
+    def sensitivity(
+        self,
+        parameters: Sequence[str] = (),
+        *,
+        samples: int = 500,
+        seed: int = 1,
+        executor: Executor | Injected | None = None,
+    ) -> Assessed:
+        """Which parameters matter: a Latin hypercube within the limits, rank correlations, influence, a selection.
+
+        Parameters
+        ----------
+        parameters : sequence of str
+            Those to be varied; all free ones by default. The others keep their values.
+        samples : int
+            Points that keep the constraints.
+        seed : int
+            Of the points.
+        executor : concurrent.futures.Executor or calib.executor.Injected, optional
+            As of `search`.
+
+        Raises
+        ------
+        InputError
+            For an unknown or a fixed parameter, and constraints that hardly any point keeps.
+        EvaluationError
+            When no point can be evaluated.
+
+        Examples
+        --------
+        Of a beam's parameters the frequency depends on the thickness most, and on the colour not at all:
+
+        >>> import calib
+        >>> space = calib.ParameterSpace((
+        ...     calib.Parameter("thickness", 10.0, 8.0, 12.0, "mm"), calib.Parameter("length", 1.0, 0.95, 1.05, "m"),
+        ...     calib.Parameter("colour", 0.5, 0.0, 1.0),
+        ... ))
+        >>> model = calib.FunctionModel("beam", space, lambda v: {"f": 0.8 * v["thickness"] / v["length"] ** 2})
+        >>> found = calib.Problem(model, calib.ResponseTest({"f": 8.1})).sensitivity(samples=200)
+        >>> found.selected
+        ('thickness', 'length')
+        >>> float(found.spearman["f"].round(1)["thickness"])
+        0.9
+        """
+        samples, seed = whole(samples, 3, "samples"), whole(seed, 0, "seed")
+        return assessed(self._of(parameters), samples, seed, executor)
+
     def judge(self, values: Mapping[str, float]) -> Fit:
         """What the data say about the parameters at given values, nothing fitted."""
         return Fit(self, judged(self.posed, self.terms, self._complete(values)))
+
+    def _of(self, parameters: Sequence[str]) -> Problem:
+        """The problem of the named parameters; itself without any."""
+        return self.keep(chosen) if (chosen := names_of(parameters, "parameters")) else self
 
     def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
         return self.space.complete(values_of(values, "values"))
@@ -247,10 +369,13 @@ class Fit(Shown):
     problem : Problem
         With the fitted parameters free.
     judgement : Judgement
+    search : Searched or None
+        The genetic searches that led here; None without one.
     """
 
     problem: Problem
     judgement: Judgement
+    search: Searched | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -273,8 +398,9 @@ class Fit(Shown):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Whether the model fits, and what is known of each parameter."""
-        return (self.judgement.sentence, *(f"{name}: {told}" for name, told in self.parameters["sentence"].items()))
+        """Whether the model fits, what is known of each parameter, and whether searches agree."""
+        each = (f"{name}: {told}" for name, told in self.parameters["sentence"].items())
+        return (self.judgement.sentence, *each, *(self.search.sentences if self.search else ()))
 
     def __repr__(self) -> str:
         known = int(self.parameters["identified"].fillna(False).astype(bool).sum())

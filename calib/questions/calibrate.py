@@ -193,7 +193,7 @@ def calibrate(
         if study.settings.withheld.responses:
             responses = every_response(study, study.model.space.values, best.judgement.values)
             results.write_table("responses", responses)
-    failed = reasons_sentence(study, *stored_reasons(ledger, fingerprints(study, finder.home)))
+    failed = reasons_sentence(study.sensitivity_space, *stored_reasons(ledger, fingerprints(study, finder.home)))
     notes = tuple(filter(None, [*finder.notes, failed]))
     answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses, notes,
                          ledger.retried)  # fmt: skip

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TypeAlias
@@ -19,18 +19,16 @@ from calib.outcome import Outcome, answered, as_cause
 from calib.problem import Counts, Pair, Problem
 from calib.questions.compare import Answer, answer_at
 from calib.questions.explained_fit import explained_fit
-from calib.questions.judge import FitProgress, Judgement, Shared, Terms, criteria, fitted, judged, posed
+from calib.questions.judge import FitProgress, Judgement, Shared, Terms, criteria, ended, fitted, judged, posed
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.stored import confirm
 from calib.results import Results
 from calib.sampling import sample
-from calib.study import Study
+from calib.study import ForwardProblem, Study
 from calib.updating.cases import Case, CaseResult, run_case
 from calib.updating.genetic import GeneticSettings
 from calib.updating.objective import FrequencyMacObjective, ResponseObjective
-from calib.updating.region import InfeasibleError
-from calib.updating.whole_numbers import MixedResult, fit_mixed
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
 SearchProgress = Callable[[str, int, int, float], None]
@@ -87,15 +85,19 @@ class CaseFound:
 
 def objective_of(study: Study) -> Objective:
     """What the search makes small."""
-    settings = study.settings.calibration
-    if isinstance(study.problem, FunctionProblem):
-        return ResponseObjective({name: value for name, (value, _) in study.problem.targets.items()})
-    measured = study.problem.measured
+    return objective_for(study.problem, study.settings.calibration.weight_freq, study.settings.calibration.weight_mac)
+
+
+def objective_for(problem: ForwardProblem, weight_freq: float = 1.0, weight_mac: float = 1.0) -> Objective:
+    """The same of a model against its measurement."""
+    if isinstance(problem, FunctionProblem):
+        return ResponseObjective({name: value for name, (value, _) in problem.targets.items()})
+    measured = problem.measured
     return FrequencyMacObjective(
         modes=measured.names,
         natural_freq=dict(zip(measured.names, measured.natural_freq.tolist(), strict=True)),
-        weight_freq=settings.weight_freq,
-        weight_mac=settings.weight_mac,
+        weight_freq=weight_freq,
+        weight_mac=weight_mac,
         use_mac=measured.has_shapes,
     )
 
@@ -246,15 +248,10 @@ class CaseFinder:
 
     def _in_common(self, problem: Problem[Pair], refits: int) -> Shared:
         """Fits from the points that all cases share, once a basis."""
-        key, space = problem.pair.problem.fingerprint, self.study.search_space
-
-        def ended(starts: Sequence[Mapping[str, float]]) -> MixedResult | None:
-            with suppress(EvaluationError, InfeasibleError):
-                return fit_mixed(problem, space, starts, refits=refits) if starts else None
-            return None
-
+        key = problem.pair.problem.fingerprint
         if key not in self._shared:
-            self._shared[key] = Shared(adopted=ended([space.values]), known=ended(self.known))
+            adopted = ended(problem, [self.study.search_space.values], refits)
+            self._shared[key] = Shared(adopted, known=ended(problem, self.known, refits))
         return self._shared[key]
 
     def reported(

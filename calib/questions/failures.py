@@ -9,7 +9,7 @@ from typing import NamedTuple
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.stored import point_words
-from calib.study import Study
+from calib.space import ParameterSpace
 
 SHOWN = 3
 """Reasons that are told."""
@@ -44,11 +44,11 @@ def reasons(outcomes: Sequence[Outcome]) -> tuple[Reason, ...]:
     return tuple(sorted(found, key=lambda reason: -reason.points))
 
 
-def reasons_sentence(study: Study, found: Sequence[Reason], asked: int) -> str:
+def reasons_sentence(space: ParameterSpace, found: Sequence[Reason], asked: int) -> str:
     """How many of the points asked failed, and why; empty when none did."""
     if not found:
         return ""
-    told = [f"{r.points} × {r.error} (first at {point_words(study, r.first.values)})" for r in found[:SHOWN]]
+    told = [f"{r.points} × {r.error} (first at {point_words(space, r.first.values)})" for r in found[:SHOWN]]
     more = len(found) - SHOWN
     rest = f"; {more} other reason{'s' * (more > 1)} more rarely" if more > 0 else ""
     return f"{sum(r.points for r in found)} of {asked} points failed: {'; '.join(told)}{rest}."

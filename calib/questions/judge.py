@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -25,6 +26,7 @@ from calib.space import ParameterSpace
 from calib.study import ForwardProblem, Study
 from calib.updating.gauss_newton import FitResult, Prior
 from calib.updating.identify import Identification, identify, prediction_interval
+from calib.updating.region import InfeasibleError
 from calib.updating.verdicts import parameter_verdicts, whole_number_std
 from calib.updating.whole_numbers import MixedResult, fit_mixed
 
@@ -187,6 +189,13 @@ class Shared:
 
     adopted: MixedResult | None
     known: MixedResult | None
+
+
+def ended(problem: Asked, starts: Sequence[Mapping[str, float]], refits: int) -> MixedResult | None:
+    """Where least squares end from some starts; None without one, or where none can be evaluated or kept."""
+    with suppress(EvaluationError, InfeasibleError):
+        return fit_mixed(problem, problem.space, starts, refits=refits) if starts else None
+    return None
 
 
 def fitted(

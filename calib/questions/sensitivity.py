@@ -24,7 +24,7 @@ from calib.sampling import sample
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
-from calib.study import Study, shell_argument
+from calib.study import ForwardProblem, Study, shell_argument
 from calib.table import read_table
 from calib.written import is_own
 
@@ -92,10 +92,11 @@ def sensitivity(
     drawn = sample(space, count, settings.seed)
     outcomes = _evaluate(study, ledger, [space.complete(x) for x in drawn.points], workers, progress)
     x = pd.DataFrame(drawn.points, columns=list(space.free_names))
-    y = _table_of(study, outcomes)
-    failed = sum(o.status != "ok" for o in outcomes)
+    y = table_of(outcomes, sensitivity_responses(study.problem))
     forced = None if isinstance(study.settings.selection, str) else study.settings.selection
-    assessment = assess(x, y, forced)
+    why = reasons_sentence(space, reasons(outcomes), len(outcomes))
+    answer = measured(x, y, sum(o.status != "ok" for o in outcomes), drawn.acceptance, why, forced)
+    assessment = answer.assessment
     begin_answer(results, "sensitivity")
     results.write_table("sensitivity", assessment.spearman, index=True)
     results.write_table("partial", assessment.partial, index=True)
@@ -104,13 +105,31 @@ def sensitivity(
     results.write_table("sensitivity_samples", pd.concat([x, y], axis=1))
     if space.constraints:
         results.write_table("input_correlation", assessment.input_correlation, index=True)
-    complete = int((~y.isna().any(axis=1)).sum())
-    floor = noise_floor(max(complete, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
-    unpaired = int(y.isna().any(axis=1).sum()) - failed
-    why = reasons_sentence(study, reasons(outcomes), len(outcomes))
-    answer = Sensitivity(assessment, count, failed, unpaired, drawn.acceptance, floor, why)
     write_record(study, results, "sensitivity", {"samples": settings.seed}, answer.sentences, quick)
     return answer
+
+
+def measured(
+    points: pd.DataFrame,
+    responses: pd.DataFrame,
+    failed: int,
+    acceptance: float,
+    why_failed: str,
+    forced: Sequence[str] | None = None,
+) -> Sensitivity:
+    """Measures of influence from a sample; see `Sensitivity` and `calib.sensitivity.selection.assess`.
+
+    Parameters
+    ----------
+    points : DataFrame (n, n_parameters)
+    responses : DataFrame (n, n_responses)
+        Row for row with ``points``; NaN where unknown, as in the ``failed`` rows.
+    """
+    assessment = assess(points, responses, forced)
+    known = int((~responses.isna().any(axis=1)).sum())
+    floor = noise_floor(max(known, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
+    unpaired = len(points) - known - failed
+    return Sensitivity(assessment, len(points), failed, unpaired, acceptance, floor, why_failed)
 
 
 def selected_by_measures(study: Study, home: Results) -> Study:
@@ -212,7 +231,7 @@ def screen(
     else:
         design = sobol_design(space, 16 if quick else 128, seed, ignore_constraints)
     outcomes = _evaluate(study, ledger, [space.complete(x) for x in design.points], workers, progress)
-    responses = _table_of(study, outcomes)
+    responses = table_of(outcomes, sensitivity_responses(study.problem))
     table = morris_effects(design, responses) if method == "morris" else sobol_shares(design, responses)
     question = f"sensitivity --method {method}"
     begin_answer(results, question)
@@ -241,20 +260,22 @@ def _evaluate(
             progress(len(outcomes), len(points))
     if all(o.status != "ok" for o in outcomes):
         raise InputError(
-            reasons_sentence(study, reasons(outcomes), len(outcomes)),
+            reasons_sentence(study.sensitivity_space, reasons(outcomes), len(outcomes)),
             place=study.file,
             remedy="check the model over the limits of its parameters",
         )
     return outcomes
 
 
-def _table_of(study: Study, outcomes: Sequence[Outcome]) -> pd.DataFrame:
-    names = _sensitivity_responses(study)
-    return pd.DataFrame([{n: o.responses.get(n, np.nan) for n in names} for o in outcomes], columns=names).astype(float)
+def table_of(outcomes: Sequence[Outcome], names: Sequence[str]) -> pd.DataFrame:
+    """Named responses, one row a point, NaN where there is none."""
+    rows = [[o.responses.get(name, np.nan) for name in names] for o in outcomes]
+    return pd.DataFrame(rows, columns=list(names)).astype(float)
 
 
-def _sensitivity_responses(study: Study) -> list[str]:
-    if isinstance(study.problem, FunctionProblem):
-        return list(study.problem.targets)
-    kinds = ("natural_freq", "mac") if study.problem.measured.has_shapes else ("natural_freq",)
-    return [f"{kind}_{mode}" for kind in kinds for mode in study.problem.measured.names]
+def sensitivity_responses(problem: ForwardProblem) -> list[str]:
+    """Responses by which parameters are measured: those of the tests, of modes frequencies and MAC."""
+    if isinstance(problem, FunctionProblem):
+        return list(problem.targets)
+    kinds = ("natural_freq", "mac") if problem.measured.has_shapes else ("natural_freq",)
+    return [f"{kind}_{mode}" for kind in kinds for mode in problem.measured.names]

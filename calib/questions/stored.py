@@ -10,6 +10,7 @@ from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.recorded import asked_anew
+from calib.space import ParameterSpace
 from calib.study import Study
 
 SAME = 1e-6
@@ -60,7 +61,7 @@ def confirm(study: Study, ledger: Ledger, known: Outcome) -> float:
     if different is None:
         return fresh.seconds
     again = asked_anew(problem, known.values)
-    point = point_words(study, known.values)
+    point = point_words(study.sensitivity_space, known.values)
     unsteady = _difference(study, fresh, again)
     if unsteady is not None:
         raise InputError(
@@ -78,9 +79,9 @@ def confirm(study: Study, ledger: Ledger, known: Outcome) -> float:
     )
 
 
-def point_words(study: Study, values: Mapping[str, float]) -> str:
-    """A point by its searched parameters, as many as can be read."""
-    names = [n for n in study.sensitivity_space.free_names if n in values] or list(values)
+def point_words(space: ParameterSpace, values: Mapping[str, float]) -> str:
+    """A point by its free parameters, as many as can be read."""
+    names = [n for n in space.free_names if n in values] or list(values)
     told = ", ".join(f"{name} = {values[name]:.6g}" for name in names[:SHOWN])
     return told + (", ..." if len(names) > SHOWN else "")
 

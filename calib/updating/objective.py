@@ -101,6 +101,32 @@ class FrequencyMacObjective:
 
 
 @dataclass(frozen=True)
+class JointObjective:
+    """Sum of the objectives of several tests.
+
+    Attributes
+    ----------
+    objectives : mapping from str to Objective
+        By name of the test; of a response ``x`` of test ``t`` the joint name is ``t: x``.
+    """
+
+    objectives: Mapping[str, Objective]
+
+    @property
+    def identity(self) -> str:
+        """Text that differs whenever the misfit of some responses could."""
+        return "; ".join(f"{test}: {objective.identity}" for test, objective in self.objectives.items())
+
+    def __call__(self, responses: Mapping[str, float]) -> float:
+        """Misfit of named responses; InputError when one is missing."""
+        total = 0.0
+        for test, objective in self.objectives.items():
+            label = f"{test}: "
+            total += objective({n.removeprefix(label): v for n, v in responses.items() if n.startswith(label)})
+        return total
+
+
+@dataclass(frozen=True)
 class ResponseObjective:
     """Relative errors of plain responses, ``sum |r - t| / |t|``; infinite when a response is NaN.
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InputError
-from calib.updating.objective import FrequencyMacObjective, ResponseObjective
+from calib.updating.objective import FrequencyMacObjective, JointObjective, ResponseObjective
 
 FREQ = {"first": 2.0, "second": 5.0}
 PERFECT = {"natural_freq_first": 2.0, "natural_freq_second": 5.0, "mac_first": 1.0, "mac_second": 1.0}
@@ -89,3 +89,17 @@ def test_targets_that_cannot_be_compared():
         ResponseObjective({"a": 1.0})({"b": 1.0})
     with pytest.raises(InputError, match="no response 'mac_first'"):
         objective()({"natural_freq_first": 2.0})
+
+
+def test_objectives_of_several_tests_add_up():
+    joint = JointObjective({"modes": objective(), "weight": ResponseObjective({"m": 10.0})})
+    responses = {f"modes: {n}": v for n, v in (PERFECT | {"natural_freq_first": 2.2}).items()} | {"weight: m": 12.0}
+    assert joint(responses) == pytest.approx(0.1 + 0.2)
+    with pytest.raises(InputError, match="'m'"):
+        joint({n: v for n, v in responses.items() if n != "weight: m"})
+    others = (
+        JointObjective({"modes": objective(), "weight": ResponseObjective({"m": 11.0})}),
+        JointObjective({"modes": objective()}),
+        JointObjective({"modes": objective(), "mass": ResponseObjective({"m": 10.0})}),
+    )
+    assert len({o.identity for o in (joint, *others)}) == 4

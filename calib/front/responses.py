@@ -1,0 +1,84 @@
+"""Responses of all tests of a problem at many points, in this process or by an executor that is given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from calib.evaluate import Evaluator
+from calib.executor import ExecutorEvaluator, Injected
+from calib.front.test import Model, Test
+from calib.outcome import Function
+from calib.questions.case import objective_for
+from calib.questions.sensitivity import sensitivity_responses
+from calib.study import ForwardProblem
+from calib.updating.objective import JointObjective, Objective
+
+if TYPE_CHECKING:
+    from calib.front.problem import Problem
+
+
+def own(model: Model, test: Test, values: Mapping[str, float]) -> dict[str, float]:
+    """What a model takes of the values of all tests: those it has, except what the test's condition holds."""
+    return {name: v for name, v in values.items() if name in model.space and name not in test.condition}
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """What searches and samples ask: named values in, named responses out.
+
+    Attributes
+    ----------
+    problems : mapping from str to ForwardProblem
+        Each test's model against what its fit sees, by name of the test.
+    names : mapping from str to set of str
+        Parameters that each takes of the values of all.
+    """
+
+    problems: Mapping[str, ForwardProblem]
+    names: Mapping[str, frozenset[str]]
+
+    @classmethod
+    def of(cls, problem: Problem) -> Responses:
+        """Those of a problem."""
+        names = {test.name: frozenset(own(model, test, model.space.values)) for model, test in problem.pairs}
+        return cls({test.name: test.problem(model) for model, test in problem.pairs}, names)
+
+    def __call__(self) -> Function:
+        """The function, as an evaluator asks for it."""
+        return self.at
+
+    def at(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Responses at the values of all parameters; a test's name goes before its own. See `JointObjective`."""
+        return {
+            f"{test}: {name}": value
+            for test, problem in self.problems.items()
+            for name, value in problem.evaluate({n: v for n, v in values.items() if n in self.names[test]}).items()
+        }
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes whenever the responses at the same values could."""
+        return " ".join(problem.fingerprint for problem in self.problems.values())
+
+    @property
+    def objective(self) -> Objective:
+        """What a search makes small: that of a study with one test, summed over the tests."""
+        return JointObjective({test: objective_for(problem) for test, problem in self.problems.items()})
+
+    @property
+    def measured(self) -> dict[str, str]:
+        """Responses by which a sensitivity analysis judges parameters, with what they are called in its tables."""
+        several = len(self.problems) > 1
+        return {
+            f"{test}: {name}": f"{test}: {name}" if several else name
+            for test, problem in self.problems.items()
+            for name in sensitivity_responses(problem)
+        }
+
+    def evaluator(self, executor: Executor | Injected | None) -> AbstractContextManager[Evaluator | ExecutorEvaluator]:
+        """What evaluates batches of points: this process, or an executor."""
+        return Evaluator(self) if executor is None else ExecutorEvaluator(self, executor)

@@ -1,0 +1,105 @@
+"""A genetic search over a problem, as a notebook asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from calib.executor import Injected
+from calib.front.responses import Responses
+from calib.ledger import Ledger
+from calib.questions.case import POLISH_REFITS
+from calib.questions.failures import reasons_sentence, stored_reasons
+from calib.questions.judge import Judgement, Shared, ended, fitted
+from calib.sampling import sample
+from calib.space import ParameterSpace
+from calib.updating.cases import (
+    Agreement,
+    Case,
+    CaseResult,
+    agreement,
+    convergence_table,
+    parameters_table,
+    run_case,
+)
+from calib.updating.genetic import GeneticSettings
+
+if TYPE_CHECKING:
+    from calib.front.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """Independent runs of a genetic search, before any least squares.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        That was searched.
+    cases : tuple of CaseResult
+        One a seed.
+    why_failed : str
+        The commonest reasons of points that could not be evaluated; empty without any.
+    """
+
+    space: ParameterSpace
+    cases: tuple[CaseResult, ...]
+    why_failed: str = ""
+
+    @property
+    def agreement(self) -> Agreement:
+        """Whether the cases found one solution."""
+        return agreement(self.cases, self.space)
+
+    @property
+    def best(self) -> tuple[CaseResult, ...]:
+        """The cases by their misfit, the lowest first."""
+        return tuple(sorted(self.cases, key=lambda case: case.misfit))
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row a case: ``case, misfit, asked, solved, reused, infeasible, failed``; see `CaseResult`."""
+        columns = ["name", "misfit", "asked", "solved", "reused", "infeasible", "failed"]
+        rows = [[getattr(case, column) for column in columns] for case in self.cases]
+        return pd.DataFrame(rows, columns=["case", *columns[1:]])
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Where each case ended; see `calib.updating.cases.parameters_table`."""
+        return parameters_table(self.cases, self.space)
+
+    @property
+    def convergence(self) -> pd.DataFrame:
+        """Misfit over the generations; see `calib.updating.cases.convergence_table`."""
+        return convergence_table(self.cases)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Whether the cases agree, and why points failed."""
+        return (f"The searches alone: {self.agreement.sentence}", *([self.why_failed] if self.why_failed else []))
+
+
+def searched(
+    problem: Problem, seeds: Sequence[int], settings: GeneticSettings, executor: Executor | Injected | None
+) -> Searched:
+    """One case a seed, each from its own Latin hypercube; see `calib.front.problem.Problem.search`."""
+    space, responses = problem.space, Responses.of(problem)
+    objective, fingerprint, found = responses.objective, responses.fingerprint, []
+    with Ledger.in_memory() as ledger, responses.evaluator(executor) as evaluator:
+        for k, seed in enumerate(seeds, start=1):
+            initial = sample(space, settings.population, seed).points
+            case = Case(f"C{k}", seed)
+            found.append(run_case(case, space, objective, settings, evaluator, ledger, fingerprint, initial))
+        why = reasons_sentence(space, *stored_reasons(ledger, [fingerprint]))
+    return Searched(space, tuple(found), why)
+
+
+def refined(problem: Problem, search: Searched) -> Judgement:
+    """Least squares from where the cases ended; from the adopted values where the data clearly prefer that end."""
+    starts = [case.values for case in search.best]
+    adopted = ended(problem.posed, [problem.space.values], POLISH_REFITS)
+    return fitted(problem.posed, problem.terms, starts, POLISH_REFITS, shared=Shared(adopted, known=None))

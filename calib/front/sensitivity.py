@@ -1,0 +1,86 @@
+"""Which parameters matter, as a notebook asks it."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from calib.errors import EvaluationError
+from calib.executor import Injected
+from calib.front.responses import Responses
+from calib.front.shown import Shown
+from calib.questions.failures import reasons, reasons_sentence
+from calib.questions.sensitivity import Sensitivity, measured, table_of
+from calib.sampling import sample
+
+if TYPE_CHECKING:
+    from calib.front.problem import Problem
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Assessed(Shown):
+    """Which parameters matter for what was measured.
+
+    Attributes
+    ----------
+    answer : Sensitivity
+        All measures, their noise floors, and what stands behind them.
+    samples : DataFrame (n, n_parameters + n_responses)
+        Latin hypercube points with the model's responses there, NaN where there is none.
+    """
+
+    answer: Sensitivity
+    samples: pd.DataFrame
+
+    @property
+    def selected(self) -> tuple[str, ...]:
+        """Parameters that matter, as `Problem.calibrate` takes them."""
+        table = self.answer.assessment.selection
+        return tuple(table["parameter"][table["selected"]])
+
+    @property
+    def spearman(self) -> pd.DataFrame:
+        """Rank correlation of each parameter (rows) with each response (columns), -1 to 1 (Spearman 1904)."""
+        return self.answer.assessment.spearman
+
+    @property
+    def partial(self) -> pd.DataFrame:
+        """The same after what the other parameters explain; see `calib.sensitivity.partial`."""
+        return self.answer.assessment.partial
+
+    @property
+    def influence(self) -> pd.DataFrame:
+        """Root of the share of a response's variance that only this parameter brings, 0 to 1."""
+        return self.answer.assessment.influence.table
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row a parameter: its largest measures, on which response, and whether that selects it."""
+        shown = ["parameter", "max_spearman", "spearman_response", "max_partial", "max_influence", "influence_response"]
+        return self.answer.assessment.selection[[*shown, "selected"]]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What stands behind the measures, and what they select."""
+        return self.answer.sentences
+
+    def __repr__(self) -> str:
+        return f"Assessed({len(self.table)} parameters, {len(self.selected)} selected; {self.answer.samples} samples)"
+
+
+def assessed(problem: Problem, samples: int, seed: int, executor: Executor | Injected | None) -> Assessed:
+    """See `calib.front.problem.Problem.sensitivity`."""
+    space, responses = problem.space, Responses.of(problem)
+    drawn = sample(space, samples, seed)
+    with responses.evaluator(executor) as evaluator:
+        outcomes = evaluator.evaluate([space.complete(point) for point in drawn.points])
+    failed = sum(o.status == "failed" for o in outcomes)
+    why = reasons_sentence(space, reasons(outcomes), len(outcomes))
+    if failed == len(outcomes):
+        raise EvaluationError(f"the model cannot be evaluated within its limits: {why}")
+    x = pd.DataFrame(drawn.points, columns=list(space.free_names))
+    y = table_of(outcomes, list(responses.measured)).rename(columns=responses.measured)
+    return Assessed(measured(x, y, failed, drawn.acceptance, why), pd.concat([x, y], axis=1))
