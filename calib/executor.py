@@ -10,7 +10,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from types import TracebackType
 
-from threadpoolctl import threadpool_limits
+from calib.threads import one_thread
 
 from calib import worker
 from calib.errors import InputError
@@ -153,7 +153,7 @@ class ExecutorEvaluator:
 
         try:
             # For threads of this process, which share both.
-            with threadpool_limits(1), directory_kept():
+            with one_thread(), directory_kept():
                 for k, values in enumerate(points):
                     try:
                         future: _Task = self._injected.executor.submit(worker.work_anywhere, self._sent, dict(values))
