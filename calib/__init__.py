@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calib.space import LinearConstraint as LinearConstraint
     from calib.space import Parameter as Parameter
     from calib.space import ParameterSpace as ParameterSpace
+    from calib.structure.modal_function import ModalFunctionModel as ModalFunctionModel
     from calib.structure.model import StructuralModel as StructuralModel
     from calib.study import Study as Study
 
@@ -40,6 +41,7 @@ _PLACES = {
     "InputError": "errors",
     "LinearConstraint": "space",
     "MeasuredModes": "measurement.modal",
+    "ModalFunctionModel": "structure.modal_function",
     "ModalTest": "front.test",
     "Parameter": "space",
     "ParameterSpace": "space",

@@ -40,7 +40,8 @@ def difference(
 ) -> np.ndarray:
     """Derivative of a vector along one parameter by a central difference within its limits, shape (n_rows,).
 
-    At a limit, or where one end fails, it is one-sided. Whole-number and held parameters have the derivative 0.
+    At a limit, or where one end fails, it is one-sided; so it is for an entry that is NaN at one end, and one that is
+    NaN at both has the derivative NaN. Whole-number and held parameters have the derivative 0.
 
     Raises
     ------
@@ -63,4 +64,10 @@ def difference(
     if len(ends) == 1:
         ends.append((middle, np.asarray(residual(values), dtype=float)))
     (a, high), (b, low) = ends
-    return (high - low) / (a - b)
+    out = np.asarray((high - low) / (a - b))
+    if np.isnan(out).any():
+        here = np.asarray(residual(values), dtype=float)
+        for at, end in ends:
+            if at != middle:
+                out = np.where(np.isnan(out), (end - here) / (at - middle), out)
+    return out

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.given import objects
 from calib.space import ParameterSpace
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption
 
 
@@ -45,12 +47,15 @@ class FunctionModel:
         return digest_of(self.name, self.function)[:16]
 
 
-def extend_function(model: FunctionModel, effects: Sequence[Effect]) -> FunctionModel:
+F = TypeVar("F", bound=FunctionModel | ModalFunctionModel)
+
+
+def extend_function(model: F, effects: Sequence[Effect]) -> F:
     """The model with effects, their strengths and nuisance parameters after its own parameters.
 
-    What an effect builds from a `FunctionModel` is a function of all values, its own included; None when the model's
-    function knows the effect's parameters itself (optional ones, absent from the base model's space). Effects are built
-    one upon the other.
+    What an effect builds from a model that is a function is a function of all values, its own included, which answers
+    as the model's does; None when that function knows the effect's parameters itself (optional ones, absent from the
+    base model's space). Effects are built one upon the other.
 
     Raises
     ------

@@ -23,10 +23,11 @@ from calib.neighbours import Neighbours
 from calib.outcome import told
 from calib.settings import StudySettings
 from calib.structure.extend import extend
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.soundness import require_sound
 
-Model = StructuralModel | FunctionModel
+Model = StructuralModel | ModalFunctionModel | FunctionModel
 Place = Callable[..., str]
 """Tells file and line of a key of the study, such as ``place("model")``."""
 
@@ -53,11 +54,11 @@ class Sources:
         """The model without effects; InputError for whatever is wrong with it."""
         name, place = self.settings.model, self.place("model")
         model = self._call("model", name, self.settings.model_options)
-        if not isinstance(model, StructuralModel | FunctionModel):
+        if not isinstance(model, StructuralModel | ModalFunctionModel | FunctionModel):
             raise InputError(
                 f"{name.rpartition(':')[2]} returns {type(model).__name__}",
                 place=place,
-                remedy="return a StructuralModel or a FunctionModel",
+                remedy="return a StructuralModel, a ModalFunctionModel or a FunctionModel",
             )
         if isinstance(model, StructuralModel):
             try:
@@ -236,7 +237,9 @@ def with_effects(base: Model, effects: Sequence[Effect], place: str) -> Model:
         raise InputError(f"adding {names} failed with {told(fault)}", place=place) from fault
 
 
-def fingerprint_of(base: FunctionModel, effects: Sequence[Effect], extended: FunctionModel) -> str:
+def fingerprint_of(
+    base: FunctionModel | ModalFunctionModel, effects: Sequence[Effect], extended: FunctionModel | ModalFunctionModel
+) -> str:
     """Hash over a function and the effects added to it, with all they hold; without effects that of the function."""
     if not effects:
         return base.fingerprint

@@ -27,6 +27,7 @@ from calib.settings import StudySettings, line_of, read_settings
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
 from calib.structure.extend import extend
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 
 ForwardProblem = ModalProblem | FunctionProblem
@@ -217,7 +218,7 @@ class Study(StudyFile):
             return None
         if pairing.mode_count is None:
             more = 2 * (whole.n_modes - problem.measured.n_modes)
-            count = min(problem.mode_count + more, problem.model.n_dof)
+            count = min(problem.mode_count + more, problem.model.n_modes)
         else:
             count = problem.mode_count + max(0, whole.n_modes - pairing.mode_count)
         try:
@@ -368,7 +369,7 @@ class _Reader:
             )
         else:
             assert measured is not None and not isinstance(base, FunctionModel)
-            problem = self._problem(model, measured, model.n_dof - base.n_dof)
+            problem = self._problem(model, measured, model.n_modes - base.n_modes)
         selected = search_space(space, self.settings, self.place)
         if not self.settings.calibration.weight_freq + self.settings.calibration.weight_mac > 0:
             raise InputError("both weights are zero", place=self.place("calibration"), remedy="give one of them weight")
@@ -473,10 +474,12 @@ class _Reader:
             )
         return used, {}
 
-    def _problem(self, model: StructuralModel, measured: MeasuredModes, n_added: int) -> ModalProblem:
+    def _problem(
+        self, model: StructuralModel | ModalFunctionModel, measured: MeasuredModes, n_added: int
+    ) -> ModalProblem:
         """ForwardProblem over what is used; the degrees of freedom that effects added bring as many modes more."""
         pairing = self.settings.pairing
-        default = usual_mode_count(measured, model.n_dof - n_added)
+        default = usual_mode_count(measured, model.n_modes - n_added)
         count = pairing.mode_count if pairing.mode_count is not None else default
         if count < measured.n_modes:
             raise InputError(

@@ -16,7 +16,7 @@ from calib.correlation.pairing import Pairing
 from calib.correlation.scatter import Scatter, freedom_behind, known_scatter
 from calib.mac import align, comac, is_real, noise_mac
 from calib.measurement.modal import MeasuredModes
-from calib.structure.model import ModalModel
+from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
 
 LEVEL = 0.95
@@ -310,7 +310,7 @@ class Comparison:
     def _damping_rows(self) -> list[_Row]:
         i = self.pairing.paired
         i = i[self.measured.damping_ratio[i] > 0]  # NaN is unknown, 0 a convention of undamped files
-        if not self.modes.is_complex or not len(i):
+        if not len(i) or not self.model.dissipates:
             return []
         measured, model = self.measured.damping_ratio[i], self.paired(self.modes.damping_ratio)[i]
         error = np.log(np.maximum(model, 0.0) / measured, out=np.full(len(i), -np.inf), where=model > 0)

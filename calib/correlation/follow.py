@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from calib.errors import EvaluationError
-from calib.structure.model import ModalModel
+from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
 
 HALVINGS = 5
@@ -35,11 +35,11 @@ class Point(NamedTuple):
 def follow(model: ModalModel, start: Point, end: Point, columns: np.ndarray, halvings: int = HALVINGS) -> np.ndarray:
     """Index at the end of some modes at the start.
 
-    Modes are matched one to one so that the sum of their MAC, in the mass matrix of the start, is largest. Where all
-    keep their places and are like what they were, they are followed. Where some seem to change places, the straight
-    line between the two points is halved, again and again: two modes that veer exchange their shapes and not their
-    places, which shorter steps show; two that cross still change places on the shortest one. A mode that meets none
-    like itself there (`SUCCESSOR`) has left those that are solved, and is followed no longer.
+    Modes are matched one to one so that the sum of their MAC, in the weight of the start (the mass matrix, where there
+    is one), is largest. Where all keep their places and are like what they were, they are followed. Where some seem to
+    change places, the straight line between the two points is halved, again and again: two modes that veer exchange
+    their shapes and not their places, which shorter steps show; two that cross still change places on the shortest one.
+    A mode that meets none like itself there (`SUCCESSOR`) has left those that are solved, and is followed no longer.
 
     Two modes that veer with the coupling k, over a path on which they move apart by d on both sides, end with a MAC of
     ``1 - (k/d)^2``; a step shows them apart while it is no longer than k. Where modes that change places are so alike
@@ -81,11 +81,10 @@ def follow(model: ModalModel, start: Point, end: Point, columns: np.ndarray, hal
 
 def _matched(model: ModalModel, start: Point, end: Point, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Successors of some modes, and how alike they are."""
-    mass = model.matrices(start.values)[2]
     a, b = start.modes.shapes[:, columns], end.modes.shapes
-    weighted = mass @ a
-    product = np.abs(weighted.conj().T @ b) ** 2
-    size = np.outer(np.einsum("ij,ij->j", a.conj(), weighted).real, np.einsum("ij,ij->j", b.conj(), mass @ b).real)
+    here, there = (model.weighted(start.values, shapes) for shapes in (a, b))
+    product = np.abs(here.conj().T @ b) ** 2
+    size = np.outer(np.einsum("ij,ij->j", a.conj(), here).real, np.einsum("ij,ij->j", b.conj(), there).real)
     alike = np.divide(product, size, out=np.zeros_like(product), where=size > 0)
     alike[np.arange(len(columns)), columns] += _SAME_PLACE
     rows = np.arange(len(columns))

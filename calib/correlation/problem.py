@@ -22,7 +22,8 @@ from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
-from calib.structure.model import ModalModel, StructuralModel
+from calib.structure.modal_model import ModalModel
+from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel
 
@@ -296,9 +297,9 @@ class ModalProblem:
         return out
 
 
-def usual_mode_count(measured: MeasuredModes, n_dof: int) -> int:
-    """Model modes solved where nothing else is asked: twice as many as were measured, as far as there are."""
-    return min(2 * measured.n_modes, n_dof)
+def usual_mode_count(measured: MeasuredModes, n_modes: int) -> int:
+    """Model modes solved where nothing else is asked: twice as many as were measured, as far as the model has them."""
+    return min(2 * measured.n_modes, n_modes)
 
 
 @dataclass(frozen=True, eq=False)

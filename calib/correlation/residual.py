@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from calib.correlation.scatter import USUAL, Floors, Scatter, freedom_behind, sc
 from calib.fingerprint import digest_of
 from calib.mac import is_real
 from calib.space import ParameterSpace
-from calib.structure.derivatives import ModeDerivatives, mode_derivatives
+from calib.structure.derivatives import ModeDerivatives
 
 _BESIDE = 1e-6
 """How far from 0 a derivative by a parameter under a root is taken, over its limit.
@@ -112,11 +112,7 @@ class ModalResidual:
 
     def _damping_modes(self) -> tuple[int, ...]:
         """Measured modes with a damping row."""
-        model, space = self.problem.model, self.problem.space
-        first: tuple[Any, Any, Any] = model.matrices(space.values)
-        slopes: Iterator[Any] = (model.matrix_derivatives(space.values, name)[1] for name in space.names)
-        damped = abs(first[1]).max() > 0 or any(abs(slope).max() > 0 for slope in slopes)
-        if not self.use_damping or not damped:
+        if not self.use_damping or not self.problem.model.dissipates:
             return ()
         return tuple(np.flatnonzero(self.problem.measured.damping_ratio > 0).tolist())
 
@@ -226,13 +222,13 @@ class ModalResidual:
     ) -> np.ndarray:
         """The same with solutions from ``at``."""
         found = at(self.regular(values, names))
-        return self.slope_of(found, names, self.derivatives(found, names))
+        return self.slope_of(found, names, self.derivatives(found, names, at))
 
     def frequencies(
         self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison]
     ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
         """As `freq_jacobian` of all model modes, with solutions from ``at``."""
-        return self.freq_jacobian(values, names, every=True, found=at(self.regular(values, names)))
+        return self.freq_jacobian(values, names, every=True, at=at)
 
     def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         """Where derivatives by the named parameters are taken: beside 0 for one that stands under a root.
@@ -251,7 +247,7 @@ class ModalResidual:
         values: Mapping[str, float],
         names: Sequence[str],
         every: bool = False,
-        found: Comparison | None = None,
+        at: Callable[[Mapping[str, float]], Comparison] | None = None,
     ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
         """Model frequencies with their relative derivatives, for prediction intervals.
 
@@ -261,8 +257,8 @@ class ModalResidual:
         names : sequence of str
         every : bool
             All model modes; otherwise those paired.
-        found : Comparison, optional
-            At `regular` of these values, where it is at hand.
+        at : callable, optional
+            Gives the comparison at named values; by default they are solved.
 
         Returns
         -------
@@ -273,22 +269,42 @@ class ModalResidual:
         jacobian : ndarray (n_modes, n_params)
             Of ``ln natural_freq``, per one of each parameter's own unit.
         """
-        found = self.problem.compare(self.regular(values, names)) if found is None else found
+        found = (at or self.solve)(self.regular(values, names))
         index = found.pairing.model_index
         owner = {int(index[i]): self.problem.measured.names[i] for i in found.pairing.paired}
         chosen = list(range(found.modes.n_modes)) if every else [int(index[i]) for i in found.pairing.paired]
-        model = self.problem.model
-        nothing = np.zeros((0, found.modes.shapes.shape[0]))
-        slopes = mode_derivatives(model, found.values, found.modes, names, chosen, nothing)
+        slopes = self._derivatives(found, names, chosen, np.zeros((0, found.modes.shapes.shape[0])), at)
         freq = found.modes.natural_freq[chosen]
         labels = tuple(owner.get(j, f"model {j + 1}") for j in chosen)
         return labels, freq, (slopes.natural_freq / freq).T
 
-    def derivatives(self, found: Comparison, names: Sequence[str]) -> ModeDerivatives:
-        """Derivatives of the paired modes, in the order of the measured modes, with shapes at the sensors."""
+    def derivatives(
+        self,
+        found: Comparison,
+        names: Sequence[str],
+        at: Callable[[Mapping[str, float]], Comparison] | None = None,
+    ) -> ModeDerivatives:
+        """Derivatives of the paired modes, in the order of the measured modes, with shapes at the sensors.
+
+        ``at`` gives comparisons at other values, for a model whose derivatives are differences; by default they are
+        solved.
+        """
         chosen = found.pairing.model_index[found.pairing.paired]
         rows = self.problem.sensor_rows if self._parts else np.zeros((0, found.modes.shapes.shape[0]))
-        return mode_derivatives(self.problem.model, found.values, found.modes, names, chosen, rows)
+        return self._derivatives(found, names, chosen, rows, at)
+
+    def _derivatives(
+        self,
+        found: Comparison,
+        names: Sequence[str],
+        chosen: Sequence[int] | np.ndarray,
+        rows: np.ndarray,
+        at: Callable[[Mapping[str, float]], Comparison] | None,
+    ) -> ModeDerivatives:
+        reached = at or self.solve
+        return self.problem.model.derivatives(
+            found.values, found.modes, names, chosen, rows, lambda values: reached(values).modes
+        )
 
     # -- from a comparison ---------------------------------------------------------------------------------------------
 

@@ -32,6 +32,7 @@ from calib.settings import ExplainSettings, ReductionSettings
 from calib.structure.atoms import atoms
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.variants import Variants
 
@@ -123,8 +124,10 @@ def _told(test: Test, seed: int) -> Told:
 
 def _modal(model: Model, test: ModalTest, effects: tuple[Effect, ...], seed: int) -> Side:
     used = test.problem(model)
-    assert isinstance(model, StructuralModel)
     require_modes(used.measured.n_modes)
+    if isinstance(model, ModalFunctionModel):
+        return ModalSide.of_function(model, used, test.whole_problem(model), effects, model.space, _told(test, seed))
+    assert isinstance(model, StructuralModel)
     placed = [s for s in used.measured.sensors if s.point is not None]
     local = atoms(model, placed, model.space.values, float(used.measured.natural_freq.min()))
     plain = tuple(a.effect for a in local)

@@ -30,6 +30,7 @@ from calib.questions.scatter import in_words
 from calib.sampling import sample
 from calib.space import ParameterSpace
 from calib.structure.extend import extend
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.updating.genetic import GeneticSettings
 
@@ -54,7 +55,7 @@ class Problem:
 
     Attributes
     ----------
-    model : StructuralModel or FunctionModel
+    model : StructuralModel, ModalFunctionModel or FunctionModel
     tests : ModalTest or ResponseTest, or a sequence of them
         Of that model, each under its own condition.
     beside : tuple of Problem
@@ -90,7 +91,7 @@ class Problem:
     beside: tuple[Problem, ...] = ()
 
     def __post_init__(self) -> None:
-        objects([self.model], (StructuralModel, FunctionModel), "problem, model")
+        objects([self.model], (StructuralModel, ModalFunctionModel, FunctionModel), "problem, model")
         tests = objects(self.tests, (ModalTest, ResponseTest), "problem, tests")
         object.__setattr__(self, "tests", tests[0] if len(tests) == 1 else tests)
         object.__setattr__(self, "beside", objects(self.beside, Problem, "problem, beside"))
@@ -157,9 +158,9 @@ class Problem:
     def with_effects(self, effects: Sequence[Effect]) -> Problem:
         """The same with effects in its model, their strengths free; those of joined problems stay as they are."""
         effects = objects(effects, Effect, "effects")
-        if isinstance(self.model, FunctionModel):
-            return replace(self, model=extend_function(self.model, effects))
-        return replace(self, model=extend(self.model, effects))
+        if isinstance(self.model, StructuralModel):
+            return replace(self, model=extend(self.model, effects))
+        return replace(self, model=extend_function(self.model, effects))
 
     # -- questions -----------------------------------------------------------------------------------------------------
 

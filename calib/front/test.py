@@ -22,9 +22,10 @@ from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses, response_kinds
 from calib.questions.scatter import assumed_responses
 from calib.questions.verify import modal_errors, plain_errors, plain_scatter, whitened
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption, StructuralModel
 
-Model = StructuralModel | FunctionModel
+Model = StructuralModel | ModalFunctionModel | FunctionModel
 Claimed = str | float | Mapping[str, str | float] | None
 UNSEEN = "withheld_responses"
 """Group of responses that no fit sees, as verdicts name it."""
@@ -125,11 +126,11 @@ class ModalTest:
         return assumptions(self.used)
 
     def _against(self, model: Model, modes: MeasuredModes) -> ModalProblem:
-        if not isinstance(model, StructuralModel):
+        if isinstance(model, FunctionModel):
             raise InputError(
                 f"the model {model.name} has no modes", place=f"test {self.name}", remedy="give a ResponseTest"
             )
-        count = self.mode_count if self.mode_count is not None else usual_mode_count(modes, model.n_dof)
+        count = self.mode_count if self.mode_count is not None else usual_mode_count(modes, model.n_modes)
         known = set(modes.names)
         return ModalProblem(
             model=model,

@@ -43,12 +43,11 @@ def function_atoms(space: ParameterSpace, measured: Mapping[str, float]) -> tupl
         Measured value of every response.
     """
     blocks = blocks_of(list(measured))
-    moving = [p for p in space.parameters if not p.integer and (p.value != 0 or p.upper > p.lower)]
-    out = [_change(p, f"change of {p.name}", None) for p in moving if p.distribution == "fixed"]
+    out = changes_of_held(space)
     if len(blocks) < len(measured):
         out += [
             _change(p, f"change of {p.name} in {block}", own)
-            for p in moving
+            for p in moving(space)
             if p.distribution != "fixed"
             for block, own in blocks.items()
         ]
@@ -60,24 +59,42 @@ def function_atoms(space: ParameterSpace, measured: Mapping[str, float]) -> tupl
     return tuple(out)
 
 
+def moving(space: ParameterSpace) -> list[Parameter]:
+    """Parameters that may change: no whole numbers, and none that is 0 and has no range."""
+    return [p for p in space.parameters if not p.integer and (p.value != 0 or p.upper > p.lower)]
+
+
+def changes_of_held(space: ParameterSpace) -> list[Effect]:
+    """Every parameter that is held, changed; what the function answers is passed on as it is."""
+    return [_change(p, f"change of {p.name}", None) for p in moving(space) if p.distribution == "fixed"]
+
+
+def moved_parameter(p: Parameter, name: str) -> tuple[Parameter, Callable[[float, float], float]]:
+    """Strength of a change of a parameter, and its value from the one it has and that strength.
+
+    A share of its value, or of its range where that is 0.
+    """
+    span = 0.0 if p.value != 0 else p.upper - p.lower
+    strength = Parameter(name, 0.0, -1.0 if span else -0.9, 1.0 if span else 9.0, "-", prior_sd=RELATIVE)
+    return strength, lambda own, by: own + by * (span or own)
+
+
 def _change(p: Parameter, name: str, block: Collection[str] | None) -> Effect:
     """A parameter changed by a share of its value, or of its range where that is 0; for some responses or for all."""
-    span = 0.0 if p.value != 0 else p.upper - p.lower
+    strength, moved_by = moved_parameter(p, name)
 
     def build(model: FunctionModel) -> Function:
         def changed(values: Mapping[str, float]) -> Mapping[str, float]:
             rest = {n: v for n, v in values.items() if n != name}
-            own = values[p.name]
-            moved = model.function(rest | {p.name: own + values[name] * (span or own)})
+            moved = model.function(rest | {p.name: moved_by(values[p.name], values[name])})
             if block is None or values[name] == 0:
                 return moved
             return {n: moved[n] if n in block else v for n, v in model.function(rest).items()}
 
         return changed
 
-    strength = Parameter(name, 0.0, -1.0 if span else -0.9, 1.0 if span else 9.0, "-", prior_sd=RELATIVE)
     held = f"{p.name} is held at {p.value:g} {p.unit}" if block is None else f"{p.name} is one for all responses"
-    part = "" if span else name.removeprefix("change of ")
+    part = "" if p.value == 0 else name.removeprefix("change of ")
     return Effect(name, name, held, "its true value", strength, build, part=part)
 
 

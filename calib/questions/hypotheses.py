@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.problem import Counts, Problem
 from calib.space import ParameterSpace
-from calib.structure.variants import Variants
+from calib.structure.basis import Basis
+from calib.structure.modal_model import ModalModel
 
 _REMEMBERED = 64
 """Points kept, so that a derivative does not solve a model again."""
@@ -25,6 +27,38 @@ def question_space(space: ParameterSpace, effects: Sequence[Effect]) -> Paramete
     return ParameterSpace(space.parameters + tuple(p for e in effects for p in e.parameters), space.constraints)
 
 
+class ModelVariants(Protocol):
+    """One model with any of its possible effects, such as `calib.structure.variants.Variants`."""
+
+    @property
+    def model(self) -> ModalModel:
+        """The base model."""
+        ...
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Named effects."""
+        ...
+
+    @property
+    def atoms(self) -> tuple[Effect, ...]:
+        """Unnamed local changes."""
+        ...
+
+    @property
+    def basis(self) -> Basis | None:
+        """A reduced basis of the base model; None where none is used."""
+        ...
+
+    def added(self, names: Sequence[str]) -> int:
+        """Modes more that the named effects bring."""
+        ...
+
+    def with_effects(self, names: Sequence[str]) -> ModalModel:
+        """A model whose parameters include those of the named effects and of every local change."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class ModalHypotheses:
     """A modal measurement against all variants of a model.
@@ -33,7 +67,7 @@ class ModalHypotheses:
     ----------
     problem : ModalProblem
         Measurement and pairing; its model is the base model.
-    variants : Variants
+    variants : ModelVariants
     space : ParameterSpace
         Parameters of the base model; free are those that a calibration would fit.
     floors : Floors
@@ -42,7 +76,7 @@ class ModalHypotheses:
     """
 
     problem: ModalProblem
-    variants: Variants
+    variants: ModelVariants
     space: ParameterSpace
     floors: Floors = field(default_factory=Floors)
     without: tuple[str, ...] = ()

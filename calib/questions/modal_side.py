@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,10 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.rigid import COLUMNS as UNPAIRED_COLUMNS
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
+from calib.correlation.scatter import Floors
+from calib.effect import Effect
+from calib.function import FunctionModel
+from calib.loading import with_effects
 from calib.missing.advice import Prospects
 from calib.missing.explain import require_modes
 from calib.missing.findings import Findings, Trial
@@ -20,14 +25,17 @@ from calib.missing.refits import DEFAULT
 from calib.outcome import Outcome
 from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.explanation import Told
+from calib.questions.function_hypotheses import Failure
+from calib.questions.function_variants import FunctionVariants, modal_function_atoms
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import modal_hypotheses
 from calib.questions.prospects import modal_prospects
 from calib.questions.reduction import worthwhile
 from calib.questions.verify import modal_errors
 from calib.results import Results
+from calib.space import ParameterSpace
 from calib.structure.atoms import Atom
-from calib.structure.extend import extend
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.study import Study
 
@@ -41,7 +49,7 @@ class ModalSide:
 
     Attributes
     ----------
-    model : StructuralModel
+    model : StructuralModel or ModalFunctionModel
     problem : ModalProblem
         The data that are used, at full order.
     whole : ModalProblem or None
@@ -53,9 +61,13 @@ class ModalSide:
         The same model on a finer mesh; None where there is none.
     reduced : bool
         Whether the model is one to be asked on a reduced basis.
+    budget_of_fits : float
+        Solves of the model after which no further effect is fitted.
+    failures : sequence of Failure
+        Points at which a function gave no answer; it grows while the function is asked.
     """
 
-    model: StructuralModel
+    model: StructuralModel | ModalFunctionModel
     problem: ModalProblem
     whole: ModalProblem | None
     hypotheses: ModalHypotheses
@@ -63,6 +75,8 @@ class ModalSide:
     told: Told
     finer: Callable[[], StructuralModel | None] = lambda: None
     reduced: bool = False
+    budget_of_fits: float = DEFAULT.budget
+    failures: Sequence[Failure] = ()
 
     @classmethod
     def of(cls, study: Study, results: Results, progress: Callable[[str], None]) -> ModalSide:
@@ -75,15 +89,26 @@ class ModalSide:
             study.finer_model, worthwhile(study),
         )  # fmt: skip
 
+    @classmethod
+    def of_function(
+        cls,
+        model: ModalFunctionModel,
+        problem: ModalProblem,
+        whole: ModalProblem | None,
+        effects: tuple[Effect, ...],
+        space: ParameterSpace,
+        told: Told,
+    ) -> ModalSide:
+        """Of a function, which pays for derivatives in calls; there is no bound that fits them all."""
+        local = modal_function_atoms(model, space, problem.measured.sensors)
+        variants = FunctionVariants(replace(model, space=space), effects, tuple(a.effect for a in local))
+        hypotheses = ModalHypotheses(problem, variants, space, Floors())
+        return cls(model, problem, whole, hypotheses, local, told, budget_of_fits=math.inf, failures=variants.failures)
+
     @property
     def relative_std(self) -> np.ndarray:
         """See `calib.questions.explain.Side`."""
         return self.hypotheses.relative_std
-
-    @property
-    def budget_of_fits(self) -> float:
-        """Solves of the model."""
-        return DEFAULT.budget
 
     def notes(self) -> list[str]:
         """What was asked at full order against the study's wish, and what scatter had to be assumed."""
@@ -101,8 +126,9 @@ class ModalSide:
         parts, worst = [], 0.0
         for stage, trial in stages.items():
             state = trial.state
-            model = extend(self.model, [e for e in trial.effects if e.name in known])
-            more = model.n_dof - self.model.n_dof
+            model = with_effects(self.model, [e for e in trial.effects if e.name in known], "explain")
+            assert not isinstance(model, FunctionModel)
+            more = model.n_modes - self.model.n_modes
             fitted = replace(problem, model=model, mode_count=problem.mode_count + more, base=problem)
             everything = (
                 None if whole is None else replace(whole, model=model, mode_count=whole.mode_count + more, base=whole)
@@ -120,12 +146,19 @@ class ModalSide:
         return pd.concat(parts, ignore_index=True), notes, {"basis_error": worst}
 
     def failing(self) -> set[str]:
-        """An effect without which the model is solved has failed where it is not among the candidates."""
-        return set()
+        """Effects of all points at which a function failed.
+
+        Of matrices there are none: an effect without which the model is solved has failed where it is not among the
+        candidates.
+        """
+        return {name for failure in self.failures for name in failure.effects}
 
     def failed(self) -> list[Outcome]:
-        """None: matrices run no code of the user's at a point, and their effects are built before any is solved."""
-        return []
+        """All points at which a function failed.
+
+        Matrices run no code of the user's at a point, and their effects are built before any is solved.
+        """
+        return [failure.outcome for failure in self.failures]
 
     def prospects(self, found: Findings) -> Prospects | None:
         """What else could be measured, seen from what may be the truth."""

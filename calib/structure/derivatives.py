@@ -77,6 +77,14 @@ class ModeDerivatives:
     regular: np.ndarray
 
 
+def dissipates(model: DifferentiableModel) -> bool:
+    """Whether a model has damping at its adopted values, or would have some with another parameter."""
+    values = model.space.values
+    # Derivatives only where they are needed: some matrices have none at 0.
+    slopes = (model.matrix_derivatives(values, name) for name in model.space.names)
+    return _has_entries(model.matrices(values)[1]) or any(_has_entries(damping) for _, damping, _ in slopes)
+
+
 def eigenvalues(modes: Modes) -> np.ndarray:
     """Lambda of every mode in 1/s, upper half-plane, shape (n_modes,), complex."""
     size = 2 * np.pi * modes.natural_freq

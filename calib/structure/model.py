@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -15,11 +15,11 @@ from calib.errors import InputError
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial
+from calib.structure.derivatives import ModeDerivatives, dissipates, mode_derivatives
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
 from calib.structure.matrices import DofTable, Terms, affine, pairs, require_mass, require_used
 from calib.structure.modes import Modes
-from calib.structure.reduced_matrix import ReducedSlope
 from calib.structure.solve import solve_modes
 
 
@@ -57,97 +57,6 @@ class Part:
     matrix: sp.csr_array
     coefficient: Monomial
     place: tuple[float, float, float]
-
-
-Matrix = sp.csc_array | np.ndarray
-"""A square matrix of a model, sparse or dense."""
-
-MatrixSlope = sp.csc_array | np.ndarray | ReducedSlope
-"""A derivative of one: it multiplies shapes, and ``abs`` tells the sizes of its entries."""
-
-
-class ModalModel(Protocol):
-    """What a comparison asks of a model: modes over its own degrees of freedom and what follows from them.
-
-    A finite-element model has many degrees of freedom and sparse matrices, a reduced one few and dense matrices; it is
-    not for the asker to know which. Values are named, each in its parameter's unit; parameters left out take their
-    adopted value. Shapes are (n_dof, n_modes), real or complex.
-    """
-
-    @property
-    def name(self) -> str:
-        """How messages call the model."""
-        ...
-
-    @property
-    def space(self) -> ParameterSpace:
-        """Parameters with adopted values and limits."""
-        ...
-
-    @property
-    def n_dof(self) -> int:
-        """Number of its degrees of freedom."""
-        ...
-
-    @property
-    def clusters(self) -> Collection[str]:
-        """Names of the groups of degrees of freedom whose strain energy is told apart."""
-        ...
-
-    @property
-    def mesh(self) -> Mesh:
-        """Nodes, lines and faces, for pictures."""
-        ...
-
-    @property
-    def assumptions(self) -> tuple[Assumption, ...]:
-        """Numbers of the model that are engineering assumptions."""
-        ...
-
-    @property
-    def fingerprint(self) -> str:
-        """Hash that changes whenever an evaluation could."""
-        ...
-
-    @property
-    def is_damped(self) -> bool:
-        """Whether modes are complex."""
-        ...
-
-    @property
-    def roots(self) -> frozenset[str]:
-        """Parameters whose matrices have no derivative where they are 0."""
-        ...
-
-    def matrices(self, values: Mapping[str, float]) -> tuple[Matrix, Matrix, Matrix]:
-        """K, C, M, each (n_dof, n_dof), sparse or dense."""
-        ...
-
-    def matrix_derivatives(
-        self, values: Mapping[str, float], name: str
-    ) -> tuple[MatrixSlope, MatrixSlope, MatrixSlope]:
-        """dK, dC, dM with respect to one parameter, per one of its own unit; whole-number parameters count as fixed."""
-        ...
-
-    def modes(self, values: Mapping[str, float], count: int) -> Modes:
-        """The ``count`` lowest vibration modes; EvaluationError when the point cannot be solved."""
-        ...
-
-    def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
-        """Motion at the sensors over its degrees of freedom, (n_sensors, n_dof); InputError for one without a place."""
-        ...
-
-    def energy_shares(self, values: Mapping[str, float], shapes: np.ndarray, names: Sequence[str]) -> np.ndarray:
-        """Share of each mode's strain energy in each named cluster, (n_names, n_modes); 0 without strain energy."""
-        ...
-
-    def strain_energy(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """Strain energy of each mode in the scale of its shape, (n_modes,); exactly 0 for a rigid-body motion."""
-        ...
-
-    def displacement(self, shapes: np.ndarray) -> np.ndarray:
-        """Translations of all nodes, (n_nodes, 3, n_modes)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -283,9 +192,19 @@ class StructuralModel:
         return self.dofs.n_dof
 
     @property
+    def n_modes(self) -> int:
+        """Modes that it can have: one a degree of freedom."""
+        return self.n_dof
+
+    @property
     def is_damped(self) -> bool:
         """Whether the model has damping, so that its modes are complex."""
         return not self.damping.is_zero
+
+    @property
+    def dissipates(self) -> bool:
+        """Whether its modes are damped at the adopted values, or would be with another parameter."""
+        return dissipates(self)
 
     @property
     def fingerprint(self) -> str:
@@ -323,6 +242,22 @@ class StructuralModel:
         """
         k, c, m = self.matrices(values)
         return solve_modes(k, c if self.is_damped else None, m, count, rotational=self.dofs.direction >= 3)
+
+    def derivatives(
+        self,
+        values: Mapping[str, float],
+        modes: Modes,
+        names: Sequence[str],
+        which: Sequence[int] | np.ndarray,
+        rows: np.ndarray,
+        at: Callable[[Mapping[str, float]], Modes] | None = None,
+    ) -> ModeDerivatives:
+        """Analytic derivatives of some modes, for which no further point is solved; see `mode_derivatives`."""
+        return mode_derivatives(self, values, modes, names, which, rows)
+
+    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
+        """Shapes times the mass matrix, (n_dof, n_modes): the weight in which they are orthogonal."""
+        return self.matrices(values)[2] @ shapes
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
         """Motion at the sensors over the free degrees of freedom, shape (n_sensors, n_dof).

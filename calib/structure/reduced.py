@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -18,6 +18,7 @@ from calib.measurement.modal import Sensor
 from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix
 from calib.structure.basis import Basis
+from calib.structure.derivatives import ModeDerivatives, dissipates, mode_derivatives
 from calib.structure.energy import shares_of, strain_energy
 from calib.structure.extend import extend
 from calib.structure.geometry import Mesh
@@ -114,9 +115,19 @@ class ReducedModel:
         return self.model.assumptions
 
     @property
+    def n_modes(self) -> int:
+        """Modes that the basis was trained for."""
+        return self.basis.count
+
+    @property
     def is_damped(self) -> bool:
         """Whether modes are complex."""
         return self.model.is_damped
+
+    @property
+    def dissipates(self) -> bool:
+        """Whether its modes are damped at the adopted values, or would be with another parameter."""
+        return dissipates(self)
 
     @property
     def roots(self) -> frozenset[str]:
@@ -173,6 +184,22 @@ class ReducedModel:
             return float(abs(np.vdot(shape, self._turning_mass(si) @ shape)) / total) if total > 0 else 0.0
 
         return solve_dense(stiffness, damping, mass, count, turning)
+
+    def derivatives(
+        self,
+        values: Mapping[str, float],
+        modes: Modes,
+        names: Sequence[str],
+        which: Sequence[int] | np.ndarray,
+        rows: np.ndarray,
+        at: Callable[[Mapping[str, float]], Modes] | None = None,
+    ) -> ModeDerivatives:
+        """Analytic derivatives of some modes, for which no further point is solved; see `mode_derivatives`."""
+        return mode_derivatives(self, values, modes, names, which, rows)
+
+    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
+        """Shapes times the mass matrix, (size, n_modes)."""
+        return self.matrices(values)[2] @ shapes
 
     def lift(self, shapes: np.ndarray) -> np.ndarray:
         """Shapes over the full model's degrees of freedom, (n_full, n_modes), from those over the basis."""

@@ -55,8 +55,8 @@ class Counted:
     def __init__(self, model):
         self.model, self.space, self.solved = model, model.space, 0
 
-    def matrices(self, values):
-        return self.model.matrices(values)
+    def weighted(self, values, shapes):
+        return self.model.weighted(values, shapes)
 
     def modes(self, values, count):
         self.solved += 1

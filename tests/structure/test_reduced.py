@@ -15,7 +15,7 @@ from calib.structure.affine import AffineMatrix, Term, parameter
 from calib.structure.attach import hung_masses, outer_term
 from calib.structure.basis import Basis
 from calib.structure.extend import Addition, extend
-from calib.structure.model import ModalModel
+from calib.structure.modal_model import ModalModel
 from calib.structure.reduced import ReducedModel
 from calib.structure.reduced_matrix import reduce_matrix
 from calib.structure.training import train_basis
