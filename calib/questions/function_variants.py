@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -78,7 +78,10 @@ class FunctionVariants:
     def _common(self) -> ModalFunctionModel:
         further = tuple(p for e in self._by_name.values() for p in e.parameters)
         space = ParameterSpace(self.model.space.parameters + further, self.model.space.constraints)
-        return replace(self.model, space=space, function=self._ask)
+        return _Common(
+            self.model.name, space, self._ask, self.model.sensors, self.model.n_modes, self.model.damped,
+            self.model.step, strengths=frozenset(self._by_name),
+        )  # fmt: skip
 
     def _ask(self, values: Mapping[str, float]) -> Modes:
         active = tuple(name for name in self._by_name if values.get(name, 0.0) != 0)
@@ -123,6 +126,16 @@ class FunctionVariants:
                 f"with strength 0 it changes a frequency by {100 * change:.3g} %", place=f"effect {effect.name}",
                 remedy="let what it builds give the base model's modes there",
             )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Common(ModalFunctionModel):
+    """A model with all effects; one with which the function fails has no derivative where it is not in the model."""
+
+    strengths: frozenset[str] = frozenset()
+
+    def _optional(self, values: Mapping[str, float]) -> Collection[str]:
+        return {name for name in self.strengths if values[name] == self.space[name].value}
 
 
 @dataclass(frozen=True, eq=False)

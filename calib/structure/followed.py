@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -29,6 +29,7 @@ def followed_derivatives(
     which: Sequence[int] | np.ndarray,
     rows: np.ndarray,
     step: float,
+    optional: Collection[str] = (),
 ) -> ModeDerivatives:
     """Central differences of modes, each followed to both ends by its MAC, so that modes may cross on the way.
 
@@ -38,8 +39,8 @@ def followed_derivatives(
     the scale and phase of the mode by least squares.
 
     A difference is one-sided at a limit, where the model fails at one end, and for a mode without a successor there
-    (`SUCCESSOR`). A mode without any, and one whose successor is another mixture of modes (`SMOOTH`), is irregular: its
-    shape has no derivative; that of the frequency is 0 in the first case and that of the successors in the second.
+    (`SUCCESSOR`). A mode without any along a parameter has the derivative 0; one whose successor is another mixture of
+    modes (`SMOOTH`) has that of its frequency and damping only, and 0 for its shape.
 
     Parameters
     ----------
@@ -56,28 +57,31 @@ def followed_derivatives(
         Motions wanted of the shapes.
     step : float
         Half a difference, over the range between the limits.
+    optional : collection of str
+        Parameters along which a model that fails on both sides has the derivative 0.
 
     Raises
     ------
     EvaluationError
-        When the model fails on both sides of the point along one parameter.
+        When the model fails on both sides of the point along one of the other parameters.
     """
     chosen = np.asarray(which, dtype=int)
     complete = space.complete(dict(values))
     kind = complex if modes.is_complex else float
     root = np.zeros((len(names), len(chosen)), dtype=complex)
     shapes = np.zeros((len(names), len(rows), len(chosen)), dtype=kind)
-    regular = np.ones(len(chosen), dtype=bool)
     for q, name in enumerate(names if len(chosen) else ()):
         path = _Path(at, modes, chosen, complete)
-        slope = difference(path.vector, complete, space[name], step).reshape(-1, 2, len(chosen))
-        moved = slope[:, 0] + 1j * slope[:, 1]
-        lost = np.isnan(moved[0])
-        regular &= ~lost & path.smooth
-        root[q] = np.where(lost, 0.0, moved[0])
-        change = moved[1:] if kind is complex else moved[1:].real
-        shapes[q] = rows @ change
-    shapes[:, :, ~regular] = np.nan
+        try:
+            slope = difference(path.vector, complete, space[name], step).reshape(-1, 2, len(chosen))
+        except EvaluationError:
+            if name not in optional:
+                raise
+            continue
+        moved = np.nan_to_num(slope[:, 0] + 1j * slope[:, 1])
+        root[q] = moved[0]
+        change = np.where(path.smooth, moved[1:], 0.0)
+        shapes[q] = rows @ (change if kind is complex else change.real)
     here = eigenvalues(modes)[chosen]
     size = np.abs(here)
     grown = np.real(np.conj(here) * root) / size
@@ -88,7 +92,7 @@ def followed_derivatives(
         natural_freq=grown / (2 * np.pi),
         damped_freq=root.imag / (2 * np.pi),
         damping_ratio=-root.real / size + here.real * grown / size**2,
-        regular=regular,
+        regular=np.ones(len(chosen), dtype=bool),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -204,7 +204,12 @@ class ModalFunctionModel:
         def solved(there: Mapping[str, float]) -> Modes:
             return self.modes(there, self.n_modes)
 
-        return followed_derivatives(at or solved, self.space, values, modes, names, which, rows, self.step)
+        optional = self._optional(values)
+        return followed_derivatives(at or solved, self.space, values, modes, names, which, rows, self.step, optional)
+
+    def _optional(self, values: Mapping[str, float]) -> Collection[str]:
+        """Parameters along which the function may fail, and has then the derivative 0."""
+        return ()
 
     def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
         """The shapes themselves: without a mass every sensor weighs the same."""

@@ -130,9 +130,9 @@ def measured(prop=0.0, n_modes=8, repeats=6, seed=3, sensors=SENSORS):
     rng = np.random.default_rng(seed)
     freq, ratio, shapes = Beam(4 * ELEMENTS).modes({**TRUE, "prop": prop}, n_modes, sensors)
     shapes = shapes / shapes[np.argmax(np.abs(shapes), axis=0), range(n_modes)]
-    f = freq * (1 + 4e-4 * rng.standard_normal((repeats, n_modes)))
+    f = freq * (1 + 1e-3 * rng.standard_normal((repeats, n_modes)))
     z = ratio * (1 + 0.03 * rng.standard_normal((repeats, n_modes)))
-    noise = rng.standard_normal((2, repeats, *shapes.shape)) * 4e-3
+    noise = rng.standard_normal((2, repeats, *shapes.shape)) * 0.02
     s = shapes + noise[0] + 1j * noise[1]
     part = np.sqrt(repeats)
     return calib.MeasuredModes(
@@ -163,7 +163,7 @@ def effects_of_function():
         return bent
 
     return (
-        _effect("prop", "N/m", 2e4, 4e5, lambda model: lambda v: bends(v)),
+        _effect("prop", "N/m", 2e3, 4e4, lambda model: lambda v: bends(v)),
         _effect("m_mid", "kg", 0.5, 10.0, with_mass),
     )
 
@@ -186,6 +186,6 @@ def effects_of_matrices():
         return (Term(name, sp.csr_array(matrix), Monomial(1.0, ((name, 1.0),))),)
 
     return (
-        _effect("prop", "N/m", 2e4, 4e5, lambda model: Addition(stiffness=term("prop", BEAM.both(nothing, at)))),
+        _effect("prop", "N/m", 2e3, 4e4, lambda model: Addition(stiffness=term("prop", BEAM.both(nothing, at)))),
         _effect("m_mid", "kg", 0.5, 10.0, lambda model: Addition(mass=term("m_mid", BEAM.both(at, at)))),
     )

@@ -1,0 +1,162 @@
+"""What a function of modes lacks is found like what matrices lack."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.questions.function_variants import FunctionVariants, modal_function_atoms
+from tests.front.cantilever import (
+    ADOPTED,
+    SENSORS,
+    as_function,
+    as_matrices,
+    bends,
+    effects_of_function,
+    effects_of_matrices,
+    measured,
+    space,
+)
+
+PROP = 2500.0
+
+
+@pytest.fixture(scope="module")
+def explained():
+    test = calib.ModalTest(measured(prop=PROP), mode_count=14)
+    sides = {"function": (as_function(), effects_of_function()), "matrices": (as_matrices(), effects_of_matrices())}
+    return {side: calib.Problem(model, test).explain(effects) for side, (model, effects) in sides.items()}
+
+
+def test_a_missing_prop_is_found_as_with_matrices(explained):
+    own, theirs = explained["function"], explained["matrices"]
+    assert own.verdict == theirs.verdict == "effect"
+    assert [e.name for e in own.named] == [e.name for e in theirs.named] == ["prop"]
+    mine, other = (why.table.set_index("name") for why in (own, theirs))
+    for column in ("phi", "phi_low", "phi_high", "ln_bayes", "z"):
+        assert mine.loc["prop", column] == pytest.approx(other.loc["prop", column], rel=1e-3)
+    assert mine.loc["prop", "phi_low"] < PROP < mine.loc["prop", "phi_high"]
+    assert mine.loc["m_mid", "z"] == pytest.approx(other.loc["m_mid", "z"], rel=1e-2)
+    np.testing.assert_allclose(own.errors["rms"], theirs.errors["rms"], rtol=1e-3)
+
+
+def test_with_the_prop_the_function_is_fitted_as_the_matrices_are(explained):
+    own, theirs = (explained[side].with_named().calibrate() for side in ("function", "matrices"))
+    assert "prop" in own.parameters.index
+    for name in (*ADOPTED, "prop"):
+        std = theirs.parameters.loc[name, "std"]
+        assert own.values[name] == pytest.approx(theirs.values[name], abs=1e-2 * std)
+        assert own.parameters.loc[name, "std"] == pytest.approx(std, rel=1e-3)
+
+
+def test_nothing_is_named_where_nothing_is_missing():
+    problem = calib.Problem(as_function(), calib.ModalTest(measured(), mode_count=14))
+    assert problem.explain(effects_of_function()).verdict == "nothing_detectable"
+
+
+def test_an_effect_may_wrap_the_function_instead():
+    """As a user would write it: what the model's function gives, changed."""
+
+    def build(model):
+        def stiffer(v):
+            answer = model.function({n: x for n, x in v.items() if n != "seen"})
+            answer["natural_freq"] *= 1 + v["seen"]  # in place: what was kept must not be changed by it
+            return answer
+
+        return stiffer
+
+    strength = calib.Parameter("seen", 0.0, -0.1, 0.5, "-", prior_sd=0.01)
+    effect = calib.Effect("seen", "seen", "it is not", "it", strength, build)
+    variants = FunctionVariants(as_function(), (effect,), ())
+    model = variants.with_effects(["seen"])
+    for strength in (0.0, 0.02, 0.02, 0.0, 0.04):
+        found = model.modes({"seen": strength}, 14).natural_freq / as_function().modes({}, 14).natural_freq
+        assert found == pytest.approx(1 + strength)
+
+
+def test_an_effect_that_changes_the_base_model_is_refused():
+    def build(model):
+        return lambda v: bends({**v, "m_tip": v["m_tip"] + 0.1 + v["heavier"]})
+
+    strength = calib.Parameter("heavier", 0.0, 0.0, 5.0, "kg", prior_sd=0.1)
+    effect = calib.Effect("heavier", "heavier", "it is not", "it", strength, build)
+    with pytest.raises(calib.InputError, match="strength 0"):
+        calib.Problem(as_function(), calib.ModalTest(measured(), mode_count=14)).explain([effect])
+
+
+def test_an_effect_that_builds_no_function_is_refused():
+    strength = calib.Parameter("heavier", 0.0, 0.0, 5.0, "kg", prior_sd=0.1)
+    effect = calib.Effect("heavier", "heavier", "it is not", "it", strength, lambda model: 3.0)
+    problem = calib.Problem(as_function(), calib.ModalTest(measured(), mode_count=14))
+    for ask in (problem.explain, problem.with_effects):
+        with pytest.raises(calib.InputError, match="heavier"):
+            ask([effect])
+
+
+def test_points_at_which_an_effect_fails_are_told():
+    def build(model):
+        def failing(v):
+            if v["m_mid"] != 0:
+                raise RuntimeError("no convergence with it")
+            return model.function({n: x for n, x in v.items() if n != "m_mid"})
+
+        return failing
+
+    prop, mass = effects_of_function()
+    test = calib.ModalTest(measured(prop=PROP), mode_count=14)
+    why = calib.Problem(as_function(), test).explain([prop, replace(mass, build=build)])
+    assert [e.name for e in why.named] == ["prop"]
+
+
+# -- what may be off by itself -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def local():
+    own = space().freeze({"c_tip": 4.0})
+    model = replace(as_function(), space=own)
+    atoms = modal_function_atoms(model, own, SENSORS)
+    return FunctionVariants(model, (), tuple(a.effect for a in atoms)), atoms
+
+
+def test_local_changes_of_a_function_are_held_parameters_kinds_and_faults_of_the_measurement(local):
+    names = {a.effect.name for a in local[1]}
+    assert "change of c_tip" in names and "change of m_tip" not in names
+    assert {"change of m_tip in frequency", "change of m_tip in shape", "scale of damping"} <= names
+    assert {a.sensor for a in local[1] if a.sensor} == {s.name for s in SENSORS}
+    assert all(a.effect.of_measurement == (a.kind == "response") for a in local[1])
+
+
+def test_each_local_change_does_what_it_says(local):
+    variants, _ = local
+    model = variants.with_effects(())
+    base, heavier = model.modes({}, 14), as_function().modes({"m_tip": 1.2 * ADOPTED["m_tip"]}, 14)
+    moved = model.modes({"change of m_tip in frequency": 0.2}, 14)
+    np.testing.assert_allclose(moved.natural_freq, heavier.natural_freq)
+    np.testing.assert_allclose(moved.shapes, base.shapes)
+    moved = model.modes({"change of m_tip in shape": 0.2}, 14)
+    np.testing.assert_allclose(moved.natural_freq, base.natural_freq)
+    np.testing.assert_allclose(moved.shapes, heavier.shapes)
+    moved = model.modes({"change of m_tip in damping": 0.2}, 14)
+    np.testing.assert_allclose(moved.damping_ratio, heavier.damping_ratio)
+    moved = model.modes({"scale of frequency": 0.05, "gain of sensor 4z": 0.5}, 14)
+    np.testing.assert_allclose(moved.natural_freq, 1.05 * base.natural_freq)
+    row = [s.name for s in SENSORS].index("4z")
+    np.testing.assert_allclose(moved.shapes[row], 1.5 * base.shapes[row])
+    moved = model.modes({"change of c_tip": 0.5}, 14)
+    np.testing.assert_allclose(moved.damping_ratio, as_function().modes({"c_tip": 6.0}, 14).damping_ratio)
+
+
+def test_a_change_for_one_kind_follows_modes_over_a_crossing():
+    """Where bending in y and in z cross, the frequencies of a stiffer plane go with the shapes of that plane."""
+    values = {"EI_y": 6900.0, "EI_z": 7000.0}
+    model = as_function(**values)
+    atoms = modal_function_atoms(model, model.space, SENSORS)
+    variants = FunctionVariants(model, (), tuple(a.effect for a in atoms))
+    base, moved = (variants.with_effects(()).modes({"change of EI_y in shape": by}, 2) for by in (0.0, 0.05))
+    np.testing.assert_allclose(moved.natural_freq, base.natural_freq)
+    in_z = [k for k, s in enumerate(SENSORS) if s.direction == "z"]
+    for modes in (base, moved):
+        share = (np.abs(modes.shapes[in_z]) ** 2).sum(axis=0) / (np.abs(modes.shapes) ** 2).sum(axis=0)
+        assert share == pytest.approx([1.0, 0.0], abs=1e-6)
