@@ -68,12 +68,20 @@ class Sources:
         return model
 
     def finer(self) -> StructuralModel | None:
-        """The structural model without effects on a finer mesh; None when the study names no options for one."""
+        """The structural model without effects on a finer mesh; None when the study names no options for one.
+
+        InputError for a model without matrices.
+        """
         options = self.settings.explain.finer_options
         if not options:
             return None
         model = self._call("explain", self.settings.model, {**self.settings.model_options, **options})
-        return model if isinstance(model, StructuralModel) else None
+        if not isinstance(model, StructuralModel):
+            raise InputError(
+                "finer_options ask for a finer mesh, which needs a model of matrices", place=self.place("explain"),
+                remedy="take finer_options out",
+            )  # fmt: skip
+        return model
 
     def library(self, base: Model) -> tuple[Effect, ...]:
         """The effects that the model may lack, in the order of their library; none when the study names none.

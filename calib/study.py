@@ -116,7 +116,7 @@ class Study(StudyFile):
     file : Path
         Its ``study.toml``.
     settings : StudySettings
-    model : StructuralModel or FunctionModel
+    model : StructuralModel, ModalFunctionModel or FunctionModel
         With the study's effects, parameter values, limits and constraints.
     measured : MeasuredModes or None
         None for a model without modes.
@@ -285,29 +285,35 @@ class EvaluationSource:
                 place=self.path,
                 remedy="start the command again, or make inside the function what is new for every call",
             )
-        return _Extendable(study).evaluate if isinstance(problem, FunctionProblem) else problem.evaluate
+        return problem.evaluate if isinstance(study.model, StructuralModel) else _Extendable(study).evaluate
 
 
 @dataclass(frozen=True, eq=False)
 class _Extendable:
-    """The function of a study with those effects of its library whose parameters are among the values."""
+    """The function of a study with those effects of its library whose parameters are among the values.
+
+    A function of modes tells their numbers, see `calib.structure.modal_answer.numbers_of`.
+    """
 
     study: Study
-    _problems: dict[tuple[str, ...], FunctionProblem] = field(init=False, repr=False, default_factory=dict)
+    _made: dict[tuple[str, ...], Callable[[Mapping[str, float]], dict[str, float]]] = field(
+        init=False, repr=False, default_factory=dict
+    )
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """As `FunctionProblem.evaluate`; effects are built one upon the other in the order of the values."""
         owner = {name: effect for effect in self.study.candidates for name in effect.names}
         effects = {owner[name].name: owner[name] for name in values if name in owner}
         key = tuple(effects)
-        if key not in self._problems:
-            model, problem = (
-                with_effects(self.study.model, tuple(effects.values()), str(self.study.file)),
-                self.study.problem,
-            )
-            assert isinstance(model, FunctionModel) and isinstance(problem, FunctionProblem)
-            self._problems[key] = replace(problem, space=model.space, function=model.function)
-        return self._problems[key].evaluate(values)
+        if key not in self._made:
+            model = with_effects(self.study.model, tuple(effects.values()), str(self.study.file))
+            if isinstance(model, ModalFunctionModel):
+                self._made[key] = model.numbers
+            else:
+                problem = self.study.problem
+                assert isinstance(model, FunctionModel) and isinstance(problem, FunctionProblem)
+                self._made[key] = replace(problem, space=model.space, function=model.function).evaluate
+        return self._made[key](values)
 
 
 def _digest_of_file(path: Path) -> str:
@@ -369,6 +375,9 @@ class _Reader:
             )
         else:
             assert measured is not None and not isinstance(base, FunctionModel)
+            if isinstance(model, ModalFunctionModel):
+                assert isinstance(base, ModalFunctionModel)
+                model = replace(model, identity=self._fingerprint(fingerprint_of(base, included, model)))
             problem = self._problem(model, measured, model.n_modes - base.n_modes)
         selected = search_space(space, self.settings, self.place)
         if not self.settings.calibration.weight_freq + self.settings.calibration.weight_mac > 0:

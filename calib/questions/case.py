@@ -15,7 +15,7 @@ import pandas as pd
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.ledger import Ledger
-from calib.outcome import Outcome, answered, as_cause
+from calib.outcome import Outcome, answered, as_cause, key_of
 from calib.problem import Counts, Pair, Problem
 from calib.questions.compare import Answer, answer_at
 from calib.questions.explained_fit import explained_fit
@@ -23,6 +23,7 @@ from calib.questions.judge import FitProgress, Judgement, Shared, Terms, criteri
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.stored import confirm
+from calib.questions.user_function import function_of, kept_under
 from calib.results import Results
 from calib.sampling import sample
 from calib.study import ForwardProblem, Study
@@ -260,8 +261,9 @@ class CaseFinder:
         """The case at its final values, solved at full order whatever the search worked on."""
         problem = self.study.problem
         plain = isinstance(problem, FunctionProblem)
-        if search is not None and plain:
-            confirm(self.study, self.ledger, Outcome(search.values, "ok", search.responses))
+        if search is not None and function_of(problem) is not None:
+            key = key_of(search.values)
+            confirm(self.study, self.ledger, self.ledger.lookup(kept_under(problem), [key])[key])
         answer = answer_at(self.study, judgement.values)
         responses = answered(problem.evaluate, judgement.values)
         final = replace(result, values=judgement.values, misfit=objective(responses), responses=responses)

@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.evaluate import Evaluator
 from calib.function import FunctionModel
 from calib.outcome import failure
+from calib.questions.user_function import function_of, numbered, with_function
+from calib.structure.model import StructuralModel
 from calib.study import EvaluationSource, Study
 
 
@@ -36,11 +38,16 @@ class ChildFunction:
         return outcome.responses
 
 
-def evaluator_of(problem: FunctionProblem) -> Evaluator:
-    """One that asks the problem's function where it runs: in its child process, or in this one."""
-    if isinstance(problem.function, ChildFunction):
-        return problem.function.evaluator
-    return Evaluator(lambda: problem.evaluate)
+def evaluator_of(problem: FunctionProblem | ModalProblem) -> Evaluator:
+    """One that asks the problem's function for its numbers where it runs: in its child process, or in this one.
+
+    Of a model of matrices it asks for responses.
+    """
+    function = function_of(problem)
+    if isinstance(function, ChildFunction):
+        return function.evaluator
+    asked = function if isinstance(problem, ModalProblem) and function is not None else problem.evaluate
+    return Evaluator(lambda: asked)
 
 
 def isolated(study: Study) -> Study:
@@ -49,14 +56,14 @@ def isolated(study: Study) -> Study:
     The study's effects are built here, so that what is wrong with them is told, and asked there.
     """
     problem, model = study.problem, study.model
-    if not isinstance(problem, FunctionProblem) or not isinstance(model, FunctionModel):
+    if isinstance(model, StructuralModel):
         return study
     source = EvaluationSource(str(study.file.resolve()), problem.fingerprint, "", tuple(study.adopted.items()))
     child = ChildFunction(Evaluator(source, 1, study.settings.calibration.time_limit, isolated=True))
     return replace(
         study,
-        model=replace(model, function=child),
-        problem=replace(problem, function=child),
+        model=replace(model, function=child) if isinstance(model, FunctionModel) else numbered(model, child),
+        problem=with_function(problem, child),
         library=tuple(replace(effect, build=partial(_known_there, effect.build)) for effect in study.library),
     )
 

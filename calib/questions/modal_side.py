@@ -45,7 +45,7 @@ BASIS_ERROR = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ModalSide:
-    """Measured modes against a model with matrices.
+    """Measured modes against a model that tells modes.
 
     Attributes
     ----------
@@ -82,8 +82,12 @@ class ModalSide:
     def of(cls, study: Study, results: Results, progress: Callable[[str], None]) -> ModalSide:
         """With the reduced basis that is kept among the results, or a new one; InputError with too few modes."""
         problem = study.problem
-        assert isinstance(problem, ModalProblem) and isinstance(study.model, StructuralModel)
+        assert isinstance(problem, ModalProblem) and not isinstance(study.model, FunctionModel)
         require_modes(problem.measured.n_modes)
+        if isinstance(study.model, ModalFunctionModel):
+            return cls.of_function(
+                study.model, problem, study.whole_problem(), study.candidates, study.search_space, Told.of(study)
+            )
         return cls(
             study.model, problem, study.whole_problem(), *modal_hypotheses(study, results, progress), Told.of(study),
             study.finer_model, worthwhile(study),

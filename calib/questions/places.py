@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
-from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.problem import ModalProblem
 from calib.errors import InputError
-from calib.evaluate import Evaluator
+from calib.evaluate import BatchEvaluator, Evaluator
 from calib.ledger import Ledger
 from calib.questions.isolation import ChildFunction
-from calib.questions.recorded import asked_anew, unrecorded
+from calib.questions.recorded import ModesEvaluator, asked_anew, unrecorded
+from calib.questions.user_function import function_of
 from calib.results import Results
 from calib.study import EvaluationSource, ForwardProblem, Study, StudyFile, shell_argument
 from calib.written import LOG
@@ -115,7 +117,7 @@ def open_evaluator(
     problem: ForwardProblem | None = None,
     basis: Path | None = None,
     seconds: float | None = None,
-) -> AbstractContextManager[Evaluator]:
+) -> AbstractContextManager[BatchEvaluator]:
     """An evaluator for a study, or for its reduced problem; workers are only started when they pay for their start.
 
     One worker of a study whose function runs in a child process is that child.
@@ -134,19 +136,34 @@ def open_evaluator(
     seconds : float, optional
         How long one evaluation takes; tried out where it is not known.
     """
-    asked = unrecorded(problem or study.problem)
+    given = problem or study.problem
+    asked = unrecorded(given)
     chosen = workers
     if chosen is None:
         if seconds is None:
             seconds = asked_anew(asked, study.model.space.values).seconds
         chosen = available_cores() if seconds * count > _WORTHWHILE else 1
-    if chosen == 1 and isinstance(asked, FunctionProblem) and isinstance(asked.function, ChildFunction):
-        return nullcontext(asked.function.evaluator)
+    function = function_of(asked)
+    if chosen == 1 and isinstance(function, ChildFunction):
+        return nullcontext(_answering(given, function.evaluator))
     source = EvaluationSource(
         str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve()),
         tuple(study.adopted.items()),
     )  # fmt: skip
-    return Evaluator(source, chosen, study.settings.calibration.time_limit)
+    return _opened_for(given, Evaluator(source, chosen, study.settings.calibration.time_limit))
+
+
+@contextmanager
+def _opened_for(problem: ForwardProblem, evaluator: Evaluator) -> Iterator[BatchEvaluator]:
+    with evaluator:
+        yield _answering(problem, evaluator)
+
+
+def _answering(problem: ForwardProblem, evaluator: Evaluator) -> BatchEvaluator:
+    """An evaluator of responses, from one that asks a function of modes for these."""
+    if isinstance(problem, ModalProblem) and function_of(problem) is not None:
+        return ModesEvaluator(problem, evaluator)
+    return evaluator
 
 
 _WORTHWHILE = 20.0

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.errors import EvaluationError
-from calib.evaluate import BatchEvaluator
+from calib.evaluate import Arrived, BatchEvaluator
 from calib.ledger import Ledger
-from calib.outcome import Outcome, attempt, failure
+from calib.outcome import Outcome, attempt, failure, key_of
 from calib.questions.isolation import evaluator_of
+from calib.questions.user_function import Forward, function_of, kept_under, told_by, with_function
 from calib.study import Study
 
 
@@ -23,10 +24,10 @@ class RecordedFunction:
     asked : callable
         The function itself.
     fingerprint : str
-        Of the problem.
+        Of its numbers, see `calib.questions.user_function.kept_under`.
     ledger : Ledger
     evaluator : BatchEvaluator
-        Of that problem.
+        Of that function.
     """
 
     asked: Callable[[Mapping[str, float]], Mapping[str, float]]
@@ -42,42 +43,104 @@ class RecordedFunction:
         return outcome.responses
 
 
-def recorded_problem(problem: FunctionProblem, ledger: Ledger) -> FunctionProblem:
-    """The same problem behind a ledger; one that is behind one stays as it is."""
-    if isinstance(problem.function, RecordedFunction):
+def recorded_problem(problem: Forward, ledger: Ledger) -> Forward:
+    """The same problem with its function behind a ledger; matrices, and what is behind one, stay as they are."""
+    function = function_of(problem)
+    if function is None or isinstance(function, RecordedFunction):
         return problem
-    asked = RecordedFunction(problem.function, problem.fingerprint, ledger, evaluator_of(problem))
-    return replace(problem, function=asked)
+    return with_function(problem, RecordedFunction(function, kept_under(problem), ledger, evaluator_of(problem)))
 
 
 def recorded(study: Study, ledger: Ledger) -> Study:
-    """The study with a plain function behind the ledger; what else is told needs modes, which no ledger keeps."""
-    if not isinstance(study.problem, FunctionProblem):
-        return study
+    """The study with its function behind the ledger; of matrices no ledger keeps the modes."""
     return replace(study, problem=recorded_problem(study.problem, ledger))
 
 
-def unrecorded(problem: FunctionProblem | ModalProblem) -> FunctionProblem | ModalProblem:
+def unrecorded(problem: Forward) -> Forward:
     """The same problem, to be asked anew whatever a ledger knows."""
-    if isinstance(problem, FunctionProblem) and isinstance(problem.function, RecordedFunction):
-        return replace(problem, function=problem.function.asked)
-    return problem
+    function = function_of(problem)
+    return with_function(problem, function.asked) if isinstance(function, RecordedFunction) else problem
+
+
+def numbers_anew(problem: FunctionProblem | ModalProblem, values: Mapping[str, float]) -> Outcome:
+    """Numbers of the function at one point (of matrices responses), whatever a ledger knows of it."""
+    return evaluator_of(unrecorded(problem)).evaluate([values])[0]
 
 
 def asked_anew(problem: FunctionProblem | ModalProblem, values: Mapping[str, float]) -> Outcome:
     """One point, whatever a ledger knows of it; its seconds are those of the model, not of a process that starts."""
-    problem = unrecorded(problem)
-    if isinstance(problem, FunctionProblem):
-        return evaluator_of(problem).evaluate([values])[0]
-    return attempt(problem.evaluate, values)
+    if function_of(problem) is None:
+        return attempt(problem.evaluate, values)
+    return told_by(problem, numbers_anew(problem, values))
 
 
 def traced(
     problem: FunctionProblem | ModalProblem, values: Mapping[str, float], fault: EvaluationError
 ) -> EvaluationError:
     """A failure with the traceback of the user's code, which no ledger keeps: the point is asked once more for it."""
-    known = isinstance(problem, FunctionProblem) and isinstance(problem.function, RecordedFunction)
-    if not known or Outcome(dict(values), "failed", {}, str(fault)).transient:
+    if (
+        not isinstance(function_of(problem), RecordedFunction)
+        or Outcome(dict(values), "failed", {}, str(fault)).transient
+    ):
         return fault
     again = asked_anew(problem, values)
     return failure(again) if again.status == "failed" else fault
+
+
+@dataclass(frozen=True, eq=False)
+class ModesEvaluator:
+    """Evaluates batches of a problem whose function tells modes: these are asked for, kept, and compared here.
+
+    Attributes
+    ----------
+    problem : ModalProblem
+        Where its function is behind a ledger, modes are looked up there and kept.
+    numbers : BatchEvaluator
+        Asks the function.
+    """
+
+    problem: ModalProblem
+    numbers: BatchEvaluator
+
+    @property
+    def isolated(self) -> bool:
+        """Whether the function runs in another process."""
+        return self.numbers.isolated
+
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = lambda outcome: None) -> list[Outcome]:
+        """Responses in the order of the points, each also told to ``arrived`` as soon as it is there."""
+        found: dict[str, Outcome] = {}
+
+        def came(numbers: Outcome) -> None:
+            found[key_of(numbers.values)] = outcome = told_by(self.problem, numbers)
+            arrived(outcome)
+
+        function = function_of(self.problem)
+        asked = _Heard(self.numbers, came)
+        if isinstance(function, RecordedFunction):
+            numbers = function.ledger.evaluate(function.fingerprint, points, asked)
+        else:
+            numbers = asked.evaluate(points)
+        for one in numbers:  # those that were known
+            if key_of(one.values) not in found:
+                came(one)
+        return [found[key_of(values)] for values in points]
+
+
+@dataclass(frozen=True, eq=False)
+class _Heard:
+    """An evaluator that tells one more listener what arrives."""
+
+    inner: BatchEvaluator
+    listener: Arrived
+
+    @property
+    def isolated(self) -> bool:
+        return self.inner.isolated
+
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = lambda outcome: None) -> list[Outcome]:
+        def both(outcome: Outcome) -> None:
+            arrived(outcome)
+            self.listener(outcome)
+
+        return self.inner.evaluate(points, both)

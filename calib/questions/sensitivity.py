@@ -17,6 +17,7 @@ from calib.outcome import Outcome
 from calib.questions.failures import reasons, reasons_sentence
 from calib.questions.places import QUICK_SAMPLES, is_quick, open_evaluator
 from calib.questions.record import begin_answer, questions_of, write_record
+from calib.questions.recorded import recorded
 from calib.questions.state import changed, made_from
 from calib.questions.stored import confirmed
 from calib.results import Results
@@ -254,7 +255,7 @@ def _evaluate(
 ) -> list[Outcome]:
     outcomes: list[Outcome] = []
     seconds = confirmed(study, ledger)
-    with open_evaluator(study, workers, len(points), seconds=seconds) as evaluator:
+    with open_evaluator(recorded(study, ledger), workers, len(points), seconds=seconds) as evaluator:
         for start in range(0, len(points), _BATCH):
             outcomes += ledger.evaluate(study.problem.fingerprint, points[start : start + _BATCH], evaluator)
             progress(len(outcomes), len(points))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from calib.correlation.problem import FunctionProblem
 from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
-from calib.questions.recorded import asked_anew
+from calib.questions.recorded import asked_anew, numbers_anew
+from calib.questions.user_function import function_of, kept_under, told_by
 from calib.space import ParameterSpace
 from calib.study import Study
 
@@ -38,13 +38,14 @@ def confirmed(study: Study, ledger: Ledger) -> float | None:
         When the model answers differently than it did.
     """
     problem = study.problem
-    stored = ledger.stored(problem.fingerprint)
-    plain = isinstance(problem, FunctionProblem)
+    kept = kept_under(problem)
+    stored = ledger.stored(kept)
+    plain = function_of(problem) is not None
     if stored is None:
         if not plain:
             return None
-        first = asked_anew(problem, problem.space.values)
-        ledger.append(problem.fingerprint, [first])
+        first = numbers_anew(problem, problem.space.values)
+        ledger.append(kept, [first])
         if first.seconds <= CHEAP:
             confirm(study, ledger, first)
         return first.seconds
@@ -54,9 +55,9 @@ def confirmed(study: Study, ledger: Ledger) -> float | None:
 
 
 def confirm(study: Study, ledger: Ledger, known: Outcome) -> float:
-    """Ask one point anew and compare it with what is known of it; returns the seconds that took."""
+    """Ask one point anew and compare it with the numbers that are known of it; returns the seconds that took."""
     problem = study.problem
-    fresh = asked_anew(problem, known.values)
+    known, fresh = told_by(problem, known), asked_anew(problem, known.values)
     different = _difference(study, known, fresh)
     if different is None:
         return fresh.seconds
@@ -69,7 +70,7 @@ def confirm(study: Study, ledger: Ledger, known: Outcome) -> float:
             place=study.file,
             remedy="seed its random numbers, and let every evaluation start from the same state",
         )
-    since = ledger.stored_at(study.problem.fingerprint, known.values)
+    since = ledger.stored_at(kept_under(problem), known.values)
     raise InputError(
         f"the model answers differently than when a point was stored on {since}: {different}, at {point}; "
         "what is stored is stale, or the model depends on what it was asked before",

@@ -189,3 +189,86 @@ def effects_of_matrices():
         _effect("prop", "N/m", 2e3, 4e4, lambda model: Addition(stiffness=term("prop", BEAM.both(nothing, at)))),
         _effect("m_mid", "kg", 0.5, 10.0, lambda model: Addition(mass=term("m_mid", BEAM.both(at, at)))),
     )
+
+
+# -- as a study --------------------------------------------------------------------------------------------------------
+
+STUDY = """
+title = "Synthetic cantilever"
+model = "model.py:MODEL"
+effects = "model.py:library"
+selection = ["EI_y", "EI_z", "m_tip", "k_root", "c_tip"]
+[measurement]
+files = ["modes.csv"]
+shapes = ["shapes.csv"]
+sensors = "sensors.csv"
+repeats = 6
+std_of = "mean"
+synthetic = true
+[withheld]
+modes = ["m8"]
+[pairing]
+mode_count = 14
+[sensitivity]
+samples = 80
+[calibration]
+method = "gauss-newton"
+starts = 2
+population = 10
+generations = 3
+cases = [{ name = "A1", seed = 1 }]
+"""
+
+MODEL = """
+from pathlib import Path
+
+import cantilever
+
+LOG = Path(LOG_PATH)
+
+
+def counted(v):
+    with LOG.open("a") as stream:
+        stream.write(repr(sorted(v.items())) + "\\n")
+    return cantilever.bends(v)
+
+
+def function():
+    model = cantilever.as_function()
+    return cantilever.calib.ModalFunctionModel(
+        model.name, model.space, counted, model.sensors, n_modes=model.n_modes, damped=True
+    )
+
+
+def matrices():
+    return cantilever.as_matrices()
+
+
+def library():
+    return cantilever.EFFECTS()
+"""
+
+
+def write_study(folder, log, model="function", prop=0.0):
+    """A study of the cantilever in a folder, its model as a function or as matrices; calls are logged outside it."""
+    from pathlib import Path
+
+    folder.mkdir(parents=True)
+    m = measured(prop=prop)
+    (folder / "study.toml").write_text(STUDY.replace("MODEL", model))
+    text = MODEL.replace("LOG_PATH", repr(str(log))).replace("EFFECTS", f"effects_of_{model}")
+    (folder / "model.py").write_text(text)
+    (folder / "cantilever.py").write_bytes(Path(__file__).read_bytes())
+    rows = zip(m.names, m.natural_freq, m.freq_std, m.damping_ratio, m.damping_std, strict=True)
+    modes = pd.DataFrame(rows, columns=["mode", "freq", "freq_std", "damping", "damping_std"]).assign(freq_kind="natural")
+    modes.to_csv(folder / "modes.csv", index=False)
+    shapes = [
+        (name, s.node, s.direction, m.shapes[i, k].real, m.shapes[i, k].imag, m.shape_std[i, k])
+        for k, name in enumerate(m.names)
+        for i, s in enumerate(m.sensors)
+    ]
+    columns = ["mode", "node", "direction", "re", "im", "std"]
+    pd.DataFrame(shapes, columns=columns).to_csv(folder / "shapes.csv", index=False)
+    places = pd.DataFrame([(s.node, *s.point) for s in m.sensors], columns=["node", "x", "y", "z"]).drop_duplicates()
+    places.assign(on="").to_csv(folder / "sensors.csv", index=False)
+    return folder
