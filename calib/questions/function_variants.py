@@ -91,8 +91,7 @@ class FunctionVariants:
 
     def _modes(self, active: tuple[str, ...], values: Mapping[str, float]) -> Modes:
         if active not in self._chains:
-            base = replace(self.model, function=self._kept)
-            self._chains[active] = extend_function(base, [self._by_name[name] for name in active])
+            self._chains[active] = extend_function(self._base, [self._by_name[name] for name in active])
         model = self._chains[active]
         own = {name: float(values[name]) for name in model.space.names}
         try:
@@ -102,8 +101,8 @@ class FunctionVariants:
             raise
 
     @cached_property
-    def _kept(self) -> Kept:
-        return Kept(self.model.function)
+    def _base(self) -> ModalFunctionModel:
+        return kept(self.model)
 
     @cached_property
     def _neutral(self) -> set[str]:
@@ -161,6 +160,11 @@ class Kept:
         if isinstance(self._found[key], Exception):
             raise self._found[key]
         return copy.deepcopy(self._found[key])
+
+
+def kept(model: ModalFunctionModel) -> ModalFunctionModel:
+    """The model with its function's answers kept."""
+    return model if isinstance(model.function, Kept) else replace(model, function=Kept(model.function))
 
 
 def modal_function_atoms(

@@ -26,7 +26,7 @@ from calib.outcome import Outcome
 from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.explanation import Told
 from calib.questions.function_hypotheses import Failure
-from calib.questions.function_variants import FunctionVariants, modal_function_atoms
+from calib.questions.function_variants import FunctionVariants, kept, modal_function_atoms
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.library import modal_hypotheses
 from calib.questions.prospects import modal_prospects
@@ -104,6 +104,9 @@ class ModalSide:
         told: Told,
     ) -> ModalSide:
         """Of a function, which pays for derivatives in calls; there is no bound that fits them all."""
+        model = kept(model)  # all that is told asks for points that the decision has asked for
+        problem = replace(problem, model=model)
+        whole = None if whole is None else replace(whole, model=model)
         local = modal_function_atoms(model, space, problem.measured.sensors)
         variants = FunctionVariants(replace(model, space=space), effects, tuple(a.effect for a in local))
         hypotheses = ModalHypotheses(problem, variants, space, Floors())

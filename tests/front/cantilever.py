@@ -260,7 +260,9 @@ def write_study(folder, log, model="function", prop=0.0):
     (folder / "model.py").write_text(text)
     (folder / "cantilever.py").write_bytes(Path(__file__).read_bytes())
     rows = zip(m.names, m.natural_freq, m.freq_std, m.damping_ratio, m.damping_std, strict=True)
-    modes = pd.DataFrame(rows, columns=["mode", "freq", "freq_std", "damping", "damping_std"]).assign(freq_kind="natural")
+    modes = pd.DataFrame(rows, columns=["mode", "freq", "freq_std", "damping", "damping_std"]).assign(
+        freq_kind="natural"
+    )
     modes.to_csv(folder / "modes.csv", index=False)
     shapes = [
         (name, s.node, s.direction, m.shapes[i, k].real, m.shapes[i, k].imag, m.shape_std[i, k])
