@@ -10,12 +10,11 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from types import TracebackType
 
-from calib.threads import one_thread
-
 from calib import worker
 from calib.errors import InputError
 from calib.evaluate import Arrived, failed, opened, unheard
 from calib.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, told
+from calib.threads import one_thread
 from calib.worker import Source
 
 _Task = Future[Outcome | Exception]

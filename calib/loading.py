@@ -60,6 +60,11 @@ class Sources:
                 place=place,
                 remedy="return a StructuralModel, a ModalFunctionModel or a FunctionModel",
             )
+        if not isinstance(model, StructuralModel) and self.settings.explain.finer_options:
+            raise InputError(
+                "finer_options ask for a finer mesh, which needs a model of matrices",
+                place=self.place("explain", "finer_options"), remedy="take finer_options out",
+            )  # fmt: skip
         if isinstance(model, StructuralModel):
             try:
                 require_sound(model)
@@ -68,20 +73,12 @@ class Sources:
         return model
 
     def finer(self) -> StructuralModel | None:
-        """The structural model without effects on a finer mesh; None when the study names no options for one.
-
-        InputError for a model without matrices.
-        """
+        """The structural model without effects on a finer mesh; None when the study names no options for one."""
         options = self.settings.explain.finer_options
         if not options:
             return None
         model = self._call("explain", self.settings.model, {**self.settings.model_options, **options})
-        if not isinstance(model, StructuralModel):
-            raise InputError(
-                "finer_options ask for a finer mesh, which needs a model of matrices", place=self.place("explain"),
-                remedy="take finer_options out",
-            )  # fmt: skip
-        return model
+        return model if isinstance(model, StructuralModel) else None
 
     def library(self, base: Model) -> tuple[Effect, ...]:
         """The effects that the model may lack, in the order of their library; none when the study names none.

@@ -35,7 +35,8 @@ from calib.measurement.modal import MeasuredModes, Sensor
 from calib.settings import StudySettings, read_settings
 from calib.space import Parameter, ParameterSpace
 from calib.structure.extend import extend
-from calib.structure.model import ModalModel, StructuralModel
+from calib.structure.modal_model import ModalModel
+from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 
 twin = module_of(Path(__file__).resolve().parent / "bogie" / "make_twin.py")

@@ -310,7 +310,7 @@ class Comparison:
     def _damping_rows(self) -> list[_Row]:
         i = self.pairing.paired
         i = i[self.measured.damping_ratio[i] > 0]  # NaN is unknown, 0 a convention of undamped files
-        if not len(i) or not self.model.dissipates:
+        if not len(i) or not np.any(self.modes.damping_ratio):
             return []
         measured, model = self.measured.damping_ratio[i], self.paired(self.modes.damping_ratio)[i]
         error = np.log(np.maximum(model, 0.0) / measured, out=np.full(len(i), -np.inf), where=model > 0)

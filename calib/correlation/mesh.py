@@ -9,14 +9,15 @@ from calib.structure.geometry import Mesh
 
 
 def points_table(mesh: Mesh) -> pd.DataFrame:
-    """Return the points of a mesh, numbered from 0: columns ``point, x, y, z`` (m)."""
-    return pd.DataFrame(mesh.points, columns=["x", "y", "z"]).rename_axis("point").reset_index()
+    """Return the points of a mesh whose place is known, numbered from 0 among all: columns ``point, x, y, z`` (m)."""
+    return pd.DataFrame(mesh.points, columns=["x", "y", "z"]).rename_axis("point").reset_index()[_placed(mesh)]
 
 
 def elements_table(mesh: Mesh) -> pd.DataFrame:
     """Return lines and faces between the points: columns ``group, a, b, c, d``; a line has no ``c`` and ``d``.
 
-    Lines whose group has faces are left out: they are edges that the faces tell already.
+    Lines whose group has faces are left out: they are edges that the faces tell already. So is what ends at a point
+    whose place is unknown.
     """
     shells = set(mesh.face_groups)
     alone = np.array([group not in shells for group in mesh.groups], dtype=bool)
@@ -24,4 +25,11 @@ def elements_table(mesh: Mesh) -> pd.DataFrame:
     lines.insert(0, "group", [group for group in mesh.groups if group not in shells])
     faces = pd.DataFrame(mesh.faces, columns=["a", "b", "c", "d"]).astype("Int64")
     faces.insert(0, "group", list(mesh.face_groups))
-    return pd.concat([lines, faces], ignore_index=True).reindex(columns=["group", "a", "b", "c", "d"])
+    table = pd.concat([lines, faces], ignore_index=True).reindex(columns=["group", "a", "b", "c", "d"])
+    lost = np.flatnonzero(~_placed(mesh))
+    return table[~table[["a", "b", "c", "d"]].isin(lost).any(axis=1)].reset_index(drop=True) if len(lost) else table
+
+
+def _placed(mesh: Mesh) -> np.ndarray:
+    """Which points have a place, (n_nodes,), bool."""
+    return np.isfinite(mesh.points).all(axis=1)

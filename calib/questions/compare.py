@@ -114,7 +114,15 @@ class Answer:
 
 def answer_at(study: Study, values: Mapping[str, float]) -> Answer:
     """Compare a study's model and measurement at named values; raises as `answer_of`."""
-    return answer_of(study.problem, values, study.hints, scatter_notes(study))
+    return answer_of(study.problem, values, (*study.hints, *_undrawn(study)), scatter_notes(study))
+
+
+def _undrawn(study: Study) -> tuple[str, ...]:
+    """What pictures cannot show."""
+    problem = study.problem
+    if isinstance(problem, FunctionProblem) or len(points_table(problem.model.mesh)):
+        return ()
+    return ("No place of the model's nodes or sensors is known: its modes are not drawn.",)
 
 
 def answer_of(
@@ -212,8 +220,12 @@ def write_answer(results: Results, answer: Answer, stage: str) -> None:
 
 def write_model_modes(results: Results, comparison: Comparison, stage: str) -> None:
     """Write what pictures of the model's paired modes need: its mesh, their frequencies and damping, their motion."""
-    results.write_table("mesh_points", points_table(comparison.model.mesh))
-    results.write_table("mesh_elements", elements_table(comparison.model.mesh))
+    points = points_table(comparison.model.mesh)
+    if points.empty:  # nowhere to draw anything
+        results.remove("mesh_points.csv", "mesh_elements.csv")
+    else:
+        results.write_table("mesh_points", points)
+        results.write_table("mesh_elements", elements_table(comparison.model.mesh))
     names = {f"{name}_model": name for name in ("natural_freq", "damped_freq", "damping_ratio")}
     modes = comparison.comparison_table().iloc[comparison.pairing.paired][["mode", *names]]
     results.write_table(f"model_modes_{stage}", modes.rename(columns=names))

@@ -193,13 +193,13 @@ class ModalSide:
     def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:
         """``sensor_misfit``: whitened residuals of shapes by sensor; ``unpaired``: modes without partner; the mesh."""
         mesh = self.model.mesh
+        points = points_table(mesh)
         return {
             "sensor_misfit": self._sensors(stages),
             "unpaired": pd.concat([self._unpaired(t).assign(stage=s) for s, t in stages.items()])[
                 ["stage", *UNPAIRED_COLUMNS]
             ],
-            "mesh_points": points_table(mesh),
-            "mesh_elements": elements_table(mesh),
+            **({"mesh_points": points, "mesh_elements": elements_table(mesh)} if len(points) else {}),
         }  # fmt: skip
 
     def _unpaired(self, trial: Trial) -> pd.DataFrame:

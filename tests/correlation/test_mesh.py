@@ -23,3 +23,12 @@ def test_a_model_of_lines_has_no_faces():
     table = elements_table(Mesh(POINTS, LINES, ("bar",) * 5))
     np.testing.assert_array_equal(table[["a", "b"]].to_numpy(dtype=int), LINES)
     assert table[["c", "d"]].isna().all(axis=None)
+
+
+def test_what_has_no_place_is_left_out():
+    points = POINTS.copy()
+    points[4] = np.nan
+    mesh = Mesh(points, LINES, MESH.groups, MESH.faces, MESH.face_groups)
+    assert points_table(mesh)["point"].tolist() == [0, 1, 2, 3]
+    assert elements_table(mesh)["group"].tolist() == ["sill", "wall"]
+    assert points_table(Mesh(points * np.nan, LINES, MESH.groups)).empty

@@ -213,9 +213,9 @@ mode_count = 14
 samples = 80
 [calibration]
 method = "gauss-newton"
-starts = 2
-population = 10
-generations = 3
+starts = 1
+population = 8
+generations = 2
 cases = [{ name = "A1", seed = 1 }]
 """
 

@@ -1,0 +1,264 @@
+"""A study whose function returns modes runs it in a child process, keeps the modes, and is asked what matrices are."""
+
+import os
+from collections import Counter
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.errors import EvaluationError, InputError
+from calib.ledger import Ledger
+from calib.outcome import WORKER_DIED
+from calib.questions.calibrate import calibrate
+from calib.questions.compare import compare
+from calib.questions.explain import explain
+from calib.questions.isolation import isolated
+from calib.questions.places import open_evaluator
+from calib.questions.recorded import recorded
+from calib.questions.sensitivity import sensitivity
+from calib.questions.user_function import function_of, kept_under
+from calib.report.draw import draw_all
+from calib.results import Results
+from calib.study import Study
+from tests.front.cantilever import ADOPTED, write_study
+
+PROP = 2500.0
+FREE = tuple(ADOPTED)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    home = tmp_path_factory.mktemp("studies")
+    return {kind: write_study(home / kind, home / "calls", kind, PROP) for kind in ("function", "matrices")}
+
+
+@pytest.fixture
+def own(tmp_path):
+    """A study of the function, and the calls that it logs."""
+    folder = write_study(tmp_path / "study", tmp_path / "calls", "function", PROP)
+    return folder, lambda: Counter((tmp_path / "calls").read_text().splitlines())
+
+
+def edit(file, old, new):
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
+@pytest.fixture(scope="module")
+def fitted(folders):
+    """What least squares find."""
+    found = {}
+    for kind, folder in folders.items():
+        study = Study.load(folder)
+        results = Results.at(folder / "results", study.name)
+        with Ledger.open(folder / "ledger.sqlite") as ledger:
+            found[kind] = calibrate(study, results, ledger), results.path
+    return found
+
+
+def test_the_study_is_compared_and_fitted_as_with_matrices(fitted):
+    (mine, here), (theirs, there) = fitted["function"], fitted["matrices"]
+    for table in ("comparison_before", "where_it_fails_before", "mac_before", "shapes_before"):
+        one, other = (pd.read_csv(path / f"{table}.csv") for path in (here, there))
+        pd.testing.assert_frame_equal(one, other, rtol=1e-4, atol=1e-6)
+    std = theirs.parameters.set_index("parameter")["std"]
+    values, wanted = (c.best.judgement.values for c in (mine, theirs))
+    for name in FREE:
+        assert values[name] == pytest.approx(wanted[name], abs=1e-2 * std[name])
+        assert mine.parameters.set_index("parameter")["std"][name] == pytest.approx(std[name], rel=1e-2)
+    pd.testing.assert_frame_equal(mine.errors, theirs.errors, rtol=1e-2)
+    assert list(mine.modes["mode"]) == list(theirs.modes["mode"]) and "m8" in list(mine.modes["mode"])
+
+
+def test_the_explanation_is_that_of_the_matrices_and_asks_for_no_point_twice(own, folders, tmp_path):
+    folder, calls = own
+    studies = {"function": isolated(Study.load(folder)), "matrices": Study.load(folders["matrices"])}
+    own, theirs = (explain(study, Results.at(tmp_path / kind, study.name)) for kind, study in studies.items())
+    assert set(calls().values()) == {1} and len(calls()) > 100
+    assert own.verdict == theirs.verdict == "effect"
+    assert own.findings.credible == theirs.findings.credible == ("prop",)
+    mine, other = (e.effects.set_index("name") for e in (own, theirs))
+    for column in ("phi", "phi_low", "phi_high", "ln_bayes"):
+        assert mine.loc["prop", column] == pytest.approx(other.loc["prop", column], rel=1e-2)
+    assert mine.loc["prop", "phi_low"] < PROP < mine.loc["prop", "phi_high"]
+    assert {"sensor_misfit", "mesh_points"} <= set(own.tables)
+
+
+def test_no_point_is_solved_twice_and_a_second_run_solves_none(own, tmp_path):
+    folder, calls = own
+    study = isolated(Study.load(folder))
+    tables, counted = [], []
+    for _ in range(2):
+        with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+            tables.append(calibrate(study, Results.at(tmp_path / "results", study.name), ledger).parameters)
+            kept = ledger.count(kept_under(study.problem))
+        counted.append(calls())
+        study = isolated(Study.load(folder))
+    assert tables[0].equals(tables[1])
+    first, second = counted
+    # Whether the model answers as it did is asked anew: at the adopted values first, then at one stored point.
+    assert sorted(first.values())[-2:] == [1, 2] and len(first) == kept > 50
+    assert sum((second - first).values()) == 1
+
+
+def test_a_search_keeps_modes_that_least_squares_need_no_more(own, tmp_path):
+    folder, calls = own
+    study = isolated(Study.load(folder))
+    with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+        found = calibrate(study, Results.at(tmp_path / "results", study.name), ledger, 2, method="genetic")
+        assert ledger.count(kept_under(study.problem)) == len(calls())
+    assert found.best.judgement.misfit < 2e4
+    twice = [point for point, count in calls().items() if count > 1]
+    assert len(twice) <= 2  # asked anew on purpose: the adopted values and the best point of the search
+
+
+def test_any_number_of_workers_gives_the_same_samples(own, tmp_path):
+    folder, _ = own
+    tables = []
+    for workers in (1, 2):
+        study = Study.load(folder)
+        with Ledger.open(tmp_path / f"ledger_{workers}.sqlite") as ledger:
+            results = Results.at(tmp_path / f"results_{workers}", study.name)
+            sensitivity(study, results, ledger, workers, quick=True)
+        tables.append(pd.read_csv(results.path / "sensitivity_samples.csv"))
+    assert tables[0].equals(tables[1]) and tables[0].notna().all(axis=None)
+
+
+# -- what a function does in its process -------------------------------------------------------------------------------
+
+
+def test_the_function_runs_in_another_process(own):
+    folder, _ = own
+    edit(folder / "model.py", "return cantilever.bends(v)", "import os; raise RuntimeError(f'process {os.getpid()}')")
+    with pytest.raises(EvaluationError) as fault:
+        isolated(Study.load(folder)).problem.compare({})
+    assert "process" in str(fault.value) and f"process {os.getpid()}" not in str(fault.value)
+
+
+def test_what_it_answers_there_is_what_it_answers_here(own):
+    folder, _ = own
+    here = Study.load(folder)
+    there = isolated(here)
+    point = {**ADOPTED, "m_tip": 2.0}
+    one, other = (s.problem.compare(point) for s in (here, there))
+    assert np.array_equal(one.modes.shapes, other.modes.shapes) and one.comparison_table().equals(
+        other.comparison_table()
+    )
+    assert there.problem.fingerprint == here.problem.fingerprint
+
+
+def test_a_point_that_ends_the_process_is_a_failed_row(own, tmp_path):
+    folder, _ = own
+    edit(
+        folder / "model.py",
+        "return cantilever.bends(v)",
+        "if v['m_tip'] > 1.5: import os; os._exit(1)\n    return cantilever.bends(v)",
+    )
+    study = isolated(Study.load(folder))
+    points = [{**study.model.space.values, "m_tip": m} for m in (1.0, 2.0)]
+    with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+        with open_evaluator(recorded(study, ledger), 1, 2) as evaluator:
+            good, bad = evaluator.evaluate(points)
+        assert len(ledger.failed(kept_under(study.problem))) == 1
+    assert good.status == "ok" and good.responses["mac_m1"] > 0.9
+    assert bad.status == "failed" and bad.error == WORKER_DIED
+
+
+def test_a_function_that_fails_at_the_adopted_values_is_told_without_a_traceback(own, tmp_path):
+    folder, _ = own
+    edit(folder / "model.py", "return cantilever.bends(v)", "return {'natural_freq': [2.0, 1.0]}")
+    study = isolated(Study.load(folder))
+    with pytest.raises(InputError) as fault:
+        compare(study, Results.at(tmp_path / "results", study.name))
+    assert "shapes" in str(fault.value) and "\n" not in str(fault.value)
+
+
+def test_a_function_that_answers_by_chance_is_refused(own, tmp_path):
+    folder, _ = own
+    edit(
+        folder / "model.py", "return cantilever.bends(v)",
+        "import random; v['m_tip'] *= 1 + 0.01 * random.random()\n    return cantilever.bends(v)",
+    )  # fmt: skip
+    study = isolated(Study.load(folder))
+    with Ledger.open(tmp_path / "ledger.sqlite") as ledger, pytest.raises(InputError, match="deterministic"):
+        calibrate(study, Results.at(tmp_path / "results", study.name), ledger)
+
+
+# -- what it is told by ------------------------------------------------------------------------------------------------
+
+
+def test_changed_code_is_another_model_and_a_changed_pairing_is_not(own):
+    folder, _ = own
+    first = Study.load(folder)
+    edit(folder / "study.toml", "mode_count = 14", "mode_count = 13")
+    paired = Study.load(folder)
+    edit(folder / "cantilever.py", "LENGTH, LINE, ELEMENTS, PROP_AT = 2.0", "LENGTH, LINE, ELEMENTS, PROP_AT = 2.1")
+    longer = Study.load(folder)
+    assert kept_under(paired.problem) == kept_under(first.problem) != kept_under(longer.problem)
+    assert paired.problem.fingerprint != first.problem.fingerprint
+
+
+def test_matrices_have_no_function_to_ask(folders):
+    study = Study.load(folders["matrices"])
+    assert function_of(study.problem) is None and isolated(study) is study
+
+
+# -- what needs matrices says so ---------------------------------------------------------------------------------------
+
+
+def test_clusters_are_refused(own):
+    folder, _ = own
+    edit(folder / "study.toml", "mode_count = 14", "mode_count = 14\nclusters = { m1 = ['y'] }")
+    with pytest.raises(InputError, match="cluster"):
+        Study.load(folder)
+
+
+def test_a_finer_mesh_is_refused(own):
+    folder, _ = own
+    edit(folder / "study.toml", "[sensitivity]", "[explain]\nfiner_options = { elements = 16 }\n[sensitivity]")
+    edit(folder / "model.py", "def function():", "def function(elements=8):")
+    with pytest.raises(InputError, match="matrices"):
+        Study.load(folder)
+
+
+def test_more_modes_than_the_function_gives_are_refused(own, tmp_path):
+    folder, _ = own
+    edit(folder / "study.toml", "mode_count = 14", "mode_count = 15")
+    with pytest.raises(InputError, match="14"):
+        compare(Study.load(folder), Results.at(tmp_path / "results", "study"))
+
+
+def test_responses_cannot_be_compared_with_modes(own):
+    folder, _ = own
+    text = (folder / "study.toml").read_text()
+    head, _, rest = text.partition("[measurement]")
+    (folder / "study.toml").write_text(
+        head + '[measurement]\nresponses = "r.csv"\n[withheld]' + rest.partition("[withheld]")[2]
+    )
+    (folder / "r.csv").write_text("response,value\na,1\n")
+    with pytest.raises(InputError, match="modes"):
+        Study.load(folder)
+
+
+def test_without_places_nothing_is_drawn_of_the_model(own, tmp_path):
+    folder, _ = own
+    edit(folder / "study.toml", 'sensors = "sensors.csv"\n', "")
+    edit(folder / "model.py", "model.sensors,", "[s.name for s in model.sensors],")
+    study, results = Study.load(folder), Results.at(tmp_path / "results", "study")
+    answer = compare(study, results)
+    assert len(answer.hints) == 1 and answer.mean_mac > 0.9
+    assert not (results.path / "mesh_points.csv").exists() and (results.path / "mac_before.csv").exists()
+    assert {"comparison.png", "mac_before.png"} <= {p.name for p in draw_all(results.path, "cantilever", True)}
+
+
+def test_with_places_the_motion_of_its_sensors_is_drawn(own, tmp_path):
+    folder, _ = own
+    study, results = Study.load(folder), Results.at(tmp_path / "results", "study")
+    found = compare(study, results).comparison
+    assert len(pd.read_csv(results.path / "mesh_points.csv")) == 4
+    moved = pd.read_csv(results.path / "deflection_before.csv")
+    first = moved[moved["mode"] == "m1"][["v", "w"]].to_numpy()
+    aligned = found.aligned_shapes[:, 0].real
+    np.testing.assert_allclose(first, aligned.reshape(4, 2), rtol=1e-6, atol=1e-12)
