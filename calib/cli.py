@@ -25,6 +25,7 @@ from calib.questions.explanation import Explanation
 from calib.questions.isolation import isolated
 from calib.questions.reduction import fingerprints
 from calib.questions.stale import stale_answers
+from calib.questions.stored import modes_kept
 from calib.questions.versions import write_versions
 from calib.report.draw import draw_all
 from calib.report.html.write import NAME as REPORT
@@ -322,8 +323,8 @@ def _fit(study: Study, folder: Results, root: Path, workers: int | None, quick: 
 
 def _explain(study: Study, folder: Results, root: Path) -> Explanation:
     console.head(study, "explain")
-    with progress.told() as step:
-        answer = explanation.explain(study, folder, step, places.results_of(study, root))
+    with progress.told() as step, modes_kept(study, lambda: places.ledger_of(study, root)) as asked:
+        answer = explanation.explain(asked, folder, step, places.results_of(study, root))
     console.tell_explanation(study, answer, folder)
     console.tell_traces(f"explain {study.file}", answer.traces)
     return answer

@@ -29,6 +29,7 @@ from calib.questions.recorded import recorded
 from calib.questions.reduction import fingerprints
 from calib.questions.scatter import accuracy_words
 from calib.questions.stored import confirmed
+from calib.questions.user_function import modes_kept_under
 from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.space import ParameterSpace
@@ -193,7 +194,9 @@ def calibrate(
         if study.settings.withheld.responses:
             responses = every_response(study, study.model.space.values, best.judgement.values)
             results.write_table("responses", responses)
-    failed = reasons_sentence(study.sensitivity_space, *stored_reasons(ledger, fingerprints(study, finder.home)))
+    kept = set(modes_kept_under(study.problem, study.library_digest))  # what fails there has no responses either
+    answering = [one for one in fingerprints(study, finder.home) if one not in kept]
+    failed = reasons_sentence(study.sensitivity_space, *stored_reasons(ledger, answering))
     notes = tuple(filter(None, [*finder.notes, failed]))
     answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses, notes,
                          ledger.retried)  # fmt: skip

@@ -84,10 +84,11 @@ class ModalSide:
         problem = study.problem
         assert isinstance(problem, ModalProblem) and not isinstance(study.model, FunctionModel)
         require_modes(problem.measured.n_modes)
-        if isinstance(study.model, ModalFunctionModel):
+        if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
             return cls.of_function(
-                study.model, problem, study.whole_problem(), study.candidates, study.search_space, Told.of(study)
+                problem.model, problem, study.whole_problem(), study.candidates, study.search_space, Told.of(study)
             )
+        assert isinstance(study.model, StructuralModel)
         return cls(
             study.model, problem, study.whole_problem(), *modal_hypotheses(study, results, progress), Told.of(study),
             study.finer_model, worthwhile(study),

@@ -11,7 +11,7 @@ from calib.evaluate import Arrived, BatchEvaluator
 from calib.ledger import Ledger
 from calib.outcome import Outcome, attempt, failure, key_of
 from calib.questions.isolation import evaluator_of
-from calib.questions.user_function import Forward, function_of, kept_under, told_by, with_function
+from calib.questions.user_function import Forward, function_of, kept_under, told_by, with_function, with_library
 from calib.study import Study
 
 
@@ -28,32 +28,43 @@ class RecordedFunction:
     ledger : Ledger
     evaluator : BatchEvaluator
         Of that function.
+    names : frozenset of str
+        Parameters of the model that asks.
+    library : str
+        Digest of the effects whose parameters may be among the values besides; such points are kept apart.
     """
 
     asked: Callable[[Mapping[str, float]], Mapping[str, float]]
     fingerprint: str
     ledger: Ledger
     evaluator: BatchEvaluator
+    names: frozenset[str] = frozenset()
+    library: str = ""
 
     def __call__(self, values: Mapping[str, float]) -> Mapping[str, float]:
-        """Named responses; EvaluationError where the function fails, or did."""
-        (outcome,) = self.ledger.evaluate(self.fingerprint, [values], self.evaluator)
+        """Named numbers; EvaluationError where the function fails, or did."""
+        own = values.keys() <= self.names
+        kept = self.fingerprint if own else with_library(self.fingerprint, self.library)
+        (outcome,) = self.ledger.evaluate(kept, [values], self.evaluator)
         if outcome.status == "failed":
             raise failure(outcome)
         return outcome.responses
 
 
-def recorded_problem(problem: Forward, ledger: Ledger) -> Forward:
+def recorded_problem(problem: Forward, ledger: Ledger, library: str = "") -> Forward:
     """The same problem with its function behind a ledger; matrices, and what is behind one, stay as they are."""
     function = function_of(problem)
     if function is None or isinstance(function, RecordedFunction):
         return problem
-    return with_function(problem, RecordedFunction(function, kept_under(problem), ledger, evaluator_of(problem)))
+    names = frozenset(problem.space.names)
+    return with_function(
+        problem, RecordedFunction(function, kept_under(problem), ledger, evaluator_of(problem), names, library)
+    )
 
 
 def recorded(study: Study, ledger: Ledger) -> Study:
     """The study with its function behind the ledger; of matrices no ledger keeps the modes."""
-    return replace(study, problem=recorded_problem(study.problem, ledger))
+    return replace(study, problem=recorded_problem(study.problem, ledger, study.library_digest))
 
 
 def unrecorded(problem: Forward) -> Forward:

@@ -16,6 +16,7 @@ from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.evaluate import Evaluator
 from calib.ledger import Ledger
 from calib.outcome import Outcome
+from calib.questions.user_function import modes_kept_under
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
@@ -201,13 +202,17 @@ def worthwhile(study: Study) -> bool:
 
 
 def fingerprints(study: Study, home: Results) -> tuple[str, ...]:
-    """The study's own fingerprint, and those of its reduced problems on the bases kept there."""
+    """Under which a ledger keeps what is true of a study now.
+
+    Responses: its own fingerprint, and those of its reduced problems on the bases kept there. Of a function of modes
+    also those of the modes.
+    """
     problem, own = study.problem, [study.problem.fingerprint]
     if isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel):
         kept = [_loaded(path) for path in sorted(home.path.glob(_file(home, "*").name))]
         fitting = [b for b in kept if b is not None and b.model_fingerprint == problem.model.fingerprint]
         own += [problem.reduced(basis).fingerprint for basis in fitting]
-    return tuple(own)
+    return (*own, *modes_kept_under(problem, study.library_digest))
 
 
 def _on(problem: ModalProblem, basis: Basis, home: Results, tolerance: float) -> Reduction:

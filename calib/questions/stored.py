@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 
+from calib.correlation.problem import ModalProblem
 from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
-from calib.questions.recorded import asked_anew, numbers_anew
+from calib.questions.recorded import asked_anew, numbers_anew, recorded
 from calib.questions.user_function import function_of, kept_under, told_by
 from calib.space import ParameterSpace
 from calib.study import Study
@@ -78,6 +80,17 @@ def confirm(study: Study, ledger: Ledger, known: Outcome) -> float:
         remedy="name the files that it reads in depends_on (study.toml), and use another --results or move the ledger "
         "away",
     )
+
+
+@contextmanager
+def modes_kept(study: Study, opened: Callable[[], AbstractContextManager[Ledger]]) -> Iterator[Study]:
+    """A study of a function of modes behind its ledger, one stored point asked anew; any other study as it is."""
+    if not isinstance(study.problem, ModalProblem) or function_of(study.problem) is None:
+        yield study
+        return
+    with opened() as ledger:
+        confirmed(study, ledger)
+        yield recorded(study, ledger)
 
 
 def point_words(space: ParameterSpace, values: Mapping[str, float]) -> str:

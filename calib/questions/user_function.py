@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.fingerprint import digest_of
 from calib.measurement.modal import Sensor
 from calib.outcome import Outcome, attempt
 from calib.structure.modal_answer import modes_from
@@ -68,6 +69,19 @@ def kept_under(problem: FunctionProblem | ModalProblem) -> str:
     """Fingerprint of those numbers; modes do not depend on what they are compared with."""
     model = problem.model if isinstance(problem, ModalProblem) else None
     return model.fingerprint if isinstance(model, ModalFunctionModel) else problem.fingerprint
+
+
+def with_library(fingerprint: str, library: str) -> str:
+    """Fingerprint of numbers that parameters of a library's effects were asked along with."""
+    return digest_of(fingerprint, library)[:16]
+
+
+def modes_kept_under(problem: FunctionProblem | ModalProblem, library: str) -> tuple[str, ...]:
+    """All fingerprints of the numbers of a function of modes; none of another problem, which has its responses only."""
+    if isinstance(problem, FunctionProblem) or function_of(problem) is None:
+        return ()
+    own = kept_under(problem)
+    return own, with_library(own, library)
 
 
 def told_by(problem: FunctionProblem | ModalProblem, numbers: Outcome) -> Outcome:

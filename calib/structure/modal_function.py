@@ -160,8 +160,12 @@ class ModalFunctionModel:
         return found if count >= found.n_modes else found.subset(range(count))
 
     def numbers(self, values: Mapping[str, float]) -> dict[str, float]:
-        """All modes as named numbers (see `numbers_of`), asked of the function whatever is remembered."""
-        return numbers_of(self._solved(self.space.complete(values)), self.sensors)
+        """All modes as named numbers (see `numbers_of`), asked of the function whatever is remembered.
+
+        Values that are none of its parameters are passed on: the function may know those of effects.
+        """
+        own = {name: v for name, v in values.items() if name in self.space}
+        return numbers_of(self._solved({**self.space.complete(own), **values}), self.sensors)
 
     def _solved(self, values: dict[str, float]) -> Modes:
         found: list[Modes] = []

@@ -2,6 +2,7 @@
 
 import os
 from collections import Counter
+from contextlib import nullcontext
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,9 @@ from calib.questions.explain import explain
 from calib.questions.isolation import isolated
 from calib.questions.places import open_evaluator
 from calib.questions.recorded import recorded
+from calib.questions.reduction import fingerprints
 from calib.questions.sensitivity import sensitivity
+from calib.questions.stored import modes_kept
 from calib.questions.user_function import function_of, kept_under
 from calib.report.draw import draw_all
 from calib.results import Results
@@ -101,6 +104,27 @@ def test_no_point_is_solved_twice_and_a_second_run_solves_none(own, tmp_path):
     # Whether the model answers as it did is asked anew: at the adopted values first, then at one stored point.
     assert sorted(first.values())[-2:] == [1, 2] and len(first) == kept > 50
     assert sum((second - first).values()) == 1
+
+
+def test_an_explanation_behind_the_ledger_takes_what_a_calibration_has_solved(own, tmp_path):
+    folder, calls = own
+    found, counted = [], []
+    for ask in ("calibrate", "explain", "explain"):
+        study, results = Study.load(folder), Results.at(tmp_path / "results", "study")
+        with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+            if ask == "calibrate":
+                calibrate(study, results, ledger)
+            else:
+                with modes_kept(study, lambda: nullcontext(ledger)) as asked:
+                    found.append(explain(asked, results).effects)
+            assert ledger.other_fingerprints(*fingerprints(study, results)) == 0
+        counted.append(calls())
+    fit, first, second = counted
+    assert found[0].equals(found[1])
+    assert sum((second - first).values()) == 1  # one stored point is asked anew
+    alone = tmp_path / "alone"
+    explain(Study.load(folder), Results.at(alone, "study"))
+    assert sum((first - fit).values()) < sum((calls() - second).values())
 
 
 def test_a_search_keeps_modes_that_least_squares_need_no_more(own, tmp_path):
