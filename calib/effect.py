@@ -31,7 +31,7 @@ class Effect:
         or a lower limit of next to nothing where the matrices have no derivative at 0.
     build : callable
         Takes the model and returns what is added: an `calib.structure.extend.Addition` for a structural model, the
-        function of the extended parameters for a plain one.
+        function of the extended parameters for a model that is a function, of responses or of modes.
     nuisance : tuple of Parameter
         What else must be known once the strength is not 0, such as the frequency of a hung mass; physical limits.
     grid : tuple of mapping from str to float

@@ -14,6 +14,7 @@ import numpy as np
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.function import extend_function
+from calib.mac import mac
 from calib.measurement.modal import Sensor
 from calib.outcome import Outcome
 from calib.questions.function_atoms import FAULT, RELATIVE, changes_of_held, moved_parameter, moving
@@ -26,7 +27,8 @@ from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modes import Modes
 
 NEUTRAL = 1e-6
-"""Relative change of a frequency, and loss of MAC, up to which an effect of strength 0 changes nothing."""
+"""Relative change of a frequency, change of a damping ratio and loss of MAC up to which an effect of strength 0 changes
+nothing."""
 
 _NOWHERE = (math.nan, math.nan, math.nan)
 
@@ -97,7 +99,9 @@ class FunctionVariants:
         try:
             return model.modes(own, model.n_modes)
         except EvaluationError as fault:
-            self.failures.append(Failure(active, Outcome(own, "failed", {}, str(fault))))
+            failure = Failure(active, Outcome(own, "failed", {}, str(fault)))
+            if failure not in self.failures:
+                self.failures.append(failure)
             raise
 
     @cached_property
@@ -119,12 +123,17 @@ class FunctionVariants:
             with_it = self._modes((effect.name,), adopted | {p.name: p.value for p in effect.parameters})
         except EvaluationError:
             return
-        change = np.abs(with_it.natural_freq / base.natural_freq - 1).max()
-        if change > NEUTRAL:
-            raise InputError(
-                f"with strength 0 it changes a frequency by {100 * change:.3g} %", place=f"effect {effect.name}",
-                remedy="let what it builds give the base model's modes there",
-            )  # fmt: skip
+        changes = {
+            "a frequency": np.abs(with_it.natural_freq / base.natural_freq - 1).max(),
+            "a damping ratio": np.abs(with_it.damping_ratio - base.damping_ratio).max(),
+            "a shape, in MAC,": 1 - np.diag(mac(base.shapes, with_it.shapes)).min(),
+        }
+        for what, change in changes.items():
+            if change > NEUTRAL:
+                raise InputError(
+                    f"with strength 0 it changes {what} by {100 * change:.3g} %", place=f"effect {effect.name}",
+                    remedy="let what it builds give the base model's modes there",
+                )  # fmt: skip
 
 
 @dataclass(frozen=True)

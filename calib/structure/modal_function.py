@@ -84,7 +84,7 @@ class ModalFunctionModel:
         What each row of the shapes is. Places (`Sensor.point`) are for pictures.
     n_modes : int
         Modes that the function gives at every point; of more the lowest are taken. Some more than were measured let
-        the pairing see close rivals.
+        the pairing see close rivals, and leave room for what an effect adds.
     damped : bool
         Whether it gives damping ratios.
     step : float

@@ -75,9 +75,17 @@ def test_an_effect_may_wrap_the_function_instead():
         assert found == pytest.approx(1 + strength)
 
 
-def test_an_effect_that_changes_the_base_model_is_refused():
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda v: bends({**v, "m_tip": v["m_tip"] + 0.1 + v["heavier"]}),
+        lambda v: {**bends(v), "damping_ratio": bends(v)["damping_ratio"] + 0.01},
+        lambda v: {**bends(v), "shapes": bends(v)["shapes"] * np.arange(1, 9)[:, None]},
+    ],
+)
+def test_an_effect_that_changes_the_base_model_is_refused(changed):
     def build(model):
-        return lambda v: bends({**v, "m_tip": v["m_tip"] + 0.1 + v["heavier"]})
+        return changed
 
     strength = calib.Parameter("heavier", 0.0, 0.0, 5.0, "kg", prior_sd=0.1)
     effect = calib.Effect("heavier", "heavier", "it is not", "it", strength, build)
