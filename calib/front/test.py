@@ -128,7 +128,9 @@ class ModalTest:
     def _against(self, model: Model, modes: MeasuredModes) -> ModalProblem:
         if isinstance(model, FunctionModel):
             raise InputError(
-                f"the model {model.name} has no modes", place=f"test {self.name}", remedy="give a ResponseTest"
+                f"the model {model.name} has no modes",
+                place=f"test {self.name}",
+                remedy="give a ResponseTest, or a ModalFunctionModel",
             )
         count = self.mode_count if self.mode_count is not None else usual_mode_count(modes, model.n_modes)
         known = set(modes.names)

@@ -92,6 +92,8 @@ class ModalFunctionModel:
     assumptions : tuple of Assumption
     identity : str
         What the function is told by, where something else than its code and what it holds is needed.
+    memory : Memory
+        Its last answers; a model with other parameters, limits or values shares them.
 
     Raises
     ------
