@@ -125,10 +125,10 @@ def as_matrices(damped=True, **values):
     )
 
 
-def measured(prop=0.0, n_modes=8, repeats=6, seed=3, sensors=SENSORS):
+def measured(prop=0.0, n_modes=8, repeats=6, seed=3, sensors=SENSORS, **true):
     """Synthetic: a mesh four times as fine."""
     rng = np.random.default_rng(seed)
-    freq, ratio, shapes = Beam(4 * ELEMENTS).modes({**TRUE, "prop": prop}, n_modes, sensors)
+    freq, ratio, shapes = Beam(4 * ELEMENTS).modes({**TRUE, **true, "prop": prop}, n_modes, sensors)
     shapes = shapes / shapes[np.argmax(np.abs(shapes), axis=0), range(n_modes)]
     f = freq * (1 + 1e-3 * rng.standard_normal((repeats, n_modes)))
     z = ratio * (1 + 0.03 * rng.standard_normal((repeats, n_modes)))

@@ -67,6 +67,21 @@ def test_held_out_modes_and_sensors_check_a_function_as_they_check_matrices():
     pd.testing.assert_frame_equal(own, theirs, rtol=1e-4)
 
 
+def test_several_tests_each_under_its_condition_share_their_parameters():
+    """Once with a known mass at the tip, once without any; the function and the matrices stand side by side."""
+    tests = [
+        calib.ModalTest(measured(m_tip=m, seed=k), name=name, condition={"m_tip": m}, mode_count=COUNT)
+        for k, (name, m) in enumerate({"light": 0.3, "heavy": 2.5}.items())
+    ]
+    own, theirs = (calib.Problem(make(), tests).calibrate() for make in (as_function, as_matrices))
+    for name in ("EI_y", "EI_z", "k_root", "c_tip"):
+        std = theirs.parameters.loc[name, "std"]
+        assert own.values[name] == pytest.approx(theirs.values[name], abs=1e-3 * std)
+        assert own.parameters.loc[name, "std"] == pytest.approx(std, rel=1e-4)
+        assert own.values[name] == pytest.approx(TRUE[name], rel=0.05)  # the mesh is coarser than what was measured
+    assert list(own.errors["test"].unique()) == ["light", "heavy"]
+
+
 def test_no_point_is_asked_twice(test):
     asked = []
 
