@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.errors import EvaluationError, InputError
 from calib.freedom import behind
-from calib.problem import Counts, Problem, again
+from calib.problem import Counts, again
 from calib.space import Parameter, ParameterSpace
 
 _Answer = TypeVar("_Answer")
@@ -42,12 +42,15 @@ class JointProblem:
     Attributes
     ----------
     problems : mapping from str to Problem
-        By name of the test.
+        By name of the test; for fits alone whatever has a space, a residual and its derivative.
+    known : mapping from str to collection of str
+        What else the residual of a test can be differentiated by, such as effects that its model lacks.
     space : ParameterSpace
         See `joined`.
     """
 
-    problems: Mapping[str, Problem[Any]]
+    problems: Mapping[str, Any]
+    known: Mapping[str, Collection[str]] = field(default_factory=dict, repr=False)
     space: ParameterSpace = field(init=False)
 
     def __post_init__(self) -> None:
@@ -63,7 +66,7 @@ class JointProblem:
     def rows(self) -> tuple[JointRow, ...]:
         """What every entry of the residual compares, length n_rows."""
         return tuple(
-            JointRow(test, _of(test, row.mode), row.kind, _of(test, row.sensor))
+            JointRow(test, of_test(test, row.mode), row.kind, of_test(test, row.sensor))
             for test, problem in self.problems.items()
             for row in problem.rows
         )
@@ -77,7 +80,7 @@ class JointProblem:
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
         """Real numbers by (mode, kind) that the residuals fit themselves; they are no degrees of freedom."""
         return {
-            (_of(test, mode), kind): number
+            (of_test(test, mode), kind): number
             for test, problem in self.problems.items()
             for (mode, kind), number in problem.fitted_factors.items()
         }
@@ -96,7 +99,7 @@ class JointProblem:
     def responses(self, values: Mapping[str, float]) -> dict[str, float]:
         """Named responses of all tests; EvaluationError where a model cannot be solved."""
         found = {test: self._asked(test, p.responses, values) for test, p in self.problems.items()}
-        return {_of(test, name): value for test, own in found.items() for name, value in own.items()}
+        return {of_test(test, name): value for test, own in found.items() for name, value in own.items()}
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual, (n_rows,); EvaluationError where a model cannot be solved."""
@@ -109,8 +112,8 @@ class JointProblem:
         """
         blocks = []
         for test, problem in self.problems.items():
-            own = [name for name in names if name in problem.space]
-            blocks.append(_spread(self._asked(test, problem.jacobian, values, own), own, names))
+            own = [name for name in names if name in problem.space or name in self.known.get(test, ())]
+            blocks.append(spread(self._asked(test, problem.jacobian, values, own), own, names))
         return np.vstack(blocks)
 
     def frequencies(
@@ -122,17 +125,20 @@ class JointProblem:
         for test, problem in self.problems.items():
             own = [name for name in names if name in problem.space]
             found, freq, slope = self._asked(test, problem.frequencies, values, own)
-            labels += [_of(test, label) for label in found]
-            blocks.append((freq, _spread(slope, own, names)))
+            labels += [of_test(test, label) for label in found]
+            blocks.append((freq, spread(slope, own, names)))
         return tuple(labels), np.concatenate([f for f, _ in blocks]), np.vstack([s for _, s in blocks])
+
+    def own(self, test: str, values: Mapping[str, float]) -> dict[str, float]:
+        """What one test takes of the values of all."""
+        return {name: value for name, value in values.items() if name in self.problems[test].space}
 
     def _asked(self, test: str, ask: Callable[..., _Answer], values: Mapping[str, float], *more: Any) -> _Answer:
         """What one test answers at the joint values; where it fails, the error names it."""
-        own = {name: v for name, v in self.space.complete(values).items() if name in self.problems[test].space}
         try:
-            return ask(own, *more)
+            return ask(self.own(test, self.space.complete(values)), *more)
         except EvaluationError as fault:
-            raise again(fault, _of(test, str(fault))) from fault
+            raise again(fault, of_test(test, str(fault))) from fault
 
 
 def joined(spaces: Mapping[str, ParameterSpace]) -> ParameterSpace:
@@ -188,12 +194,13 @@ def _one(alike: Mapping[str, Parameter]) -> Parameter:
     return replace(chosen, lower=lower, upper=upper, value=value, prior_sd=chosen.prior_width)
 
 
-def _spread(slope: np.ndarray, own: Sequence[str], names: Sequence[str]) -> np.ndarray:
+def spread(slope: np.ndarray, own: Sequence[str], names: Sequence[str]) -> np.ndarray:
     """Columns of some parameters among those of all, 0 for the others."""
     out = np.zeros((len(slope), len(names)))
     out[:, [list(names).index(name) for name in own]] = slope
     return out
 
 
-def _of(test: str, what: str) -> str:
+def of_test(test: str, what: str) -> str:
+    """A mode, sensor or sentence of one test, told beside those of others; nothing stays nothing."""
     return f"{test}: {what}" if what else ""

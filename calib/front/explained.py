@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -15,21 +16,22 @@ from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.front.shown import Shown
-from calib.front.test import UNSEEN, ModalTest, Model, ResponseTest, Test
+from calib.front.test import UNSEEN, ModalTest, ResponseTest, Test, under
 from calib.function import FunctionModel
 from calib.measurement.disagreements import COLUMNS
-from calib.missing.explain import explain, require_modes
+from calib.missing.explain import explain
 from calib.missing.refits import Settings
 from calib.questions.explain import Side, answered
 from calib.questions.explanation import Explanation, Told
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.joint_side import JointSide
 from calib.questions.modal_side import ModalSide
 from calib.questions.plain_side import PlainSide
 from calib.questions.reduction import WORTHWHILE_DOFS, Wanted
 from calib.questions.scatter import in_words
 from calib.settings import ExplainSettings, ReductionSettings
-from calib.structure.atoms import atoms
+from calib.structure.atoms import Atom, atoms
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
 from calib.structure.modal_function import ModalFunctionModel
@@ -38,6 +40,9 @@ from calib.structure.variants import Variants
 
 if TYPE_CHECKING:
     from calib.front.problem import Problem
+
+Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
+"""Effects by the name of the model that may lack them."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,14 +53,14 @@ class Explained(Shown):
     ----------
     problem : Problem
         That was asked.
-    effects : tuple of Effect
-        That were asked about.
+    effects : mapping from str to tuple of Effect
+        That were asked about, by the name of the model that may lack them.
     explanation : Explanation
         Everything that is told, with its tables.
     """
 
     problem: Problem
-    effects: tuple[Effect, ...]
+    effects: Library
     explanation: Explanation
 
     @property
@@ -66,8 +71,12 @@ class Explained(Shown):
     @property
     def named(self) -> tuple[Effect, ...]:
         """Effects that the model lacks; empty where none may be named or several cannot be told apart."""
+        return tuple({e.name: e for own in self._named.values() for e in own}.values())
+
+    @property
+    def _named(self) -> Library:
         credible = self.explanation.findings.credible if self.verdict in ("effect", "two_effects") else ()
-        return tuple(e for e in self.effects if e.name in credible)
+        return {model: tuple(e for e in own if e.name in credible) for model, own in self.effects.items()}
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -91,16 +100,17 @@ class Explained(Shown):
                 f"nothing is named: the verdict is {self.verdict}", place="explain",
                 remedy="choose effects and add them by with_effects",
             )  # fmt: skip
-        return self.problem.with_effects(self.named)
+        return self.problem.with_effects(self._named)
 
     def __repr__(self) -> str:
         return f"Explained({self.verdict}{''.join(f', {e.name}' for e in self.named)})"
 
 
-def explained(problem: Problem, model: Model, test: Test, effects: tuple[Effect, ...], seed: int) -> Explained:
+def explained(problem: Problem, effects: Library, seed: int) -> Explained:
     """See `calib.front.problem.Problem.explain`."""
     started = time.perf_counter()
-    side = _modal(model, test, effects, seed) if isinstance(test, ModalTest) else _plain(model, test, effects, seed)
+    sides = _sides(problem, effects, seed)
+    side: Side = next(iter(sides.values())) if len(sides) == 1 else JointSide.of(sides)
     try:
         found = explain(side.hypotheses, Settings(seed=seed, budget=side.budget_of_fits))
     except EvaluationError as fault:
@@ -108,6 +118,35 @@ def explained(problem: Problem, model: Model, test: Test, effects: tuple[Effect,
             f"the model cannot be fitted: {fault}", place="explain", remedy="check values, limits and supports"
         ) from fault
     return Explained(problem, effects, answered(side, found, lambda words: None, started))
+
+
+def _sides(problem: Problem, effects: Library, seed: int) -> dict[str, Side]:
+    """What each test asks of its model; all tests of one model ask about the same local changes of it."""
+    groups = problem.by_model
+    out: dict[str, Side] = {}
+    for model, tests in groups:
+        own = effects.get(model.name, ())
+        of = model.name if len(groups) > 1 else ""
+        several = len(tests) > 1 or len(groups) > 1
+        if isinstance(model, ModalFunctionModel):
+            asked = [test for test in tests if isinstance(test, ModalTest)]
+            out |= {test.name: _function(model, test, own, seed, several) for test in asked}
+        elif isinstance(model, StructuralModel):
+            modal = [test for test in tests if isinstance(test, ModalTest)]
+            local = _local(model, modal, of)
+            out |= {test.name: _modal(model, test, own, local, seed) for test in modal}
+        else:
+            plain = [test for test in tests if isinstance(test, ResponseTest)]
+            out |= {test.name: _plain(model, test, own, seed, several) for test in plain}
+    return out
+
+
+def _local(model: StructuralModel, tests: Sequence[ModalTest], of: str) -> tuple[Atom, ...]:
+    """Local changes of a model at its parts and at every sensor of some tests of it."""
+    used = [test.used for test in tests]
+    placed = {s.name: s for modes in used for s in modes.sensors if s.point is not None}
+    lowest = min(float(modes.natural_freq.min()) for modes in used)
+    return atoms(model, list(placed.values()), model.space.values, lowest, of)
 
 
 def _told(test: Test, seed: int) -> Told:
@@ -122,19 +161,18 @@ def _told(test: Test, seed: int) -> Told:
     )
 
 
-def _modal(model: Model, test: ModalTest, effects: tuple[Effect, ...], seed: int) -> Side:
-    used = test.problem(model)
-    require_modes(used.measured.n_modes)
-    if isinstance(model, ModalFunctionModel):
-        return ModalSide.of_function(model, used, test.whole_problem(model), effects, model.space, _told(test, seed))
-    assert isinstance(model, StructuralModel)
-    placed = [s for s in used.measured.sensors if s.point is not None]
-    local = atoms(model, placed, model.space.values, float(used.measured.natural_freq.min()))
+def _modal(
+    model: StructuralModel, test: ModalTest, effects: tuple[Effect, ...], local: tuple[Atom, ...], seed: int
+) -> Side:
+    held = under(model, test.name, test.condition)
+    used = test.problem(held)
+    assert isinstance(held, StructuralModel)
     plain = tuple(a.effect for a in local)
     large = model.n_dof >= WORTHWHILE_DOFS
-    basis = _basis(model, used, effects, plain, seed) if large else None
-    hypotheses = ModalHypotheses(used, Variants(model, effects, plain, basis), model.space, Floors())
-    return ModalSide(model, used, test.whole_problem(model), hypotheses, local, _told(test, seed), reduced=large)
+    basis = _basis(held, used, effects, plain, seed) if large else None
+    space = held.space.without(dict(test.condition))
+    hypotheses = ModalHypotheses(used, Variants(held, effects, plain, basis), space, Floors())
+    return ModalSide(held, used, test.whole_problem(held), hypotheses, local, _told(test, seed), reduced=large)
 
 
 def _basis(
@@ -148,8 +186,22 @@ def _basis(
     return None
 
 
-def _plain(model: Model, test: ResponseTest, effects: tuple[Effect, ...], seed: int) -> Side:
-    used = test.problem(model)
-    assert isinstance(model, FunctionModel)
-    hypotheses = FunctionHypotheses(model, used.targets, model.space, effects, used.repeats, shares=used.shares)
+def _function(
+    model: ModalFunctionModel, test: ModalTest, effects: tuple[Effect, ...], seed: int, several: bool
+) -> Side:
+    held = under(model, test.name, test.condition)
+    assert isinstance(held, ModalFunctionModel)
+    space, told = held.space.without(dict(test.condition)), _told(test, seed)
+    used, whole = test.problem(held), test.whole_problem(held)
+    return ModalSide.of_function(held, used, whole, effects, space, told, test.name if several else "")
+
+
+def _plain(model: FunctionModel, test: ResponseTest, effects: tuple[Effect, ...], seed: int, several: bool) -> Side:
+    held = under(model, test.name, test.condition)
+    assert isinstance(held, FunctionModel)
+    used = test.problem(held)
+    hypotheses = FunctionHypotheses(
+        held, used.targets, held.space.without(dict(test.condition)), effects, used.repeats, shares=used.shares,
+        test=test.name if several else "",
+    )  # fmt: skip
     return PlainSide(used, {UNSEEN: test.unseen}, hypotheses, _told(test, seed))

@@ -6,17 +6,17 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.executor import Injected
-from calib.front.explained import Explained, explained
+from calib.front.explained import Explained, Library, explained
 from calib.front.responses import own
 from calib.front.search import Searched, refined, searched
 from calib.front.sensitivity import Assessed, assessed
 from calib.front.shown import Compared, Shown
-from calib.front.test import ModalTest, Model, ResponseTest, Test
+from calib.front.test import ModalTest, Model, ResponseTest, Test, under
 from calib.function import FunctionModel, extend_function
 from calib.given import names as names_of
 from calib.given import objects, whole
@@ -34,14 +34,7 @@ from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.updating.genetic import GeneticSettings
 
-
-def under(model: Model, test: Test) -> Model:
-    """A model whose parameters are held as a test's condition says; InputError for one that it lacks."""
-    try:
-        return replace(model, space=model.space.freeze(test.condition))
-    except InputError as fault:
-        raise InputError(fault.problem, place=f"condition of test {test.name}", remedy=fault.remedy) from None
-
+Effects: TypeAlias = Sequence[Effect] | Mapping[str, Sequence[Effect]]
 
 REFITS = 40
 """Combinations of whole-number parameters that a fit tries from every start."""
@@ -123,8 +116,17 @@ class Problem:
     @property
     def pairs(self) -> tuple[tuple[Model, Test], ...]:
         """Every test with its model, which has the parameters that the test's condition holds fixed there."""
-        first = tuple((under(self.model, test), test) for test in self._tests)
+        first = tuple((under(self.model, test.name, test.condition), test) for test in self._tests)
         return (*first, *(pair for problem in self.beside for pair in problem.pairs))
+
+    @property
+    def by_model(self) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
+        """Every model with all of its tests, as it is under no condition."""
+        out: dict[str, tuple[Model, tuple[Test, ...]]] = {}
+        for model, tests in ((self.model, self._tests), *(pair for p in self.beside for pair in p.by_model)):
+            known, before = out.get(model.fingerprint, (model, ()))
+            out[model.fingerprint] = (known, (*before, *tests))
+        return tuple(out.values())
 
     @property
     def space(self) -> ParameterSpace:
@@ -155,12 +157,31 @@ class Problem:
         beside = tuple(p._holding(values) for p in self.beside)
         return replace(self, model=replace(self.model, space=space), beside=beside)
 
-    def with_effects(self, effects: Sequence[Effect]) -> Problem:
-        """The same with effects in its model, their strengths free; those of joined problems stay as they are."""
-        effects = objects(effects, Effect, "effects")
-        if isinstance(self.model, StructuralModel):
-            return replace(self, model=extend(self.model, effects))
-        return replace(self, model=extend_function(self.model, effects))
+    def with_effects(self, effects: Effects) -> Problem:
+        """The same with effects in its model, their strengths free.
+
+        Those of joined problems stay as they are, unless effects are given by the name of the model.
+        """
+        return self._with(self._by_model(effects))
+
+    def _with(self, effects: Library) -> Problem:
+        own = effects.get(self.model.name, ())
+        model: Model = self.model
+        if own:
+            model = extend(model, own) if isinstance(model, StructuralModel) else extend_function(model, own)
+        return replace(self, model=model, beside=tuple(p._with(effects) for p in self.beside))
+
+    def _by_model(self, effects: Effects) -> Library:
+        """Effects by the name of the model; InputError for a name that no model has."""
+        if not isinstance(effects, Mapping):
+            return {self.model.name: objects(effects, Effect, "effects")}
+        known = [model.name for model, _ in self.by_model]
+        for name in effects:
+            if name not in known:
+                raise InputError(
+                    f"no model is named {name!r}", place="effects", remedy=f"the models are {', '.join(known)}"
+                )
+        return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
 
     # -- questions -----------------------------------------------------------------------------------------------------
 
@@ -331,29 +352,24 @@ class Problem:
     def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
         return self.space.complete(values_of(values, "values"))
 
-    def explain(self, effects: Sequence[Effect], *, seed: int = 1) -> Explained:
-        """Which of some effects the model lacks: calibrate, test, fit the promising ones, check what is left.
+    def explain(self, effects: Effects, *, seed: int = 1) -> Explained:
+        """Which of some effects the models lack: calibrate, test, fit the promising ones, check what is left.
+
+        All tests are asked together. An effect acts in every test of its model.
 
         Parameters
         ----------
-        effects : sequence of Effect
-            What the model may lack.
+        effects : sequence of Effect, or mapping from str to sequences of them
+            What the model may lack; of joined problems by the name of the model. What has one name is one effect.
         seed : int
             Of the draws behind probabilities and advice.
 
         Raises
         ------
         InputError
-            Without an effect, with several tests, and where too little was measured to name anything.
+            Without an effect, and where too little was measured to name anything.
         """
-        effects, seed = objects(effects, Effect, "effects"), whole(seed, 0, "seed")
-        if len(self.pairs) > 1:
-            raise InputError(
-                f"an explanation asks one test, and there are {len(self.pairs)}", place="explain",
-                remedy="explain one problem at a time",
-            )  # fmt: skip
-        ((model, test),) = self.pairs
-        return explained(self, model, test, effects, seed)
+        return explained(self, self._by_model(effects), whole(seed, 0, "seed"))
 
     @property
     def terms(self) -> Terms:
@@ -425,6 +441,6 @@ class Fit(Shown):
         """Models against tests at the fitted values."""
         return self.problem.compare(self.values)
 
-    def explain(self, effects: Sequence[Effect], *, seed: int = 1) -> Explained:
+    def explain(self, effects: Effects, *, seed: int = 1) -> Explained:
         """See `Problem.explain`."""
         return self.problem.explain(effects, seed=seed)

@@ -229,6 +229,14 @@ class ResponseTest:
 Test = ModalTest | ResponseTest
 
 
+def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
+    """A model whose parameters are held as a test's condition says; InputError for one that it lacks."""
+    try:
+        return replace(model, space=model.space.freeze(condition))
+    except InputError as fault:
+        raise InputError(fault.problem, place=f"condition of test {test}", remedy=fault.remedy) from None
+
+
 def _named(test: Test) -> str:
     """The place that messages give; checks and completes what both kinds of test have."""
     if not isinstance(test.name, str) or not test.name:

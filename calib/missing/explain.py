@@ -27,6 +27,8 @@ from calib.missing.wrong_datum import wrong_datum
 
 LEAST_MODES = 4
 """Fewer modes cannot tell an effect from a parameter."""
+LEAST_RESPONSES = 4
+"""Nor can fewer plain responses."""
 GUARD = 1.11
 """Factor on the scatter from which it counts as understated (two and a half standard errors with 8 modes)."""
 
@@ -50,8 +52,11 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
     if not hypotheses.effects:
         raise InputError("there is no effect to look for", place="explain", remedy="name a library with effects = ...")
     modes = {row.mode for row in hypotheses.rows if row.mode}
+    responses = sum(not row.mode for row in hypotheses.rows)
     if modes:
-        require_modes(len(modes))
+        require_modes(len(modes) + responses)
+    else:
+        require_responses(responses, len(hypotheses.question(()).space.free))
     fits = Refits(hypotheses, settings, 1.0, progress)
     found = _Decision(fits).findings({})
     if found.measured_scale > GUARD and found.verdict != "nothing_detectable":
@@ -70,6 +75,17 @@ def require_modes(count: int) -> None:
             f"{count} measured modes cannot tell a missing effect from a parameter",
             place="explain",
             remedy=f"measure at least {LEAST_MODES}, or withhold fewer",
+        )
+
+
+def require_responses(count: int, free: int) -> None:
+    """InputError when so many measured responses are too few to name anything beside the fitted parameters."""
+    least = max(LEAST_RESPONSES, free + 2)
+    if count < least:
+        raise InputError(
+            f"{count} measured responses cannot tell a missing effect from the {free} fitted parameters",
+            place="explain",
+            remedy=f"measure at least {least}, withhold fewer or fit fewer parameters",
         )
 
 

@@ -28,7 +28,9 @@ def blocks_of(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     return {kind: tuple(n for n in names if kinds[n] == kind) for kind in dict.fromkeys(kinds.values())}
 
 
-def function_atoms(space: ParameterSpace, measured: Mapping[str, float]) -> tuple[Effect, ...]:
+def function_atoms(
+    space: ParameterSpace, measured: Mapping[str, float], test: str = "", held: Collection[str] = ()
+) -> tuple[Effect, ...]:
     """What may be off in a function by itself, whole numbers aside.
 
     Every parameter that is held, changed; every parameter that is fitted, changed for one block of responses only,
@@ -41,9 +43,14 @@ def function_atoms(space: ParameterSpace, measured: Mapping[str, float]) -> tupl
         Free are the parameters that a calibration would fit.
     measured : mapping
         Measured value of every response.
+    test : str
+        Where there are several, the one that was measured: told with what is of it only.
+    held : collection of str
+        Parameters that are held for this test only.
     """
+    of_test = f" in test {test}" if test else ""
     blocks = blocks_of(list(measured))
-    out = changes_of_held(space)
+    out = changes_of_held(space, of_test, held)
     if len(blocks) < len(measured):
         out += [
             _change(p, f"change of {p.name} in {block}", own)
@@ -53,9 +60,9 @@ def function_atoms(space: ParameterSpace, measured: Mapping[str, float]) -> tupl
         ]
     for block, own in blocks.items():
         size = float(np.mean([abs(measured[name]) for name in own])) or 1.0
-        out.append(_misread(f"offset of {block}", block, own, size))
+        out.append(_misread(f"offset of {block}{of_test}", block, own, size))
         if len({measured[name] for name in own}) > 1:
-            out.append(_misread(f"scale of {block}", block, own))
+            out.append(_misread(f"scale of {block}{of_test}", block, own))
     return tuple(out)
 
 
@@ -64,9 +71,16 @@ def moving(space: ParameterSpace) -> list[Parameter]:
     return [p for p in space.parameters if not p.integer and (p.value != 0 or p.upper > p.lower)]
 
 
-def changes_of_held(space: ParameterSpace) -> list[Effect]:
-    """Every parameter that is held, changed; what the function answers is passed on as it is."""
-    return [_change(p, f"change of {p.name}", None) for p in moving(space) if p.distribution == "fixed"]
+def changes_of_held(space: ParameterSpace, of_test: str = "", held: Collection[str] = ()) -> list[Effect]:
+    """Every parameter that is held, changed; what the function answers is passed on as it is.
+
+    What is held for one test only bears its name.
+    """
+    return [
+        _change(p, f"change of {p.name}{of_test if p.name in held else ''}", None)
+        for p in moving(space)
+        if p.distribution == "fixed"
+    ]
 
 
 def moved_parameter(p: Parameter, name: str) -> tuple[Parameter, Callable[[float, float], float]]:

@@ -18,11 +18,9 @@ from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel, extend_function
 from calib.outcome import Outcome, attempt
 from calib.questions.function_atoms import Remembered, function_atoms
-from calib.questions.hypotheses import question_space
+from calib.questions.hypotheses import question_space, whole_space
 from calib.space import ParameterSpace
 
-LEAST_RESPONSES = 4
-"""Fewer responses cannot tell an effect from a parameter."""
 _ROUNDING = 1e-6
 """Change of the residual at strength 0 up to which it counts as none."""
 
@@ -147,7 +145,7 @@ class FunctionQuestion:
     Attributes
     ----------
     space : ParameterSpace
-        The model's parameters and those of the effects it has.
+        The model's parameters, without those that the test holds, and those of the effects it has.
     answers : Answers
     step : float
         Half a central difference, over the range between the limits.
@@ -159,7 +157,10 @@ class FunctionQuestion:
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Vector (n_rows,) at named values; EvaluationError where the function gives no answer."""
-        return self.answers.residual(self.space.complete(values))
+        return self.answers.residual(self._complete(values))
+
+    def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
+        return {**self.answers.model.space.values, **self.space.complete(values)}
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params).
@@ -173,7 +174,7 @@ class FunctionQuestion:
         EvaluationError
             When the function fails at the point, or on both sides of it along one of the model's own parameters.
         """
-        complete = self.space.complete(values)
+        complete = self._complete(values)
         here = self.answers.residual(complete)
         columns = []
         for name in names:
@@ -200,7 +201,8 @@ class FunctionHypotheses:
     targets : mapping from response name to (value, std or None)
         Measured, with the standard deviation of the value; where it is unknown 1 % of the value is taken.
     space : ParameterSpace
-        Parameters of the base model; free are those that a calibration would fit.
+        Parameters of the base model, without those that its space holds for this test only; free are those that a
+        calibration would fit.
     effects : tuple of Effect
         Named candidates.
     repeats : float or None
@@ -210,11 +212,13 @@ class FunctionHypotheses:
         Half a central difference, over the range; to be raised for a function whose last digits are not exact.
     shares : mapping from response name to float
         Part of each variance that the repeats tell; 1 for one left out.
+    test : str
+        Told with changes that are of one test only, where there are several.
 
     Raises
     ------
     InputError
-        When there are too few responses to name anything, or a target is not usable.
+        When a target is not usable.
     """
 
     model: FunctionModel
@@ -224,27 +228,28 @@ class FunctionHypotheses:
     repeats: float | None = None
     step: float = 1e-4
     shares: Mapping[str, float] = field(default_factory=dict)
+    test: str = ""
 
     def __post_init__(self) -> None:
-        count, free = len(self.targets), len(self.space.free)
-        if count < LEAST_RESPONSES or count < free + 2:
-            raise InputError(
-                f"{count} measured responses cannot tell a missing effect from the {free} fitted parameters",
-                place="explain",
-                remedy=f"measure at least {max(LEAST_RESPONSES, free + 2)}, withhold fewer or fit fewer parameters",
-            )
         if self.repeats is not None and self.repeats < 2:
             raise InputError(f"repeats = {self.repeats}", place="explain", remedy="give at least 2 or none")
 
     @cached_property
     def answers(self) -> Answers:
         """What was asked of the function so far."""
-        return Answers(replace(self.model, space=self.space), self.targets, self.effects, self.atoms)
+        return Answers(replace(self.model, space=self._whole), self.targets, self.effects, self.atoms)
+
+    @cached_property
+    def _whole(self) -> ParameterSpace:
+        """What the function is called with: the space, and what is held for this test."""
+        return whole_space(self.space, self.model.space)
 
     @cached_property
     def atoms(self) -> tuple[Effect, ...]:
         """Unnamed changes, see `function_atoms`."""
-        return function_atoms(self.space, {name: value for name, (value, _) in self.targets.items()})
+        measured = {name: value for name, (value, _) in self.targets.items()}
+        held = [name for name in self.model.space.names if name not in self.space]
+        return function_atoms(self._whole, measured, self.test, held)
 
     @property
     def evaluations(self) -> int:

@@ -177,7 +177,11 @@ def kept(model: ModalFunctionModel) -> ModalFunctionModel:
 
 
 def modal_function_atoms(
-    model: ModalFunctionModel, space: ParameterSpace, sensors: Sequence[Sensor]
+    model: ModalFunctionModel,
+    space: ParameterSpace,
+    sensors: Sequence[Sensor],
+    test: str = "",
+    held: Collection[str] = (),
 ) -> tuple[Atom, ...]:
     """What may be off in a function of modes by itself, whole numbers aside.
 
@@ -192,16 +196,21 @@ def modal_function_atoms(
         Free are the parameters that a calibration would fit.
     sensors : sequence of Sensor
         Of the measured shapes.
+    test : str
+        Where there are several, the one that was measured: told with what is of it only.
+    held : collection of str
+        Parameters that are held for this test only.
     """
+    of_test = f" in test {test}" if test else ""
     kinds = ("frequency", "damping", "shape") if model.damped else ("frequency", "shape")
-    found = [Atom(effect, "parameter", _NOWHERE) for effect in changes_of_held(space)]
+    found = [Atom(effect, "parameter", _NOWHERE) for effect in changes_of_held(space, of_test, held)]
     for p in moving(space):
         if p.distribution != "fixed":
             found += [Atom(_change_in(p, kind), "parameter", _NOWHERE) for kind in kinds]
-    found += [Atom(_misread(kind), "response", _NOWHERE) for kind in kinds if kind != "shape"]
+    found += [Atom(_misread(kind, of_test), "response", _NOWHERE) for kind in kinds if kind != "shape"]
     for sensor in sensors:
         row = int(np.argmax(model.sensor_rows([sensor])[0]))
-        found.append(Atom(_gain(sensor, row), "response", sensor.point or _NOWHERE, sensor.name))
+        found.append(Atom(_gain(sensor, row, of_test), "response", sensor.point or _NOWHERE, sensor.name))
     return tuple(found)
 
 
@@ -231,9 +240,9 @@ def _change_in(p: Parameter, kind: str) -> Effect:
     return Effect(name, name, lacks, "its true value", strength, build, part=name.removeprefix("change of "))
 
 
-def _misread(kind: str) -> Effect:
+def _misread(kind: str, of_test: str) -> Effect:
     """All frequencies or damping ratios read too high by a share."""
-    name = f"scale of {kind}"
+    name = f"scale of {kind}{of_test}"
 
     def build(model: ModalFunctionModel) -> Callable[[Mapping[str, float]], Modes]:
         def read(values: Mapping[str, float]) -> Modes:
@@ -249,9 +258,9 @@ def _misread(kind: str) -> Effect:
     return Effect(name, f"{name}, in parts of each value", lacks, look_for, strength, build, of_measurement=True)
 
 
-def _gain(sensor: Sensor, row: int) -> Effect:
+def _gain(sensor: Sensor, row: int, of_test: str) -> Effect:
     """One sensor that tells too much by a share."""
-    name = f"gain of sensor {sensor.name}"
+    name = f"gain of sensor {sensor.name}{of_test}"
 
     def build(model: ModalFunctionModel) -> Callable[[Mapping[str, float]], Modes]:
         def read(values: Mapping[str, float]) -> Modes:

@@ -27,6 +27,12 @@ def question_space(space: ParameterSpace, effects: Sequence[Effect]) -> Paramete
     return ParameterSpace(space.parameters + tuple(p for e in effects for p in e.parameters), space.constraints)
 
 
+def whole_space(space: ParameterSpace, own: ParameterSpace) -> ParameterSpace:
+    """What a function is called with: the parameters of a question, and its own that are held for one test only."""
+    held = tuple(p for p in own.parameters if p.name not in space)
+    return ParameterSpace(space.parameters + held, space.constraints)
+
+
 class ModelVariants(Protocol):
     """One model with any of its possible effects, such as `calib.structure.variants.Variants`."""
 

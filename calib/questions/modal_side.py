@@ -27,7 +27,7 @@ from calib.questions.budget import Budget, discretisation_budget
 from calib.questions.explanation import Told
 from calib.questions.function_hypotheses import Failure
 from calib.questions.function_variants import FunctionVariants, kept, modal_function_atoms
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModalHypotheses, whole_space
 from calib.questions.library import modal_hypotheses
 from calib.questions.prospects import modal_prospects
 from calib.questions.reduction import worthwhile
@@ -103,13 +103,18 @@ class ModalSide:
         effects: tuple[Effect, ...],
         space: ParameterSpace,
         told: Told,
+        test: str = "",
     ) -> ModalSide:
-        """Of a function, which pays for derivatives in calls; there is no bound that fits them all."""
+        """Of a function, which pays for derivatives in calls; there is no bound that fits them all.
+
+        ``space`` may lack parameters that are held for this test only; ``test`` is its name where there are several.
+        """
         model = kept(model)  # all that is told asks for points that the decision has asked for
         problem = replace(problem, model=model)
         whole = None if whole is None else replace(whole, model=model)
-        local = modal_function_atoms(model, space, problem.measured.sensors)
-        variants = FunctionVariants(replace(model, space=space), effects, tuple(a.effect for a in local))
+        asked, held = whole_space(space, model.space), [name for name in model.space.names if name not in space]
+        local = modal_function_atoms(model, asked, problem.measured.sensors, test, held)
+        variants = FunctionVariants(replace(model, space=asked), effects, tuple(a.effect for a in local))
         hypotheses = ModalHypotheses(problem, variants, space, Floors())
         return cls(model, problem, whole, hypotheses, local, told, budget_of_fits=math.inf, failures=variants.failures)
 

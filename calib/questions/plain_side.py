@@ -89,7 +89,7 @@ class PlainSide:
         self, targets: Targets, trial: Trial, names: Sequence[str], scale: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """See `calib.questions.verify.whitened`; of the model with the trial's effects."""
-        model = extend_function(replace(self.hypotheses.model, space=self.hypotheses.space), trial.effects)
+        model = extend_function(self.hypotheses.answers.model, trial.effects)
         problem = replace(self.problem, space=model.space, function=model.function)
         residual, jacobian = whitened(problem, targets, trial.state.values, names, self.told.held_sd)
         return residual / scale, jacobian / scale

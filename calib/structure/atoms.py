@@ -50,7 +50,7 @@ class Atom:
 
 
 def atoms(
-    model: StructuralModel, sensors: Sequence[Sensor], values: Mapping[str, float], freq: float
+    model: StructuralModel, sensors: Sequence[Sensor], values: Mapping[str, float], freq: float, of: str = ""
 ) -> tuple[Atom, ...]:
     """Every part of a model scaled, and a grounded spring and an added mass at every sensor.
 
@@ -65,8 +65,11 @@ def atoms(
     freq : float
         Hz, such as the lowest measured one: a spring is measured by the local stiffness ``K + (2 pi freq)^2 M``, which
         is regular for free structures too.
+    of : str
+        Told with every change, where several models have some of one name.
     """
-    found = [_scaled(part) for part in model.parts or _terms_as_parts(model)]
+    told = f" ({of})" if of else ""
+    found = [_scaled(part, told) for part in model.parts or _terms_as_parts(model)]
     if sensors:
         rows = model.sensor_rows(sensors)
         stiffness, _, mass = model.matrices(values)
@@ -77,14 +80,14 @@ def atoms(
             moved = np.flatnonzero(model.dofs.direction == DIRECTIONS.index(sensor.direction))
             total = float(sp.csc_array(mass)[moved][:, moved].sum())
             found += [
-                _at_sensor(sensor, row, "stiffness", LOCAL / float(flexibility)),
-                _at_sensor(sensor, row, "mass", HEAVY * total),
+                _at_sensor(sensor, row, "stiffness", LOCAL / float(flexibility), told),
+                _at_sensor(sensor, row, "mass", HEAVY * total, told),
             ]
     return tuple(found)
 
 
-def _scaled(part: Part) -> Atom:
-    name = f"{part.kind} of {part.name}"
+def _scaled(part: Part, told: str) -> Atom:
+    name = f"{part.kind} of {part.name}{told}"
     coefficient = replace(part.coefficient, powers=(*part.coefficient.powers, (name, 1.0)))
 
     def build(model: StructuralModel) -> Addition:
@@ -98,9 +101,9 @@ def _scaled(part: Part) -> Atom:
     return Atom(effect, part.kind, part.place)
 
 
-def _at_sensor(sensor: Sensor, row: np.ndarray, kind: str, size: float) -> Atom:
+def _at_sensor(sensor: Sensor, row: np.ndarray, kind: str, size: float, told: str) -> Atom:
     words = "grounded spring" if kind == "stiffness" else "added mass"
-    name, unit = f"{words} at sensor {sensor.name}", "N/m" if kind == "stiffness" else "kg"
+    name, unit = f"{words} at sensor {sensor.name}{told}", "N/m" if kind == "stiffness" else "kg"
 
     def build(model: StructuralModel) -> Addition:
         term = (outer_term(name, [row], Monomial(1.0, ((name, 1.0),)), model.n_dof - len(row)),)

@@ -263,9 +263,10 @@ def test_too_few_responses_are_refused(count, free):
     model = FunctionModel("few", space, lambda v: {})
     targets = {f"r{k}": (1.0, 0.1) for k in range(count)}
     with pytest.raises(InputError, match=f"{count} measured responses"):
-        FunctionHypotheses(model, targets, space, (effect("phi"),))
+        explain(FunctionHypotheses(model, targets, space, (effect("phi"),)))
     enough = {f"r{k}": (1.0, 0.1) for k in range(max(4, free + 2))}
-    FunctionHypotheses(model, enough, space, (effect("phi"),))
+    with pytest.raises(EvaluationError):  # they are enough, and then the model is asked, which answers nothing
+        explain(FunctionHypotheses(model, enough, space, (effect("phi"),)))
 
 
 def test_every_input_and_every_response_may_be_off():
