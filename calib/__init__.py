@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from calib.front.problem import Problem as Problem
     from calib.front.sensitivity import Assessed as Assessed
     from calib.front.shown import Compared as Compared
+    from calib.front.study import Study as Study
     from calib.front.test import ModalTest as ModalTest
     from calib.front.test import ResponseTest as ResponseTest
     from calib.function import FunctionModel as FunctionModel
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from calib.space import ParameterSpace as ParameterSpace
     from calib.structure.modal_function import ModalFunctionModel as ModalFunctionModel
     from calib.structure.model import StructuralModel as StructuralModel
-    from calib.study import Study as Study
+
 
 __version__ = "0.1.0"
 
@@ -49,7 +50,7 @@ _PLACES = {
     "ResponseTest": "front.test",
     "Sensor": "measurement.modal",
     "StructuralModel": "structure.model",
-    "Study": "study",
+    "Study": "front.study",
     "read_modes": "measurement.read",
     "read_responses": "measurement.responses",
 }

@@ -82,5 +82,5 @@ def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures are drawn and no report is written, which take longest of all in a test of something else."""
-    monkeypatch.setattr("calib.cli.draw_all", lambda *given: [])
-    monkeypatch.setattr("calib.cli.write_report", lambda folder, *given: folder / "report.html")
+    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.front.study.write_report", lambda folder, *given: folder / "report.html")

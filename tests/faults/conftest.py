@@ -18,6 +18,7 @@ import pytest
 
 from calib import cli, interrupt
 from calib.example import write_example
+from calib.front import study as asked
 from calib.report.draw import draw_all
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -187,7 +188,7 @@ class Runner:
                 os.setgroups([])
                 os.setgid(user)
                 os.setuid(user)
-            cli.draw_all = draw_all if draw else lambda *given: []
+            asked.draw_all = draw_all if draw else lambda *given: []
             prepare()
             code = cli.answer(list(arguments))
         except BaseException:

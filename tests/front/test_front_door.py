@@ -38,7 +38,7 @@ def chain():
 
 @pytest.fixture(scope="module")
 def library():
-    return calib.Study.load(STUDIES / "five_mass_chain").library
+    return calib.Study.load(STUDIES / "five_mass_chain").loaded.library
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def explained(chain, library):
 
 
 def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
-    study = calib.Study.load(STUDIES / "four_storey_rig")
+    study = calib.Study.load(STUDIES / "four_storey_rig").loaded
     own = answer_at(study, study.model.space.values)
     assert rig.compare().table.equals(own.table)
     fit = rig.calibrate(STOREYS, starts=3)
@@ -65,7 +65,7 @@ def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
 
 
 def test_a_function_is_explained_as_in_the_study(chain, explained, tmp_path):
-    study = calib.Study.load(STUDIES / "five_mass_chain")
+    study = calib.Study.load(STUDIES / "five_mass_chain").loaded
     found = explain(study, Results.at(tmp_path, "chain"))
     why = explained
     assert why.verdict == found.verdict == "effect"
@@ -84,7 +84,7 @@ def test_a_missing_effect_of_a_structure_is_named_and_added(tmp_path):
     from models.railway import bogie_effects, bogie_on_rig
 
     folder = STUDIES / "hidden_bogie"
-    settings = calib.Study.load(folder).settings
+    settings = calib.Study.load(folder).loaded.settings
     modes = calib.read_modes(str(folder / "measured/*.uff"), sensors=folder / "measured/sensors.csv", synthetic=True)
     test = calib.ModalTest(
         modes,

@@ -27,7 +27,7 @@ def chain():
     """The chain's measured responses with their scatter as known, whole and cut in two tests, and what each names."""
     read = calib.read_responses(STUDIES / "five_mass_chain/measured.csv")
     given = calib.ResponseTest(read).measured.targets
-    library = calib.Study.load(STUDIES / "five_mass_chain").library
+    library = calib.Study.load(STUDIES / "five_mass_chain").loaded.library
     shapes = {name for name in given if name.startswith("shape")}
     first = calib.ResponseTest({n: v for n, v in given.items() if n not in shapes}, name="poles")
     second = calib.ResponseTest({n: v for n, v in given.items() if n in shapes}, name="shapes")

@@ -1,0 +1,434 @@
+"""Study: a problem in a folder, every question of it, and where the answers are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import pandas as pd
+
+from calib.errors import InputError
+from calib.front.problem import Problem
+from calib.front.shown import Compared, Shown
+from calib.front.test import ModalTest, ResponseTest
+from calib.given import path as path_of
+from calib.measurement.responses import read_responses
+from calib.missing.findings import Findings
+from calib.questions import added, phases, places
+from calib.questions import calibrate as calibration
+from calib.questions import compare as comparison
+from calib.questions import explain as explanation
+from calib.questions import extend as extension
+from calib.questions import sensitivity as influence
+from calib.questions.explanation import Explanation
+from calib.questions.isolation import isolated
+from calib.questions.reduction import fingerprints
+from calib.questions.stale import stale_answers
+from calib.questions.stored import modes_kept
+from calib.questions.versions import Versions, write_versions
+from calib.report.draw import draw_all
+from calib.report.html.write import NAME as REPORT
+from calib.report.html.write import write_report
+from calib.results import Results
+from calib.study import Study as Loaded
+from calib.study import StudyFile, shell_argument
+from calib.written import is_own
+
+RESULTS = Path("results")
+"""Where results go unless another place is named."""
+
+Sampled: TypeAlias = Callable[[int, int], None]
+Searched: TypeAlias = Callable[[str, int, int, float], None]
+Doing: TypeAlias = Callable[[str], None]
+
+
+class Listener:
+    """Is told what happens while a study is asked; this one keeps quiet, the command's prints it."""
+
+    def samples(self) -> AbstractContextManager[Sampled]:
+        """Takes samples done and their number."""
+        return nullcontext(lambda done, total: None)
+
+    def search(self) -> AbstractContextManager[Searched]:
+        """Takes case, generation, number of generations and the best misfit so far."""
+        return nullcontext(lambda case, generation, generations, best: None)
+
+    def doing(self) -> AbstractContextManager[Doing]:
+        """Takes what is being done, in words."""
+        return nullcontext(lambda words: None)
+
+    def first(self, earlier: Loaded, path: Path) -> None:
+        """An earlier study is calibrated first, since the one asked takes its values over."""
+
+    def begins(self, study: Loaded, verb: str) -> None:
+        """A question begins."""
+
+    def other_state(self, rows: int) -> None:
+        """So many stored evaluations are of another state of the study."""
+
+    def compared(self, study: Loaded, answer: comparison.Answer, folder: Results) -> None:
+        """Model and measurement were compared."""
+
+    def sampled(self, study: Loaded, answer: influence.Sensitivity, folder: Results) -> None:
+        """Parameters were judged by what they change."""
+
+    def screened(self, answer: influence.Screening, folder: Results) -> None:
+        """The same by Morris or Sobol."""
+
+    def calibrated(self, study: Loaded, answer: calibration.Calibration, folder: Results) -> None:
+        """Parameters were fitted."""
+
+    def explained(self, study: Loaded, answer: Explanation, folder: Results) -> None:
+        """What the model lacks was asked."""
+
+    def may_add(self, study: Loaded, found: Findings) -> None:
+        """The answer to that was asked by itself: what was named may be added."""
+
+    def extended(self, written: extension.Extension) -> None:
+        """A study with more effects was written."""
+
+    def added(self, answer: added.Added, written: extension.Extension, folder: Results) -> None:
+        """What was named was added and calibrated."""
+
+    def nothing_added(self, sentence: str) -> None:
+        """Why nothing was added."""
+
+    def versions(self, found: Versions) -> None:
+        """Errors over the versions of a model."""
+
+    def drawn(self, figures: Sequence[Path], outdated: Mapping[str, str], report: Path | None) -> None:
+        """Figures, and the report where there is one, were made."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Answer(Shown):
+    """What a study answers: sentences and the table that shows it.
+
+    Attributes
+    ----------
+    words : tuple of str
+    rows : DataFrame
+    folder : Path
+        Where all tables and figures are.
+    of : object
+        Everything that was found, such as a `calib.questions.calibrate.Calibration`.
+    """
+
+    words: tuple[str, ...]
+    rows: pd.DataFrame
+    folder: Path
+    of: Any
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was found, the most important first."""
+        return self.words
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """What shows it."""
+        return self.rows
+
+    def __repr__(self) -> str:
+        return f"Answer({len(self.rows)} rows in {self.folder})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Study:
+    """A study in a folder: what its ``study.toml`` says, asked here as by the command ``calib``.
+
+    Answers go to a folder of results with their figures; what was solved is kept there and is not solved again.
+
+    Attributes
+    ----------
+    path : Path
+        Folder with a ``study.toml``, or that file.
+    results : Path
+        Where ``<study>/`` with the results goes.
+    workers : int or None
+        Worker processes; None for one a core where that pays.
+    quick : bool
+        Small searches for a first look, whose results go to a sub-folder.
+    listener : Listener
+        Is told what happens.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import calib
+    >>> from calib.example import write_example
+    >>> there = Path(tempfile.mkdtemp())
+    >>> _ = write_example(there / "mast")
+    >>> study = calib.Study.load(there / "mast", results=there / "results")
+    >>> found = study.compare()
+    >>> (there / "results/mast/comparison_before.csv").exists()
+    True
+    """
+
+    path: Path
+    results: Path = RESULTS
+    workers: int | None = None
+    quick: bool = False
+    listener: Listener = field(default_factory=Listener)
+
+    @staticmethod
+    def load(
+        path: str | Path,
+        results: str | Path = RESULTS,
+        *,
+        workers: int | None = None,
+        quick: bool = False,
+        listener: Listener | None = None,
+    ) -> Study:
+        """Read a study with everything it names; InputError for anything wrong in it.
+
+        Where it takes over what another study finds, and that one has no answer yet, that one is calibrated first.
+        """
+        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, listener or Listener())
+        assert study.loaded is not None
+        return study
+
+    def __repr__(self) -> str:
+        return f"Study({self.loaded.settings.title!r}: {self.loaded.model.name}, results in {self.folder.path})"
+
+    @cached_property
+    def loaded(self) -> Loaded:
+        """Model, measurement and settings, the function of a plain model in a child process."""
+        *earlier, asked = phases.in_order(self.path)
+        taken, before = phases.Found({}, {}), None
+        for file in earlier:
+            study = before = _taking_over(file, taken, before)
+            found = phases.values_found(study, self.results, self.quick)
+            if found is None:
+                self.listener.first(study, self.path)
+                own = self._of(study)
+                own._fit()
+                own.draw()
+                found = phases.values_found(study, self.results, self.quick)
+            taken = found or phases.Found({}, {})
+        return _taking_over(asked, taken, before)
+
+    def _of(self, loaded: Loaded) -> Study:
+        """A study that was loaded already."""
+        out = replace(self, path=loaded.file)
+        out.__dict__["loaded"] = loaded
+        return out
+
+    @cached_property
+    def folder(self) -> Results:
+        """Where the answers go."""
+        return places.results_of(self.loaded, self.results, self.quick)
+
+    @property
+    def problem(self) -> Problem:
+        """The same in memory: the model with what the study selects free, against its test; nothing is kept of it."""
+        loaded, given = self.loaded, self.loaded.settings
+        model = replace(loaded.model, space=loaded.search_space)
+        if loaded.whole is not None:
+            pairing = given.pairing
+            return Problem(
+                model,
+                ModalTest(
+                    loaded.whole,
+                    held_out=(*given.withheld.modes, *given.withheld.sensors),
+                    clusters=pairing.clusters,
+                    mode_count=pairing.mode_count,
+                    freq_window=pairing.freq_window,
+                    threshold=pairing.threshold,
+                    override=pairing.override,
+                ),
+            )
+        data = given.measurement
+        read = read_responses(loaded.file.resolve().parent / str(data.responses), data.pooling)
+        return Problem(model, ResponseTest(read, held_out=given.withheld.responses, accuracy=data.accuracy))
+
+    # -- questions -----------------------------------------------------------------------------------------------------
+
+    def compare(self) -> Compared:
+        """Model against measurement at the adopted values, nothing fitted."""
+        answer = self._compare()
+        self.draw()
+        return Compared({self.loaded.name: answer})
+
+    def sensitivity(
+        self, method: Literal["ranks", "morris", "sobol"] = "ranks", *, ignore_constraints: bool = False
+    ) -> Answer:
+        """Which parameters matter: rank correlations over a Latin hypercube, or the indices of Morris or Sobol."""
+        if method == "ranks":
+            found = self._sensitivity()
+            answer = Answer(found.sentences, found.assessment.selection, self.folder.path, found)
+        else:
+            screened = self._screen(method, ignore_constraints)
+            answer = Answer((screened.note,) * bool(screened.note), screened.table, self.folder.path, screened)
+        self.draw()
+        return answer
+
+    def calibrate(self, case: str | None = None, *, method: calibration.Method | None = None) -> Answer:
+        """Values that fit, in several independent cases, and how far each parameter can be trusted."""
+        loaded = self.loaded
+        calibration.chosen_cases(loaded, case)
+        folder = places.results_of(loaded, self.results, self.quick, case, method)
+        found = self._calibrate(folder, case, method)
+        self.draw(folder)
+        return Answer(found.sentences, found.verdicts, folder.path, found)
+
+    def explain(self) -> Answer:
+        """Which effect of the study's library the model lacks."""
+        found = self._explain()
+        self.listener.may_add(self.loaded, found.findings)
+        self.draw()
+        return Answer((*found.sentences, *found.notes), found.effects, self.folder.path, found)
+
+    def extend(self, effects: Sequence[str], into: str | Path) -> Study:
+        """Write a new study whose model has some effects more; this one stays as it is."""
+        written = extension.extend(self.loaded, list(effects), path_of(into, "into"))
+        self.listener.extended(written)
+        return replace(self, path=written.file, results=places.root_for(written.file, self.results))
+
+    def run(self) -> Study:
+        """Ask everything, add what is named, calibrate again, and write ``report.html``.
+
+        Returns
+        -------
+        Study
+            The extended study where something was named and added, else this one.
+        """
+        self._compare()
+        self._sensitivity()
+        calibrated, extended = self._calibrate(self.folder, None, None), None
+        if self.loaded.candidates:
+            extended = self._add(calibrated, self._explain().findings)
+            if extended is not None:
+                extended.draw(report=True)
+        self.draw(report=True)
+        return extended or self
+
+    def report(self) -> Path:
+        """Tell all answers in ``report.html`` and draw every figure anew; nothing is computed, no code is run."""
+        told = StudyFile.read(self.path)
+        if not places.answers_of(told, self.results):
+            remedy = f"ask first: calib run {shell_argument(self.path)}"
+            raise InputError("there are no results to draw", place=self.results / told.name, remedy=remedy)
+        self._draw_anew(told)
+        return self.results / told.name / REPORT
+
+    # -- steps ---------------------------------------------------------------------------------------------------------
+
+    def _compare(self) -> comparison.Answer:
+        self.listener.begins(self.loaded, "compare")
+        answer = comparison.compare(self.loaded, self.folder)
+        self.listener.compared(self.loaded, answer, self.folder)
+        return answer
+
+    def _sensitivity(self) -> influence.Sensitivity:
+        loaded, root = self.loaded, self.results
+        self.listener.begins(loaded, "sensitivity")
+        with places.ledger_of(loaded, root) as ledger, self.listener.samples() as step:
+            self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
+            answer = influence.sensitivity(loaded, self.folder, ledger, self.workers, self.quick, step)
+        self.listener.sampled(loaded, answer, self.folder)
+        return answer
+
+    def _screen(self, method: Literal["morris", "sobol"], ignore_constraints: bool) -> influence.Screening:
+        loaded, workers, quick = self.loaded, self.workers, self.quick
+        self.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
+        with places.ledger_of(loaded, self.results) as ledger, self.listener.samples() as step:
+            answer = influence.screen(loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step)
+        self.listener.screened(answer, self.folder)
+        return answer
+
+    def _calibrate(
+        self, folder: Results, case: str | None, method: calibration.Method | None
+    ) -> calibration.Calibration:
+        root, workers, quick = self.results, self.workers, self.quick
+        loaded = influence.selected_by_measures(self.loaded, self.folder)
+        self.listener.begins(loaded, "calibrate")
+        with places.ledger_of(loaded, root) as ledger, self.listener.search() as step:
+            home = places.results_of(loaded, root)
+            self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, home)))
+            answer = calibration.calibrate(loaded, folder, ledger, workers, case, quick, method, step, home)
+        self.listener.calibrated(loaded, answer, folder)
+        return answer
+
+    def _fit(self) -> calibration.Calibration:
+        """Calibrate, and ask before which parameters matter where the study leaves their choice to that."""
+        if isinstance(self.loaded.settings.selection, str):
+            self._sensitivity()
+        return self._calibrate(self.folder, None, None)
+
+    def _explain(self) -> Explanation:
+        loaded = self.loaded
+        self.listener.begins(loaded, "explain")
+        with (
+            self.listener.doing() as step,
+            modes_kept(loaded, lambda: places.ledger_of(loaded, self.results)) as asked,
+        ):
+            answer = explanation.explain(asked, self.folder, step, places.results_of(loaded, self.results))
+        self.listener.explained(loaded, answer, self.folder)
+        return answer
+
+    def _add(self, calibrated: calibration.Calibration, found: Findings) -> Study | None:
+        """The study extended by what an explanation names, calibrated too; None when nothing is named."""
+        loaded = self.loaded
+        self.listener.begins(loaded, "extend")
+        named = added.to_add(found)
+        if named is None:
+            self.listener.nothing_added(added.write_nothing_added(loaded, found, self.folder, self.quick).sentence)
+            return None
+        begin_at = {n: v for n, v in named.state.values.items() if n in named.state.question.space.free_names}
+        written = extension.extend_among(loaded, named.names, self.folder.path, begin_at)
+        self.listener.extended(written)
+        extended = replace(self, path=written.file)
+        after = extended._fit()
+        answer = added.write_added(loaded, calibrated, named, extended.loaded, after, self.folder, self.quick)
+        if not self.quick:
+            write_versions(extended.loaded, self.results)
+        self.listener.begins(loaded, "before and after")
+        self.listener.added(answer, written, extended.folder)
+        return extended
+
+    # -- figures -------------------------------------------------------------------------------------------------------
+
+    def draw(self, folder: Results | None = None, report: bool = False) -> None:
+        """Draw what the tables hold; the report is written when asked for, and where there is one, which is older."""
+        self._draw(self.loaded, self.folder if folder is None else folder, report)
+
+    def _draw_anew(self, study: StudyFile) -> None:
+        """Every figure and report of a study, and of those that its runs have extended it to."""
+        folders = places.answers_of(study, self.results)
+        if Results(self.results / study.name) in folders:  # versions are those of whole answers
+            self.listener.versions(write_versions(study, self.results))
+        for folder in folders:
+            self._draw(study, folder, True)
+        written = [file for folder in folders if (file := extension.found_among(study, folder.path))]
+        for file in written[:1]:  # that of a quick look has its answers in the same place
+            self._draw_anew(StudyFile.read(file))
+
+    def _draw(self, study: StudyFile, folder: Results, report: bool) -> None:
+        title, synthetic = study.settings.title, study.synthetic
+        told = report or folder.has(REPORT)
+        stale = stale_answers(study, folder, None if self.results == RESULTS else self.results)
+        try:
+            figures = draw_all(folder.path, title, synthetic, stale.files)
+            written = write_report(folder.path, title, synthetic, stale.sentences, stale.files) if told else None
+        except OSError as fault:
+            raise InputError(
+                f"a figure or the report cannot be written ({fault.strerror})",
+                place=folder.path,
+                remedy="free some space and draw again with 'calib report', or choose another --results",
+            ) from None
+        if stale.files:
+            folder.remove(*(png.name for png in folder.path.glob("*.png") if is_own(png) and png not in figures))
+        self.listener.drawn(figures, stale.sentences, written)
+
+
+def _taking_over(file: Path, taken: phases.Found, before: Loaded | None) -> Loaded:
+    study = Loaded.load(file, *taken)
+    if before is not None:
+        phases.require_same_units(study, before)
+    return isolated(study)

@@ -1,0 +1,75 @@
+"""A study in a folder, asked from Python, gives what the command gives."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import calib
+from calib import cli
+from calib.example import write_example
+
+STUDIES = Path(__file__).resolve().parents[2] / "studies"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """The four-storey rig: asked here, and by the command, each into its own folder."""
+    root = tmp_path_factory.mktemp("rig")
+    study = calib.Study.load(STUDIES / "four_storey_rig", root / "here", workers=1, quick=True)
+    answers = study.compare(), study.sensitivity(), study.calibrate()
+    for verb, *more in (("compare",), ("sensitivity", "--quick"), ("calibrate", "--quick")):
+        assert cli.answer([verb, str(STUDIES / "four_storey_rig"), "--results", str(root / "there"), *more]) == 0
+    return study, answers, root
+
+
+def test_a_study_answers_as_the_command_does(rig):
+    study, (_, sensitivity, calibrated), root = rig
+    for name in ("selection.csv", "verdicts.csv", "parameters.csv"):
+        mine, own = (pd.read_csv(root / place / "four_storey_rig/quick" / name) for place in ("here", "there"))
+        pd.testing.assert_frame_equal(mine, own)
+    assert list(sensitivity.table["parameter"]) == list(mine["parameter"].unique()) or len(sensitivity.table)
+    assert calibrated.folder == study.folder.path
+    told = pd.read_csv(calibrated.folder / "verdicts.csv").set_index("parameter")
+    np.testing.assert_allclose(calibrated.table.set_index("parameter")["std"], told["std"], rtol=1e-8)
+
+
+def test_what_is_shown_is_in_the_table(rig):
+    compared, _, calibrated = rig[1]
+    assert all(f"{value:.4g}" in str(compared) for value in compared.table["natural_freq_model"])
+    assert "<table" in calibrated._repr_html_() and "\n" not in repr(calibrated) + repr(rig[0])
+
+
+def test_the_problem_of_a_study_is_fitted_as_the_study_is(rig):
+    study, (_, _, calibrated), _ = rig
+    fit = study.problem.calibrate()
+    best = calibrated.of.best.judgement
+    assert fit.judgement.criterion == pytest.approx(best.criterion, rel=1e-3)
+    assert set(fit.values) >= set(study.loaded.search_space.free_names)
+
+
+def test_the_problem_of_plain_responses_is_that_of_the_study():
+    study = calib.Study.load(STUDIES / "five_mass_chain")
+    problem = study.problem
+    assert dict(problem.tests.measured.targets) == dict(study.loaded.whole_targets)
+    assert len(problem.posed.rows) == len(study.loaded.targets)
+    np.testing.assert_allclose(
+        problem.posed.residual({}), calib.Problem(problem.model, problem.tests).posed.residual({})
+    )
+
+
+def test_run_asks_everything_and_gives_the_study_to_go_on_with(tmp_path):
+    write_example(tmp_path / "mast")
+    study = calib.Study.load(tmp_path / "mast", tmp_path / "results", workers=1, quick=True)
+    last = study.run()
+    assert (study.folder.path / "report.html").is_file()
+    assert (last.path == study.path) != (last.folder.path / "verdicts.csv").is_file() or last is study
+    assert study.report() == tmp_path / "results/mast/report.html"
+
+
+def test_what_is_no_study_is_refused(tmp_path):
+    with pytest.raises(calib.InputError):
+        calib.Study.load(tmp_path)
+    with pytest.raises(calib.InputError):
+        calib.Study(tmp_path).report()
