@@ -22,13 +22,15 @@ from calib.questions.calibrate import Calibration
 from calib.questions.compare import Answer
 from calib.questions.explanation import Explanation
 from calib.questions.extend import Extension
+from calib.questions.joint_calibration import JointCalibration
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
 from calib.settings import possible_path
 from calib.settings import schema as settings_schema
+from calib.several import JointStudy
 from calib.study import Study as Loaded
-from calib.study import shell_argument
+from calib.study import StudyFile, shell_argument
 from calib.threads import one_thread
 from calib.written import noting_kept
 
@@ -212,10 +214,10 @@ class _Printing(Listener):
     def doing(self) -> AbstractContextManager[Doing]:
         return progress.told()
 
-    def first(self, earlier: Loaded, path: Path) -> None:
+    def first(self, earlier: StudyFile, path: Path) -> None:
         console.say(f"{earlier.settings.title} comes first: {path} takes over what it finds.")
 
-    def begins(self, study: Loaded, verb: str) -> None:
+    def begins(self, study: StudyFile, verb: str) -> None:
         console.head(study, verb)
 
     def other_state(self, rows: int) -> None:
@@ -230,14 +232,17 @@ class _Printing(Listener):
     def screened(self, answer: Screening, folder: Results) -> None:
         console.tell_screening(answer, folder)
 
+    def calibrated_jointly(self, study: JointStudy, answer: JointCalibration, folder: Results) -> None:
+        console.tell_joint_calibration(answer, folder)
+
     def calibrated(self, study: Loaded, answer: Calibration, folder: Results) -> None:
         console.tell_calibration(study, answer, folder)
 
-    def explained(self, study: Loaded, answer: Explanation, folder: Results) -> None:
+    def explained(self, study: StudyFile, answer: Explanation, folder: Results) -> None:
         console.tell_explanation(study, answer, folder)
         console.tell_traces(f"explain {study.file}", answer.traces)
 
-    def may_add(self, study: Loaded, found: Findings) -> None:
+    def may_add(self, study: StudyFile, found: Findings) -> None:
         console.tell_what_to_add(study, found)
 
     def extended(self, written: Extension) -> None:

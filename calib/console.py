@@ -21,15 +21,17 @@ from calib.missing.findings import Findings
 from calib.missing.verdict import rounded
 from calib.questions.added import WORDS, Added, by_group, to_add
 from calib.questions.calibrate import Calibration
+from calib.questions.case import CaseFound
 from calib.questions.compare import Answer
 from calib.questions.explanation import Explanation
 from calib.questions.extend import Extension
+from calib.questions.joint_calibration import JointCalibration
 from calib.questions.places import is_modal
 from calib.questions.record import assumptions_table, check_repeats
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
-from calib.study import Study, shell_argument
+from calib.study import Study, StudyFile, shell_argument
 
 WIDTH = 120
 """Columns of output that goes to no terminal."""
@@ -108,7 +110,7 @@ def _log(asked: str, trace: str) -> Path | None:
     return log
 
 
-def head(study: Study, verb: str) -> None:
+def head(study: StudyFile, verb: str) -> None:
     """Title line of one answer."""
     label = "  [synthetic measurement]" if study.synthetic else ""
     _out.print(f"\n{study.settings.title}: {verb}{label}", style="bold")
@@ -213,16 +215,7 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     _table(("case", "search", "at full order", "reported", *counts, "time"), cases)
     _print_points(answer)
     best = answer.best
-    rows = []
-    for r in answer.verdicts.to_dict("records"):
-        spread = "" if pd.isna(r["spread"]) else f"{100 * r['spread']:.0f} %"
-        std = "–" if r["parameter"] in best.judgement.whole else "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
-        unit = "" if r["unit"] == "-" else f" {r['unit']}"
-        rows.append(
-            (r["parameter"], f"{r['value']:.5g}{unit}", std, f"{100 * r['ratio']:.0f} %", spread, r["sentence"])
-        )
-    heads = ("parameter", f"value in {best.name}", "std", "of range", "spread", "verdict")
-    _table(heads, rows, left=("verdict",))
+    _print_verdicts(answer.verdicts, best)
     for sentence in answer.sentences:
         if sentence not in answer.contradictions:  # told at the end, beside the errors they rest on
             say(sentence)
@@ -259,6 +252,36 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
         _out.print(sentence, style="yellow")
 
 
+def tell_joint_calibration(answer: JointCalibration, folder: Results) -> None:
+    """Parameters that all tests together determine, and what each test says of them."""
+    first = next(iter(answer.tests.values()))
+    _print_verdicts(answer.verdicts, first.best)
+    for sentence in answer.sentences:
+        say(sentence)
+    rows = [
+        (test, WORDS[r["group"]], str(r["rows"]), _number(r["rms"], 2), _number(r["expected"], 2), f"{r['p']:.2g}")
+        for test, one in answer.tests.items()
+        if one.errors is not None
+        for r in one.errors.to_dict("records")
+    ]
+    say("Errors in units of the scatter:")
+    _table(("test", "data", "rows", "rms", "of a right model", "p"), rows, left=("data",))
+    say(f"What all tests say is in {folder.path}, what each says by itself beside it.")
+
+
+def _print_verdicts(verdicts: pd.DataFrame, best: CaseFound) -> None:
+    rows = []
+    for r in verdicts.to_dict("records"):
+        spread = "" if pd.isna(r["spread"]) else f"{100 * r['spread']:.0f} %"
+        std = "–" if r["parameter"] in best.judgement.whole else "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
+        unit = "" if r["unit"] == "-" else f" {r['unit']}"
+        rows.append(
+            (r["parameter"], f"{r['value']:.5g}{unit}", std, f"{100 * r['ratio']:.0f} %", spread, r["sentence"])
+        )
+    heads = ("parameter", f"value in {best.name}", "std", "of range", "spread", "verdict")
+    _table(heads, rows, left=("verdict",))
+
+
 def _print_points(answer: Calibration) -> None:
     """Both criteria where searches and least squares ended, side by side."""
     rows = [
@@ -289,14 +312,12 @@ def tell_extension(extension: Extension) -> None:
     effects, folder = extension.effects, extension.file.parent
     more = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
     named = " and ".join(f"{effect.title} ({effect.name})" for effect in effects)
-    say(f"Written: {folder}, the same study with {more} more in its model: {named}.")
+    say(f"Written: {folder}, which builds on the same study and has {more} more in its model: {named}.")
     if extension.selected:
         say(f"Its calibration may change {', '.join(extension.selected)} too.")
     else:
         names = ", ".join(name for effect in effects for name in effect.names)
         say(f"Its model has {names} too; the study leaves the selection to 'calib sensitivity'.")
-    for before, after in extension.moved:
-        say(f"Not copied, still read from where it is: {before}, from there {after}.")
     if extension.aside is not None:
         say(f"The study that was there had been changed, and is kept as {extension.aside}, without its answers.")
 
@@ -316,7 +337,7 @@ def tell_added(answer: Added, extension: Extension, folder: Results) -> None:
     say(f"Its own answers: {folder.path}")
 
 
-def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None:
+def tell_explanation(study: StudyFile, answer: Explanation, folder: Results) -> None:
     """The verdict, the ranked effects, and the errors on data that were used and not used."""
     _tell_withheld(study)
     for note in answer.notes:
@@ -366,7 +387,7 @@ def tell_explanation(study: Study, answer: Explanation, folder: Results) -> None
         _table(("data", "stage", "rows", "rms", "of a right model", "p"), errors)
 
 
-def tell_what_to_add(study: Study, found: Findings) -> None:
+def tell_what_to_add(study: StudyFile, found: Findings) -> None:
     """The command that adds what was named, where it has no rival."""
     if named := to_add(found):
         them = "them" if len(named.names) > 1 else "it"
@@ -411,13 +432,14 @@ def tell_report(path: Path) -> None:
     say(f"\nThe whole story, in one file that opens offline: {path}")
 
 
-def _tell_withheld(study: Study) -> None:
-    held = study.settings.withheld
-    if held.modes or held.sensors:
-        modes, sensors = (", ".join(names) or "none" for names in (held.modes, held.sensors))
-        say(f"Withheld, never fitted: modes {modes}; sensors {sensors}.")
-    if held.responses:
-        say(f"Withheld, never fitted: {', '.join(held.responses)}.")
+def _tell_withheld(study: StudyFile) -> None:
+    for part in study.parts:
+        held, of = part.settings.withheld, f" in test {part.test}" if part.test != study.test else ""
+        if held.modes or held.sensors:
+            modes, sensors = (", ".join(names) or "none" for names in (held.modes, held.sensors))
+            say(f"Withheld{of}, never fitted: modes {modes}; sensors {sensors}.")
+        if held.responses:
+            say(f"Withheld{of}, never fitted: {', '.join(held.responses)}.")
 
 
 def _print_modes(modes: pd.DataFrame) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 from calib.errors import InputError
 from calib.settings import StudySettings
@@ -13,14 +13,22 @@ Place = Callable[..., str]
 
 
 def sensitivity_space(
-    space: ParameterSpace, settings: StudySettings, place: Place, adopted: Mapping[str, float]
+    space: ParameterSpace,
+    settings: StudySettings,
+    place: Place,
+    adopted: Mapping[str, float],
+    elsewhere: Collection[str] = (),
 ) -> ParameterSpace:
     """The model's space with the study's values, limits and constraints; InputError with its place for any fault.
 
-    ``adopted`` are the values that another study has found for parameters that this one holds.
+    ``adopted`` are the values that another study has found for parameters that this one holds; ``elsewhere`` are those
+    that models of other tests have: what is said of them is said to these.
     """
-    space = _holding(space, settings, place, adopted)
+    lacking = set(elsewhere) - set(space.names)
+    space = _holding(space, settings, place, adopted, lacking)
     for name, change in settings.parameters.items():
+        if name in lacking:
+            continue
         where = f"{place('parameters', name)}, [parameters.{name}]"
         fields: dict[str, object] = {}
         if change.value is not None:
@@ -49,6 +57,7 @@ def sensitivity_space(
         constraints = tuple(
             LinearConstraint(c.name, tuple(c.coefficients.items()), *c.limits, unit=c.unit)
             for c in settings.constraints
+            if not lacking & set(c.coefficients)
         )
         space = ParameterSpace(space.parameters, space.constraints + constraints)
     except InputError as fault:
@@ -91,11 +100,13 @@ def parameter_hints(space: ParameterSpace, settings: StudySettings) -> tuple[str
 
 
 def _holding(
-    space: ParameterSpace, settings: StudySettings, place: Place, adopted: Mapping[str, float]
+    space: ParameterSpace, settings: StudySettings, place: Place, adopted: Mapping[str, float], lacking: Collection[str]
 ) -> ParameterSpace:
     if settings.adopted is None:
         return space
     for name in settings.adopted.parameters:
+        if name in lacking:
+            continue
         where = place("adopted", "parameters")
         if name in settings.parameters:
             raise InputError(
@@ -115,25 +126,37 @@ def _holding(
 
 
 def search_space(
-    space: ParameterSpace, settings: StudySettings, place: Place, selection: tuple[str, ...] | None = None
+    space: ParameterSpace,
+    settings: StudySettings,
+    place: Place,
+    selection: tuple[str, ...] | None = None,
+    elsewhere: Collection[str] = (),
 ) -> ParameterSpace:
     """The selected parameters within the limits of the search, every other one fixed at its adopted value.
 
-    The selection is the study's own, or the one given when the study leaves it to the sensitivity analysis; until then
-    every free parameter counts as selected.
+    The selection is the study's own, or the one given when the study leaves it to the sensitivity analysis; until then,
+    and without one, every free parameter counts as selected. ``elsewhere`` are those that other tests leave free: what
+    is said of them is said to these.
     """
-    if isinstance(settings.selection, str):
+    if settings.selection is None:
+        names = space.free_names
+    elif isinstance(settings.selection, str):
         names = space.free_names if selection is None else selection
     else:
         names = settings.selection
+    missing = {name for name in elsewhere if name not in space.free_names}
+    names = tuple(name for name in names if name not in missing)
     if not names:
         raise InputError("no parameter is selected", place=place("selection"), remedy="name at least one")
-    wide = {name: change.search for name, change in settings.parameters.items() if change.search is not None}
+    changes = settings.parameters.items()
+    wide = {name: c.search for name, c in changes if c.search is not None and name not in missing}
     try:
         chosen = space.widen(wide).keep(names)
     except InputError as fault:
         raise InputError(fault.problem, place=place("selection"), remedy=fault.remedy) from None
     for name, value in settings.calibration.begin_at.items():
+        if name in missing:
+            continue
         _require_inside(chosen, name, value, place("calibration", "begin_at", name))
     return _feasible(chosen, "search limits", place)
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
 import re
-import tomllib
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -13,7 +10,6 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -84,7 +80,7 @@ class MeasurementSettings(_Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> MeasurementSettings:
-        if bool(self.files) == bool(self.responses):
+        if bool(self.files) == bool(self.responses) and self.model_fields_set:
             raise ValueError("name either measured modes (files = [...]) or plain responses (responses = '...')")
         return self
 
@@ -112,6 +108,33 @@ class PairingSettings(_Section):
         if window is not None and not 0 <= window[0] < window[1]:
             raise ValueError(f"the window {list(window)} is not [lower, upper] in Hz")
         return window
+
+
+class TestSettings(MeasurementSettings):
+    """``[[tests]]``: what the real thing did under one condition; files as under ``[measurement]``.
+
+    Attributes
+    ----------
+    name : str
+        Told with everything that is of this test; its own tables and figures go to ``<study>.<name>``.
+    set : dict
+        Parameters that hold for this test only, each in its own unit.
+    withheld : WithheldSettings
+        What no fit sees.
+    pairing : PairingSettings
+    model, model_options, effects
+        Another model for this test, other options of the model, and what another model may lack.
+    """
+
+    __test__ = False  # no test of pytest's
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    set: dict[str, float] = {}
+    withheld: WithheldSettings = WithheldSettings()
+    pairing: PairingSettings = PairingSettings()
+    model: PathText | None = Field(default=None, pattern=FUNCTION)
+    model_options: dict[str, Any] | None = None
+    effects: PathText | None = Field(default=None, pattern=FUNCTION)
 
 
 class ParameterSettings(_Section):
@@ -189,7 +212,7 @@ class CalibrationSettings(_Section):
     sigma_start: float = Field(default=0.10, gt=0, le=1)
     sigma_end: float = Field(default=0.01, gt=0, le=1)
     begin_at: dict[str, float] = Field(default_factory=dict)
-    cases: tuple[CaseSettings, ...] = Field(min_length=1)
+    cases: tuple[CaseSettings, ...] = Field(default=(CaseSettings(name="C1", seed=1),), min_length=1)
 
     @field_validator("cases")
     @classmethod
@@ -230,7 +253,10 @@ class ExplainSettings(_Section):
 class StudySettings(_Section):
     """The whole file.
 
-    ``depends_on`` names files, relative to the study's folder, that the model reads: input of a solver, tables.
+    ``base`` is another study, of which everything is taken that this file does not say anew (tables key by key, lists
+    whole); paths in it are relative to its own folder. ``depends_on`` names files, relative to the study's folder, that
+    the model reads: input of a solver, tables. What was measured stands under ``[measurement]``, or test by test under
+    ``[[tests]]``. Without a ``selection`` every free parameter is fitted.
     """
 
     title: str
@@ -239,116 +265,88 @@ class StudySettings(_Section):
     depends_on: tuple[PathText, ...] = ()
     effects: PathText | None = Field(default=None, pattern=FUNCTION)
     with_effects: tuple[str, ...] = ()
-    extended_from: PathText | None = None
-    measurement: MeasurementSettings
+    base: PathText | None = None
+    measurement: MeasurementSettings = MeasurementSettings()
+    tests: tuple[TestSettings, ...] = ()
     withheld: WithheldSettings = WithheldSettings()
     pairing: PairingSettings = PairingSettings()
     adopted: AdoptedSettings | None = None
     parameters: dict[str, ParameterSettings] = {}
     constraints: tuple[ConstraintSettings, ...] = ()
-    selection: tuple[str, ...] | Literal["from sensitivity"]
+    selection: tuple[str, ...] | Literal["from sensitivity"] | None = None
     reduction: ReductionSettings = ReductionSettings()
     sensitivity: SensitivitySettings = SensitivitySettings()
-    calibration: CalibrationSettings
+    calibration: CalibrationSettings = CalibrationSettings()
     explain: ExplainSettings = ExplainSettings()
+
+    @field_validator("tests")
+    @classmethod
+    def _named(cls, tests: tuple[TestSettings, ...]) -> tuple[TestSettings, ...]:
+        names = [test.name for test in tests]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two tests are named {name!r}")
+        return tests
+
+    @model_validator(mode="after")
+    def _measured(self) -> StudySettings:
+        own = bool(self.measurement.files or self.measurement.responses)
+        if own == bool(self.tests):
+            raise ValueError("name what was measured, either under [measurement] or test by test under [[tests]]")
+        if self.tests and (self.withheld != WithheldSettings() or self.pairing != PairingSettings()):
+            raise ValueError("with [[tests]], withheld and pairing belong to a test: [tests.withheld], [tests.pairing]")
+        return self
+
+    @property
+    def several(self) -> bool:
+        """Whether several tests are fitted together."""
+        return len(self.tests) > 1
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """What builds models and effects, as the file names it."""
+        named = (self.model, self.effects, *(f for test in self.tests for f in (test.model, test.effects)))
+        return tuple(dict.fromkeys(name for name in named if name))
+
+    @property
+    def mentioned(self) -> tuple[tuple[tuple[str, ...], str], ...]:
+        """Every parameter that the file says something of, with the key under which it does."""
+        selected = self.selection if isinstance(self.selection, tuple) else ()
+        adopted = () if self.adopted is None else self.adopted.parameters
+        return (
+            *((("parameters", name), name) for name in self.parameters),
+            *((("constraints",), name) for c in self.constraints for name in c.coefficients),
+            *((("adopted", "parameters"), name) for name in adopted),
+            *((("selection",), name) for name in selected),
+            *((("calibration", "begin_at", name), name) for name in self.calibration.begin_at),
+        )
+
+    def of_test(self, name: str) -> StudySettings:
+        """The settings of a study with one of the tests alone, what it sets held; InputError for an unknown name."""
+        known = {test.name: test for test in self.tests}
+        if name not in known:
+            raise InputError(f"there is no test {name!r}", remedy=f"the tests are {', '.join(known)}")
+        test = known[name]
+        held = {p: ParameterSettings(value=value, fixed=True) for p, value in test.set.items()}
+        other: dict[str, Any] = (
+            {} if test.model is None else {"model": test.model, "effects": test.effects, "model_options": {}}
+        )
+        options = {} if test.model_options is None else {"model_options": test.model_options}
+        own = test.model_dump(include=set(MeasurementSettings.model_fields))
+        title = f"{self.title}: {name}" if self.several else self.title
+        changed = {
+            "title": title,
+            "tests": (),
+            "measurement": MeasurementSettings(**own),
+            "withheld": test.withheld,
+            "pairing": test.pairing,
+            "parameters": {**self.parameters, **held},
+            **other,
+            **options,
+        }
+        return self.model_copy(update=changed)
 
 
 def schema() -> dict[str, Any]:
     """JSON schema of ``study.toml``, by which editors complete and check its keys."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **StudySettings.model_json_schema()}
-
-
-def read_settings(file: Path) -> StudySettings:
-    """Read and check a study file; InputError names file, line, key and remedy."""
-    try:
-        text = file.read_bytes().decode("utf-8")
-    except FileNotFoundError:
-        raise InputError(
-            "there is no such study file",
-            place=file,
-            remedy="name a folder that holds a study.toml, or make one with 'calib new'",
-        ) from None
-    except UnicodeDecodeError as fault:
-        raise InputError(f"it is not UTF-8 text (byte {fault.start})", place=file, remedy="save it as UTF-8") from None
-    except OSError as fault:
-        raise InputError(f"it cannot be read ({fault.strerror})", place=file) from None
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as fault:
-        raise InputError(f"it is not valid TOML: {fault}", place=file, remedy="mend that line") from None
-    try:
-        return StudySettings.model_validate(data)
-    except ValidationError as fault:
-        raise _explain(fault, file, text) from None
-    except RecursionError:
-        raise InputError("it is nested too deeply", place=file) from None
-
-
-def _explain(fault: ValidationError, file: Path, text: str) -> InputError:
-    """The first complaint in one sentence, with its line; an unknown key comes first, which may be the missing one."""
-    first = min(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
-    keys = tuple(first["loc"])
-    label = ".".join(str(k) for k in keys) or "the file"
-    line = line_of(text, keys)
-    place = f"{file}, line {line}" if line else str(file)
-    kind, words = first["type"], first["msg"].removeprefix("Value error, ")
-    given = repr(first.get("input"))
-    given = given if len(given) < 60 else given[:57] + "..."
-    if kind == "extra_forbidden":
-        known = _known_keys(keys[:-1])
-        near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.5)
-        return InputError(
-            f"unknown key {label!r}" + (f" (did you mean {near[0]!r}?)" if near else ""),
-            place=place,
-            remedy=f"the keys known there are {', '.join(known)}" if known else None,
-        )
-    if kind == "missing":
-        return InputError(f"{label!r} is missing", place=place, remedy="add it")
-    if kind == "value_error":
-        return InputError(f"{label}: {words}", place=place)
-    return InputError(f"{label} = {given} is not allowed: {words[:1].lower() + words[1:]}", place=place)
-
-
-def _known_keys(keys: tuple[int | str, ...]) -> list[str]:
-    section: Any = StudySettings
-    for key in keys:
-        if isinstance(key, int) or not (isinstance(section, type) and issubclass(section, BaseModel)):
-            continue
-        field = section.model_fields.get(str(key))
-        section = _section_of(field.annotation) if field is not None else section
-    return list(section.model_fields) if isinstance(section, type) and issubclass(section, BaseModel) else []
-
-
-def _section_of(annotation: Any) -> Any:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for part in getattr(annotation, "__args__", ()):
-        found = _section_of(part)
-        if found is not None:
-            return found
-    return None
-
-
-def line_of(text: str, keys: tuple[int | str, ...]) -> int | None:
-    """Line (from 1) that most likely holds a key of a TOML text; None when it cannot be told."""
-    names = [str(k) for k in keys if not isinstance(k, int)]
-    index = next((k for k in keys if isinstance(k, int)), None)
-    lines = text.splitlines()
-    section, seen, best = "", -1, None
-    for number, line in enumerate(lines, start=1):
-        header = re.match(r"\s*\[\[?\s*([^\]]+?)\s*\]\]?", line)
-        if header and "=" not in line.split("#")[0]:
-            section = header.group(1).replace('"', "").replace("'", "")
-            seen = seen + 1 if line.lstrip().startswith("[[") else -1
-            if section == ".".join(names) and (index is None or seen < 0 or seen == index):
-                return number
-            continue
-        key = re.match(r"""\s*["']?([A-Za-z0-9_.-]+)["']?\s*=""", line)
-        if not key:
-            continue
-        path = [p for p in (*section.split("."), *key.group(1).split(".")) if p]
-        if path == names[: len(path)] and (index is None or seen < 0 or seen == index):
-            if len(path) == len(names):
-                return number
-            best = number
-    return best

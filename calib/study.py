@@ -23,16 +23,35 @@ from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_modes
 from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
-from calib.settings import StudySettings, line_of, read_settings
+from calib.settings import StudySettings, TestSettings
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
 from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
+from calib.study_text import place_of, read_layers, read_settings
 
 ForwardProblem = ModalProblem | FunctionProblem
 Targets = Mapping[str, tuple[float, float | None]]
 _NONE: Mapping[str, float] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Part:
+    """One of the tests of a study.
+
+    Attributes
+    ----------
+    index : int
+        Its place in the file, from 0.
+    given : TestSettings
+    several : bool
+        Whether there are others beside it.
+    """
+
+    index: int
+    given: TestSettings
+    several: bool
 
 
 @dataclass(frozen=True)
@@ -42,44 +61,85 @@ class StudyFile:
     Attributes
     ----------
     name : str
-        Name of the study's folder.
+        Name of the study's folder, of one of several tests with that of the test.
     file : Path
         Its ``study.toml``.
     settings : StudySettings
+        Of one test those of a study with that test alone.
+    part : Part or None
+        Which of the tests under ``[[tests]]`` it is; None for a study with ``[measurement]``, and for all tests
+        together.
     """
 
     name: str
     file: Path
     settings: StudySettings
+    part: Part | None = field(default=None, kw_only=True)
 
     @staticmethod
-    def read(path: Path) -> StudyFile:
-        """Read a study folder's TOML file, or that file; InputError for anything wrong in it."""
+    def read(path: Path, test: str = "") -> StudyFile:
+        """Read a study folder's TOML file, or that file; InputError for anything wrong in it.
+
+        Of several tests the one named, or all of them together.
+        """
         file = study_file(path)
-        settings = read_settings(file)
-        return StudyFile(file.resolve().parent.name, file, settings)
+        settings, name = read_settings(file), file.resolve().parent.name
+        if not test and len(settings.tests) != 1:
+            return StudyFile(name, file, settings)
+        index = next((k for k, one in enumerate(settings.tests) if one.name == test), 0)
+        part = Part(index, settings.tests[index], settings.several) if settings.tests else None
+        own = settings.of_test(test or settings.tests[0].name)
+        return StudyFile(f"{name}.{test}" if settings.several else name, file, own, part=part)
+
+    @property
+    def test(self) -> str:
+        """Name of the test, where it is one of several."""
+        return self.part.given.name if self.part is not None and self.part.several else ""
+
+    @property
+    def condition(self) -> dict[str, float]:
+        """Parameters that hold for this test only, each in its own unit."""
+        return {} if self.part is None else dict(self.part.given.set)
+
+    @property
+    def parts(self) -> tuple[StudyFile, ...]:
+        """Every test by itself; a study with one test is its only part."""
+        if not self.settings.several:
+            return (self,)
+        return tuple(StudyFile.read(self.file, test.name) for test in self.settings.tests)
 
     @property
     def synthetic(self) -> bool:
-        """Whether the measurement was made by a computer."""
-        return self.settings.measurement.synthetic
+        """Whether the measurement, or some of it, was made by a computer."""
+        measured = self.settings.tests or (self.settings.measurement,)
+        return any(one.synthetic for one in measured)
 
     def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
-        """Everything that was measured: modes, or plain responses; InputError where it cannot be read."""
-        return _Reader(self.file, self.settings).measurement()
+        """Everything that one test has measured: modes, or plain responses; InputError where it cannot be read."""
+        return self._reader.measurement()
+
+    def place(self, *keys: int | str) -> str:
+        """File and, where it can be told, line of a key."""
+        return self._reader.place(*keys)
+
+    @property
+    def _reader(self) -> _Reader:
+        return _Reader(self.file, self.settings, self.part)
 
     @property
     def inputs(self) -> tuple[Path, ...]:
         """Every file that the study reads, itself included, without links."""
-        return (self.file.resolve(), *self.named_files.values())
+        return (*(layer.file.resolve() for layer in read_layers(self.file)), *self.named_files.values())
 
     @property
     def named_files(self) -> Mapping[str, Path]:
         """Every file that the study names, by the path it writes, without links."""
         given, folder = self.settings, self.file.resolve().parent
-        code = [where for f in (given.model, given.effects or "") if (where := f.rpartition(":")[0]).endswith(".py")]
-        data = given.measurement
-        files = [*code, *data.files, *data.shapes, *filter(None, [data.sensors, data.responses]), *given.depends_on]
+        code = [where for f in given.functions if (where := f.rpartition(":")[0]).endswith(".py")]
+        files = list(code)
+        for data in given.tests or (given.measurement,):
+            files += [*data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
+        files += given.depends_on
         return {file: (folder / file).resolve() for file in files}
 
     @property
@@ -87,7 +147,7 @@ class StudyFile:
         """All code in the study's folder, and what lies beside a file with code that it names elsewhere."""
         given, folder = self.settings, self.file.resolve().parent
         files = code_files(folder)
-        for named in (given.model, given.effects or ""):
+        for named in given.functions:
             path = (folder / named.rpartition(":")[0]).resolve()
             if path.suffix == ".py" and not path.is_relative_to(folder):
                 files += sorted(path.parent.glob("*.py"))
@@ -226,29 +286,36 @@ class Study(StudyFile):
                 problem, measured=whole, mode_clusters=pairing.clusters, override=pairing.override, mode_count=count
             )
         except InputError as fault:
-            raise _Reader(self.file, self.settings).misfit(fault) from None
+            raise self._reader.misfit(fault) from None
 
     def finer_model(self) -> StructuralModel | None:
         """The model on a finer mesh, effects included; None when the study names no options for one."""
-        reader = _Reader(self.file, self.settings)
+        reader = self._reader
         finer = Sources(self.settings, reader.folder, reader.place).finer()
         return None if finer is None else extend(finer, self.included)
 
     def selecting(self, names: tuple[str, ...]) -> Study:
         """The same study whose search is over the named parameters; only for one that leaves it to the sensitivity."""
-        reader = _Reader(self.file, self.settings)
-        return replace(self, search_space=search_space(self.sensitivity_space, self.settings, reader.place, names))
+        elsewhere = names if self.test else ()
+        space = search_space(self.sensitivity_space, self.settings, self.place, names, elsewhere)
+        return replace(self, search_space=space)
 
     @staticmethod
-    def load(path: str | Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE) -> Study:
+    def load(
+        path: str | Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE, test: str = ""
+    ) -> Study:
         """Read a study folder (or its TOML file) with everything it names; InputError for anything wrong in it.
 
         ``adopted`` are values that an earlier study has found, where this one takes some over, and ``adopted_sd`` their
-        standard deviations as far as they are known; see `calib.questions.phases`.
+        standard deviations as far as they are known; see `calib.questions.phases`. Of several tests ``test`` is read;
+        all of them together are a `calib.several.JointStudy`.
         """
-        told = StudyFile.read(path_of(path, "study"))
+        told = StudyFile.read(path_of(path, "study"), test)
+        if told.settings.several:
+            names = ", ".join(one.name for one in told.settings.tests)
+            raise InputError(f"it has several tests, {names}", place=told.file, remedy="name one of them")
         read = told.file_digests  # before the code runs: what changes from here on is not what was read
-        return replace(_Reader(told.file, told.settings).study(adopted, adopted_sd), read_files=read)
+        return replace(told._reader.study(adopted, adopted_sd), read_files=read)
 
 
 @dataclass(frozen=True)
@@ -265,16 +332,19 @@ class EvaluationSource:
         File of a reduced basis to work on; empty for full order.
     adopted : tuple of (parameter name, value)
         Taken over from an earlier study.
+    test : str
+        Of several, the one that is asked.
     """
 
     path: str
     fingerprint: str
     basis: str = ""
     adopted: tuple[tuple[str, float], ...] = ()
+    test: str = ""
 
     def __call__(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
         """The function from named values to named responses."""
-        study = Study.load(Path(self.path), dict(self.adopted))
+        study = Study.load(Path(self.path), dict(self.adopted), test=self.test)
         problem = study.problem
         if self.basis and isinstance(problem, ModalProblem):
             problem = problem.reduced(Basis.load(Path(self.basis)))
@@ -338,6 +408,7 @@ def shell_argument(path: Path) -> str:
 class _Reader:
     file: Path
     settings: StudySettings
+    part: Part | None
 
     @property
     def folder(self) -> Path:
@@ -345,8 +416,12 @@ class _Reader:
 
     def place(self, *keys: int | str) -> str:
         """File and, where it can be told, line of a key."""
-        line = line_of(self.file.read_text("utf-8"), keys)
-        return f"{self.file}, line {line}" if line else str(self.file)
+        layers = read_layers(self.file)
+        if self.part is not None:
+            own = keys[1:] if keys[:1] == ("measurement",) else keys
+            if (there := place_of(layers, "tests", self.part.index, *own)) != str(self.file):
+                return there
+        return place_of(layers, *keys)
 
     def study(self, adopted: Mapping[str, float], adopted_sd: Mapping[str, float]) -> Study:
         sources = Sources(self.settings, self.folder, self.place)
@@ -355,10 +430,12 @@ class _Reader:
         told = digest_of([(e.name, e.build) for e in library])[:16]  # before any is asked, which may fill its caches
         included = sources.included(library)
         model = with_effects(base, included, self.place("with_effects"))
-        space = sensitivity_space(model.space, self.settings, self.place, adopted)
+        several = self.part is not None and self.part.several
+        elsewhere = {name for _, name in self.settings.mentioned} if several else ()
+        space = sensitivity_space(model.space, self.settings, self.place, adopted, elsewhere)
         hints = parameter_hints(model.space, self.settings)
         taken = self.settings.adopted.parameters if self.settings.adopted else ()
-        initial = {**space.values, **{name: model.space[name].value for name in taken}}
+        initial = {**space.values, **{name: model.space[name].value for name in taken if name in model.space}}
         model = replace(model, space=space)
         for name in self.settings.depends_on:
             self._path(name, "depends_on")
@@ -379,19 +456,20 @@ class _Reader:
                 assert isinstance(base, ModalFunctionModel)
                 model = replace(model, identity=self._fingerprint(fingerprint_of(base, included, model)))
             problem = self._problem(model, measured, model.n_modes - base.n_modes)
-        selected = search_space(space, self.settings, self.place)
+        selected = search_space(space, self.settings, self.place, elsewhere=elsewhere)
         if not self.settings.calibration.weight_freq + self.settings.calibration.weight_mac > 0:
             raise InputError("both weights are zero", place=self.place("calibration"), remedy="give one of them weight")
+        name = f"{self.folder.name}.{self.part.given.name}" if self.part and several else self.folder.name
         return Study(
-            self.folder.name, self.file, self.settings, model, measured, targets, problem, space, selected,
+            name, self.file, self.settings, model, measured, targets, problem, space, selected,
             whole, whole_targets, library, dict(adopted), {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial,
-            hints, responses, library_digest=told,
+            hints, responses, library_digest=told, part=self.part,
         )  # fmt: skip
 
     def _fingerprint(self, function: str) -> str:
         """That of a function, its options, all code in the study's folder, and the files that it depends on."""
         given, folder = self.settings, self.folder
-        files = StudyFile(folder.name, self.file, given).code_files
+        files = StudyFile(folder.name, self.file, given, part=self.part).code_files
         files += [self._path(name, "depends_on") for name in given.depends_on]
         return digest_of(function, given.model_options, digest_of_files(files, folder))[:16]
 

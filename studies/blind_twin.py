@@ -32,12 +32,13 @@ from calib.limits import search_space, sensitivity_space
 from calib.loading import module_of
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.settings import StudySettings, read_settings
+from calib.settings import StudySettings
 from calib.space import Parameter, ParameterSpace
 from calib.structure.extend import extend
 from calib.structure.modal_model import ModalModel
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
+from calib.study_text import read_settings
 
 twin = module_of(Path(__file__).resolve().parent / "bogie" / "make_twin.py")
 

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from calib.errors import InputError
 from calib.example import write_example
-from calib.settings import line_of, read_settings, schema
+from calib.settings import schema
 from calib.study import Study
+from calib.study_text import line_of, read_settings
 
 TEXT = """\
 title = "t"

@@ -16,6 +16,7 @@ from calib.front.problem import Problem
 from calib.front.shown import Compared, Shown
 from calib.front.test import ModalTest, ResponseTest
 from calib.given import path as path_of
+from calib.joint import of_test
 from calib.measurement.responses import read_responses
 from calib.missing.findings import Findings
 from calib.questions import added, phases, places
@@ -26,6 +27,8 @@ from calib.questions import extend as extension
 from calib.questions import sensitivity as influence
 from calib.questions.explanation import Explanation
 from calib.questions.isolation import isolated
+from calib.questions.joint_calibration import JointCalibration, calibrate_jointly
+from calib.questions.joint_explanation import explain_jointly
 from calib.questions.reduction import fingerprints
 from calib.questions.stale import stale_answers
 from calib.questions.stored import modes_kept
@@ -34,6 +37,7 @@ from calib.report.draw import draw_all
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.results import Results
+from calib.several import AnyStudy, JointStudy, load
 from calib.study import Study as Loaded
 from calib.study import StudyFile, shell_argument
 from calib.written import is_own
@@ -41,6 +45,7 @@ from calib.written import is_own
 RESULTS = Path("results")
 """Where results go unless another place is named."""
 
+Fitted: TypeAlias = calibration.Calibration | JointCalibration
 Sampled: TypeAlias = Callable[[int, int], None]
 Searched: TypeAlias = Callable[[str, int, int, float], None]
 Doing: TypeAlias = Callable[[str], None]
@@ -61,10 +66,10 @@ class Listener:
         """Takes what is being done, in words."""
         return nullcontext(lambda words: None)
 
-    def first(self, earlier: Loaded, path: Path) -> None:
+    def first(self, earlier: StudyFile, path: Path) -> None:
         """An earlier study is calibrated first, since the one asked takes its values over."""
 
-    def begins(self, study: Loaded, verb: str) -> None:
+    def begins(self, study: StudyFile, verb: str) -> None:
         """A question begins."""
 
     def other_state(self, rows: int) -> None:
@@ -79,13 +84,16 @@ class Listener:
     def screened(self, answer: influence.Screening, folder: Results) -> None:
         """The same by Morris or Sobol."""
 
+    def calibrated_jointly(self, study: JointStudy, answer: JointCalibration, folder: Results) -> None:
+        """Parameters were fitted to several tests."""
+
     def calibrated(self, study: Loaded, answer: calibration.Calibration, folder: Results) -> None:
         """Parameters were fitted."""
 
-    def explained(self, study: Loaded, answer: Explanation, folder: Results) -> None:
+    def explained(self, study: StudyFile, answer: Explanation, folder: Results) -> None:
         """What the model lacks was asked."""
 
-    def may_add(self, study: Loaded, found: Findings) -> None:
+    def may_add(self, study: StudyFile, found: Findings) -> None:
         """The answer to that was asked by itself: what was named may be added."""
 
     def extended(self, written: extension.Extension) -> None:
@@ -194,15 +202,20 @@ class Study:
         return study
 
     def __repr__(self) -> str:
-        return f"Study({self.loaded.settings.title!r}: {self.loaded.model.name}, results in {self.folder.path})"
+        return f"Study({self.loaded.settings.title!r}, results in {self.folder.path})"
 
     @cached_property
-    def loaded(self) -> Loaded:
+    def loaded(self) -> AnyStudy:
         """Model, measurement and settings, the function of a plain model in a child process."""
         *earlier, asked = phases.in_order(self.path)
         taken, before = phases.Found({}, {}), None
         for file in earlier:
             study = before = _taking_over(file, taken, before)
+            if isinstance(study, JointStudy):
+                raise InputError(
+                    "values are taken over from a study with one test, and this one has several", place=file,
+                    remedy="fit all tests together in one study",
+                )  # fmt: skip
             found = phases.values_found(study, self.results, self.quick)
             if found is None:
                 self.listener.first(study, self.path)
@@ -213,7 +226,19 @@ class Study:
             taken = found or phases.Found({}, {})
         return _taking_over(asked, taken, before)
 
-    def _of(self, loaded: Loaded) -> Study:
+    @property
+    def tests(self) -> tuple[Study, ...]:
+        """Each test as a study of its own; one with a single test is its only one."""
+        loaded = self.loaded
+        return tuple(map(self._of, loaded.studies)) if isinstance(loaded, JointStudy) else (self,)
+
+    @property
+    def one(self) -> Loaded:
+        """The study with its only test."""
+        assert isinstance(self.loaded, Loaded)
+        return self.loaded
+
+    def _of(self, loaded: AnyStudy) -> Study:
         """A study that was loaded already."""
         out = replace(self, path=loaded.file)
         out.__dict__["loaded"] = loaded
@@ -226,53 +251,56 @@ class Study:
 
     @property
     def problem(self) -> Problem:
-        """The same in memory: the model with what the study selects free, against its test; nothing is kept of it."""
-        loaded, given = self.loaded, self.loaded.settings
-        model = replace(loaded.model, space=loaded.search_space)
-        if loaded.whole is not None:
-            pairing = given.pairing
-            return Problem(
-                model,
-                ModalTest(
-                    loaded.whole,
-                    held_out=(*given.withheld.modes, *given.withheld.sensors),
-                    clusters=pairing.clusters,
-                    mode_count=pairing.mode_count,
-                    freq_window=pairing.freq_window,
-                    threshold=pairing.threshold,
-                    override=pairing.override,
-                ),
-            )
-        data = given.measurement
-        read = read_responses(loaded.file.resolve().parent / str(data.responses), data.pooling)
-        return Problem(model, ResponseTest(read, held_out=given.withheld.responses, accuracy=data.accuracy))
+        """The same in memory: models with what the study selects free, against their tests; nothing is kept of it."""
+        first, *others = (_problem_of(study.one) for study in self.tests)
+        return replace(first, beside=tuple(others))
 
     # -- questions -----------------------------------------------------------------------------------------------------
 
     def compare(self) -> Compared:
-        """Model against measurement at the adopted values, nothing fitted."""
-        answer = self._compare()
-        self.draw()
-        return Compared({self.loaded.name: answer})
+        """Models against measurements at the adopted values, nothing fitted."""
+        answers = {}
+        for study in self.tests:
+            answers[study.one.test or study.one.name] = study._compare()
+            study.draw()
+        return Compared(answers)
 
     def sensitivity(
         self, method: Literal["ranks", "morris", "sobol"] = "ranks", *, ignore_constraints: bool = False
     ) -> Answer:
-        """Which parameters matter: rank correlations over a Latin hypercube, or the indices of Morris or Sobol."""
-        if method == "ranks":
-            found = self._sensitivity()
-            answer = Answer(found.sentences, found.assessment.selection, self.folder.path, found)
-        else:
-            screened = self._screen(method, ignore_constraints)
-            answer = Answer((screened.note,) * bool(screened.note), screened.table, self.folder.path, screened)
-        self.draw()
-        return answer
+        """Which parameters matter: rank correlations over a Latin hypercube, or the indices of Morris or Sobol.
+
+        Of several tests each is asked by itself.
+        """
+        answers = []
+        for study in self.tests:
+            if method == "ranks":
+                found = study._sensitivity()
+                answer = Answer(found.sentences, found.assessment.selection, study.folder.path, found)
+            else:
+                screened = study._screen(method, ignore_constraints)
+                told = (screened.note,) if screened.note else ()
+                answer = Answer(told, screened.table, study.folder.path, screened)
+            answers.append((study.one.test, answer))
+            study.draw()
+        if len(answers) == 1:
+            return answers[0][1]
+        words = tuple(of_test(test, word) for test, one in answers for word in one.sentences)
+        table = pd.concat([one.table.assign(test=test) for test, one in answers], ignore_index=True)
+        return Answer(words, table, self.folder.path, {test: one.of for test, one in answers})
 
     def calibrate(self, case: str | None = None, *, method: calibration.Method | None = None) -> Answer:
-        """Values that fit, in several independent cases, and how far each parameter can be trusted."""
+        """Values that fit, in several independent cases, and how far each parameter can be trusted.
+
+        Several tests are fitted together.
+        """
         loaded = self.loaded
         calibration.chosen_cases(loaded, case)
         folder = places.results_of(loaded, self.results, self.quick, case, method)
+        if isinstance(loaded, JointStudy):
+            joint = self._calibrate_jointly(loaded, folder, case, method)
+            self._draw_tests(case, method)
+            return Answer(joint.sentences, joint.verdicts, folder.path, joint)
         found = self._calibrate(folder, case, method)
         self.draw(folder)
         return Answer(found.sentences, found.verdicts, folder.path, found)
@@ -281,7 +309,7 @@ class Study:
         """Which effect of the study's library the model lacks."""
         found = self._explain()
         self.listener.may_add(self.loaded, found.findings)
-        self.draw()
+        self._draw_tests()
         return Answer((*found.sentences, *found.notes), found.effects, self.folder.path, found)
 
     def extend(self, effects: Sequence[str], into: str | Path) -> Study:
@@ -298,35 +326,42 @@ class Study:
         Study
             The extended study where something was named and added, else this one.
         """
-        self._compare()
-        self._sensitivity()
-        calibrated, extended = self._calibrate(self.folder, None, None), None
-        if self.loaded.candidates:
-            extended = self._add(calibrated, self._explain().findings)
+        for study in self.tests:
+            study._compare()
+            study._sensitivity()
+        loaded, extended = self.loaded, None
+        if isinstance(loaded, JointStudy):
+            before: Fitted = self._calibrate_jointly(loaded, self.folder, None, None)
+        else:
+            before = self._calibrate(self.folder, None, None)
+        if loaded.candidates:
+            extended = self._add(before, self._explain().findings)
             if extended is not None:
-                extended.draw(report=True)
-        self.draw(report=True)
+                extended._draw_tests(report=True)
+        self._draw_tests(report=True)
         return extended or self
 
     def report(self) -> Path:
         """Tell all answers in ``report.html`` and draw every figure anew; nothing is computed, no code is run."""
         told = StudyFile.read(self.path)
-        if not places.answers_of(told, self.results):
+        answered = [part for part in told.parts if places.answers_of(part, self.results)]
+        if not answered:
             remedy = f"ask first: calib run {shell_argument(self.path)}"
             raise InputError("there are no results to draw", place=self.results / told.name, remedy=remedy)
         self._draw_anew(told)
-        return self.results / told.name / REPORT
+        return self.results / answered[0].name / REPORT
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 
     def _compare(self) -> comparison.Answer:
-        self.listener.begins(self.loaded, "compare")
-        answer = comparison.compare(self.loaded, self.folder)
-        self.listener.compared(self.loaded, answer, self.folder)
+        loaded = self.one
+        self.listener.begins(loaded, "compare")
+        answer = comparison.compare(loaded, self.folder)
+        self.listener.compared(loaded, answer, self.folder)
         return answer
 
     def _sensitivity(self) -> influence.Sensitivity:
-        loaded, root = self.loaded, self.results
+        loaded, root = self.one, self.results
         self.listener.begins(loaded, "sensitivity")
         with places.ledger_of(loaded, root) as ledger, self.listener.samples() as step:
             self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
@@ -335,7 +370,7 @@ class Study:
         return answer
 
     def _screen(self, method: Literal["morris", "sobol"], ignore_constraints: bool) -> influence.Screening:
-        loaded, workers, quick = self.loaded, self.workers, self.quick
+        loaded, workers, quick = self.one, self.workers, self.quick
         self.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
         with places.ledger_of(loaded, self.results) as ledger, self.listener.samples() as step:
             answer = influence.screen(loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step)
@@ -346,7 +381,7 @@ class Study:
         self, folder: Results, case: str | None, method: calibration.Method | None
     ) -> calibration.Calibration:
         root, workers, quick = self.results, self.workers, self.quick
-        loaded = influence.selected_by_measures(self.loaded, self.folder)
+        loaded = influence.selected_by_measures(self.one, self.folder)
         self.listener.begins(loaded, "calibrate")
         with places.ledger_of(loaded, root) as ledger, self.listener.search() as step:
             home = places.results_of(loaded, root)
@@ -355,41 +390,70 @@ class Study:
         self.listener.calibrated(loaded, answer, folder)
         return answer
 
-    def _fit(self) -> calibration.Calibration:
+    def _calibrate_jointly(
+        self, loaded: JointStudy, folder: Results, case: str | None, method: calibration.Method | None
+    ) -> JointCalibration:
+        root = self.results
+        chosen = [influence.selected_by_measures(s.one, s.folder).search_space.free_names for s in self.tests]
+        if isinstance(loaded.settings.selection, str):
+            selected = tuple(dict.fromkeys(name for names in chosen for name in names))
+            loaded = replace(loaded, studies=tuple(study.selecting(selected) for study in loaded.studies))
+        self.listener.begins(loaded, "calibrate")
+        folders = {s.test: places.results_of(s, root, self.quick, case, method) for s in loaded.studies}
+        homes = {s.test: places.results_of(s, root) for s in loaded.studies}
+        with places.ledger_of(loaded, root) as ledger, self.listener.search() as step:
+            known = [mark for s in loaded.studies for mark in fingerprints(s, homes[s.test])]
+            self.listener.other_state(ledger.other_fingerprints(*known))
+            answer = calibrate_jointly(loaded, folders, folder, ledger, case, self.quick, method, step, homes)
+        self.listener.calibrated_jointly(loaded, answer, folder)
+        return answer
+
+    def _fit(self) -> Fitted:
         """Calibrate, and ask before which parameters matter where the study leaves their choice to that."""
-        if isinstance(self.loaded.settings.selection, str):
-            self._sensitivity()
+        loaded = self.loaded
+        if isinstance(loaded.settings.selection, str):
+            for study in self.tests:
+                study._sensitivity()
+        if isinstance(loaded, JointStudy):
+            return self._calibrate_jointly(loaded, self.folder, None, None)
         return self._calibrate(self.folder, None, None)
 
     def _explain(self) -> Explanation:
-        loaded = self.loaded
+        loaded, root = self.loaded, self.results
         self.listener.begins(loaded, "explain")
-        with (
-            self.listener.doing() as step,
-            modes_kept(loaded, lambda: places.ledger_of(loaded, self.results)) as asked,
-        ):
-            answer = explanation.explain(asked, self.folder, step, places.results_of(loaded, self.results))
+        with self.listener.doing() as step:
+            if isinstance(loaded, JointStudy):
+                folders = {s.one.test: s.folder for s in self.tests}
+                answer = explain_jointly(loaded, folders, self.folder, step)
+            else:
+                with modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as asked:
+                    answer = explanation.explain(asked, self.folder, step, places.results_of(loaded, root))
         self.listener.explained(loaded, answer, self.folder)
         return answer
 
-    def _add(self, calibrated: calibration.Calibration, found: Findings) -> Study | None:
+    def _add(self, before: Fitted, found: Findings) -> Study | None:
         """The study extended by what an explanation names, calibrated too; None when nothing is named."""
         loaded = self.loaded
         self.listener.begins(loaded, "extend")
         named = added.to_add(found)
         if named is None:
-            self.listener.nothing_added(added.write_nothing_added(loaded, found, self.folder, self.quick).sentence)
+            self.listener.nothing_added(added.nothing_added(found))
+            for study in self.tests:
+                added.write_nothing_added(study.one, found, study.folder, self.quick)
             return None
         begin_at = {n: v for n, v in named.state.values.items() if n in named.state.question.space.free_names}
         written = extension.extend_among(loaded, named.names, self.folder.path, begin_at)
         self.listener.extended(written)
         extended = replace(self, path=written.file)
         after = extended._fit()
-        answer = added.write_added(loaded, calibrated, named, extended.loaded, after, self.folder, self.quick)
-        if not self.quick:
-            write_versions(extended.loaded, self.results)
         self.listener.begins(loaded, "before and after")
-        self.listener.added(answer, written, extended.folder)
+        for own, other in zip(self.tests, extended.tests, strict=True):
+            test = own.one.test
+            fits = [fit.tests[test] if isinstance(fit, JointCalibration) else fit for fit in (before, after)]
+            answer = added.write_added(own.one, fits[0], named, other.one, fits[1], own.folder, self.quick)
+            if not self.quick:
+                write_versions(other.one, self.results)
+            self.listener.added(answer, written, other.folder)
         return extended
 
     # -- figures -------------------------------------------------------------------------------------------------------
@@ -398,14 +462,28 @@ class Study:
         """Draw what the tables hold; the report is written when asked for, and where there is one, which is older."""
         self._draw(self.loaded, self.folder if folder is None else folder, report)
 
+    def _draw_tests(
+        self, case: str | None = None, method: calibration.Method | None = None, report: bool = False
+    ) -> None:
+        """Every test in its own folder, and what all of them say together."""
+        for study in self.tests:
+            study.draw(places.results_of(study.one, self.results, self.quick, case, method), report)
+        if isinstance(self.loaded, JointStudy):
+            self.draw(places.results_of(self.loaded, self.results, self.quick, case, method))
+
     def _draw_anew(self, study: StudyFile) -> None:
         """Every figure and report of a study, and of those that its runs have extended it to."""
-        folders = places.answers_of(study, self.results)
-        if Results(self.results / study.name) in folders:  # versions are those of whole answers
-            self.listener.versions(write_versions(study, self.results))
-        for folder in folders:
-            self._draw(study, folder, True)
-        written = [file for folder in folders if (file := extension.found_among(study, folder.path))]
+        for part in study.parts:
+            folders = places.answers_of(part, self.results)
+            if Results(self.results / part.name) in folders:  # versions are those of whole answers
+                self.listener.versions(write_versions(part, self.results))
+            for folder in folders:
+                self._draw(part, folder, True)
+        together = places.answers_of(study, self.results)
+        if study.settings.several:
+            for folder in together:
+                self._draw(study, folder, False)
+        written = [file for folder in together if (file := extension.found_among(study, folder.path))]
         for file in written[:1]:  # that of a quick look has its answers in the same place
             self._draw_anew(StudyFile.read(file))
 
@@ -427,8 +505,33 @@ class Study:
         self.listener.drawn(figures, stale.sentences, written)
 
 
-def _taking_over(file: Path, taken: phases.Found, before: Loaded | None) -> Loaded:
-    study = Loaded.load(file, *taken)
-    if before is not None:
+def _taking_over(file: Path, taken: phases.Found, before: AnyStudy | None) -> AnyStudy:
+    study = load(file, *taken)
+    if isinstance(study, JointStudy):
+        return replace(study, studies=tuple(map(isolated, study.studies)))
+    if isinstance(before, Loaded):
         phases.require_same_units(study, before)
     return isolated(study)
+
+
+def _problem_of(loaded: Loaded) -> Problem:
+    """One test of a study against its model."""
+    given, model, name = loaded.settings, replace(loaded.model, space=loaded.search_space), loaded.test or "test"
+    if loaded.whole is not None:
+        pairing = given.pairing
+        modal = ModalTest(
+            loaded.whole,
+            held_out=(*given.withheld.modes, *given.withheld.sensors),
+            name=name,
+            condition=loaded.condition,
+            clusters=pairing.clusters,
+            mode_count=pairing.mode_count,
+            freq_window=pairing.freq_window,
+            threshold=pairing.threshold,
+            override=pairing.override,
+        )
+        return Problem(model, modal)
+    data = given.measurement
+    read = read_responses(loaded.file.resolve().parent / str(data.responses), data.pooling)
+    held_out, condition = given.withheld.responses, loaded.condition
+    return Problem(model, ResponseTest(read, held_out, name, condition, data.accuracy))

@@ -67,8 +67,8 @@ def to_add(found: Findings) -> Trial | None:
     return found.chosen if set(found.untold) == set(found.chosen.names) else None
 
 
-def write_nothing_added(study: Study, found: Findings, results: Results, quick: bool = False) -> Added:
-    """Tell why nothing is added, and write it."""
+def nothing_added(found: Findings) -> str:
+    """Why nothing is added."""
     untold = (
         f"These data cannot tell between {' and '.join(found.untold)}, so none of them is "
         "added: look at the structure, or measure what would tell them apart."
@@ -87,9 +87,14 @@ def write_nothing_added(study: Study, found: Findings, results: Results, quick: 
         "misfit_unlocated": "No effect stands out, so nothing is added: look at the measurement that fits worst.",
         "none_explains": "No effect of the library explains what is missing, so nothing is added.",
     }
+    return reasons[found.verdict]
+
+
+def write_nothing_added(study: Study, found: Findings, results: Results, quick: bool = False) -> Added:
+    """Tell why nothing is added, and write it."""
     nothing = pd.DataFrame()
     begin_answer(results, "extend")
-    answer = _written(Added((), reasons[found.verdict], "", nothing, nothing, nothing), results, effects=[])
+    answer = _written(Added((), nothing_added(found), "", nothing, nothing, nothing), results, effects=[])
     write_record(study, results, "extend", {}, (answer.sentence,), quick)
     return answer
 
@@ -161,6 +166,7 @@ def _parameters(study: Study, effects: Sequence[Effect], before: Calibration, af
     table = found[1].rename(columns={"value": "after", "std": "after_std"})
     table = table.join(found[0].rename(columns={"value": "before", "std": "before_std"}))
     space = study.model.space
+    table = table[[name in space for name in table.index]]
     table["unit"] = [space[name].unit for name in table.index]
     table["added"] = [name in own for name in table.index]
     table["adopted"] = [space[name].value for name in table.index]

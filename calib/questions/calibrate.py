@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -33,7 +33,7 @@ from calib.questions.user_function import modes_kept_under
 from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.space import ParameterSpace
-from calib.study import Study
+from calib.study import Study, StudyFile
 from calib.updating.cases import Agreement, Case, CaseResult, agreement, convergence_table, parameters_table
 from calib.updating.verdicts import identified_sentence
 
@@ -84,6 +84,11 @@ class Calibration:
     retried: int = 0
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the cases."""
+        return tuple(case.name for case in self.cases)
+
+    @property
     def contradictions(self) -> tuple[str, ...]:
         """What withheld data say against it."""
         each = self.modes if self.responses is None else self.responses
@@ -121,7 +126,7 @@ def fingerprint(study: Study) -> str:
     return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 
-def chosen_cases(study: Study, only: str | None) -> tuple[Case, ...]:
+def chosen_cases(study: StudyFile, only: str | None) -> tuple[Case, ...]:
     """All cases of the study, or the one named; InputError for an unknown name."""
     cases = tuple(Case(c.name, c.seed) for c in study.settings.calibration.cases)
     if only is None:
@@ -157,15 +162,61 @@ def calibrate(
     before = compare(study, results)
     finder = CaseFinder(study, home or results, ledger, workers, quick, progress, seconds)
     found = tuple((finder.by_search if chosen == "genetic" else finder.by_least_squares)(cases))
-    best = best_of(found)
+
+    def notes() -> list[str]:  # asked at the end: what is told of the optimum may fail too
+        return [note for note in (*finder.notes, why_failed(study, ledger, finder.home)) if note]
+
+    options = [*(["--case", only] if only else []), *(["--method", method] if method else [])]
+    ran = Ran(chosen, started, quick, tuple(options), notes, ledger.retried, study.search_space)
+    return keep(study, results, found, before, ran)
+
+
+def why_failed(study: Study, ledger: Ledger, home: Results) -> str:
+    """The commonest reasons why points of a study have failed; empty without any."""
+    kept = set(modes_kept_under(study.problem, study.library_digest))  # what fails there has no responses either
+    answering = [one for one in fingerprints(study, home) if one not in kept]
+    return reasons_sentence(study.sensitivity_space, *stored_reasons(ledger, answering))
+
+
+@dataclass(frozen=True)
+class Ran:
+    """How a calibration was made, for what is written about it.
+
+    Attributes
+    ----------
+    method : {"genetic", "gauss-newton"}
+    started : float
+        When, in seconds of `time.perf_counter`.
+    quick : bool
+    options : tuple of str
+        Of the command, as they are typed.
+    notes : callable
+        Gives those of `Calibration.notes`.
+    retried : int
+    space : ParameterSpace
+        What was fitted: the study's search, or that of all tests together.
+    """
+
+    method: Method
+    started: float
+    quick: bool
+    options: tuple[str, ...]
+    notes: Callable[[], Sequence[str]]
+    retried: int
+    space: ParameterSpace
+
+
+def keep(study: Study, results: Results, found: Sequence[CaseFound], before: Answer, ran: Ran) -> Calibration:
+    """Everything that is told of cases that were found; writes all tables and ``summary.json``."""
+    best, space = best_of(found), ran.space
     reported = [case.result for case in found]
     searched = [case.search for case in found if case.search is not None]
-    parameters = _parameters(study, found, searched)
+    parameters = _parameters(space, found, searched)
     spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
-    verdicts = _without_whole(best.judgement.verdicts(study.search_space, spread), study.search_space)
+    verdicts = _without_whole(best.judgement.verdicts(space, spread), space)
     level = expected_misfit(study, before)
-    verdict = agreement(reported, study.search_space, level)
-    raw = agreement(searched, study.search_space, level) if searched and study.settings.calibration.polish else None
+    verdict = agreement(reported, space, level)
+    raw = agreement(searched, space, level) if searched and study.settings.calibration.polish else None
     begin_answer(results, "calibrate")
     write_answer(results, best.answer, "after")
     results.write_table("parameters", parameters)
@@ -188,24 +239,21 @@ def calibrate(
                 write_model_modes(results, comparison, stage)
     results.remove("data_errors.csv", "responses.csv", *ADDED)
     errors = responses = None
+    values = {name: value for name, value in best.judgement.values.items() if name in study.model.space}
     with suppress(EvaluationError):  # a model that fails beside the optimum has no errors to tell
-        errors = errors_at(study, best.judgement.values)
+        errors = errors_at(study, values)
         results.write_table("data_errors", errors.assign(scatter=rests))
         if study.settings.withheld.responses:
-            responses = every_response(study, study.model.space.values, best.judgement.values)
+            responses = every_response(study, study.model.space.values, values)
             results.write_table("responses", responses)
-    kept = set(modes_kept_under(study.problem, study.library_digest))  # what fails there has no responses either
-    answering = [one for one in fingerprints(study, finder.home) if one not in kept]
-    failed = reasons_sentence(study.sensitivity_space, *stored_reasons(ledger, answering))
-    notes = tuple(filter(None, [*finder.notes, failed]))
-    answer = Calibration(found, best, before, parameters, verdicts, verdict, raw, modes, errors, responses, notes,
-                         ledger.retried)  # fmt: skip
-    summary = _summary(study, chosen, found, best, before, time.perf_counter() - started)
+    answer = Calibration(tuple(found), best, before, parameters, verdicts, verdict, raw, modes, errors, responses,
+                         tuple(ran.notes()), ran.retried)  # fmt: skip
+    summary = _summary(study, ran.method, found, best, before, time.perf_counter() - ran.started)
     summary["contradictions"] = list(answer.contradictions)
-    seeds = {**{case.name: case.seed for case in cases}, "reduction": study.settings.reduction.seed}
-    options = [*(["--case", only] if only else []), *(["--method", method] if method else [])]
+    cases = {case.name: case.seed for case in study.settings.calibration.cases if case.name in answer.names}
     results.write_json("summary", summary)
-    write_record(study, results, "calibrate", seeds, answer.sentences, quick, options)
+    seeds = {**cases, "reduction": study.settings.reduction.seed}
+    write_record(study, results, "calibrate", seeds, answer.sentences, ran.quick, ran.options)
     return answer
 
 
@@ -230,13 +278,12 @@ def _worsened(case: CaseFound) -> str:
     )
 
 
-def _parameters(study: Study, found: Sequence[CaseFound], searched: Sequence[CaseResult]) -> pd.DataFrame:
+def _parameters(space: ParameterSpace, found: Sequence[CaseFound], searched: Sequence[CaseResult]) -> pd.DataFrame:
     """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
 
     ``spread`` and ``stable`` are those of the genetic searches before any least squares, or of the fits without one;
     ``search_value`` is told where least squares followed a search.
     """
-    space = study.search_space
     table = parameters_table([case.result for case in found], space)
     table["search_value"] = np.nan
     if searched:

@@ -26,7 +26,7 @@ from calib.questions.stored import confirm
 from calib.questions.user_function import function_of, kept_under
 from calib.results import Results
 from calib.sampling import sample
-from calib.study import ForwardProblem, Study
+from calib.study import ForwardProblem, Study, StudyFile
 from calib.updating.cases import Case, CaseResult, run_case
 from calib.updating.genetic import GeneticSettings
 from calib.updating.objective import FrequencyMacObjective, ResponseObjective
@@ -175,7 +175,7 @@ class CaseFinder:
             certify = _as_it_is if reduction is None else reduction.certifier(self.ledger)
             count = settings.population * settings.generations
             seconds = self.seconds if reduction is None else None
-            with open_evaluator(study, self.workers, count, problem, basis, seconds) as evaluator, _told(study):
+            with open_evaluator(study, self.workers, count, problem, basis, seconds) as evaluator, told(study):
                 while remaining:
                     case = remaining.pop(0)
                     initial = sample(space, settings.population, case.seed).points
@@ -203,8 +203,8 @@ class CaseFinder:
             started = time.perf_counter()
             drawn = [space.complete(x) for x in sample(space, count, case.seed).points]
             starts = [*self.known, space.values, *drawn][: max(count, len(self.known) + 1)]
-            steps, counts = _Steps(case.name, count, self.progress), Counts()
-            with _told(study):
+            steps, counts = Steps(case.name, count, self.progress), Counts()
+            with told(study):
                 judgement = self.polished(reduction, starts, REFITS, steps, counts=counts)
                 self.progress(case.name, count, count, judgement.misfit)
             here = CaseResult(
@@ -283,7 +283,7 @@ def _as_it_is(outcome: Outcome) -> Outcome:
 
 
 @dataclass(frozen=True)
-class _Steps:
+class Steps:
     """Writes down the lowest misfit after every fit of a case, and passes it on as progress."""
 
     name: str
@@ -292,6 +292,7 @@ class _Steps:
     lowest: list[float] = field(default_factory=list)
 
     def __call__(self, start: int, fits: int, misfit: float) -> None:
+        """A fit has ended."""
         self.lowest.append(misfit)
         self.progress(self.name, start, self.starts, misfit)
 
@@ -302,7 +303,7 @@ class _Steps:
 
 
 @contextmanager
-def _told(study: Study) -> Iterator[None]:
+def told(study: StudyFile) -> Iterator[None]:
     """A case in which no point at all can be evaluated is the user's to mend."""
     try:
         yield

@@ -46,7 +46,9 @@ from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
 from calib.questions.record import begin_answer, check_repeats, write_record
 from calib.results import Results
-from calib.study import Study
+from calib.several import AnyStudy
+from calib.structure.atoms import Atom
+from calib.study import Study, StudyFile
 
 Progress = Callable[[str], None]
 
@@ -119,6 +121,25 @@ def explain(
     InputError
         When the study names no effects, all of them are in the model, or too little was measured.
     """
+    require_candidates(study)
+    for effect in study.candidates:  # one that cannot be built is told by its name, before anything is solved
+        with_effects(study.model, [effect], str(study.file))
+    if study.measured is not None:
+        engine.require_modes(study.measured.n_modes)
+    started = time.perf_counter()
+    side = side_of(study, home or results, progress)
+    found = decided(side, study, progress)
+    answer = answered(side, found, progress, started)
+    tables = answer.tables | {TABLE: explained_fits(study, found)}
+    answer = replace(answer, notes=(*check_repeats(study), *answer.notes), tables=tables)
+    keep(study, results, answer)
+    seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
+    write_record(study, results, "explain", seeds)
+    return answer
+
+
+def require_candidates(study: AnyStudy) -> None:
+    """InputError where there is nothing that the study's model may lack."""
     if not study.library:
         raise InputError(
             "the study names no effects that its model may lack", place=study.file,
@@ -129,35 +150,36 @@ def explain(
             "every effect of the library is in the model already", place=study.file,
             remedy="add another one to the library, or explain the study it was extended from",
         )  # fmt: skip
-    for effect in study.candidates:  # one that cannot be built is told by its name, before anything is solved
-        with_effects(study.model, [effect], str(study.file))
-    started = time.perf_counter()
-    side: Side
+
+
+def side_of(study: Study, home: Results, progress: Progress, local: tuple[Atom, ...] | None = None) -> Side:
+    """What a study's test asks; ``local`` changes are by default those of its own."""
     if isinstance(study.problem, FunctionProblem):
-        side = PlainSide.of(study)
-    else:
-        side = ModalSide.of(study, home or results, progress)
+        return PlainSide.of(study)
+    return ModalSide.of(study, home, progress, local)
+
+
+def decided(side: Side, study: StudyFile, progress: Progress) -> Findings:
+    """The decision with a study's settings; InputError where the model cannot be fitted."""
     given = study.settings.explain
     settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed, side.budget_of_fits)
     try:
-        found = engine.explain(side.hypotheses, settings, progress)
+        return engine.explain(side.hypotheses, settings, progress)
     except EvaluationError as fault:
         words, cause = _not_fitted(side, fault)
         remedy = "check values, limits and supports" if cause is None else "correct the function that fails"
         raise InputError(f"the model cannot be fitted: {words}", place=study.file, remedy=remedy) from cause
-    answer = answered(side, found, progress, started)
-    tables = answer.tables | {TABLE: explained_fits(study, found)}
-    answer = replace(answer, notes=(*check_repeats(study), *answer.notes), tables=tables)
+
+
+def keep(study: AnyStudy, results: Results, answer: Explanation) -> None:
+    """Write all tables of an explanation and ``explanation.json``."""
     begin_answer(results, "explain")
     results.remove(*ADDED)
     results.write_table("effects", answer.effects)
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
         results.write_table(name, table)
-    seeds = {"probabilities": given.seed, "reduction": study.settings.reduction.seed}
     results.write_json("explanation", summary(study, answer))
-    write_record(study, results, "explain", seeds)
-    return answer
 
 
 def _not_fitted(side: Side, fault: EvaluationError) -> tuple[str, EvaluationError | None]:

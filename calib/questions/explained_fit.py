@@ -19,7 +19,7 @@ COLUMNS = ("effects", "parameter", "value")
 """``effects``: those of the model that was fitted, by name and in the order of the alphabet."""
 
 
-def explained_fits(study: Study, found: Findings) -> pd.DataFrame:
+def explained_fits(study: StudyFile, found: Findings) -> pd.DataFrame:
     """The base fit and, where there is one, that with the chosen effects; columns `COLUMNS`."""
     fits = [found.base, *([] if found.chosen is None else [found.chosen])]
     rows = []
@@ -43,7 +43,7 @@ def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
         Of the whole study; answers of the other study are in the folder beside it.
     """
     asked = [(study.file, home.path)]
-    came_from = study.settings.extended_from
+    came_from = study.settings.base
     if came_from is not None:
         parent = study_file(study.file.resolve().parent / came_from)
         asked.append((parent, home.path.parent / parent.parent.name))

@@ -13,7 +13,7 @@ from calib.missing.local import local_change
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
 from calib.questions.record import disagreements_table
 from calib.questions.scatter import accuracy_words, assumed_words, scatter_notes
-from calib.study import Study
+from calib.study import Study, StudyFile
 
 GROUPS = ("fit", *UNSEEN_GROUPS)
 """Groups of data whose errors are told."""
@@ -102,7 +102,7 @@ class Explanation:
         return self.findings.verdict
 
 
-def summary(study: Study, answer: Explanation) -> dict[str, object]:
+def summary(study: StudyFile, answer: Explanation) -> dict[str, object]:
     """``explanation.json``."""
     found, check = answer.findings, answer.findings.base_check
     columns = (

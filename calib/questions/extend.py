@@ -10,24 +10,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import tomlkit
-from tomlkit.exceptions import TOMLKitError
 
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.loading import pick
-from calib.settings import line_of
-from calib.study import Study, StudyFile
+from calib.several import AnyStudy, JointStudy, load
+from calib.study import StudyFile
 from calib.written import DRAFT, free_name, is_own_folder, note_folder
 
-LEFT_BEHIND = ("results", "__pycache__")
-"""Folders that are no part of a study; hidden files and folders are none either."""
-TOLD_OF_THE_OLD = "README.md"
-"""File that says what a study is; it would not be true of the new one."""
+NAME = "study.toml"
 EXTENDED, EARLIER = "_extended", "_earlier"
-"""Ends of the names of a study written among results, and of one that was there before."""
+"""Name of a study's file; ends of the names of a study written among results, and of one that was there before."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +37,6 @@ class Extension:
         What its model has more than the old one's.
     selected : tuple of str
         Their parameters that were added to the selection; none when the study leaves that to the sensitivity analysis.
-    moved : tuple of (str, str)
-        Paths that lead out of the study, as they were and as they lead to the same place from the new folder.
     aside : Path or None
         Where a study is now that was in the new one's place and had been changed; its answers are not moved with it.
     """
@@ -51,12 +44,11 @@ class Extension:
     file: Path
     effects: tuple[Effect, ...]
     selected: tuple[str, ...]
-    moved: tuple[tuple[str, str], ...]
     aside: Path | None = None
 
 
-def extend(study: Study, names: Sequence[str], folder: Path) -> Extension:
-    """Write a copy of a study with more effects of its library; the folder appears whole or not at all.
+def extend(study: AnyStudy, names: Sequence[str], folder: Path) -> Extension:
+    """Write a study that builds on another and has more effects of its library; it appears whole or not at all.
 
     Parameters
     ----------
@@ -79,14 +71,14 @@ def extend(study: Study, names: Sequence[str], folder: Path) -> Extension:
 
 
 def extend_among(
-    study: Study, names: Sequence[str], results: Path, begin_at: Mapping[str, float] = MappingProxyType({})
+    study: AnyStudy, names: Sequence[str], results: Path, begin_at: Mapping[str, float] = MappingProxyType({})
 ) -> Extension:
     """Write the same into a folder of results, whatever an earlier run has written there.
 
     Its least squares begin at given values too, such as those of an explanation, which has fitted the same model; not
     where the selection is left to a sensitivity analysis, which may not select them.
 
-    Paths that lead out of the study become absolute, so that the folder may be moved. One that is there and says the
+    It leads to what it builds on by an absolute path, so that the folder may be moved. One that is there and says the
     same stays as it is; another is replaced as long as it is what was written here, and kept beside it under a name
     with `EARLIER` at its end when anything in it was changed or added.
     """
@@ -110,7 +102,7 @@ def extend_among(
 
 def found_among(study: StudyFile, results: Path) -> Path | None:
     """The study file that `extend_among` has written into a folder of results; None without one."""
-    file = _place_among(study, results) / study.file.name
+    file = _place_among(study, results) / NAME
     return file if file.is_file() else None
 
 
@@ -118,8 +110,8 @@ def _place_among(study: StudyFile, results: Path) -> Path:
     return results / f"{study.name}{EXTENDED}"
 
 
-def _candidates(study: Study, names: Sequence[str]) -> tuple[Effect, ...]:
-    if study.settings.effects is None:
+def _candidates(study: AnyStudy, names: Sequence[str]) -> tuple[Effect, ...]:
+    if not study.library and not study.settings.effects:
         raise InputError(
             "the study names no library of effects",
             place=study.file,
@@ -152,7 +144,7 @@ def _anywhere(goal: Path, new: Path) -> str:
 
 @contextlib.contextmanager
 def _written(
-    study: Study,
+    study: AnyStudy,
     effects: tuple[Effect, ...],
     folder: Path,
     new: Path,
@@ -160,24 +152,21 @@ def _written(
     begin_at: Mapping[str, float],
 ) -> Iterator[tuple[Path, Extension]]:
     """The new study as a draft beside its place, checked; gone afterwards unless it was put there."""
-    source = study.file.resolve()
-    old = source.parent
     free = tuple(p.name for effect in effects for p in effect.parameters if p.distribution != "fixed")
+    listed = isinstance(study.settings.selection, tuple)
     selected = () if isinstance(study.settings.selection, str) else free
-    text, moved = _extended_text(study, effects, selected, source, new, leading, begin_at)
+    text = _text(study, effects, selected if listed else (), new, leading, begin_at if selected else {})
     with _draft_of(new, folder) as draft:
+        target = draft / NAME
         try:
-            shutil.copytree(old, draft, ignore=_left_behind(old, draft), dirs_exist_ok=True)
-            draft.chmod(old.stat().st_mode & 0o7777 | 0o700)
-            target = draft / source.name
-            target.unlink(missing_ok=True)  # a copy keeps the mode of its original, which may be read-only
+            draft.chmod(0o755)
             target.write_text(text, encoding="utf-8", newline="")
-        except (OSError, shutil.Error) as fault:
+        except OSError as fault:
             raise _unwritable(fault, folder) from None
-        _check(target, folder, study.adopted)
+        _check(study, target, folder)
         for cache in draft.rglob("__pycache__"):  # made by the check
             shutil.rmtree(cache, ignore_errors=True)
-        yield draft, Extension(folder / source.name, effects, selected, moved)
+        yield draft, Extension(folder / target.name, effects, selected)
 
 
 def _put(draft: Path, new: Path, folder: Path) -> None:
@@ -188,10 +177,9 @@ def _put(draft: Path, new: Path, folder: Path) -> None:
 
 
 def _content(folder: Path) -> dict[Path, bytes]:
-    """Every file of a study with its content."""
-    files = (p for p in folder.rglob("*") if p.is_file())
-    within = ((p, [q for q in (p, *p.parents) if q != folder and q.is_relative_to(folder)]) for p in files)
-    return {p.relative_to(folder): p.read_bytes() for p, parts in within if not any(map(_is_left_behind, parts))}
+    """Every file of a study with its content, caches aside."""
+    files = (p for p in folder.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+    return {p.relative_to(folder): p.read_bytes() for p in files if not p.name.startswith(".")}
 
 
 # -- places ------------------------------------------------------------------------------------------------------------
@@ -211,31 +199,6 @@ def _free_place(old: Path, folder: Path) -> Path:
     if new.suffix == ".toml":
         raise InputError("it would be taken for a study file", place=folder, remedy="name it without .toml")
     return new
-
-
-def _is_left_behind(path: Path) -> bool:
-    return path.name.startswith(".") or (path.name in LEFT_BEHIND and path.is_dir())
-
-
-def _left_behind(old: Path, draft: Path) -> Callable[[str, list[str]], set[str]]:
-    """Which names of a folder are not copied; linked files and folders are copied as what they lead to."""
-
-    def ignored(folder: str, names: list[str]) -> set[str]:
-        left = {name for name in names if _is_left_behind(Path(folder, name))}
-        left |= {name for name in names if draft.is_relative_to(Path(folder, name))}  # results beside the study's files
-        left |= {TOLD_OF_THE_OLD} & set(names) if Path(folder) == old else set()
-        for linked in (Path(folder, name) for name in names if name not in left):
-            if linked.is_symlink() and linked.is_dir():
-                goal = linked.resolve()
-                if old.is_relative_to(goal) or draft.is_relative_to(goal):
-                    raise InputError(
-                        "it leads to a folder around the study and cannot be copied",
-                        place=linked,
-                        remedy="remove that link",
-                    )
-        return left
-
-    return ignored
 
 
 @contextlib.contextmanager
@@ -259,10 +222,12 @@ def _unwritable(fault: OSError, folder: Path) -> InputError:
     return InputError(f"it cannot be written ({words or fault})", place=folder, remedy="free it or name another place")
 
 
-def _check(target: Path, folder: Path, adopted: Mapping[str, float]) -> None:
-    """Load the draft of the new study, complaining as if it were in its place."""
+def _check(study: AnyStudy, target: Path, folder: Path) -> None:
+    """Load the draft of the new study as from its place, whatever of its paths leads from there."""
+    tests = study.studies if isinstance(study, JointStudy) else (study,)
+    adopted = {name: value for one in tests for name, value in one.adopted.items()}
     try:
-        Study.load(target, adopted)
+        load(target, adopted)
     except InputError as fault:
         said = str(fault).replace(str(target.parent), str(folder))
         raise InputError(
@@ -270,87 +235,24 @@ def _check(target: Path, folder: Path, adopted: Mapping[str, float]) -> None:
         ) from None
 
 
-# -- the study file ----------------------------------------------------------------------------------------------------
-
-
-def _extended_text(
-    study: Study,
+def _text(
+    study: AnyStudy,
     effects: Sequence[Effect],
     selected: Sequence[str],
-    source: Path,
     new: Path,
     leading: Leading,
     begin_at: Mapping[str, float],
-) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """The new study file, its comments and order kept, and the paths that had to change."""
-    try:
-        document: Any = tomlkit.parse(source.read_bytes().decode("utf-8"))
-    except TOMLKitError as fault:
-        raise InputError(f"it cannot be rewritten ({fault})", place=study.file, remedy="extend by hand") from None
+) -> str:
+    """The new study file: what it builds on, and what it has more."""
+    source, given = study.file.resolve(), study.settings
     names = [effect.name for effect in effects]
-    document["title"] = " + ".join([study.settings.title, *names])
-    for name in selected:
-        document["selection"].append(name)
-    if selected and begin_at:
-        known = tomlkit.inline_table()
-        known.update(begin_at)
-        document["calibration"]["begin_at"] = known
-    moved = tuple(_move_paths(document, source.parent, new, leading))
-    fresh: dict[str, Any] = {}
-    if "with_effects" in document:
-        document["with_effects"].extend(names)
-    else:
-        fresh["with_effects"] = names
-    came_from = leading(source.parent if source.name == "study.toml" else source, new)
-    if "extended_from" in document:
-        document["extended_from"] = came_from
-    else:
-        fresh["extended_from"] = came_from
-    return _with_lines(document.as_string(), "effects", fresh), moved
-
-
-def _with_lines(text: str, after: str, fresh: dict[str, Any]) -> str:
-    """The text with keys on lines of their own after that of another key, where they stand best."""
-    lines = text.splitlines(keepends=True)
-    number = line_of(text, (after,)) or 0
-    end = "\r\n" if number and lines[number - 1].endswith("\r\n") else "\n"
-    if number and not lines[number - 1].endswith("\n"):
-        lines[number - 1] += end
-    lines[number:number] = [f"{key} = {tomlkit.item(value).as_string()}{end}" for key, value in fresh.items()]
-    return "".join(lines)
-
-
-def _move_paths(document: Any, old: Path, new: Path, leading: Leading) -> Iterator[tuple[str, str]]:
-    """Rewrite every path of the study file that leads to what is not copied; yields what it was and what it is."""
-
-    def moved(path: str) -> str:
-        if Path(path).is_absolute():
-            return path
-        goal = Path(os.path.normpath(old / path))
-        parts = [p for p in (goal, *goal.parents) if p != old and p.is_relative_to(old)]
-        if parts and not any(_is_left_behind(p) for p in parts):
-            return path
-        return leading(goal, new)
-
-    for key in ("model", "effects"):
-        where, _, function = str(document[key]).rpartition(":")
-        if where.endswith(".py") and moved(where) != where:
-            document[key] = f"{moved(where)}:{function}"
-            yield where, moved(where)
-    for k, path in enumerate(str(p) for p in document.get("depends_on", ())):
-        if moved(path) != path:
-            document["depends_on"][k] = moved(path)
-            yield path, moved(path)
-    if "adopted" in document and moved(path := str(document["adopted"]["study"])) != path:
-        document["adopted"]["study"] = moved(path)
-        yield path, moved(path)
-    measurement = document["measurement"]
-    for key in ("sensors", "responses"):
-        if key in measurement and moved(path := str(measurement[key])) != path:
-            measurement[key] = moved(path)
-            yield path, moved(path)
-    for key in ("files", "shapes"):
-        for k, path in enumerate(str(p) for p in measurement.get(key, ())):
-            if moved(path) != path:
-                measurement[key][k] = moved(path)
-                yield path, moved(path)
+    document = tomlkit.document()
+    document["title"] = " + ".join([given.title, *names])
+    document["base"] = leading(source.parent if source.name == "study.toml" else source, new)
+    document["with_effects"] = [*given.with_effects, *names]
+    if selected:
+        assert isinstance(given.selection, tuple)
+        document["selection"] = [*given.selection, *selected]
+    if begin_at:
+        document["calibration"] = {"begin_at": dict(begin_at)}
+    return tomlkit.dumps(document)

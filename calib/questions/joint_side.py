@@ -17,6 +17,9 @@ from calib.questions.budget import Budget
 from calib.questions.explain import Side
 from calib.questions.explanation import Told
 
+TEST = "test"
+"""Column of tables that have the rows of all tests."""
+
 
 @dataclass(frozen=True, eq=False)
 class JointSide:
@@ -106,7 +109,7 @@ class JointSide:
         found: dict[str, list[pd.DataFrame]] = {}
         for test, side in self.sides.items():
             for name, table in side.tables(self._of(test, stages)).items():
-                found.setdefault(name, []).append(table.assign(test=test))
+                found.setdefault(name, []).append(table.assign(**{TEST: test}))
         return {name: pd.concat(tables, ignore_index=True) for name, tables in found.items()}
 
     def _of(self, test: str, stages: dict[str, Trial]) -> dict[str, Trial]:

@@ -47,7 +47,7 @@ def posed(
     """
     asked = study.problem if problem is None else problem
     pair: Pair = ResponseResidual(asked) if isinstance(asked, FunctionProblem) else ModalResidual(asked)
-    return Problem(pair, study.search_space, ledger, counts=counts or Counts())
+    return Problem(pair, study.search_space.without(study.condition), ledger, counts=counts or Counts())
 
 
 @dataclass(frozen=True)

@@ -26,18 +26,32 @@ from calib.study import Study
 from calib.written import is_own
 
 
+def local_changes(studies: Sequence[Study], of: str = "") -> tuple[Atom, ...]:
+    """Local changes of a model with matrices: of its parts, and at every sensor of some tests of it.
+
+    ``of`` names the model where others beside it have changes of the same names.
+    """
+    model, used = studies[0].model, [s.measured for s in studies if s.measured is not None]
+    assert isinstance(model, StructuralModel)
+    placed = {s.name: s for measured in used for s in measured.sensors if s.point is not None}
+    lowest = min(float(measured.natural_freq.min()) for measured in used)
+    return atoms(model, list(placed.values()), studies[0].search_space.values, lowest, of)
+
+
 def modal_hypotheses(
-    study: Study, results: Results, progress: Callable[[str], None] = lambda words: None
+    study: Study,
+    results: Results,
+    progress: Callable[[str], None] = lambda words: None,
+    local: tuple[Atom, ...] | None = None,
 ) -> tuple[ModalHypotheses, tuple[Atom, ...]]:
-    """Hypotheses of a study whose model has modes, and its local changes.
+    """Hypotheses of a study whose model has modes, and its local changes; by default those of its own test.
 
     A basis trained before is taken from the results' folder.
     """
     problem = study.problem
     assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
-    model, measured = problem.model, problem.measured
-    placed = [s for s in measured.sensors if s.point is not None]
-    local = atoms(model, placed, study.search_space.values, float(measured.natural_freq.min()))
+    model = problem.model
+    local = local_changes([study]) if local is None else local
     effects, plain = study.candidates, tuple(a.effect for a in local)
     basis = None
     if worthwhile(study):
@@ -53,7 +67,7 @@ def modal_hypotheses(
             with contextlib.suppress(ToleranceError):  # then the full model is asked, and `ModalSide` says so
                 basis = kept_basis(model, space, effects, plain, wanted, results.path, search_basis)
     variants = Variants(model, effects, plain, basis)
-    return ModalHypotheses(problem, variants, study.search_space, Floors()), local
+    return ModalHypotheses(problem, variants, study.search_space.without(study.condition), Floors()), local
 
 
 def kept_basis(

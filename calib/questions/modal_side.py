@@ -19,7 +19,6 @@ from calib.effect import Effect
 from calib.function import FunctionModel
 from calib.loading import with_effects
 from calib.missing.advice import Prospects
-from calib.missing.explain import require_modes
 from calib.missing.findings import Findings, Trial
 from calib.missing.refits import DEFAULT
 from calib.outcome import Outcome
@@ -79,19 +78,29 @@ class ModalSide:
     failures: Sequence[Failure] = ()
 
     @classmethod
-    def of(cls, study: Study, results: Results, progress: Callable[[str], None]) -> ModalSide:
-        """With the reduced basis that is kept among the results, or a new one; InputError with too few modes."""
+    def of(
+        cls,
+        study: Study,
+        results: Results,
+        progress: Callable[[str], None],
+        local: tuple[Atom, ...] | None = None,
+    ) -> ModalSide:
+        """With the reduced basis that is kept among the results, or a new one.
+
+        ``local`` are the local changes that are asked about, by default those of the study's own test.
+        """
         problem = study.problem
         assert isinstance(problem, ModalProblem) and not isinstance(study.model, FunctionModel)
-        require_modes(problem.measured.n_modes)
         if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
+            space = study.search_space.without(study.condition)
             return cls.of_function(
-                problem.model, problem, study.whole_problem(), study.candidates, study.search_space, Told.of(study)
+                problem.model, problem, study.whole_problem(), study.candidates, space, Told.of(study), study.test
             )
         assert isinstance(study.model, StructuralModel)
+        hypotheses, asked = modal_hypotheses(study, results, progress, local)
         return cls(
-            study.model, problem, study.whole_problem(), *modal_hypotheses(study, results, progress), Told.of(study),
-            study.finer_model, worthwhile(study),
+            study.model, problem, study.whole_problem(), hypotheses, asked, Told.of(study), study.finer_model,
+            worthwhile(study),
         )  # fmt: skip
 
     @classmethod

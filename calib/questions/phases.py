@@ -11,9 +11,9 @@ from calib.questions.calibrate import fingerprint
 from calib.questions.places import QUICK
 from calib.questions.sensitivity import outdated_selection, selecting
 from calib.results import Results
-from calib.settings import read_settings
 from calib.space import ParameterSpace
 from calib.study import Study, shell_argument, study_file
+from calib.study_text import read_settings
 from calib.table import read_table
 
 _ROUNDING = 1e-9

@@ -44,7 +44,7 @@ def is_quick(study: StudyFile, results: Results) -> bool:
     return results.path.parent.name == study.name and results.path.name.split("-")[0] == QUICK
 
 
-def ledger_of(study: Study, root: Path) -> Ledger:
+def ledger_of(study: StudyFile, root: Path) -> Ledger:
     """The one ledger of a study, shared by whole, quick and single-case runs."""
     home = results_of(study, root)
     home.claim()
@@ -148,7 +148,7 @@ def open_evaluator(
         return nullcontext(_answering(given, function.evaluator))
     source = EvaluationSource(
         str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve()),
-        tuple(study.adopted.items()),
+        tuple(study.adopted.items()), study.test,
     )  # fmt: skip
     return _opened_for(given, Evaluator(source, chosen, study.settings.calibration.time_limit))
 

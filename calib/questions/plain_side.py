@@ -42,12 +42,18 @@ class PlainSide:
 
     @classmethod
     def of(cls, study: Study) -> PlainSide:
-        """Raises InputError when there are too few responses to name anything."""
+        """What a study of plain responses asks; where it is one test of several, changes of one test bear its name."""
         assert isinstance(study.model, FunctionModel)
         problem = study.problem
         assert isinstance(problem, FunctionProblem)
         hypotheses = FunctionHypotheses(
-            study.model, study.targets, study.search_space, study.candidates, problem.repeats, shares=problem.shares
+            study.model,
+            study.targets,
+            study.search_space.without(study.condition),
+            study.candidates,
+            problem.repeats,
+            shares=problem.shares,
+            test=study.test,
         )
         return cls(problem, withheld_targets(study), hypotheses, Told.of(study))
 

@@ -23,6 +23,7 @@ from calib.named_values import ANY, read_json
 from calib.questions.scatter import accuracy_words, assumed_scatter, assumed_words, scatter_notes
 from calib.questions.state import made_from
 from calib.results import Results
+from calib.several import AnyStudy
 from calib.study import Study
 
 PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib", "plotly")
@@ -72,15 +73,6 @@ def write_record(
     results.write_table("assumptions", assumptions_table(study))
     results.write_table("parameter_space", study.model.space.frame())
     given = study.settings
-    asked = {
-        "when": datetime.now(UTC).isoformat(timespec="seconds"),
-        "quick": quick,
-        "options": list(options),
-        "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
-        "seeds": dict(seeds),
-        "made_from": made_from(study, question),
-        "sentences": list(sentences),
-    }
     record = {
         "study": study.name,
         "title": given.title,
@@ -95,9 +87,29 @@ def write_record(
         "accuracy": accuracy_words(study),
         "scatter_assumed": assumed_words(study),
         "notes": [*study.measurement_notes, *(note.removesuffix(".") for note in scatter_notes(study))],
-        "questions": {**_earlier(results, question), question: asked},
+        "questions": {**earlier(results, question), question: asked(study, question, seeds, sentences, quick, options)},
     }
     results.write_json("record", record)
+
+
+def asked(
+    study: AnyStudy,
+    question: str,
+    seeds: Mapping[str, int],
+    sentences: Sequence[str] = (),
+    quick: bool = False,
+    options: Sequence[str] = (),
+) -> dict[str, Any]:
+    """What is recorded of one question; see `write_record`."""
+    return {
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "quick": quick,
+        "options": list(options),
+        "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
+        "seeds": dict(seeds),
+        "made_from": made_from(study, question),
+        "sentences": list(sentences),
+    }
 
 
 def measured_table(study: Study) -> pd.DataFrame:
@@ -201,7 +213,7 @@ def begin_answer(results: Results, question: str) -> None:
         results.write_json("record", {**record, "questions": others})
 
 
-def _earlier(results: Results, question: str) -> dict[str, dict[str, Any]]:
+def earlier(results: Results, question: str) -> dict[str, dict[str, Any]]:
     """Other questions of the folder's record; what was added ends with the answers it rests on."""
     gone = {question} if results.has("added.json") else {question, "extend"}
     return {name: told for name, told in questions_of(results).items() if name not in gone}

@@ -10,6 +10,7 @@ from typing import Any
 
 from calib import __version__
 from calib.correlation.problem import ModalProblem
+from calib.several import AnyStudy, JointStudy
 from calib.study import Study, StudyFile
 
 PARTS = ("measurement", "model", "settings", "code")
@@ -51,12 +52,12 @@ WRITES: Mapping[str, tuple[str, ...]] = {
 """Every table that a question may write; the one that was asked last has written it."""
 
 
-def made_from(study: Study, question: str) -> dict[str, Any]:
+def made_from(study: AnyStudy, question: str) -> dict[str, Any]:
     """What an answer would be made from now.
 
     Parameters
     ----------
-    study : Study
+    study : Study or JointStudy
         With the selection that the question is asked with.
     question : str
         One of `WRITES`.
@@ -69,17 +70,24 @@ def made_from(study: Study, question: str) -> dict[str, Any]:
         and settings, ``selected``: the parameters of the search, and ``taken``: values that an earlier study has
         found. The last three are all that can be told without running the study's code (see `made_from_on_paper`).
     """
-    given, problem = study.settings, study.problem
-    model = problem.model.fingerprint if isinstance(problem, ModalProblem) else problem.fingerprint
+    tests = study.studies if isinstance(study, JointStudy) else (study,)
+    models, settings = [], []
+    for one in tests:
+        problem, given = one.problem, one.settings
+        model = problem.model.fingerprint if isinstance(problem, ModalProblem) else problem.fingerprint
+        models.append(_digest(model, one.model.space, given.with_effects))
+        settings.append(_digest(given.pairing.model_dump(), *_SETTINGS[question.partition(" ")[0]](one)))
+    adopted = study.settings.adopted
+    values = {name: value for one in tests for name, value in one.adopted.items()}
     return {
-        "measurement": measurement_digest(study),
-        "model": _digest(model, study.model.space, given.with_effects),
-        "settings": _digest(given.pairing.model_dump(), *_SETTINGS[question.partition(" ")[0]](study)),
+        "measurement": _measured(study, question),
+        "model": models[0] if len(models) == 1 else _digest(*models),
+        "settings": settings[0] if len(settings) == 1 else _digest(*settings),
         "code": __version__,
-        "files": dict(study.read_files),
+        "files": {name: digest for one in tests for name, digest in one.read_files.items()},
         "stated": _stated(study, question),
         "selected": list(study.search_space.free_names),
-        "taken": {} if given.adopted is None else {name: study.adopted.get(name) for name in given.adopted.parameters},
+        "taken": {} if adopted is None else {name: values.get(name) for name in adopted.parameters},
     }
 
 
@@ -121,7 +129,7 @@ def made_from_on_paper(
     if question == "calibrate" and selected is not None:
         same_settings = same_settings and sorted(then.get("selected", ())) == sorted(selected)
     return {
-        "measurement": measurement_digest(study),
+        "measurement": _measured(study, question),
         "model": then.get("model") if same_model else "changed",
         "settings": then.get("settings") if same_settings else "changed",
         "code": __version__,
@@ -137,11 +145,27 @@ def _agree(taken: Mapping[str, float], values: Mapping[str, float]) -> bool:
 
 def measurement_digest(study: StudyFile) -> str:
     """Digest of everything that was measured, and of what is withheld."""
+    if study.settings.several:
+        return _digest(*(measurement_digest(part) for part in study.parts))
     whole, responses = study.measurement()
     data = {k: v for k, v in study.settings.measurement.model_dump().items() if k not in _NAMES_OF_FILES}
     targets = {} if responses is None else responses.targets
     measured = sorted(targets.items()) if whole is None else whole.fingerprint
     return _digest(measured, data, study.settings.withheld.model_dump())
+
+
+def _measured(study: StudyFile, question: str) -> str:
+    """Digest of what a question rests on: of one of several tests that are fitted together all the others too."""
+    own = measurement_digest(study)
+    if not study.test or question.partition(" ")[0] not in _TOGETHER:
+        return own
+    whole = StudyFile.read(study.file)
+    tests = [test.model_dump(exclude=_NAMES_OF_FILES) for test in whole.settings.tests]
+    return _digest(own, measurement_digest(whole), tests)
+
+
+_TOGETHER = ("calibrate", "explain", "extend")
+"""Questions that are asked of all tests together."""
 
 
 def changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
@@ -185,7 +209,7 @@ _SETTINGS: Mapping[str, Callable[[Study], tuple[Any, ...]]] = {
 }
 
 
-_MODEL = ("model", "model_options", "with_effects", "adopted", "parameters", "constraints")
+_MODEL = ("model", "model_options", "with_effects", "adopted", "parameters", "constraints", "tests")
 _STATED_OF_CALIBRATION = ("pairing", "selection", "calibration", "reduction")
 _STATED: Mapping[str, tuple[str, ...]] = {
     "compare": ("pairing",),

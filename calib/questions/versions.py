@@ -14,8 +14,8 @@ from calib.questions.record import questions_of
 from calib.questions.stale import stale_answers
 from calib.questions.state import measurement_digest
 from calib.results import Results
-from calib.settings import read_settings
-from calib.study import StudyFile, shell_argument
+from calib.study import StudyFile, shell_argument, study_file
+from calib.study_text import read_settings
 from calib.table import read_table
 
 COLUMNS = ("version", "study", "effects", "group", "rms", "expected")
@@ -54,17 +54,12 @@ def write_versions(study: StudyFile, root: Path) -> Versions:
     nothing = pd.DataFrame(columns=list(COLUMNS))
     chain = [(study.name, study.settings.with_effects, study.file)]
     file, settings = study.file, study.settings
-    notes = []
-    while settings.extended_from is not None and len(chain) < MOST:
-        older = file.resolve().parent / settings.extended_from
-        file = (older if older.suffix == ".toml" else older / "study.toml").resolve()
-        if not file.is_file():
-            newer = chain[-1][0]
-            notes.append(
-                f"{newer} was extended from {shell_argument(file)}, which is gone: versions before {newer} are lost."
-            )
-            break
+    notes: list[str] = []
+    while settings.base is not None and len(chain) < MOST:
+        file = study_file(file.resolve().parent / settings.base).resolve()
         settings = read_settings(file)
+        if not set(settings.with_effects) < set(chain[-1][1]):
+            break  # another study, of which something else is taken
         chain.append((file.parent.name, settings.with_effects, file))
     if len(chain) == 1:
         return Versions(nothing, tuple(notes))

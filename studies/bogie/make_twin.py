@@ -28,10 +28,10 @@ from calib.mac import mac
 from calib.measurement.modal import Sensor
 from calib.measurement.uff_write import write_uff
 from calib.sampling import sample
-from calib.settings import read_settings
 from calib.space import ParameterSpace
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
+from calib.study_text import read_settings
 from models.railway import bogie_on_rig
 
 HERE = Path(__file__).resolve().parent

@@ -33,10 +33,10 @@ from calib.limits import search_space, sensitivity_space
 from calib.loading import module_of
 from calib.mac import mac
 from calib.measurement.modal import Sensor
-from calib.settings import read_settings
 from calib.space import ParameterSpace
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
+from calib.study_text import read_settings
 from models.railway import vehicle
 from models.railway.parameters import BOGIE
 

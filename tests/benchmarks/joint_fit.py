@@ -23,9 +23,9 @@ import pandas as pd
 from calib.correlation.residual import ModalResidual
 from calib.joint import JointProblem
 from calib.problem import Problem
-from calib.settings import read_settings
 from calib.space import ParameterSpace
 from calib.study import Study
+from calib.study_text import read_settings
 from calib.updating.gauss_newton import fit
 from calib.updating.identify import Posterior, posterior
 from calib.updating.whole_numbers import fit_mixed

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from calib.settings import read_settings
 from calib.structure.affine import AffineMatrix
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 from calib.study import Study, study_file
+from calib.study_text import read_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDIES = ("bogie", "vehicle")

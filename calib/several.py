@@ -1,0 +1,79 @@
+"""A study with several tests, which are fitted and explained together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+
+from calib.effect import Effect
+from calib.errors import InputError
+from calib.given import path as path_of
+from calib.joint import joined
+from calib.space import ParameterSpace
+from calib.study import Study, StudyFile
+
+_NONE: Mapping[str, float] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class JointStudy(StudyFile):
+    """Models and measurements of a study with several tests, checked.
+
+    Attributes
+    ----------
+    studies : tuple of Study
+        Each test as a study of its own, in the order of the file.
+    """
+
+    studies: tuple[Study, ...]
+
+    @staticmethod
+    def load(
+        path: str | Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE
+    ) -> JointStudy:
+        """Read a study folder (or its TOML file) with everything it names; see `calib.study.Study.load`."""
+        told = StudyFile.read(path_of(path, "study"))
+        studies = tuple(Study.load(told.file, adopted, adopted_sd, test.name) for test in told.settings.tests)
+        for keys, name in told.settings.mentioned:
+            if not any(name in study.model.space for study in studies):
+                raise InputError(
+                    f"no model has a parameter {name!r}", place=told.place(*keys), remedy="correct its name"
+                )
+            if keys == ("selection",) and not any(name in study.search_space.free_names for study in studies):
+                raise InputError(
+                    f"parameter {name!r} is fixed in every test and cannot be selected", place=told.place(*keys),
+                    remedy="leave it out",
+                )  # fmt: skip
+        return JointStudy(told.name, told.file, told.settings, studies)
+
+    @cached_property
+    def search_space(self) -> ParameterSpace:
+        """All parameters that no test's condition holds; free are those that a fit moves."""
+        return joined({s.test: s.search_space.without(s.condition) for s in self.studies})
+
+    @property
+    def library(self) -> tuple[Effect, ...]:
+        """Every effect that the models may lack or have."""
+        return tuple({e.name: e for study in self.studies for e in study.library}.values())
+
+    @property
+    def candidates(self) -> tuple[Effect, ...]:
+        """Effects of the library that the models lack."""
+        return tuple(e for e in self.library if e.name not in self.settings.with_effects)
+
+    @property
+    def included(self) -> tuple[Effect, ...]:
+        """Effects that are in the models."""
+        return tuple({e.name: e for study in self.studies for e in study.included}.values())
+
+
+AnyStudy = Study | JointStudy
+
+
+def load(path: str | Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE) -> AnyStudy:
+    """A study with one test or with several; see `calib.study.Study.load`."""
+    several = StudyFile.read(path_of(path, "study")).settings.several
+    return (JointStudy if several else Study).load(path, adopted, adopted_sd)

@@ -1,0 +1,221 @@
+"""The text of a study file and of those it builds on: read, merged, checked, and every complaint with its line."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from calib.errors import InputError
+from calib.settings import StudySettings
+
+
+def read_settings(file: Path) -> StudySettings:
+    """Read and check a study file, with those it builds on; InputError names file, line, key and remedy."""
+    layers = read_layers(file)
+    try:
+        return StudySettings.model_validate(_merged(layers))
+    except ValidationError as fault:
+        raise _explain(fault, layers) from None
+    except RecursionError:
+        raise InputError("it is nested too deeply", place=file) from None
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One file of a study, and what stands in it.
+
+    Attributes
+    ----------
+    file : Path
+    text : str
+    data : dict
+        Its keys; paths lead to the same places from the folder of the study that builds on it.
+    """
+
+    file: Path
+    text: str
+    data: dict[str, Any]
+
+
+def read_layers(file: Path) -> tuple[Layer, ...]:
+    """A study's file, then the one it builds on, and so on; InputError where one cannot be read or builds on itself."""
+    layers, folder = [_layer(file)], file.resolve().parent
+    while (base := layers[-1].data.get("base")) is not None:
+        last = layers[-1]
+        if not isinstance(base, str):
+            raise InputError(f"base = {base!r} is no path", place=place_of(layers[-1:], "base"))
+        path = last.file.resolve().parent / base
+        path = path if path.suffix == ".toml" else path / "study.toml"
+        if not path.is_file():
+            raise InputError(
+                f"there is no study {base!r} to build on", place=place_of(layers[-1:], "base"),
+                remedy="base is a folder with a study.toml, relative to this study's",
+            )  # fmt: skip
+        if path.resolve() in [layer.file.resolve() for layer in layers]:
+            raise InputError(
+                "it builds on itself, by way of other studies or directly", place=place_of(layers[-1:], "base"),
+                remedy="name another study as base",
+            )  # fmt: skip
+        layers.append(_layer(path))
+    return tuple(replace(layer, data=_moved(layer.data, layer.file.resolve().parent, folder)) for layer in layers)
+
+
+def place_of(layers: Sequence[Layer], *keys: int | str) -> str:
+    """File and, where it can be told, line of a key: in the first file that has it."""
+    for layer in layers:
+        if line := line_of(layer.text, keys):
+            return f"{layer.file}, line {line}"
+    return str(layers[0].file)
+
+
+def _merged(layers: Sequence[Layer]) -> dict[str, Any]:
+    """All keys, each as the first file says it; tables are merged key by key."""
+    out: dict[str, Any] = {}
+    for layer in reversed(layers):
+        own = layer.data if layer is layers[0] else {k: v for k, v in layer.data.items() if k != "base"}
+        if "tests" in own:  # what was measured is told in one way: that of the file above
+            out.pop("measurement", None)
+        if "measurement" in own:
+            out.pop("tests", None)
+        out = _over(own, out)
+    return out
+
+
+def _over(upper: Mapping[str, Any], lower: Mapping[str, Any]) -> dict[str, Any]:
+    both = {k for k in upper if isinstance(upper[k], dict) and isinstance(lower.get(k), dict)}
+    return {**lower, **upper, **{k: _over(upper[k], lower[k]) for k in both}}
+
+
+def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
+    """The same keys with every path leading from another folder."""
+    if own == folder:
+        return data
+
+    def lead(path: Any) -> Any:
+        if not isinstance(path, str) or Path(path).is_absolute():
+            return path
+        return Path(os.path.relpath(own / path, folder)).as_posix()
+
+    def function(name: Any) -> Any:
+        where, _, what = str(name).rpartition(":")
+        return f"{lead(where)}:{what}" if where.endswith(".py") else name
+
+    def table(given: Mapping[str, Any]) -> dict[str, Any]:
+        out = dict(given)
+        for key, value in given.items():
+            if key in _PATHS:
+                out[key] = [lead(v) for v in value] if isinstance(value, list) else lead(value)
+            elif key in _FUNCTIONS:
+                out[key] = function(value)
+            elif key in _WITH_PATHS and isinstance(value, dict):
+                out[key] = table(value)
+            elif key == "tests" and isinstance(value, list):
+                out[key] = [table(v) if isinstance(v, dict) else v for v in value]
+        return out
+
+    return table(data)
+
+
+_PATHS = ("files", "shapes", "sensors", "responses", "depends_on", "study")
+_FUNCTIONS = ("model", "effects")
+_WITH_PATHS = ("measurement", "adopted")
+"""Keys that hold paths, functions in files, and tables with such keys."""
+
+
+def _layer(file: Path) -> Layer:
+    try:
+        text = file.read_bytes().decode("utf-8")
+    except FileNotFoundError:
+        raise InputError(
+            "there is no such study file",
+            place=file,
+            remedy="name a folder that holds a study.toml, or make one with 'calib new'",
+        ) from None
+    except UnicodeDecodeError as fault:
+        raise InputError(f"it is not UTF-8 text (byte {fault.start})", place=file, remedy="save it as UTF-8") from None
+    except OSError as fault:
+        raise InputError(f"it cannot be read ({fault.strerror})", place=file) from None
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as fault:
+        raise InputError(f"it is not valid TOML: {fault}", place=file, remedy="mend that line") from None
+    except RecursionError:
+        raise InputError("it is nested too deeply", place=file) from None
+    return Layer(file, text, data)
+
+
+def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
+    """The first complaint in one sentence, with its line; an unknown key comes first, which may be the missing one."""
+    first = min(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
+    keys = tuple(first["loc"])
+    label = ".".join(str(k) for k in keys) or "the file"
+    place = place_of(layers, *keys)
+    kind, words = first["type"], first["msg"].removeprefix("Value error, ")
+    given = repr(first.get("input"))
+    given = given if len(given) < 60 else given[:57] + "..."
+    if kind == "extra_forbidden":
+        known = _known_keys(keys[:-1])
+        near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.5)
+        return InputError(
+            f"unknown key {label!r}" + (f" (did you mean {near[0]!r}?)" if near else ""),
+            place=place,
+            remedy=f"the keys known there are {', '.join(known)}" if known else None,
+        )
+    if kind == "missing":
+        return InputError(f"{label!r} is missing", place=place, remedy="add it")
+    if kind == "value_error":
+        return InputError(f"{label}: {words}", place=place)
+    return InputError(f"{label} = {given} is not allowed: {words[:1].lower() + words[1:]}", place=place)
+
+
+def _known_keys(keys: tuple[int | str, ...]) -> list[str]:
+    section: Any = StudySettings
+    for key in keys:
+        if isinstance(key, int) or not (isinstance(section, type) and issubclass(section, BaseModel)):
+            continue
+        field = section.model_fields.get(str(key))
+        section = _section_of(field.annotation) if field is not None else section
+    return list(section.model_fields) if isinstance(section, type) and issubclass(section, BaseModel) else []
+
+
+def _section_of(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for part in getattr(annotation, "__args__", ()):
+        found = _section_of(part)
+        if found is not None:
+            return found
+    return None
+
+
+def line_of(text: str, keys: tuple[int | str, ...]) -> int | None:
+    """Line (from 1) that most likely holds a key of a TOML text; None when it cannot be told."""
+    names = [str(k) for k in keys if not isinstance(k, int)]
+    index = next((k for k in keys if isinstance(k, int)), None)
+    lines = text.splitlines()
+    section, seen, best = "", -1, None
+    for number, line in enumerate(lines, start=1):
+        header = re.match(r"\s*\[\[?\s*([^\]]+?)\s*\]\]?", line)
+        if header and "=" not in line.split("#")[0]:
+            section = header.group(1).replace('"', "").replace("'", "")
+            seen = seen + 1 if line.lstrip().startswith("[[") else -1
+            if section == ".".join(names) and (index is None or seen < 0 or seen == index):
+                return number
+            continue
+        key = re.match(r"""\s*["']?([A-Za-z0-9_.-]+)["']?\s*=""", line)
+        if not key:
+            continue
+        path = [p for p in (*section.split("."), *key.group(1).split(".")) if p]
+        if path == names[: len(path)] and (index is None or seen < 0 or seen == index):
+            if len(path) == len(names):
+                return number
+            best = number
+    return best
