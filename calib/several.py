@@ -37,6 +37,13 @@ class JointStudy(StudyFile):
         """Read a study folder (or its TOML file) with everything it names; see `calib.study.Study.load`."""
         told = StudyFile.read(path_of(path, "study"))
         studies = tuple(Study.load(told.file, adopted, adopted_sd, test.name) for test in told.settings.tests)
+        for study in studies:
+            for name in study.condition:
+                if name not in study.model.space:
+                    raise InputError(
+                        f"the model of test {study.test} has no parameter {name!r}", place=study.place("set", name),
+                        remedy="correct its name",
+                    )  # fmt: skip
         for keys, name in told.settings.mentioned:
             if not any(name in study.model.space for study in studies):
                 raise InputError(

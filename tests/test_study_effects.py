@@ -145,13 +145,12 @@ def test_a_library_alone_changes_no_answer_and_no_fingerprint(rig, sums):
     assert knowing.model.space.names == plain.model.space.names
     assert knowing.problem.fingerprint == plain.problem.fingerprint
     with_lib = Study.load(sums).problem.fingerprint
-    changed(sums, 'effects = "effects.py:library"\n', 'extended_from = "../gone"\n')
+    changed(sums, 'effects = "effects.py:library"\n', "")
     with (sums / "study.toml").open("a") as file:
         file.write("[explain]\nalpha = 0.05\nrefits = 3\n")
     study = Study.load(sums)
     assert study.problem.fingerprint == with_lib
     assert (study.settings.explain.alpha, study.settings.explain.refits) == (0.05, 3)
-    assert study.settings.extended_from == "../gone"
 
 
 def test_explain_has_the_documented_defaults():

@@ -177,9 +177,13 @@ def _put(draft: Path, new: Path, folder: Path) -> None:
 
 
 def _content(folder: Path) -> dict[Path, bytes]:
-    """Every file of a study with its content, caches aside."""
-    files = (p for p in folder.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
-    return {p.relative_to(folder): p.read_bytes() for p in files if not p.name.startswith(".")}
+    """Every file of a study with its content; hidden files, caches and results are none of it."""
+    files = ((p.relative_to(folder), p) for p in folder.rglob("*") if p.is_file())
+    return {name: p.read_bytes() for name, p in files if not any(_is_none(part) for part in name.parts)}
+
+
+def _is_none(part: str) -> bool:
+    return part.startswith(".") or part in ("results", "__pycache__")
 
 
 # -- places ------------------------------------------------------------------------------------------------------------

@@ -69,7 +69,8 @@ def explain_jointly(
 def _own(answer: Explanation, test: str) -> dict[str, pd.DataFrame]:
     """Tables of one test out of those that have the rows of all."""
     mixed = {name: table for name, table in answer.tables.items() if TEST in table}
-    return {name: table[table[TEST] == test].drop(columns=TEST) for name, table in mixed.items()}
+    own = {name: table[table[TEST] == test].drop(columns=TEST) for name, table in mixed.items()}
+    return {name: table for name, table in own.items() if len(table)}
 
 
 def _errors(side: JointSide, test: str, answer: Explanation) -> pd.DataFrame:

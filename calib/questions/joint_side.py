@@ -105,7 +105,10 @@ class JointSide:
         return {name: place for side in self.sides.values() for name, place in side.places().items()}
 
     def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:
-        """The tables of every test, those of one name below each other with a column ``test``."""
+        """The tables of every test, those of one name below each other with a column ``test``.
+
+        A test that has no table of a name has no rows there.
+        """
         found: dict[str, list[pd.DataFrame]] = {}
         for test, side in self.sides.items():
             for name, table in side.tables(self._of(test, stages)).items():

@@ -22,7 +22,7 @@ def test_a_study_among_results_can_be_moved(rig, edited):
     shutil.move("results/rig/rig_extended", "far/away/mine")
     new, old = Study.load(Path("far/away/mine")), Study.load(rig)
     assert new.measured.fingerprint == old.measured.fingerprint
-    assert Path(new.settings.extended_from).resolve() == rig.resolve()
+    assert Path(new.settings.base).resolve() == rig.resolve()
     assert found_among(old, Path("results/rig")) is None
 
 
@@ -68,7 +68,7 @@ def test_results_within_the_study_are_no_part_of_the_new_one(sums, place, tree):
     Path(place).mkdir(parents=True)
     Path(place, "summary.json").write_text("{}")
     made = extend_among(Study.load(sums), ["bend"], Path(place))
-    assert set(tree(made.file.parent)) == {"study.toml", "model.py", "data/measured.csv"}
+    assert set(tree(made.file.parent)) == {"study.toml"}
     assert extend_among(Study.load(sums), ["bend"], Path(place)).file == made.file
     assert {p.name for p in Path(place).iterdir()} == {"summary.json", "sums_extended", LOG}
 

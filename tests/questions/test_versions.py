@@ -7,7 +7,7 @@ import pytest
 
 from calib.questions.extend import extend
 from calib.questions.record import write_record
-from calib.questions.versions import COLUMNS, MOST, write_versions
+from calib.questions.versions import COLUMNS, write_versions
 from calib.results import Results
 from calib.study import Study, shell_argument
 
@@ -95,28 +95,10 @@ def test_a_study_that_comes_from_no_other_has_no_versions(chain, tmp_path):
     assert found.table.empty and found.notes == () and not list(tmp_path.rglob("versions.csv"))
 
 
-def test_an_ancestor_that_is_gone_ends_the_line(chain, answered, tmp_path):
-    (tmp_path / "mast_2/study.toml").unlink()
-    found = write_versions(chain[-1], answered)
-    gone = tmp_path / "mast_2"
-    assert found.table.empty
-    assert found.notes == (f"mast_3 was extended from {gone}, which is gone: versions before mast_3 are lost.",)
-
-
-def test_what_follows_an_ancestor_that_is_gone_is_still_told(chain, answered, tmp_path):
-    (tmp_path / "mast/study.toml").unlink()
-    found = write_versions(chain[-1], answered)
-    assert list(found.table["study"].unique()) == ["mast_2", "mast_3"]
-    assert found.notes == (
-        f"mast_2 was extended from {tmp_path / 'mast'}, which is gone: versions before mast_2 are lost.",
-    )
-
-
-def test_a_circle_ends(chain, answered, tmp_path):
-    file = tmp_path / "mast/study.toml"
-    file.write_text(f'extended_from = "../mast_3"\n{file.read_text()}')
-    table = write_versions(chain[-1], answered).table
-    assert table["version"].max() <= MOST
+def test_a_study_that_is_built_upon_and_builds_on_something_else_is_no_version(chain, answered, tmp_path):
+    (tmp_path / "apart").mkdir()
+    (tmp_path / "apart/study.toml").write_text('title = "looked at otherwise"\nbase = "../mast_3"\n')
+    assert write_versions(Study.load(tmp_path / "apart"), answered).table.empty
 
 
 def test_an_ancestor_may_be_a_study_file_of_another_name(mast, tmp_path):
@@ -145,7 +127,7 @@ def test_errors_in_another_measurement_are_no_version(chain, answered):
     write_record(first, Results.at(answered, "mast"), "calibrate", {})
     assert set(write_versions(second, answered).table["version"]) == {1, 2}
     for name in ("modes.csv", "shapes.csv", "study.toml"):  # the same mode by another name
-        file = second.file.parent / name
+        file = first.file.parent / name
         file.write_text(file.read_text().replace("B3x", "B3y"))
     answers(answered, "mast_2", 5.0)
     found = write_versions(Study.load(second.file), answered)

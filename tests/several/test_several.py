@@ -1,0 +1,207 @@
+"""A study with several tests: read, compared, fitted and explained together; what is wrong in it is told."""
+
+import pandas as pd
+import pytest
+
+import calib
+from calib import cli
+from calib.errors import InputError
+from calib.several import JointStudy, load
+from calib.study import Study, StudyFile
+from calib.study_text import read_settings
+from tests.several.conftest import GROUND, STIFF, STUDY, told, write_study
+
+BENCH = """
+[[tests]]
+name = "bench"
+model = "model.py:bench"
+responses = "bench.csv"
+"""
+
+
+def edit(folder, old, new):
+    text = (folder / "study.toml").read_text()
+    assert old in text
+    (folder / "study.toml").write_text(text.replace(old, new))
+    return folder
+
+
+# -- the whole run -----------------------------------------------------------------------------------------------------
+
+
+def test_the_run_names_what_is_missing_and_adds_it(frame):
+    _, results = frame
+    found = told(results / "frame/explanation.json")
+    assert found["verdict"] == "effect" and found["credible_set"] == ["contact_3"]
+    after = pd.read_csv(results / "frame_extended/verdicts.csv").set_index("parameter")
+    for name, true in (("contact_3", GROUND), ("k", 1.06 * STIFF)):
+        assert abs(after.loc[name, "value"] - true) < 4 * after.loc[name, "std"] < 0.05 * true
+    assert told(results / "frame_extended/summary.json")["p_fit"] > 0.01 > told(results / "frame/summary.json")["p_fit"]
+
+
+def test_each_test_has_its_own_answers_and_the_parameters_of_all(frame):
+    _, results = frame
+    tables = {t: pd.read_csv(results / f"frame.{t}/parameters.csv") for t in ("empty", "loaded")}
+    pd.testing.assert_frame_equal(tables["empty"], tables["loaded"])
+    pd.testing.assert_frame_equal(tables["empty"], pd.read_csv(results / "frame/parameters.csv"))
+    modes = {t: pd.read_csv(results / f"frame.{t}/comparison_after.csv") for t in tables}
+    assert list(modes["loaded"]["mode"]) == ["M1", "M2", "M3", "M4", "M6"] and len(modes["empty"]) == 6
+    assert modes["loaded"]["natural_freq_model"].iloc[0] < 0.9 * modes["empty"]["natural_freq_model"].iloc[0]
+    errors = pd.read_csv(results / "frame/data_errors.csv")
+    assert set(errors["test"]) == {"empty", "loaded"}
+    assert set(errors.loc[errors["group"].str.startswith("withheld"), "test"]) == {"loaded"}
+    for test in tables:
+        own = told(results / f"frame.{test}/explanation.json")
+        assert own["verdict"] == "effect" and (results / f"frame.{test}/report.html").is_file()
+
+
+def test_errors_of_a_test_are_its_share_of_the_errors_of_all(frame):
+    _, results = frame
+    whole = pd.read_csv(results / "frame/errors.csv").set_index(["group", "stage"])
+    own = {t: pd.read_csv(results / f"frame.{t}/errors.csv").set_index(["group", "stage"]) for t in ("empty", "loaded")}
+    for stage in ("before", "after"):
+        parts = [table.loc["fit", stage] for table in own.values()]
+        assert whole.loc[("fit", stage), "rows"] == sum(part["rows"] for part in parts)
+        squares = sum(part["rows"] * part["rms"] ** 2 for part in parts)
+        assert whole.loc[("fit", stage), "rms"] ** 2 * whole.loc[("fit", stage), "rows"] == pytest.approx(squares)
+
+
+def test_nothing_is_solved_twice_and_the_answer_stays(frame, tmp_path):
+    import shutil
+
+    study, results = frame
+    again = shutil.copytree(results, tmp_path / "results")
+    before = (again / "frame/parameters.csv").read_bytes()
+    answer = calib.Study.load(study, again, workers=1).calibrate()
+    counts = [case.result.solved for case in answer.of.tests["empty"].cases]
+    # Residuals and derivatives are in the ledger; the frequencies of all modes, which are predicted, are solved once.
+    assert max(counts) <= 2 and (again / "frame/parameters.csv").read_bytes() == before
+
+
+def test_an_answer_is_stale_where_another_test_has_changed(frame, tmp_path):
+    import shutil
+
+    study, results = frame
+    own = shutil.copytree(study, tmp_path / "frame")
+    again = shutil.copytree(results, tmp_path / "results")
+    (again / "frame/owner.json").unlink()
+    for test in ("empty", "loaded"):
+        (again / f"frame.{test}/owner.json").unlink()
+    edit(own, "load = 1500.0", "load = 1400.0")
+    from calib.questions.stale import stale_answers
+    from calib.results import Results
+
+    empty = next(part for part in StudyFile.read(own).parts if part.test == "empty")
+    stale = stale_answers(empty, Results(again / "frame.empty"))
+    assert "calibrate" in stale.sentences and "compare" not in stale.sentences
+    assert "calibrate" in stale_answers(StudyFile.read(own), Results(again / "frame")).sentences
+
+
+def test_the_problem_of_a_study_is_the_one_it_fits(frame):
+    study, results = frame
+    fit = calib.Study.load(study, results).problem.calibrate()
+    stored = pd.read_csv(results / "frame/verdicts.csv").set_index("parameter")
+    assert fit.values["k"] == pytest.approx(stored.loc["k", "value"], rel=1e-6)
+    assert fit.parameters["std"]["k"] == pytest.approx(stored.loc["k", "std"], rel=1e-3)
+
+
+# -- what is read ------------------------------------------------------------------------------------------------------
+
+
+def test_conditions_hold_for_their_test(own):
+    study = load(own)
+    assert isinstance(study, JointStudy) and study.search_space.names == ("k",)
+    assert [one.model.space["load"].value for one in study.studies] == [0.0, 1500.0]
+    assert all(one.model.space["load"].distribution == "fixed" for one in study.studies)
+    assert [one.name for one in study.studies] == ["frame.empty", "frame.loaded"]
+
+
+def test_one_test_is_a_study_as_ever(own):
+    text = STUDY[: STUDY.index('[[tests]]\nname = "loaded"')] + STUDY[STUDY.index("[sensitivity]") :]
+    (own / "study.toml").write_text(text)
+    one = load(own)
+    assert (
+        isinstance(one, Study)
+        and one.name == "frame"
+        and one.test == ""
+        and one.settings.title == "A frame, empty and loaded"
+    )
+    plain = text.replace('[[tests]]\nname = "empty"\nset = { load = 0.0 }\n', "[measurement]\n")
+    (own / "study.toml").write_text(plain)
+    assert Study.load(own).measured.fingerprint == one.measured.fingerprint
+
+
+def test_another_model_is_fitted_beside(own, tmp_path):
+    (own / "study.toml").write_text(STUDY.replace("[sensitivity]", f"{BENCH}\n[sensitivity]"))
+    answer = calib.Study.load(own, tmp_path / "results", workers=1).calibrate()
+    assert set(answer.of.tests) == {"empty", "loaded", "bench"}
+    found = calib.Study.load(own, tmp_path / "results", workers=1).explain()
+    assert found.of.verdict == "effect" and list(found.of.findings.credible) == ["contact_3"]
+    assert any("in test bench" in name for name in found.of.findings.base_check.atoms.owners)
+
+
+def test_a_study_that_builds_on_another_takes_what_it_does_not_say(own):
+    other = own.parent / "other"
+    other.mkdir()
+    (other / "study.toml").write_text('base = "../frame"\ntitle = "without starts"\n\n[calibration]\nstarts = 1\n')
+    given, base = read_settings(other / "study.toml"), read_settings(own / "study.toml")
+    assert given.calibration.starts == 1 and given.calibration.cases == base.calibration.cases
+    assert given.title == "without starts" and given.model == "../frame/model.py:frame"
+    assert [t.files for t in given.tests] == [("../frame/empty.csv",), ("../frame/loaded.csv",)]
+    study = load(other)
+    assert study.studies[0].measured.fingerprint == load(own).studies[0].measured.fingerprint
+    assert own.resolve() / "study.toml" in study.inputs
+
+
+def test_selection_and_cases_are_needed_by_no_study(own):
+    text = STUDY.replace('selection = ["k"]\n', "")
+    text = text[: text.index("[calibration]")]
+    (own / "study.toml").write_text(text)
+    study = load(own)
+    assert study.search_space.free_names == ("k",)
+    assert [case.name for case in study.settings.calibration.cases] == ["C1"]
+
+
+# -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ('name = "loaded"', 'name = "empty"', None),
+        ("load = 1500.0", "weight = 1500.0", "weight"),
+        ('selection = ["k"]', 'selection = ["k", "load"]', "selection"),
+        ('selection = ["k"]', 'selection = ["q"]', "selection"),
+        ('modes = ["M5"]', 'modes = ["M9"]', "withheld"),
+        ('files = ["loaded.csv"]', 'files = ["nowhere.csv"]', "nowhere.csv"),
+        ("[sensitivity]", "[withheld]\nmodes = ['M1']\n\n[sensitivity]", None),
+        ("[sensitivity]", "[measurement]\nfiles = ['empty.csv']\n\n[sensitivity]", None),
+        ("[sensitivity]", "[parameters]\nk9 = { value = 1.0 }\n\n[sensitivity]", "k9"),
+        ("starts = 2", 'method = "genetic"', None),
+        ("title", 'base = "../frame"\ntitle', "base"),
+        ("title", 'base = "../gone"\ntitle', "base"),
+        ('selection = ["k"]', 'extended_from = "../gone"', "extended_from"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_line(own, capsys, old, new, key):
+    edit(own, old, new)
+    assert cli.answer(["calibrate", str(own), "--results", str(own.parent / "results"), "--workers", "1"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "Traceback" not in said
+    if key is not None:
+        lines = (own / "study.toml").read_text().splitlines()
+        assert f"study.toml, line {1 + next(k for k, line in enumerate(lines) if key in line)}:" in said
+
+
+def test_a_study_of_several_tests_is_none_of_one(own):
+    with pytest.raises(InputError):
+        Study.load(own)
+    with pytest.raises(InputError):
+        Study.load(own, test="none")
+
+
+def test_values_are_not_taken_over_from_several_tests(own, tmp_path, capsys):
+    later = write_study(tmp_path / "later", STUDY + '\n[adopted]\nstudy = "../frame"\nparameters = ["k"]\n')
+    edit(later, 'selection = ["k"]\n', "")
+    assert cli.answer(["compare", str(later), "--results", str(tmp_path / "results")]) == 2
+    assert "several" in capsys.readouterr().err
