@@ -17,6 +17,7 @@ from calib.questions.calibrate import calibrate
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, QUICK_SAMPLES
 from calib.questions.sensitivity import sensitivity
 from calib.results import Results
+from calib.study import Study
 from models.five_mass_chain import five_mass_chain
 from models.four_storey_rig import four_storey_rig
 
@@ -61,7 +62,7 @@ def weighed(model=None):
 
 @pytest.mark.parametrize("name", ["four_storey_rig", "five_mass_chain"])
 def test_a_search_is_that_of_the_study(rig, chain, name, tmp_path):
-    study = calib.Study.load(STUDIES / name)
+    study = Study.load(STUDIES / name)
     problem = {"four_storey_rig": rig, "five_mass_chain": chain}[name]
     results = Results.at(tmp_path, name)
     with Ledger.open(results.path / "ledger.sqlite") as ledger:
@@ -160,7 +161,7 @@ def test_points_that_fail_are_counted_and_told():
 
 @pytest.mark.parametrize("name", ["four_storey_rig", "five_mass_chain"])
 def test_measures_are_those_of_the_study(rig, chain, name, tmp_path):
-    study = calib.Study.load(STUDIES / name)
+    study = Study.load(STUDIES / name)
     results = Results.at(tmp_path, name)
     with Ledger.open(results.path / "ledger.sqlite") as ledger:
         own = sensitivity(study, results, ledger, quick=True)
