@@ -82,6 +82,7 @@ class Evaluator:
         self._pool: ProcessPoolExecutor | None = None
         self._ended: queue.SimpleQueue[Future[Outcome | Exception]] = queue.SimpleQueue()
         self._board: worker.Board | None = None
+        self._script = True
 
     def __enter__(self) -> Evaluator:
         return self
@@ -241,12 +242,12 @@ class Evaluator:
         values: Mapping[str, float],
     ) -> Future[Outcome | Exception]:
         if self._pool is None:
-            pickle.dumps(self.source)  # fails here in plain words, and not in a half-started process
+            self._script = b"__main__" in pickle.dumps(self.source)  # fails here, and not in a half-started process
             context = multiprocessing.get_context("spawn")
             self._board = worker.Board(context, self.workers)
             self._pool = ProcessPoolExecutor(self.workers, context, worker.start, (self.source, self._board))
         # Processes are started on demand, while a task is handed over.
-        with interrupt.held(), worker.environment():
+        with interrupt.held(), worker.environment(self._script):
             future = self._pool.submit(task, number, dict(values))
             future.add_done_callback(self._ended.put)
         return future

@@ -304,6 +304,8 @@ class ParameterSpace:
 
     def without(self, values: Mapping[str, float]) -> ParameterSpace:
         """Same space less the named parameters, which constraints take at the given values."""
+        if not values:
+            return self
         self.complete(values)
         kept = []
         for c in self.constraints:

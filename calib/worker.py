@@ -7,12 +7,14 @@ import multiprocessing
 import os
 import platform
 import signal
+import sys
 import threading
 import time
 import traceback
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing.context import SpawnContext
+from typing import Any
 
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
@@ -31,8 +33,17 @@ _THREAD_VARIABLES = (
 
 
 @contextlib.contextmanager
-def environment() -> Iterator[None]:
-    """What new processes inherit: one thread for numerical libraries, and deafness to the keyboard's interrupt."""
+def environment(script: bool = True) -> Iterator[None]:
+    """What new processes inherit: one thread for numerical libraries, and deafness to the keyboard's interrupt.
+
+    ``script`` tells whether they need what stands in the script that is run. Others do not run it: it may be one
+    without a guarded main part, which would begin again in every process.
+    """
+    with contextlib.nullcontext() if script else _without_script():
+        yield from _inherited()
+
+
+def _inherited() -> Iterator[None]:
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     mask = None
@@ -48,6 +59,19 @@ def environment() -> Iterator[None]:
                 os.environ[name] = value
         if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+@contextlib.contextmanager
+def _without_script() -> Iterator[None]:
+    """The main module without the places from which `multiprocessing` would run it again."""
+    told: dict[str, Any] = vars(sys.modules["__main__"])
+    kept = {name: value for name, value in told.items() if name in ("__file__", "__spec__")}
+    try:
+        told.pop("__file__", None)
+        told["__spec__"] = None
+        yield
+    finally:
+        told.update(kept)
 
 
 def built(source: Source) -> Function:

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.executor import Injected
 from calib.front.explained import Explained, Library, explained
+from calib.front.page import draw, write_pages
 from calib.front.responses import own
 from calib.front.search import Searched, refined, searched
 from calib.front.sensitivity import Assessed, assessed
@@ -20,6 +22,7 @@ from calib.front.test import ModalTest, Model, ResponseTest, Test, under
 from calib.function import FunctionModel, extend_function
 from calib.given import names as names_of
 from calib.given import objects, whole
+from calib.given import path as path_of
 from calib.given import values as values_of
 from calib.joint import JointProblem
 from calib.problem import Counts
@@ -33,6 +36,9 @@ from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.updating.genetic import GeneticSettings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Effects: TypeAlias = Sequence[Effect] | Mapping[str, Sequence[Effect]]
 
@@ -444,3 +450,32 @@ class Fit(Shown):
     def explain(self, effects: Effects, *, seed: int = 1) -> Explained:
         """See `Problem.explain`."""
         return self.problem.explain(effects, seed=seed)
+
+    def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
+        """Draw one figure of the fit.
+
+        Parameters
+        ----------
+        name : str
+            ``frequency_errors``, ``mac``, ``mac_matrix``, ``comac`` (before and after the fit) or ``parameters``.
+        ax : Axes, optional
+            Where it is drawn; a figure of its own by default.
+        test : str
+            Whose modes are drawn, where there are several tests.
+
+        Raises
+        ------
+        InputError
+            For an unknown figure or test, and where nothing was measured that it shows.
+        """
+        return draw(self, name, test, ax)
+
+    def report(self, path: str | Path) -> tuple[Path, ...]:
+        """Write a page that tells the fit and opens anywhere, offline; of several tests one each, with its name.
+
+        Raises
+        ------
+        InputError
+            Where it cannot be written.
+        """
+        return write_pages(self, path_of(path, "report"))

@@ -22,7 +22,7 @@ from calib.questions.compare import Answer, compare, write_answer, write_model_m
 from calib.questions.contradiction import contradictions, every_response
 from calib.questions.every_mode import all_stages, every_mode
 from calib.questions.failures import reasons_sentence, stored_reasons
-from calib.questions.judge import EQUAL
+from calib.questions.judge import EQUAL, Judgement
 from calib.questions.places import ADDED
 from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import recorded
@@ -211,7 +211,7 @@ def keep(study: Study, results: Results, found: Sequence[CaseFound], before: Ans
     best, space = best_of(found), ran.space
     reported = [case.result for case in found]
     searched = [case.search for case in found if case.search is not None]
-    parameters = _parameters(space, found, searched)
+    parameters = parameters_of(space, [(case.result, case.judgement) for case in found], searched)
     spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
     verdicts = _without_whole(best.judgement.verdicts(space, spread), space)
     level = expected_misfit(study, before)
@@ -278,20 +278,22 @@ def _worsened(case: CaseFound) -> str:
     )
 
 
-def _parameters(space: ParameterSpace, found: Sequence[CaseFound], searched: Sequence[CaseResult]) -> pd.DataFrame:
+def parameters_of(
+    space: ParameterSpace, found: Sequence[tuple[CaseResult, Judgement]], searched: Sequence[CaseResult] = ()
+) -> pd.DataFrame:
     """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
 
     ``spread`` and ``stable`` are those of the genetic searches before any least squares, or of the fits without one;
     ``search_value`` is told where least squares followed a search.
     """
-    table = parameters_table([case.result for case in found], space)
+    table = parameters_table([result for result, _ in found], space)
     table["search_value"] = np.nan
     if searched:
         raw = parameters_table(searched, space)
         table["spread"], table["stable"] = raw["spread"], raw["stable"]
-        if any(case.judgement.fit is not None for case in found):
+        if any(judgement.fit is not None for _, judgement in found):
             table["search_value"] = raw["value"]
-    each = [case.judgement.verdicts(space, {}).assign(case=case.name) for case in found]
+    each = [judgement.verdicts(space, {}).assign(case=result.name) for result, judgement in found]
     known = _without_whole(pd.concat(each), space)
     columns = ["case", "parameter", "std", "identified", "scatter"]
     table = table.merge(known[columns], on=columns[:2], how="left")

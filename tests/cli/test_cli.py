@@ -192,7 +192,7 @@ def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, unrend
 
 
 def test_a_single_question_writes_no_report_but_leaves_none_that_is_older(mast, drawn, monkeypatch):
-    monkeypatch.setattr(cli, "draw_all", lambda *a: [])
+    monkeypatch.setattr("calib.front.study.draw_all", lambda *a: [])
     told = Path("results/mast/report.html")
     assert cli.answer(["compare", "mast"]) == 0 and not told.exists()
     told.write_text("an older one")

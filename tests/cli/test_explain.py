@@ -213,7 +213,7 @@ def test_the_chain_is_explained_twice_and_extended(here, drawn, unrendered, monk
         "where_it_fails_sigma", "parameters_under_strain", "ranked_effects", "confounding", "errors_before_after",
     }  # fmt: skip
     first = {p: b for p, b in files("results/five_mass_chain").items() if p.suffix == ".csv"}
-    monkeypatch.setattr(cli, "draw_all", lambda *a: [])
+    monkeypatch.setattr("calib.front.study.draw_all", lambda *a: [])
     assert cli.answer(["explain", CHAIN]) == 0
     assert first == {p: b for p, b in files("results/five_mass_chain").items() if p.suffix == ".csv"}
     assert cli.answer(["extend", CHAIN, truth["effect"], "--into", "chain_2"]) == 0

@@ -33,8 +33,8 @@ def lacking(write_study, asked, edit, tmp_path_factory):
     """A folder with the run of a mast with a guy rope that its model lacks, nothing drawn, and what was said."""
     folder = tmp_path_factory.mktemp("lacking")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cli, "draw_all", lambda *a: [])
-        patch.setattr(cli, "write_report", lambda folder, *a: folder / "report.html")
+        patch.setattr("calib.front.study.draw_all", lambda *a: [])
+        patch.setattr("calib.front.study.write_report", lambda folder, *a: folder / "report.html")
         return folder, quick(folder, write_study, asked, edit, {"guy": 12000.0})
 
 

@@ -138,9 +138,9 @@ def test_inputs_among_the_results(sums, capsys):
 @pytest.mark.parametrize("name", ["measured.csv", "record.json", "parameters.png", "report.html"])
 def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monkeypatch, name):
     if name.endswith(".png"):
-        monkeypatch.setattr(cli, "draw_all", draw_all)
+        monkeypatch.setattr("calib.front.study.draw_all", draw_all)
     if name.endswith(".html"):
-        monkeypatch.setattr(cli, "write_report", write_report)
+        monkeypatch.setattr("calib.front.study.write_report", write_report)
     assert cli.answer(["calibrate", "plain", "--workers", "1"]) == 0
     assert cli.answer(["report", "plain"]) == 0
     file = Path("results/plain", name)

@@ -171,7 +171,7 @@ def test_the_place_that_is_pointed_at_is_near_what_was_changed(explained):
 def test_the_extended_model_predicts_withheld_sensors_better(explained, tmp_path, capsys, monkeypatch):
     """Explain, extend, calibrate by least squares, and the errors over both versions."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "draw_all", lambda *a: [])
+    monkeypatch.setattr("calib.front.study.draw_all", lambda *a: [])
     results = explained(HIDDEN).parent
     (name,) = written(explained(HIDDEN))[0]["credible_set"]
     study = str(ROOT / "studies" / HIDDEN)

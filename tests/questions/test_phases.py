@@ -81,7 +81,7 @@ def calibrated(functions_in_this_process, tmp_path_factory):
     write_both(home)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
-        patch.setattr(cli, "draw_all", lambda *a: [])
+        patch.setattr("calib.front.study.draw_all", lambda *a: [])
         assert cli.answer(["calibrate", "one"]) == 0
     return home
 
@@ -195,7 +195,7 @@ def test_worker_processes_hold_the_values_too(found, monkeypatch):
     Path("two/study.toml").write_text(text)
     shutil.copytree("results", "again")
     assert cli.answer(["calibrate", "two", "--workers", "1", "--results", "again"]) == 0
-    monkeypatch.setattr(cli, "isolated", isolated)
+    monkeypatch.setattr("calib.front.study.isolated", isolated)
     assert cli.answer(["calibrate", "two", "--workers", "2"]) == 0
     first, second = (Path(root, "two/parameters.csv").read_bytes() for root in ("results", "again"))
     assert first == second

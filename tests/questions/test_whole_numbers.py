@@ -37,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 @pytest.mark.parametrize("refits", [case.REFITS, 2])
 def test_a_search_over_whole_numbers_that_was_cut_short_says_so(plain_study, monkeypatch, capsys, refits):
     monkeypatch.setattr(case, "REFITS", refits)
-    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
     plain_study("plain", MODEL, STUDY, y=(51.0, 0.1), z=(7.0, 0.1), w=(2.0, 0.1))
     assert cli.answer(["calibrate", "plain", "--method", "gauss-newton", "--workers", "1"]) == 0
     out = " ".join(capsys.readouterr().out.split())
@@ -64,7 +64,7 @@ def model():
 
 @pytest.mark.parametrize("more", ["polish = true", "polish = false", 'method = "gauss-newton"'])
 def test_a_study_of_whole_numbers_alone_is_calibrated(plain_study, monkeypatch, more):
-    monkeypatch.setattr(cli, "draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
     text = STUDY.replace('["a", "n"]', '["m", "n"]').replace("starts = 1", f"population = 8\ngenerations = 4\n{more}")
     plain_study("whole", WHOLE_MODEL, text, y=(53.02, 0.1), z=(7.01, 0.1), w=(28.01, 0.1))
     assert cli.answer(["run" if more == "polish = true" else "calibrate", "whole", "--workers", "1"]) == 0

@@ -19,7 +19,7 @@ _QUESTION = {
     "when": str, "quick": bool, "versions": {ANY: str}, "seeds": {ANY: float}, "sentences": [str],
 }  # fmt: skip
 RECORD = {
-    "study": str, "model": str, "adopted": {ANY: float}, "adopted_from": str, "effects_known": float,
+    "study": str, "notebook": bool, "model": str, "adopted": {ANY: float}, "adopted_from": str, "effects_known": float,
     "effects_in_model": [str], "files": [str], "repeats": float, "notes": [str], "questions": {ANY: _QUESTION},
 }  # fmt: skip
 _FIGURES = {

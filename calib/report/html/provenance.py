@@ -55,7 +55,7 @@ def _parameters(answers: Answers) -> list[Block]:
 def versions(answers: Answers) -> Section | None:
     """When, with which versions and with which seeds every question was asked."""
     asked = answers.questions
-    if not asked:
+    if not asked or answers.record.get("notebook"):
         return None
     used = {question: _listed(q.get("versions", {})) for question, q in asked.items()}
     same = len(set(used.values())) == 1
@@ -102,6 +102,8 @@ def _listed(named: Mapping[str, object]) -> str:
 
 def not_asked(answers: Answers) -> Section | None:
     """One line for every question that has no answer in this folder."""
+    if answers.record.get("notebook"):  # there is no folder of which the command could ask
+        return None
     name = answers.name
     lines = []
     if not answers.has("comparison_before") and "compare" not in answers.stale:

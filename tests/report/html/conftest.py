@@ -73,8 +73,8 @@ class Reader(HTMLParser):
 def ask(folder, *questions):
     """Ask without drawing pictures, which would take longest; results go beside the study."""
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()):
-        patch.setattr(cli, "draw_all", lambda *a: [])
-        patch.setattr(cli, "write_report", lambda folder, *a: folder / "report.html")
+        patch.setattr("calib.front.study.draw_all", lambda *a: [])
+        patch.setattr("calib.front.study.write_report", lambda folder, *a: folder / "report.html")
         for question, *more in questions:
             assert cli.answer([question, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
     return folder.parent / "results" / folder.name

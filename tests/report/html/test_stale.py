@@ -62,7 +62,7 @@ def answered(functions_in_this_process, tmp_path_factory):
     (folder / "data.csv").write_text("response,value,std\ny,3.1,0.1\nz,1.0,0.1\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
-        patch.setattr(cli, "draw_all", lambda *a: [])
+        patch.setattr("calib.front.study.draw_all", lambda *a: [])
         ask("sensitivity", "calibrate")
     return home
 

@@ -1,0 +1,197 @@
+"""What a fit shows beyond its numbers: figures of its tables, and the page a study would have of them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from calib.errors import InputError
+from calib.front.responses import own
+from calib.front.test import ModalTest, Model, ResponseTest, Test
+from calib.questions.calibrate import parameters_of
+from calib.questions.compare import Answer, answer_of, write_answer
+from calib.questions.judge import Judgement
+from calib.questions.record import sensors_table
+from calib.results import Results
+from calib.updating.cases import CaseResult
+from calib.written import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from calib.front.problem import Fit
+
+CASE = "fit"
+"""What tables call the only case of a fit."""
+
+
+def compared(fit: Fit, test: Test, model: Model) -> tuple[Answer, Answer]:
+    """One test before the fit, at the adopted values, and after it."""
+    before, after = (
+        answer_of(test.problem(model), own(model, test, values)) for values in (fit.problem.space.values, fit.values)
+    )
+    return before, after
+
+
+def chosen(fit: Fit, name: str) -> tuple[Model, Test]:
+    """The test of that name with its model, or the only one; InputError for an unknown name, or none of several."""
+    pairs = {test.name: (model, test) for model, test in fit.problem.pairs}
+    if not name and len(pairs) == 1:
+        return next(iter(pairs.values()))
+    if name not in pairs:
+        what = f"there is no test {name!r}" if name else f"there are {len(pairs)} tests"
+        raise InputError(what, place="figure", remedy=f"name one of them: {', '.join(pairs)}")
+    return pairs[name]
+
+
+def draw(fit: Fit, name: str, test: str, ax: Axes | None) -> Axes:
+    """See `calib.front.problem.Fit.figure`."""
+    if name not in FIGURES:
+        raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
+    model, asked = chosen(fit, test)
+    return FIGURES[name](fit, model, asked, ax)
+
+
+def _frequency_errors(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+    from calib.report.comparison import draw_frequency_error
+
+    before, after = compared(fit, _modal(test), model)
+    return draw_frequency_error(before.table, after.table, ax)
+
+
+def _mac(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+    from calib.report.comparison import draw_mac
+
+    before, after = compared(fit, _shaped(test), model)
+    return draw_mac(before.table, after.table, ax)
+
+
+def _mac_matrix(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+    from calib.report.comparison import draw_mac_matrix
+
+    _, after = compared(fit, _shaped(test), model)
+    assert after.comparison is not None
+    return draw_mac_matrix(after.comparison.mac_table(), ax)
+
+
+def _comac(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+    from calib.report.comparison import draw_comac
+
+    before, after = compared(fit, _shaped(test), model)
+    assert before.comparison is not None and after.comparison is not None
+    return draw_comac(before.comparison.comac_table(), after.comparison.comac_table(), ax)
+
+
+def _parameters(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+    from calib.report.calibration import draw_parameters
+
+    return draw_parameters(_tables(fit)["parameters"], ax)
+
+
+FIGURES: Mapping[str, Callable[[Any, Model, Test, Any], Any]] = {
+    "frequency_errors": _frequency_errors,
+    "mac": _mac,
+    "mac_matrix": _mac_matrix,
+    "comac": _comac,
+    "parameters": _parameters,
+}
+"""Figures of a fit by name."""
+
+
+def _modal(test: Test) -> ModalTest:
+    if isinstance(test, ResponseTest):
+        raise InputError("it has no modes", place=f"test {test.name}", remedy="draw its parameters")
+    return test
+
+
+def _shaped(test: Test) -> ModalTest:
+    modal = _modal(test)
+    if not modal.used.has_shapes:
+        raise InputError("no shapes were measured", place=f"test {test.name}", remedy="draw the frequency errors")
+    return modal
+
+
+def write_pages(fit: Fit, path: Path) -> tuple[Path, ...]:
+    """See `calib.front.problem.Fit.report`."""
+    from calib.report.html.answers import Answers
+    from calib.report.html.write import page
+
+    pairs = fit.problem.pairs
+    out = []
+    for model, test in pairs:
+        where = path if len(pairs) == 1 else path.with_name(f"{path.stem}_{test.name}{path.suffix}")
+        synthetic = isinstance(test, ModalTest) and test.modes.synthetic
+        with tempfile.TemporaryDirectory() as folder:
+            _write(fit, model, test, Results(Path(folder)))
+            text = page(Answers(Path(folder), f"{model.name} against {test.name}", synthetic))
+        try:
+            with replacing(where) as draft:
+                draft.write_text(text, encoding="utf-8")
+        except OSError as fault:
+            raise InputError(
+                f"it cannot be written ({fault.strerror})", place=where, remedy="name another place"
+            ) from None
+        out.append(where)
+    return tuple(out)
+
+
+def _write(fit: Fit, model: Model, test: Test, folder: Results) -> None:
+    """The tables that the page reads."""
+    before, after = compared(fit, test, model)
+    write_answer(folder, before, "before")
+    write_answer(folder, after, "after")
+    for name, table in _tables(fit).items():
+        folder.write_table(name, table)
+    errors = fit.errors
+    folder.write_table("data_errors", errors[errors["test"] == test.name].drop(columns="test"))
+    folder.write_table("parameter_space", fit.problem.space.frame())
+    folder.write_table("assumptions", _assumed(model, test))
+    if isinstance(test, ModalTest) and test.modes.has_shapes:
+        folder.write_table(
+            "sensors", sensors_table(test.modes, [n for n in test.held_out if n not in test.modes.names])
+        )
+    folder.write_json("summary", {
+        "best_case": CASE,
+        "method": "gauss-newton",
+        "mean_freq_error_before": before.mean_freq_error,
+        "mean_freq_error_after": after.mean_freq_error,
+        "mean_mac_before": before.mean_mac,
+        "mean_mac_after": after.mean_mac,
+        "noise_mac": after.noise_mac,
+    })  # fmt: skip
+    folder.write_json("record", {
+        "notebook": True,
+        "model": model.name,
+        "questions": {
+            "compare": {"quick": False, "sentences": list(before.sentences)},
+            "calibrate": {"quick": False, "sentences": list(fit.sentences)},
+        },
+    })  # fmt: skip
+
+
+def _tables(fit: Fit) -> dict[str, pd.DataFrame]:
+    """What a fit found, as the tables of a study tell it."""
+    judgement: Judgement = fit.judgement
+    result = CaseResult(
+        name=CASE, values=judgement.values, misfit=judgement.misfit, responses={}, convergence=pd.DataFrame(),
+        asked=0, solved=0, reused=0, infeasible=0, failed=0, seconds=0.0,
+    )  # fmt: skip
+    space = fit.problem.space
+    return {
+        "parameters": parameters_of(space, [(result, judgement)]),
+        "verdicts": judgement.verdicts(space, {}),
+        "confounded": judgement.identification.confounded,
+        "unseen_directions": judgement.identification.directions,
+        "suspects_calibrated": judgement.suspects,
+        "predictions": judgement.predictions.assign(scatter="assumed" if judgement.assumed else "stated"),
+    }
+
+
+def _assumed(model: Model, test: Test) -> pd.DataFrame:
+    rows = [(a.item, a.value, a.unit, a.reason) for a in (*model.assumptions, *test.assumed)]
+    rows += [(p.name, f"{p.value:g}", p.unit, p.assumed) for p in model.space.parameters if p.assumed]
+    return pd.DataFrame(rows, columns=["item", "value", "unit", "reason"])
