@@ -349,4 +349,7 @@ class StudySettings(_Section):
 
 def schema() -> dict[str, Any]:
     """JSON schema of ``study.toml``, by which editors complete and check its keys."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **StudySettings.model_json_schema()}
+    keys = StudySettings.model_json_schema()
+    needed = keys.pop("required")
+    either = [{"required": needed}, {"required": ["base"]}]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **keys, "anyOf": either}

@@ -258,5 +258,7 @@ def _text(
         assert isinstance(given.selection, tuple)
         document["selection"] = [*given.selection, *selected]
     if begin_at:
-        document["calibration"] = {"begin_at": dict(begin_at)}
+        known = tomlkit.inline_table()
+        known.update(begin_at)
+        document["calibration"] = {"begin_at": known}
     return tomlkit.dumps(document)

@@ -281,8 +281,8 @@ def test_a_study_edited_while_running(mast, capsys, monkeypatch, workers, old, n
     load, loaded = Study.load, []
     file = mast / "study.toml"
 
-    def edited(path, *taken):
-        study = load(path, *taken)
+    def edited(path, *taken, **more):
+        study = load(path, *taken, **more)
         if not loaded:
             loaded.append(study)
             file.write_text(file.read_text().replace(old, new, 1))
