@@ -16,6 +16,7 @@ from calib.questions.phases import in_order, values_found
 from calib.questions.stale import stale_answers
 from calib.results import Results
 from calib.study import Study, StudyFile
+from calib.study_text import read_settings
 
 MODEL = """
 from calib.function import FunctionModel
@@ -219,7 +220,7 @@ def test_an_extension_holds_the_same_values_wherever_it_is(phases):
         Path(folder, "effects.py").write_text(EFFECTS)
     Path("deep/er").mkdir(parents=True)
     assert cli.answer(["extend", "two", "more", "--into", "deep/er/two_more"]) == 0
-    assert 'study = "../../../one"' in Path("deep/er/two_more/study.toml").read_text()
+    assert read_settings(Path("deep/er/two_more/study.toml")).adopted.study == "../../../one"
     assert cli.answer(["calibrate", "deep/er/two_more"]) == 0
 
 
