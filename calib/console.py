@@ -358,7 +358,8 @@ def tell_explanation(study: StudyFile, answer: Explanation, folder: Results) -> 
             numbers = numbers[0], f"{numbers[1]} (linear)"
         rows.append((r["name"], *numbers, _number(r["gamma"], 2), phi, least, remark))
     heads = ("effect", "z", "ln Bayes", "gamma", "strength, 95 %", "smallest visible", "remark")
-    _table(heads, rows, left=("remark",))
+    if rows:
+        _table(heads, rows, left=("remark",))
     found = answer.findings
     counts = len(answer.tables["atoms"]), len(answer.tables["tried"])
     tests = (
@@ -366,7 +367,10 @@ def tell_explanation(study: StudyFile, answer: Explanation, folder: Results) -> 
     )
     work = f"{_count(counts[1], 'model')} fitted, {_count(found.evaluations, 'model evaluation')}"
     say(f"\n{tests}, {work}, {answer.seconds:.0f} s.")
-    say("z is a score and no probability; ln Bayes is against the base model, for the plausible size of each effect.")
+    if rows:
+        say(
+            "z is a score and no probability; ln Bayes is against the base model, for the plausible size of each effect."
+        )
     if len(answer.errors):
         errors = [
             (

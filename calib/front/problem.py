@@ -358,10 +358,11 @@ class Problem:
     def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
         return self.space.complete(values_of(values, "values"))
 
-    def explain(self, effects: Effects, *, seed: int = 1) -> Explained:
+    def explain(self, effects: Effects = (), *, seed: int = 1) -> Explained:
         """Which of some effects the models lack: calibrate, test, fit the promising ones, check what is left.
 
-        All tests are asked together. An effect acts in every test of its model.
+        Without effects it tells whether anything is missing, and where a local change would help most. All tests are
+        asked together. An effect acts in every test of its model.
 
         Parameters
         ----------
@@ -373,7 +374,7 @@ class Problem:
         Raises
         ------
         InputError
-            Without an effect, and where too little was measured to name anything.
+            Where too little was measured to name anything.
         """
         return explained(self, self._by_model(effects), whole(seed, 0, "seed"))
 
@@ -447,7 +448,7 @@ class Fit(Shown):
         """Models against tests at the fitted values."""
         return self.problem.compare(self.values)
 
-    def explain(self, effects: Effects, *, seed: int = 1) -> Explained:
+    def explain(self, effects: Effects = (), *, seed: int = 1) -> Explained:
         """See `Problem.explain`."""
         return self.problem.explain(effects, seed=seed)
 

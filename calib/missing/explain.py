@@ -40,17 +40,16 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
     fit, could be chance; fit the most promising effects; take the scatter for understated when most modes ask for it,
     and begin anew; accept an effect, or two, when the evidence outweighs the length of the library, no parameter has to
     take an unbelievable value, no local change fits better, no fault of the measurement and no single wrong datum
-    explains about as well, and nothing organised is left.
+    explains about as well, and nothing organised is left. Without effects it is told whether anything is missing, and
+    which local change fits best.
 
     Raises
     ------
     InputError
-        Without candidates, or with too few measured modes to name anything.
+        With too few measured modes or responses to name anything.
     EvaluationError
         When the base model cannot be fitted.
     """
-    if not hypotheses.effects:
-        raise InputError("there is no effect to look for", place="explain", remedy="name a library with effects = ...")
     modes = {row.mode for row in hypotheses.rows if row.mode}
     responses = sum(not row.mode for row in hypotheses.rows)
     if modes:
@@ -117,6 +116,8 @@ class _Decision:
         )  # fmt: skip
         if check.passes(alpha):
             return found
+        if not groups:
+            return self.unlisted(found)
         singles = fits.singles(base, groups, check.named, starts)
         found = self.with_rivals(found, singles[0])
         needed = self.needed(found)
@@ -163,7 +164,7 @@ class _Decision:
         able = sorted(self.fits.hypotheses.effects, key=lambda e: e.name)
         named = self.fits.scores(base.state, able)
         able = [e for e in able if e.name in named.owners]
-        if not able:
+        if self.fits.hypotheses.effects and not able:
             raise EvaluationError("the model cannot be solved with any of the effects")
         return able, named
 
@@ -201,6 +202,13 @@ class _Decision:
             return None
         credible = tuple(dict.fromkeys(name for t in pair for name in t.names))
         return self.done(found, (*lead.singles, *pairs), "two_effects", pair[0], check, credible)
+
+    def unlisted(self, found: Findings) -> Findings:
+        """What is told where no effect is listed: the local change that fits best, or where the fit is worst."""
+        found = self.with_rivals(found, found.base)
+        verdict = "none_explains" if found.base_check.p_family <= found.alpha else "misfit_unlocated"
+        scale, evaluations = self.scale(found.base, found.atom), self.fits.hypotheses.evaluations
+        return replace(found, verdict=verdict, measured_scale=scale, evaluations=evaluations)
 
     def unexplained(self, found: Findings, lead: _Lead, pairs: Sequence[Trial], needed: float) -> Findings:
         """What is told where nothing may be named."""

@@ -251,11 +251,14 @@ class Refits:
     def best_atom(self, base: Trial, found: Scores, named: Scores, best: Trial) -> Trial | None:
         """The unnamed local change with the largest score, fitted; not one that only says what the best effect says.
 
+        ``best`` is the base model where there is no effect.
+
         A change of a part comes before something added at a sensor: that must fit clearly better.
         """
         usable = np.array(found.strength)
-        column = named.unit[:, named.best(best.names[0])]
-        usable[np.abs(found.unit.T @ column) > SAME] = -np.inf
+        if best.names:
+            column = named.unit[:, named.best(best.names[0])]
+            usable[np.abs(found.unit.T @ column) > SAME] = -np.inf
         scales = np.array([bool(self.by_name[n].part) for n in found.owners], dtype=bool)
         part, other = (
             int(np.argmax(np.where(own, usable, -np.inf))) if own.any() else None for own in (scales, ~scales)

@@ -93,7 +93,7 @@ def _family(found: Findings) -> str:
     check = found.base_check
     local = f"{len(set(check.atoms.owners))} local changes"
     tested = sum(len(g.names) for g in found.groups)
-    counts = f"{tested} effect{'s' * (tested != 1)} and {local}"
+    counts = f"{tested} effect{'s' * (tested != 1)} and {local}" if tested else local
     return (
         f"with the model complete the chance of such scores is {_chance(check.p_family)} (family-wise over {counts}) "
         f"and of such a misfit as a whole {_chance(check.p_fit)}"
@@ -101,7 +101,7 @@ def _family(found: Findings) -> str:
 
 
 def _nothing(found: Findings, effects: pd.DataFrame) -> list[str]:
-    if not effects["visible"].astype(bool).any():
+    if found.groups and not effects["visible"].astype(bool).any():
         return [
             "Nothing can be told: no effect of the library would show in these data at a plausible size. "
             f"What they show fits: {_family(found)}."
@@ -260,7 +260,7 @@ def _rest(found: Findings) -> str:
     atom = found.atom
     if atom is None:
         return ""
-    better = found.chosen is None or atom.ln_evidence > found.chosen.ln_evidence
+    better = bool(found.groups) and (found.chosen is None or atom.ln_evidence > found.chosen.ln_evidence)
     words = "fits better than every listed effect" if better else "is where an unnamed local change would help most"
     told = local_change(atom).told
     return f"A local change, {told}, {words}; that is a place to look at, not a cause."
@@ -280,7 +280,8 @@ def _partial(found: Findings, effects: pd.DataFrame) -> list[str]:
 
 
 def _none(found: Findings, effects: pd.DataFrame) -> list[str]:
-    out = [f"Organised misfit that no listed effect explains: {_family(found)}."]
+    what = "Organised misfit that no listed effect explains" if found.groups else "Something is missing"
+    out = [f"{what}: {_family(found)}."]
     if found.chosen is not None:
         out.append(f"The best attempt, {_titled(effects, found.chosen.names[0])}, is not believed: {_why_not(found)}.")
     return [*out, _rest(found)]

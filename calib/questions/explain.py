@@ -114,14 +114,15 @@ def explain(
 ) -> Explanation:
     """Find which effect of the study's library its model lacks; write all tables and ``explanation.json``.
 
+    Without a library, or with all of it in the model, local changes alone are asked.
+
     ``home`` holds the reduced basis, which whole and quick runs share; by default it is ``results``.
 
     Raises
     ------
     InputError
-        When the study names no effects, all of them are in the model, or too little was measured.
+        When too little was measured.
     """
-    require_candidates(study)
     for effect in study.candidates:  # one that cannot be built is told by its name, before anything is solved
         with_effects(study.model, [effect], str(study.file))
     if study.measured is not None:
@@ -136,20 +137,6 @@ def explain(
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     write_record(study, results, "explain", seeds)
     return answer
-
-
-def require_candidates(study: AnyStudy) -> None:
-    """InputError where there is nothing that the study's model may lack."""
-    if not study.library:
-        raise InputError(
-            "the study names no effects that its model may lack", place=study.file,
-            remedy='add effects = "module:function" (the tutorial of studies/five_mass_chain shows how)',
-        )  # fmt: skip
-    if not study.candidates:
-        raise InputError(
-            "every effect of the library is in the model already", place=study.file,
-            remedy="add another one to the library, or explain the study it was extended from",
-        )  # fmt: skip
 
 
 def side_of(study: Study, home: Results, progress: Progress, local: tuple[Atom, ...] | None = None) -> Side:

@@ -13,7 +13,7 @@ from calib.errors import InputError
 from calib.joint import of_test
 from calib.loading import with_effects
 from calib.missing.explain import require_modes
-from calib.questions.explain import Progress, Side, answered, decided, keep, require_candidates, side_of
+from calib.questions.explain import Progress, Side, answered, decided, keep, side_of
 from calib.questions.explained_fit import TABLE, explained_fits
 from calib.questions.explanation import Explanation
 from calib.questions.joint_record import write_joint_record
@@ -37,7 +37,6 @@ def explain_jointly(
 
     ``folders`` are those of the tests, by name: they keep the reduced bases, and what each test says of the answer.
     """
-    require_candidates(study)
     for one in study.studies:
         for effect in one.candidates:  # one that cannot be built is told by its name, before anything is solved
             with_effects(one.model, [effect], str(study.file))

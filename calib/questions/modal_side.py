@@ -191,6 +191,8 @@ class ModalSide:
         named = found.base_check.named
         if found.verdict == "none_explains" and found.atom is not None:  # to see where what is unexplained lies
             candidates, named = list(found.atom.effects), found.base_check.atoms
+        if not candidates:
+            return None
         draws, seed = self.told.draws, self.told.seed
         return modal_prospects(
             self.hypotheses, found.believed, candidates, named, found.noise_scale, withheld, draws, seed

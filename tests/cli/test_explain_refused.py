@@ -22,16 +22,25 @@ def refused(arguments, capsys, *words):
     return said
 
 
-def test_a_study_without_effects(guyed, capsys, edit):
+def test_a_study_without_effects_is_told_the_place(guyed, capsys, edit, explanation):
     edit(guyed, 'effects = "effects.py:library"\n', "")
-    refused(["explain", "mast"], capsys, "names no effects", "add effects = ")
+    assert cli.answer(["explain", "mast"]) == 0
+    found = explanation()
+    assert found["verdict"] == "none_explains" and found["effects"] == [] and found["p_family"] < 0.01
+    assert found["local_change"]["name"] in Path("results/mast/atoms.csv").read_text()
+    assert "0 effects" in capsys.readouterr().out
 
 
-def test_a_study_whose_model_has_all_effects_is_told_what_to_do(guyed, capsys, edit):
+def test_a_model_that_has_all_effects_lacks_nothing_more(guyed, edit, explanation):
     edit(guyed, "selection =", 'with_effects = ["lamp", "platform", "guy", "stuck_base"]\nselection =')
-    refused(
-        ["explain", "mast"], capsys, "every effect of the library is in the model already", "already; ", "study.toml"
+    text = (guyed / "study.toml").read_text()
+    edit(
+        guyed,
+        text[text.index("selection = [") :].split("]")[0],
+        f'{text[text.index("selection = [") :].split("]")[0]}, "guy"',
     )
+    assert cli.answer(["explain", "mast"]) == 0
+    assert explanation()["verdict"] == "nothing_detectable"
 
 
 @pytest.mark.parametrize("worthwhile_dofs", [reduction.WORTHWHILE_DOFS, 10])

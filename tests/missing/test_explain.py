@@ -191,8 +191,14 @@ def test_progress_is_told(toy):
 def test_too_little_to_decide_on(toy):
     with pytest.raises(InputError, match="3 measured modes cannot tell"):
         explain(toy(modes=3))
-    with pytest.raises(InputError, match="no effect to look for"):
-        explain(toy(effects=0))
+
+
+def test_without_effects_the_place_is_told(toy):
+    found = explain(toy(effects=0).drawn(np.random.default_rng(7), {"A5": 1.5}))
+    assert found.verdict == "none_explains" and found.atom is not None and found.atom.names == ("A5",)
+    assert found.groups == () and found.chosen is None and not found.names_something
+    complete = explain(toy(effects=0).drawn(np.random.default_rng(7), {}))
+    assert complete.verdict == "nothing_detectable" and complete.atom is None
 
 
 def test_a_local_change_that_fits_better_forbids_a_name(toy):

@@ -124,10 +124,14 @@ def refused(study, tmp_path, match):
     return told.value
 
 
-def test_a_study_without_effects_is_told_how_to_name_some(mast, edited, tmp_path):
-    folder = edited(mast.write_study(tmp_path / "mast"), 'effects = "effects.py:library"\n', "")
-    fault = refused(Study.load(folder), tmp_path, "names no effects")
-    assert "effects = " in fault.remedy and "study.toml" in str(fault.place)
+def test_a_study_without_effects_is_asked_about_local_changes(mast, edited, tmp_path):
+    folder = edited(mast.write_study(tmp_path / "mast", {"guy": 12000.0}), 'effects = "effects.py:library"\n', "")
+    study = Study.load(folder)
+    answer = explain(study, Results.at(tmp_path / "results", study.name))
+    assert answer.verdict == "none_explains" and len(answer.effects) == 0
+    atom = answer.findings.atom
+    assert atom is not None and answer.findings.ln_bayes(atom) > 10
+    assert len(answer.tables["atoms"]) > 5 and answer.tables["confounding"].empty
 
 
 def test_too_few_responses_are_told(chain_folder, tmp_path):
