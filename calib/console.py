@@ -368,9 +368,8 @@ def tell_explanation(study: StudyFile, answer: Explanation, folder: Results) -> 
     work = f"{_count(counts[1], 'model')} fitted, {_count(found.evaluations, 'model evaluation')}"
     say(f"\n{tests}, {work}, {answer.seconds:.0f} s.")
     if rows:
-        say(
-            "z is a score and no probability; ln Bayes is against the base model, for the plausible size of each effect."
-        )
+        against = "ln Bayes is against the base model, for the plausible size of each effect"
+        say(f"z is a score and no probability; {against}.")
     if len(answer.errors):
         errors = [
             (

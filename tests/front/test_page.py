@@ -1,0 +1,65 @@
+"""Figures and the page of a fit show its tables."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import calib
+from calib.report.html.numbers import significant
+from models.four_storey_rig import four_storey_rig
+
+STUDIES = Path(__file__).resolve().parents[2] / "studies"
+
+
+@pytest.fixture(scope="module")
+def fit():
+    modes = calib.read_modes(STUDIES / "four_storey_rig/measured.csv", repeats=100, std_of="repeat")
+    return calib.Problem(four_storey_rig(), calib.ModalTest(modes, mode_count=4)).calibrate(["k1", "k2", "k3", "k4"])
+
+
+def test_bars_are_the_errors_of_the_tables(fit):
+    ax = Figure().add_subplot()
+    assert fit.figure("frequency_errors", ax) is ax
+    before, after = (ax.containers[k].datavalues for k in (0, 1))
+    np.testing.assert_allclose(before, 100 * fit.problem.compare().table["freq_error"])
+    np.testing.assert_allclose(after, 100 * fit.compare().table["freq_error"], atol=1e-9)
+
+
+def test_parameters_are_drawn_between_their_limits(fit):
+    ax = fit.figure("parameters")
+    p = fit.problem.space.free
+    widths = sorted(patch.get_width() for patch in ax.patches if patch.get_width() > 0)
+    places = sorted(100 * (fit.values[q.name] - q.lower) / (q.upper - q.lower) for q in p)
+    assert set(np.round(places, 6)) <= set(np.round(widths, 6))
+
+
+def test_the_page_holds_every_value(fit, tmp_path):
+    (page,) = fit.report(tmp_path / "report.html")
+    text = page.read_text()
+    told = fit.parameters
+    assert all(name in text for name in told.index)
+    assert all(significant(value, 5) in text for value in told["value"])
+    assert "Not asked" not in text and "http://" not in text.split("<script")[0]
+
+
+def test_several_tests_have_a_page_each(tmp_path):
+    space = calib.ParameterSpace((calib.Parameter("k", 3.0, 1.0, 9.0),))
+    model = calib.FunctionModel("spring", space, lambda v: {"u": 1 / v["k"], "w": v["k"] ** 2})
+    tests = [calib.ResponseTest({"u": (0.25, 0.001), "w": (16.0, 0.1)}, name=name) for name in ("a", "b")]
+    fit = calib.Problem(model, tests).calibrate()
+    assert [p.name for p in fit.report(str(tmp_path / "page.html"))] == ["page_a.html", "page_b.html"]
+    with pytest.raises(calib.InputError):
+        fit.figure("parameters")
+    assert fit.figure("parameters", test="b") is not None
+    with pytest.raises(calib.InputError):
+        fit.figure("frequency_errors", test="b")
+
+
+def test_what_cannot_be_drawn_or_written_is_refused(fit, tmp_path):
+    for name in ("nothing", "mac"):  # no shapes were measured
+        with pytest.raises(calib.InputError):
+            fit.figure(name)
+    with pytest.raises(calib.InputError):
+        fit.report(tmp_path / "nowhere/report.html")
