@@ -254,9 +254,10 @@ class StudySettings(_Section):
     """The whole file.
 
     ``base`` is another study, of which everything is taken that this file does not say anew (tables key by key, lists
-    whole); paths in it are relative to its own folder. ``depends_on`` names files, relative to the study's folder, that
-    the model reads: input of a solver, tables. What was measured stands under ``[measurement]``, or test by test under
-    ``[[tests]]``. Without a ``selection`` every free parameter is fitted.
+    whole); paths in it are relative to its own folder. Of several places of it the first that is there counts.
+    ``depends_on`` names files, relative to the study's folder, that the model reads: input of a solver, tables. What
+    was measured stands under ``[measurement]``, or test by test under ``[[tests]]``. Without a ``selection`` every free
+    parameter is fitted.
     """
 
     title: str
@@ -265,7 +266,7 @@ class StudySettings(_Section):
     depends_on: tuple[PathText, ...] = ()
     effects: PathText | None = Field(default=None, pattern=FUNCTION)
     with_effects: tuple[str, ...] = ()
-    base: PathText | None = None
+    base: PathText | tuple[PathText, ...] | None = None
     measurement: MeasurementSettings = MeasurementSettings()
     tests: tuple[TestSettings, ...] = ()
     withheld: WithheldSettings = WithheldSettings()

@@ -50,13 +50,13 @@ def read_layers(file: Path) -> tuple[Layer, ...]:
     layers, folder = [_layer(file)], file.resolve().parent
     while (base := layers[-1].data.get("base")) is not None:
         last = layers[-1]
-        if not isinstance(base, str):
+        given = base if isinstance(base, list) else [base]
+        if not given or not all(isinstance(one, str) for one in given):
             raise InputError(f"base = {base!r} is no path", place=place_of(layers[-1:], "base"))
-        path = last.file.resolve().parent / base
-        path = path if path.suffix == ".toml" else path / "study.toml"
-        if not path.is_file():
+        path = base_of(last.file, given)
+        if path is None:
             raise InputError(
-                f"there is no study {base!r} to build on", place=place_of(layers[-1:], "base"),
+                f"there is no study {' or '.join(map(repr, given))} to build on", place=place_of(layers[-1:], "base"),
                 remedy="base is a folder with a study.toml, relative to this study's",
             )  # fmt: skip
         if path.resolve() in [layer.file.resolve() for layer in layers]:
@@ -66,6 +66,16 @@ def read_layers(file: Path) -> tuple[Layer, ...]:
             )  # fmt: skip
         layers.append(_layer(path))
     return tuple(replace(layer, data=_moved(layer.data, layer.file.resolve().parent, folder)) for layer in layers)
+
+
+def base_of(file: Path, base: str | Sequence[str]) -> Path | None:
+    """The file of the study that another one builds on, the first that is there; None without one."""
+    for one in (base,) if isinstance(base, str) else base:
+        path = file.resolve().parent / one
+        path = path if path.suffix == ".toml" else path / "study.toml"
+        if path.is_file():
+            return path
+    return None
 
 
 def place_of(layers: Sequence[Layer], *keys: int | str) -> str:

@@ -11,7 +11,8 @@ from calib.errors import InputError
 from calib.missing.findings import Findings
 from calib.questions.stale import stale_answers
 from calib.results import Results
-from calib.study import Study, StudyFile, study_file
+from calib.study import Study, StudyFile
+from calib.study_text import base_of
 from calib.table import read_rows
 
 TABLE = "explained_fits"
@@ -43,9 +44,9 @@ def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
         Of the whole study; answers of the other study are in the folder beside it.
     """
     asked = [(study.file, home.path)]
-    came_from = study.settings.base
-    if came_from is not None:
-        parent = study_file(study.file.resolve().parent / came_from)
+    base = study.settings.base
+    parent = None if base is None else base_of(study.file, base)
+    if parent is not None:
         asked.append((parent, home.path.parent / parent.parent.name))
     space, effects = study.search_space, _key(*study.settings.with_effects)
     for file, folder in asked:

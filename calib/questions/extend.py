@@ -78,9 +78,9 @@ def extend_among(
     Its least squares begin at given values too, such as those of an explanation, which has fitted the same model; not
     where the selection is left to a sensitivity analysis, which may not select them.
 
-    It leads to what it builds on by an absolute path, so that the folder may be moved. One that is there and says the
-    same stays as it is; another is replaced as long as it is what was written here, and kept beside it under a name
-    with `EARLIER` at its end when anything in it was changed or added.
+    It leads to what it builds on in two ways, so that it may be moved, by itself or together with that. One that is
+    there and says the same stays as it is; another is replaced as long as it is what was written here, and kept beside
+    it under a name with `EARLIER` at its end when anything in it was changed or added.
     """
     folder = _place_among(study, results)
     new = folder.parent.resolve() / folder.name
@@ -130,16 +130,16 @@ def _candidates(study: AnyStudy, names: Sequence[str]) -> tuple[Effect, ...]:
 
 # -- writing -----------------------------------------------------------------------------------------------------------
 
-Leading = Callable[[Path, Path], str]
-"""How a path is written that leads from the new folder to a place outside."""
+Leading = Callable[[Path, Path], str | list[str]]
+"""How a new folder names what it builds on, which may be asked for in several places."""
 
 
 def _beside(goal: Path, new: Path) -> str:
     return Path(os.path.relpath(goal, new)).as_posix()
 
 
-def _anywhere(goal: Path, new: Path) -> str:
-    return goal.as_posix()
+def _anywhere(goal: Path, new: Path) -> list[str]:
+    return [_beside(goal, new), goal.as_posix()]
 
 
 @contextlib.contextmanager

@@ -14,8 +14,8 @@ from calib.questions.record import questions_of
 from calib.questions.stale import stale_answers
 from calib.questions.state import measurement_digest
 from calib.results import Results
-from calib.study import StudyFile, shell_argument, study_file
-from calib.study_text import read_settings
+from calib.study import StudyFile, shell_argument
+from calib.study_text import base_of, read_settings
 from calib.table import read_table
 
 COLUMNS = ("version", "study", "effects", "group", "rms", "expected")
@@ -56,7 +56,9 @@ def write_versions(study: StudyFile, root: Path) -> Versions:
     file, settings = study.file, study.settings
     notes: list[str] = []
     while settings.base is not None and len(chain) < MOST:
-        file = study_file(file.resolve().parent / settings.base).resolve()
+        older = base_of(file, settings.base)
+        assert older is not None  # or the study could not have been read
+        file = older.resolve()
         settings = read_settings(file)
         if not set(settings.with_effects) < set(chain[-1][1]):
             break  # another study, of which something else is taken

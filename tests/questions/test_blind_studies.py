@@ -176,11 +176,8 @@ def test_the_extended_model_predicts_withheld_sensors_better(explained, tmp_path
     (name,) = written(explained(HIDDEN))[0]["credible_set"]
     study = str(ROOT / "studies" / HIDDEN)
     assert cli.answer(["extend", study, name, "--into", "bogie_2"]) == 0
-    text = Path("bogie_2/study.toml").read_text()
-    fast = text.replace("[calibration]", '[calibration]\nmethod = "gauss-newton"', 1)
-    fast = re.sub(r'\n    \{ name = "GB2", seed = 2 \},', "", fast)
-    assert fast.count("seed = 2") == 0 and "gauss-newton" in fast
-    Path("bogie_2/study.toml").write_text(fast)
+    with Path("bogie_2/study.toml").open("a") as file:
+        file.write('\n[calibration]\nmethod = "gauss-newton"\ncases = [{ name = "GB1", seed = 1 }]\n')
     assert cli.answer(["calibrate", "bogie_2", "--results", str(results), "--workers", "1"]) == 0
     assert cli.answer(["report", "bogie_2", "--results", str(results)]) == 0
     assert "Errors in units of the scatter over the versions of the model" in capsys.readouterr().out
