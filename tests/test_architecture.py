@@ -17,7 +17,7 @@ RANKS = (
     {"joint", "limits", "ledger", "loading", "executor", "study_text"},
     {"study"},
     {"several"},
-    {"sensitivity", "updating"},
+    {"sensitivity", "inference"},
     {"missing"},
     {"questions"},
     {"report"},
@@ -28,11 +28,11 @@ RANKS = (
 RANK = {name: k for k, names in enumerate(RANKS) for name in names}
 # Apart from ranks: searches know neither finite elements nor files, pictures know tables only.
 FORBIDDEN = {
-    "updating": {"structure", "measurement", "correlation", "study", "settings"},
+    "inference": {"structure", "measurement", "correlation", "study", "settings"},
     "sensitivity": {"structure", "measurement", "correlation", "study", "settings"},
     "missing": {"structure", "measurement", "correlation", "study", "settings"},
     "report": set(RANK) - {"errors", "table", "named_values", "written", "report"},
-    "structure": {"correlation", "study", "updating", "sensitivity"},
+    "structure": {"correlation", "study", "inference", "sensitivity"},
 }
 
 

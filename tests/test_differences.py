@@ -9,8 +9,8 @@ from calib.correlation.problem import FunctionProblem
 from calib.correlation.response_residual import ResponseResidual
 from calib.differences import central_jacobian, difference
 from calib.errors import EvaluationError, InputError
+from calib.inference.gauss_newton import Prior, fit
 from calib.space import Parameter, ParameterSpace
-from calib.updating.gauss_newton import Prior, fit
 
 WHOLE = Parameter("n", 4.0, 2.0, 8.0, integer=True)
 

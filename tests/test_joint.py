@@ -8,12 +8,12 @@ import pytest
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.response_residual import ResponseResidual
 from calib.errors import EvaluationError, InputError
+from calib.inference.gauss_newton import Prior, fit
+from calib.inference.identify import posterior
+from calib.inference.whole_numbers import fit_mixed
 from calib.joint import JointProblem, joined
 from calib.problem import Problem
 from calib.space import LinearConstraint, Parameter, ParameterSpace
-from calib.updating.gauss_newton import Prior, fit
-from calib.updating.identify import posterior
-from calib.updating.whole_numbers import fit_mixed
 
 TRUTH = {"k": 40.0, "m": 10.0}
 

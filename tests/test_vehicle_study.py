@@ -14,6 +14,8 @@ import pytest
 
 from calib import cli
 from calib.evaluate import Evaluator
+from calib.inference.cases import Case, run_case
+from calib.inference.genetic import GeneticSettings
 from calib.ledger import Ledger
 from calib.mac import mac
 from calib.questions.case import objective_of
@@ -21,8 +23,6 @@ from calib.questions.every_mode import all_stages, every_mode
 from calib.sampling import sample
 from calib.structure.training import train_basis
 from calib.study import Study
-from calib.updating.cases import Case, run_case
-from calib.updating.genetic import GeneticSettings
 from models.railway import vehicle
 from models.railway.parameters import BOGIE, CAR
 

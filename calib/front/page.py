@@ -12,12 +12,12 @@ import pandas as pd
 from calib.errors import InputError
 from calib.front.responses import own
 from calib.front.test import ModalTest, Model, ResponseTest, Test
+from calib.inference.cases import CaseResult
 from calib.questions.calibrate import parameters_of
 from calib.questions.compare import Answer, answer_of, write_answer
 from calib.questions.judge import Judgement
 from calib.questions.record import sensors_table
 from calib.results import Results
-from calib.updating.cases import CaseResult
 from calib.written import replacing
 
 if TYPE_CHECKING:

@@ -24,6 +24,7 @@ from calib.given import names as names_of
 from calib.given import objects, whole
 from calib.given import path as path_of
 from calib.given import values as values_of
+from calib.inference.genetic import GeneticSettings
 from calib.joint import JointProblem
 from calib.problem import Counts
 from calib.problem import Problem as Posed
@@ -35,7 +36,6 @@ from calib.space import ParameterSpace
 from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
-from calib.updating.genetic import GeneticSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -256,7 +256,7 @@ class Problem:
             only one.
         population, generations : int
             Each case asks for ``population * generations`` points; further settings are those of
-            `calib.updating.genetic.GeneticSettings`.
+            `calib.inference.genetic.GeneticSettings`.
         seed : int
             Of the first case. Same seed, same fit, whatever the executor.
         executor : concurrent.futures.Executor or calib.executor.Injected, optional
@@ -410,7 +410,7 @@ class Fit(Shown):
     def parameters(self) -> Any:
         """One row a fitted parameter: value, standard deviation, and whether the data determine it.
 
-        Columns as of `calib.updating.verdicts.parameter_verdicts`; the index is the parameter.
+        Columns as of `calib.inference.verdicts.parameter_verdicts`; the index is the parameter.
         """
         return self.judgement.verdicts(self.problem.space, {}).set_index("parameter")
 

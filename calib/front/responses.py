@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from calib.evaluate import Evaluator
 from calib.executor import ExecutorEvaluator, Injected
 from calib.front.test import Model, Test
+from calib.inference.objective import JointObjective, Objective
 from calib.outcome import Function
 from calib.questions.case import objective_for
 from calib.questions.sensitivity import sensitivity_responses
 from calib.study import ForwardProblem
-from calib.updating.objective import JointObjective, Objective
 
 if TYPE_CHECKING:
     from calib.front.problem import Problem

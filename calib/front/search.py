@@ -11,13 +11,7 @@ import pandas as pd
 
 from calib.executor import Injected
 from calib.front.responses import Responses
-from calib.ledger import Ledger
-from calib.questions.case import POLISH_REFITS
-from calib.questions.failures import reasons_sentence, stored_reasons
-from calib.questions.judge import Judgement, Shared, ended, fitted
-from calib.sampling import sample
-from calib.space import ParameterSpace
-from calib.updating.cases import (
+from calib.inference.cases import (
     Agreement,
     Case,
     CaseResult,
@@ -26,7 +20,13 @@ from calib.updating.cases import (
     parameters_table,
     run_case,
 )
-from calib.updating.genetic import GeneticSettings
+from calib.inference.genetic import GeneticSettings
+from calib.ledger import Ledger
+from calib.questions.case import POLISH_REFITS
+from calib.questions.failures import reasons_sentence, stored_reasons
+from calib.questions.judge import Judgement, Shared, ended, fitted
+from calib.sampling import sample
+from calib.space import ParameterSpace
 
 if TYPE_CHECKING:
     from calib.front.problem import Problem
@@ -69,12 +69,12 @@ class Searched:
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Where each case ended; see `calib.updating.cases.parameters_table`."""
+        """Where each case ended; see `calib.inference.cases.parameters_table`."""
         return parameters_table(self.cases, self.space)
 
     @property
     def convergence(self) -> pd.DataFrame:
-        """Misfit over the generations; see `calib.updating.cases.convergence_table`."""
+        """Misfit over the generations; see `calib.inference.cases.convergence_table`."""
         return convergence_table(self.cases)
 
     @property

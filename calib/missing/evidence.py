@@ -10,8 +10,8 @@ from scipy.optimize import minimize_scalar
 from scipy.special import log_ndtr
 
 from calib.effect import Effect
+from calib.inference.region import ACTIVE
 from calib.missing.state import State
-from calib.updating.region import ACTIVE
 
 CREDIBLE = 3.0
 """Effects whose log evidence is within this of the best belong to the credible set (odds of 20:1)."""

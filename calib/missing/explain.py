@@ -11,13 +11,13 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
+from calib.inference.left_out import left_out
 from calib.missing.alike import Group, grouped
 from calib.missing.anew import anew, led_astray
 from calib.missing.evidence import CREDIBLE, at_lower
 from calib.missing.findings import Check, Findings, Trial, WrongDatum
 from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.hypotheses import Hypotheses
-from calib.missing.left_out import left_out
 from calib.missing.pairs import alone, fit_pairs
 from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
 from calib.missing.score import Scores, family_p

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from calib.effect import Effect
+from calib.inference.gauss_newton import LeastSquares
 from calib.problem import Label
 from calib.space import ParameterSpace
-from calib.updating.gauss_newton import LeastSquares
 
 
 class Question(LeastSquares, Protocol):

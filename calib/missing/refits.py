@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
+from calib.inference.gauss_newton import FitSettings
 from calib.missing.alike import Group
 from calib.missing.allowance import Allowance
 from calib.missing.evidence import CREDIBLE, ln_bayes_linear, ln_evidence
@@ -19,7 +20,6 @@ from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.score import Scores, scores
 from calib.missing.state import FINE, ROUGH, State, fitted, grown, nearest_whole
-from calib.updating.gauss_newton import FitSettings
 
 SAME = 0.98
 """Correlation of fingerprints from which a local change says the same as a named effect."""

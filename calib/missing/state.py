@@ -12,8 +12,9 @@ import numpy as np
 import scipy.linalg as la
 
 from calib.errors import EvaluationError
+from calib.inference.gauss_newton import FitSettings, Prior, fit
+from calib.inference.identify import posterior
 from calib.missing.hypotheses import Question
-from calib.updating.gauss_newton import FitSettings, Prior, fit
 
 FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8, evaluations=40)
 """A thousandth of a unit of the sum of squares is far below anything that decides; fits that converge need about ten
@@ -86,9 +87,8 @@ class State:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Posterior covariance ``(G^T G + diag(1/s^2))^-1`` in the parameters' own units, (p, p)."""
-        inverse = la.inv(self.scaled_information)
-        return inverse * np.outer(self.prior_sd, self.prior_sd)
+        """Posterior covariance in the parameters' own units, (p, p); see `calib.inference.identify.posterior`."""
+        return posterior(self.names, self.slope, self.prior_sd).covariance
 
     def outside(self, columns: np.ndarray) -> np.ndarray:
         """What of changes of the data, (n_rows, m), the parameters cannot absorb: ``P [g; 0]``, (n_rows + p, m)."""

@@ -94,7 +94,7 @@ def suspects(
     """Leave out every datum in turn, where the fit as a whole fails, and tell which of them alone is to blame.
 
     With e the residual and ``H = G V G^T`` the hat matrix of a fit (G its slope, V its posterior covariance), data b
-    are predicted by all others with the error ``e_(-b) = (I - H_bb)^-1 e_b`` (see `calib.missing.left_out`), so that
+    are predicted by all others with the error ``e_(-b) = (I - H_bb)^-1 e_b`` (see `calib.inference.left_out`), so that
     leaving them out lowers the sum of squares by ``chi2_b = e_b^T e_(-b)``; all others move to ``e + H_b e_(-b)``.
     That is exact for a linear model, and nothing is fitted again. ``p`` is the chance of such a value of chi2_b times
     the number of data that were tried (Bonferroni, as in the test of studentised residuals; Cook and Weisberg 1982);

@@ -15,6 +15,8 @@ import pandas as pd
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.scatter import known_scatter
 from calib.errors import EvaluationError, InputError
+from calib.inference.cases import Agreement, Case, CaseResult, agreement, convergence_table, parameters_table
+from calib.inference.verdicts import identified_sentence
 from calib.ledger import Ledger
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.questions.case import CaseFinder, CaseFound, SearchProgress
@@ -34,8 +36,6 @@ from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.study import Study, StudyFile
-from calib.updating.cases import Agreement, Case, CaseResult, agreement, convergence_table, parameters_table
-from calib.updating.verdicts import identified_sentence
 
 Method: TypeAlias = Literal["genetic", "gauss-newton"]
 

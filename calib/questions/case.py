@@ -14,6 +14,9 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
+from calib.inference.cases import Case, CaseResult, run_case
+from calib.inference.genetic import GeneticSettings
+from calib.inference.objective import FrequencyMacObjective, ResponseObjective
 from calib.ledger import Ledger
 from calib.outcome import Outcome, answered, as_cause, key_of
 from calib.problem import Counts, Pair, Problem
@@ -27,9 +30,6 @@ from calib.questions.user_function import function_of, kept_under
 from calib.results import Results
 from calib.sampling import sample
 from calib.study import ForwardProblem, Study, StudyFile
-from calib.updating.cases import Case, CaseResult, run_case
-from calib.updating.genetic import GeneticSettings
-from calib.updating.objective import FrequencyMacObjective, ResponseObjective
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
 SearchProgress = Callable[[str, int, int, float], None]

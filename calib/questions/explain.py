@@ -14,6 +14,7 @@ import pandas as pd
 from calib.correlation.problem import FunctionProblem
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
+from calib.inference.left_out import left_out
 from calib.loading import with_effects
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
@@ -24,7 +25,6 @@ from calib.missing.evidence import CREDIBLE
 from calib.missing.findings import Findings, Trial
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Hypotheses, Scaled
-from calib.missing.left_out import left_out
 from calib.missing.profile import profile_interval
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import (

@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import InputError, ToleranceError
+from calib.inference.cases import Case, CaseResult
+from calib.inference.verdicts import identified_sentence
 from calib.joint import JointProblem, of_test
 from calib.ledger import Ledger
 from calib.outcome import answered
@@ -28,8 +30,6 @@ from calib.results import Results
 from calib.sampling import sample
 from calib.several import JointStudy
 from calib.study import ForwardProblem, Study
-from calib.updating.cases import Case, CaseResult
-from calib.updating.verdicts import identified_sentence
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,11 @@ from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.errors import EvaluationError
 from calib.freedom import effective_freedom
+from calib.inference.gauss_newton import FitResult, Prior
+from calib.inference.identify import Identification, identify, prediction_interval
+from calib.inference.region import InfeasibleError
+from calib.inference.verdicts import parameter_verdicts, whole_number_std
+from calib.inference.whole_numbers import MixedResult, fit_mixed
 from calib.joint import JointProblem
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, misfit_factor, overall
@@ -24,11 +29,6 @@ from calib.problem import Counts, Pair, Problem
 from calib.questions.scatter import assumed_words
 from calib.space import ParameterSpace
 from calib.study import ForwardProblem, Study
-from calib.updating.gauss_newton import FitResult, Prior
-from calib.updating.identify import Identification, identify, prediction_interval
-from calib.updating.region import InfeasibleError
-from calib.updating.verdicts import parameter_verdicts, whole_number_std
-from calib.updating.whole_numbers import MixedResult, fit_mixed
 
 FitProgress = Callable[[int, int, float], None]
 Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
@@ -128,7 +128,7 @@ class Judgement:
     assumed: str = ""
 
     def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
-        """One verdict a parameter; see `calib.updating.identify.parameter_verdicts`."""
+        """One verdict a parameter; see `calib.inference.identify.parameter_verdicts`."""
         table = parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits, self.birge)
         if not self.assumed:
             return table.assign(scatter="stated")

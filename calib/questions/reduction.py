@@ -96,7 +96,7 @@ class Reduction:
         return self.problem.model.basis
 
     def certifier(self, ledger: Ledger) -> Callable[[Outcome], Outcome]:
-        """What `calib.updating.cases.run_case` asks of every would-be best point."""
+        """What `calib.inference.cases.run_case` asks of every would-be best point."""
         exact = Evaluator(lambda: self.full.evaluate)
 
         def certify(outcome: Outcome) -> Outcome:

@@ -16,9 +16,9 @@ from calib.correlation.responses import response_rows
 from calib.correlation.scatter import Floors
 from calib.correlation.unused import group_table, withheld_errors
 from calib.freedom import KNOWN, behind, chance, effective_freedom
-from calib.missing.left_out import left_out
+from calib.inference.identify import posterior, with_held
+from calib.inference.left_out import left_out
 from calib.study import Study, Targets
-from calib.updating.identify import posterior, with_held
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 

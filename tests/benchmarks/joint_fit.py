@@ -21,14 +21,14 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.residual import ModalResidual
+from calib.inference.gauss_newton import fit
+from calib.inference.identify import Posterior, posterior
+from calib.inference.whole_numbers import fit_mixed
 from calib.joint import JointProblem
 from calib.problem import Problem
 from calib.space import ParameterSpace
 from calib.study import Study
 from calib.study_text import read_settings
-from calib.updating.gauss_newton import fit
-from calib.updating.identify import Posterior, posterior
-from calib.updating.whole_numbers import fit_mixed
 
 ROOT = Path(__file__).resolve().parents[2]
 TRUTH = ROOT / "tests/truth"

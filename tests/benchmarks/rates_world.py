@@ -42,7 +42,7 @@ from calib.structure.variants import Variants
 from calib.study import Study
 
 ANSWERING = (
-    "calib/missing", "calib/structure", "calib/correlation", "calib/updating", "calib/measurement", "models",
+    "calib/missing", "calib/structure", "calib/correlation", "calib/inference", "calib/measurement", "models",
     "calib/questions/hypotheses.py", "calib/effect.py", "calib/space.py", "calib/mac.py", "calib/limits.py",
     "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py", "tests/benchmarks/rates_outcome.py",
 )  # fmt: skip

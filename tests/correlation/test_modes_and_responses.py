@@ -8,12 +8,12 @@ import pytest
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
+from calib.inference.identify import posterior
+from calib.inference.whole_numbers import fit_mixed
 from calib.joint import JointProblem
 from calib.missing.goodness import goodness, overall
 from calib.problem import Problem
 from calib.space import ParameterSpace
-from calib.updating.identify import posterior
-from calib.updating.whole_numbers import fit_mixed
 
 
 @dataclass(frozen=True)

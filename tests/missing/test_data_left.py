@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.freedom import effective_freedom
+from calib.inference.left_out import left_out
 from calib.missing.explain import DEFAULT, _Decision, explain
-from calib.missing.left_out import left_out
 from calib.missing.refits import Refits
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.missing.left_out import left_out
+from calib.inference.left_out import left_out
 from calib.missing.tables import EFFECT_COLUMNS
 from calib.questions.explain import explain
 from calib.questions.explanation import GROUPS

@@ -4,8 +4,8 @@ import pandas as pd
 import pytest
 
 from calib import cli
+from calib.inference.verdicts import identified_sentence
 from calib.questions import case
-from calib.updating.verdicts import identified_sentence
 
 MODEL = """
 from calib.function import FunctionModel

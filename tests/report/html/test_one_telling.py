@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 from matplotlib.container import BarContainer
 
+from calib.inference.verdicts import identified_sentence
 from calib.report.calibration import draw_parameters, final_places
 from calib.report.comparison import draw_frequency_error
 from calib.report.frequencies import draw_frequencies
 from calib.report.html.numbers import percent
 from calib.report.html.page import Plot, Shapes
 from calib.report.html.summary import summary
-from calib.updating.verdicts import identified_sentence
 
 
 @pytest.fixture

@@ -12,13 +12,13 @@ import pandas as pd
 import pytest
 
 from calib.errors import EvaluationError
+from calib.inference.cases import Case, CaseResult, run_case, run_id
+from calib.inference.genetic import GeneticSettings
+from calib.inference.objective import ResponseObjective
 from calib.ledger import Ledger
 from calib.outcome import Outcome, attempt
 from calib.sampling import sample
 from calib.space import LinearConstraint, Parameter, ParameterSpace
-from calib.updating.cases import Case, CaseResult, run_case, run_id
-from calib.updating.genetic import GeneticSettings
-from calib.updating.objective import ResponseObjective
 
 SPACE = ParameterSpace(
     (

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import InputError
+from calib.inference.cases import STABLE
+from calib.inference.identify import Identification, faults
 from calib.space import Parameter, ParameterSpace
-from calib.updating.cases import STABLE
-from calib.updating.identify import Identification, faults
 
 
 def whole_number_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> float:
@@ -74,8 +74,8 @@ def parameter_verdicts(
     DataFrame
         ``parameter, value, unit, lower, upper, ratio, on_bound, suggested_limit, spread, stable, std, std_of_range,
         data_share, identified, not_identified, confounded_with, fits_within_scatter, sentence``; missing where nothing
-        can be told. ``not_identified`` has the reasons of `calib.updating.identify.faults`. A limit is suggested half a
-        range further out; a limit of 0 is physical and stays.
+        can be told. ``not_identified`` has the reasons of `calib.inference.identify.faults`. A limit is suggested half
+        a range further out; a limit of 0 is physical and stays.
     """
     known = zip(found.posterior.std.tolist(), found.posterior.data_share.tolist(), strict=True)
     stds = dict(zip(found.posterior.names, known, strict=True))

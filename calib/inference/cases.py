@@ -14,11 +14,11 @@ import pandas as pd
 
 from calib.errors import EvaluationError
 from calib.evaluate import BatchEvaluator
+from calib.inference.genetic import GeneticSearch, GeneticSettings
+from calib.inference.objective import Objective
 from calib.ledger import Asked, Ledger
 from calib.outcome import Outcome, key_of
 from calib.space import ParameterSpace
-from calib.updating.genetic import GeneticSearch, GeneticSettings
-from calib.updating.objective import Objective
 
 FAILED = 1e12
 """Violation of a point that could not be evaluated: behind every point that merely breaks a constraint."""

@@ -11,9 +11,9 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from calib.errors import EvaluationError, InputError
+from calib.inference.gauss_newton import FitSettings, Prior, fit
+from calib.inference.whole_numbers import fit_mixed
 from calib.space import LinearConstraint, Parameter, ParameterSpace
-from calib.updating.gauss_newton import FitSettings, Prior, fit
-from calib.updating.whole_numbers import fit_mixed
 
 
 @dataclass

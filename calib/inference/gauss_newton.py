@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import EvaluationError
+from calib.inference.region import Region
 from calib.space import ParameterSpace
-from calib.updating.region import Region
 
 
 class LeastSquares(Protocol):
@@ -115,7 +115,7 @@ class FitResult:
         ``iteration, misfit, data_misfit, prior_misfit, step, damping``; ``step`` is the largest change over the range.
     residual : ndarray (n_rows,)
     jacobian : ndarray (n_rows, n_params)
-        At the end, for `calib.updating.identify`.
+        At the end, for `calib.inference.identify`.
     """
 
     names: tuple[str, ...]

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InputError
-from calib.updating.objective import FrequencyMacObjective, JointObjective, ResponseObjective
+from calib.inference.objective import FrequencyMacObjective, JointObjective, ResponseObjective
 
 FREQ = {"first": 2.0, "second": 5.0}
 PERFECT = {"natural_freq_first": 2.0, "natural_freq_second": 5.0, "mac_first": 1.0, "mac_second": 1.0}

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import EvaluationError, InputError
+from calib.inference.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, fit
+from calib.inference.region import InfeasibleError
 from calib.space import ParameterSpace
-from calib.updating.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, fit
-from calib.updating.region import InfeasibleError
 
 
 @dataclass(frozen=True, eq=False)

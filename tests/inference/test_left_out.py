@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from calib.errors import InputError
-from calib.missing.left_out import left_out
+from calib.inference.left_out import left_out
 
 
 def fit(a, y, s, c):

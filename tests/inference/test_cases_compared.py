@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from calib.updating.cases import CaseResult, agreement, convergence_table, parameters_table
+from calib.inference.cases import CaseResult, agreement, convergence_table, parameters_table
 
 
 def result(name, misfit=0.1, **values):

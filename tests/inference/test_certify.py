@@ -3,13 +3,13 @@
 import numpy as np
 
 from calib.evaluate import Evaluator
+from calib.inference.cases import Case, run_case
+from calib.inference.genetic import GeneticSettings
+from calib.inference.objective import ResponseObjective
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.sampling import sample
 from calib.space import Parameter, ParameterSpace
-from calib.updating.cases import Case, run_case
-from calib.updating.genetic import GeneticSettings
-from calib.updating.objective import ResponseObjective
 
 SPACE = ParameterSpace((Parameter("x", 0.5, 0.0, 2.0), Parameter("y", 0.5, 0.0, 2.0)))
 OBJECTIVE = ResponseObjective({"a": 1.0, "b": 1.0})

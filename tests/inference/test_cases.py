@@ -10,12 +10,12 @@ import pytest
 
 from calib.errors import EvaluationError, InputError
 from calib.evaluate import Evaluator
+from calib.inference.cases import Case, agreement, parameters_table, scaled_violation
+from calib.inference.genetic import GeneticSettings
+from calib.inference.objective import ResponseObjective
 from calib.ledger import Ledger
 from calib.outcome import key_of
 from calib.space import LinearConstraint, Parameter, ParameterSpace
-from calib.updating.cases import Case, agreement, parameters_table, scaled_violation
-from calib.updating.genetic import GeneticSettings
-from calib.updating.objective import ResponseObjective
 
 
 @pytest.fixture

@@ -12,11 +12,11 @@ from pymoo.operators.crossover.ux import UniformCrossover
 from pymoo.operators.selection.tournament import TournamentSelection
 
 from calib.errors import InputError
+from calib.inference import genetic
+from calib.inference.cases import scaled_violation
+from calib.inference.genetic import GeneticSearch, GeneticSettings, reflect
 from calib.sampling import sample
 from calib.space import LinearConstraint, Parameter, ParameterSpace
-from calib.updating import genetic
-from calib.updating.cases import scaled_violation
-from calib.updating.genetic import GeneticSearch, GeneticSettings, reflect
 
 
 def box(n, lower=0.0, upper=1.0, integer=False):

@@ -17,12 +17,12 @@ from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.errors import InputError
+from calib.inference.gauss_newton import Prior, fit
+from calib.inference.identify import identify, posterior, prediction_interval
+from calib.inference.verdicts import identified_sentence, parameter_verdicts, whole_number_std
+from calib.inference.whole_numbers import fit_mixed
 from calib.space import Parameter, ParameterSpace
 from calib.study import Study
-from calib.updating.gauss_newton import Prior, fit
-from calib.updating.identify import identify, posterior, prediction_interval
-from calib.updating.verdicts import identified_sentence, parameter_verdicts, whole_number_std
-from calib.updating.whole_numbers import fit_mixed
 
 
 def box(names, lower=0.0, upper=10.0, **options):
