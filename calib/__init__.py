@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from calib.version import __version__
+
 if TYPE_CHECKING:
     from calib.effect import Effect as Effect
     from calib.errors import EvaluationError as EvaluationError
@@ -28,8 +30,6 @@ if TYPE_CHECKING:
     from calib.structure.modal_function import ModalFunctionModel as ModalFunctionModel
     from calib.structure.model import StructuralModel as StructuralModel
 
-
-__version__ = "0.1.0"
 
 _PLACES = {
     "Assessed": "front.sensitivity",

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from calib import __version__, console, interrupt, progress
+from calib import console, interrupt, progress
 from calib.errors import InputError
 from calib.example import write_example
 from calib.front.study import RESULTS, Doing, Listener, Sampled, Searched, Study
@@ -32,6 +32,7 @@ from calib.several import JointStudy
 from calib.study import Study as Loaded
 from calib.study import StudyFile, shell_argument
 from calib.threads import one_thread
+from calib.version import __version__
 from calib.written import noting_kept
 
 app = typer.Typer(

@@ -15,7 +15,6 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from calib import __version__
 from calib.errors import InputError
 from calib.missing.findings import Findings
 from calib.missing.verdict import rounded
@@ -32,6 +31,7 @@ from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
 from calib.study import Study, StudyFile, shell_argument
+from calib.version import __version__
 
 WIDTH = 120
 """Columns of output that goes to no terminal."""

@@ -43,6 +43,18 @@ def replacing(path: Path) -> Iterator[Path]:
             draft.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """As `replacing`, for a file that the user has asked for by its name: none is kept or noted."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}{DRAFT}")
+    try:
+        yield draft
+        os.replace(draft, path)
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
+
+
 def remove(path: Path) -> None:
     """Delete a file that calib has written; one that it has not is kept under another name. OSError when impossible."""
     _keep(path)

@@ -1,13 +1,16 @@
 """The arrows of ARCHITECTURE.md: which part may import which."""
 
 import ast
+import tomllib
 from pathlib import Path
+
+import calib
 
 ROOT = Path(__file__).resolve().parent.parent
 
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
-    {"errors", "interrupt", "written", "neighbours", "threads"},
+    {"errors", "interrupt", "written", "neighbours", "version", "threads"},
     {"given", "mac", "freedom", "outcome", "table", "fingerprint"},
     {"space"},
     {"effect", "differences", "measurement", "sampling", "worker", "named_values"},
@@ -96,3 +99,8 @@ def test_only_pictures_and_pages_import_what_draws_them():
                 "plotly",
                 "jinja2",
             }, file
+
+
+def test_the_version_is_told_once():
+    told = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
+    assert told == calib.__version__

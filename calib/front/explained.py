@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError, ToleranceError
+from calib.front.asked import Asked
 from calib.front.shown import Shown
 from calib.front.test import UNSEEN, ModalTest, ResponseTest, Test, under
 from calib.function import FunctionModel
@@ -38,9 +39,6 @@ from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.variants import Variants
 
-if TYPE_CHECKING:
-    from calib.front.problem import Problem
-
 Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
 """Effects by the name of the model that may lack them."""
 
@@ -59,7 +57,7 @@ class Explained(Shown):
         Everything that is told, with its tables.
     """
 
-    problem: Problem
+    problem: Asked
     effects: Library
     explanation: Explanation
 
@@ -93,7 +91,7 @@ class Explained(Shown):
         """Errors before and after by group of data, in units of the scatter."""
         return self.explanation.errors
 
-    def with_named(self) -> Problem:
+    def with_named(self) -> Any:
         """The problem with what is named in its model; InputError where nothing is."""
         if not self.named:
             raise InputError(
@@ -106,7 +104,7 @@ class Explained(Shown):
         return f"Explained({self.verdict}{''.join(f', {e.name}' for e in self.named)})"
 
 
-def explained(problem: Problem, effects: Library, seed: int) -> Explained:
+def explained(problem: Asked, effects: Library, seed: int) -> Explained:
     """See `calib.front.problem.Problem.explain`."""
     started = time.perf_counter()
     sides = _sides(problem, effects, seed)
@@ -120,7 +118,7 @@ def explained(problem: Problem, effects: Library, seed: int) -> Explained:
     return Explained(problem, effects, answered(side, found, lambda words: None, started))
 
 
-def _sides(problem: Problem, effects: Library, seed: int) -> dict[str, Side]:
+def _sides(problem: Asked, effects: Library, seed: int) -> dict[str, Side]:
     """What each test asks of its model; all tests of one model ask about the same local changes of it."""
     groups = problem.by_model
     out: dict[str, Side] = {}

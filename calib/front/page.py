@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from calib.errors import InputError
+from calib.front.asked import Solved
 from calib.front.responses import own
 from calib.front.test import ModalTest, Model, ResponseTest, Test
 from calib.inference.cases import CaseResult
@@ -18,18 +19,17 @@ from calib.questions.compare import Answer, answer_of, write_answer
 from calib.questions.judge import Judgement
 from calib.questions.record import sensors_table
 from calib.results import Results
-from calib.written import replacing
+from calib.written import whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from calib.front.problem import Fit
 
 CASE = "fit"
 """What tables call the only case of a fit."""
 
 
-def compared(fit: Fit, test: Test, model: Model) -> tuple[Answer, Answer]:
+def compared(fit: Solved, test: Test, model: Model) -> tuple[Answer, Answer]:
     """One test before the fit, at the adopted values, and after it."""
     before, after = (
         answer_of(test.problem(model), own(model, test, values)) for values in (fit.problem.space.values, fit.values)
@@ -37,7 +37,7 @@ def compared(fit: Fit, test: Test, model: Model) -> tuple[Answer, Answer]:
     return before, after
 
 
-def chosen(fit: Fit, name: str) -> tuple[Model, Test]:
+def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
     """The test of that name with its model, or the only one; InputError for an unknown name, or none of several."""
     pairs = {test.name: (model, test) for model, test in fit.problem.pairs}
     if not name and len(pairs) == 1:
@@ -48,7 +48,7 @@ def chosen(fit: Fit, name: str) -> tuple[Model, Test]:
     return pairs[name]
 
 
-def draw(fit: Fit, name: str, test: str, ax: Axes | None) -> Axes:
+def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     """See `calib.front.problem.Fit.figure`."""
     if name not in FIGURES:
         raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
@@ -56,21 +56,21 @@ def draw(fit: Fit, name: str, test: str, ax: Axes | None) -> Axes:
     return FIGURES[name](fit, model, asked, ax)
 
 
-def _frequency_errors(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+def _frequency_errors(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
     from calib.report.comparison import draw_frequency_error
 
     before, after = compared(fit, _modal(test), model)
     return draw_frequency_error(before.table, after.table, ax)
 
 
-def _mac(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+def _mac(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
     from calib.report.comparison import draw_mac
 
     before, after = compared(fit, _shaped(test), model)
     return draw_mac(before.table, after.table, ax)
 
 
-def _mac_matrix(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+def _mac_matrix(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
     from calib.report.comparison import draw_mac_matrix
 
     _, after = compared(fit, _shaped(test), model)
@@ -78,7 +78,7 @@ def _mac_matrix(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
     return draw_mac_matrix(after.comparison.mac_table(), ax)
 
 
-def _comac(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+def _comac(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
     from calib.report.comparison import draw_comac
 
     before, after = compared(fit, _shaped(test), model)
@@ -86,7 +86,7 @@ def _comac(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
     return draw_comac(before.comparison.comac_table(), after.comparison.comac_table(), ax)
 
 
-def _parameters(fit: Fit, model: Model, test: Test, ax: Axes | None) -> Axes:
+def _parameters(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
     from calib.report.calibration import draw_parameters
 
     return draw_parameters(_tables(fit)["parameters"], ax)
@@ -115,7 +115,7 @@ def _shaped(test: Test) -> ModalTest:
     return modal
 
 
-def write_pages(fit: Fit, path: Path) -> tuple[Path, ...]:
+def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
     """See `calib.front.problem.Fit.report`."""
     from calib.report.html.answers import Answers
     from calib.report.html.write import page
@@ -129,7 +129,7 @@ def write_pages(fit: Fit, path: Path) -> tuple[Path, ...]:
             _write(fit, model, test, Results(Path(folder)))
             text = page(Answers(Path(folder), f"{model.name} against {test.name}", synthetic))
         try:
-            with replacing(where) as draft:
+            with whole(where) as draft:
                 draft.write_text(text, encoding="utf-8")
         except OSError as fault:
             raise InputError(
@@ -139,7 +139,7 @@ def write_pages(fit: Fit, path: Path) -> tuple[Path, ...]:
     return tuple(out)
 
 
-def _write(fit: Fit, model: Model, test: Test, folder: Results) -> None:
+def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     """The tables that the page reads."""
     before, after = compared(fit, test, model)
     write_answer(folder, before, "before")
@@ -173,7 +173,7 @@ def _write(fit: Fit, model: Model, test: Test, folder: Results) -> None:
     })  # fmt: skip
 
 
-def _tables(fit: Fit) -> dict[str, pd.DataFrame]:
+def _tables(fit: Solved) -> dict[str, pd.DataFrame]:
     """What a fit found, as the tables of a study tell it."""
     judgement: Judgement = fit.judgement
     result = CaseResult(

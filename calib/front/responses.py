@@ -6,19 +6,16 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from calib.evaluate import Evaluator
 from calib.executor import ExecutorEvaluator, Injected
+from calib.front.asked import Asked
 from calib.front.test import Model, Test
 from calib.inference.objective import JointObjective, Objective
 from calib.outcome import Function
 from calib.questions.case import objective_for
 from calib.questions.sensitivity import sensitivity_responses
 from calib.study import ForwardProblem
-
-if TYPE_CHECKING:
-    from calib.front.problem import Problem
 
 
 def own(model: Model, test: Test, values: Mapping[str, float]) -> dict[str, float]:
@@ -42,7 +39,7 @@ class Responses:
     names: Mapping[str, frozenset[str]]
 
     @classmethod
-    def of(cls, problem: Problem) -> Responses:
+    def of(cls, problem: Asked) -> Responses:
         """Those of a problem."""
         names = {test.name: frozenset(own(model, test, model.space.values)) for model, test in problem.pairs}
         return cls({test.name: test.problem(model) for model, test in problem.pairs}, names)

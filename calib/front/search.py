@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from calib.executor import Injected
+from calib.front.asked import Asked
 from calib.front.responses import Responses
 from calib.inference.cases import (
     Agreement,
@@ -27,9 +27,6 @@ from calib.questions.failures import reasons_sentence, stored_reasons
 from calib.questions.judge import Judgement, Shared, ended, fitted
 from calib.sampling import sample
 from calib.space import ParameterSpace
-
-if TYPE_CHECKING:
-    from calib.front.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +81,7 @@ class Searched:
 
 
 def searched(
-    problem: Problem, seeds: Sequence[int], settings: GeneticSettings, executor: Executor | Injected | None
+    problem: Asked, seeds: Sequence[int], settings: GeneticSettings, executor: Executor | Injected | None
 ) -> Searched:
     """One case a seed, each from its own Latin hypercube; see `calib.front.problem.Problem.search`."""
     space, responses = problem.space, Responses.of(problem)
@@ -98,7 +95,7 @@ def searched(
     return Searched(space, tuple(found), why)
 
 
-def refined(problem: Problem, search: Searched) -> Judgement:
+def refined(problem: Asked, search: Searched) -> Judgement:
     """Least squares from where the cases ended; from the adopted values where the data clearly prefer that end."""
     starts = [case.values for case in search.best]
     adopted = ended(problem.posed, [problem.space.values], POLISH_REFITS)

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from calib.errors import EvaluationError
 from calib.executor import Injected
+from calib.front.asked import Asked
 from calib.front.responses import Responses
 from calib.front.shown import Shown
 from calib.questions.failures import reasons, reasons_sentence
 from calib.questions.sensitivity import Sensitivity, measured, table_of
 from calib.sampling import sample
-
-if TYPE_CHECKING:
-    from calib.front.problem import Problem
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,7 +68,7 @@ class Assessed(Shown):
         return f"Assessed({len(self.table)} parameters, {len(self.selected)} selected; {self.answer.samples} samples)"
 
 
-def assessed(problem: Problem, samples: int, seed: int, executor: Executor | Injected | None) -> Assessed:
+def assessed(problem: Asked, samples: int, seed: int, executor: Executor | Injected | None) -> Assessed:
     """See `calib.front.problem.Problem.sensitivity`."""
     space, responses = problem.space, Responses.of(problem)
     drawn = sample(space, samples, seed)

@@ -1,1 +1,1 @@
-"""Updating: what is made small, the search that does it, and the cases it is run in."""
+"""What fits, how it is found, and how far the data determine it: least squares, searches, identifiability."""

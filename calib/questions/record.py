@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calib import __version__
 from calib.correlation.response_residual import response_std
 from calib.correlation.scatter import scatter_of
 from calib.errors import InputError
@@ -25,6 +24,7 @@ from calib.questions.state import made_from
 from calib.results import Results
 from calib.several import AnyStudy
 from calib.study import Study
+from calib.version import __version__
 
 PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib", "plotly")
 """Whose versions may change a digit or a picture."""

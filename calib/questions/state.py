@@ -8,10 +8,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from calib import __version__
 from calib.correlation.problem import ModalProblem
 from calib.several import AnyStudy, JointStudy
 from calib.study import Study, StudyFile
+from calib.version import __version__
 
 PARTS = ("measurement", "model", "settings", "code")
 """Of which an answer is made; ``files`` beside them tells what has changed in the first two."""

@@ -37,6 +37,7 @@ def test_parameters_are_drawn_between_their_limits(fit):
 
 def test_the_page_holds_every_value(fit, tmp_path):
     (page,) = fit.report(tmp_path / "report.html")
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     text = page.read_text()
     told = fit.parameters
     assert all(name in text for name in told.index)

@@ -1,0 +1,3 @@
+"""Version of calib, as `pyproject.toml` tells it too."""
+
+__version__ = "0.1.0"
