@@ -16,16 +16,13 @@ from calib.errors import EvaluationError
 from calib.evaluate import BatchEvaluator
 from calib.inference.genetic import GeneticSearch, GeneticSettings
 from calib.inference.objective import Objective
+from calib.inference.rules import RULES
 from calib.ledger import Asked, Ledger
 from calib.outcome import Outcome, key_of
 from calib.space import ParameterSpace
 
 FAILED = 1e12
 """Violation of a point that could not be evaluated: behind every point that merely breaks a constraint."""
-STABLE = 0.10
-"""Largest difference between cases, over the range between the limits, of a stable parameter (Ribeiro et al. 2013)."""
-NEARLY_EQUAL = 0.05
-"""Relative difference up to which misfits count as equal."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +248,7 @@ def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd
                     "ratio": ratio,
                     "on_bound": parameter.limit_at(result.values[parameter.name]) is not None,
                     "spread": width,
-                    "stable": None if math.isnan(width) else width <= STABLE,
+                    "stable": None if math.isnan(width) else width <= RULES.stable,
                 }
             )
     columns = ["case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable"]
@@ -306,21 +303,21 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
         Misfit that the measurement's scatter alone would allow; 0 where unknown.
     """
     order = sorted(range(len(results)), key=lambda k: results[k].misfit)
-    limit = max(level, results[order[0]].misfit * (1 + NEARLY_EQUAL))
+    limit = max(level, results[order[0]].misfit * (1 + RULES.nearly_equal))
     good = [k for k in order if results[k].misfit <= limit]
     worse = tuple(results[k].name for k in order if k not in good)
     ratios = _ratios(results, space)
     groups: list[list[int]] = []
     for k in good:
         for group in groups:
-            if np.all(np.abs(ratios[group] - ratios[k]) <= STABLE):
+            if np.all(np.abs(ratios[group] - ratios[k]) <= RULES.stable):
                 group.append(k)
                 break
         else:
             groups.append([k])
     solutions = tuple(tuple(results[k].name for k in group) for group in groups)
     spread = np.ptp(ratios[good], axis=0)
-    apart = sorted(np.flatnonzero(spread > STABLE).tolist(), key=lambda j: -spread[j])
+    apart = sorted(np.flatnonzero(spread > RULES.stable).tolist(), key=lambda j: -spread[j])
     differing = tuple(space.free_names[j] for j in apart) if len(groups) > 1 else ()
 
     def told(group: Sequence[int]) -> str:

@@ -11,25 +11,8 @@ import pandas as pd
 from scipy import special
 
 from calib.errors import InputError
+from calib.inference.rules import RULES
 from calib.space import Parameter, ParameterSpace
-
-IDENTIFIED = 0.025
-"""Largest posterior standard deviation, over the range between the limits, of an identified parameter."""
-
-BY_DATA = 0.5
-"""Smallest part of what is known of an identified parameter that the data give; see `Posterior`."""
-
-CONFOUNDED = 0.9
-"""Size of the posterior correlation from which two parameters count as confounded."""
-
-TRADES = 0.5
-"""Size of the posterior correlation from which a parameter that is not identified is told to trade with another."""
-
-SEEN = 1.0
-"""Signal of one prior standard deviation, over the scatter, below which the data do not see a direction."""
-
-TAKES_PART = 0.3
-"""Smallest share (of length 1) of a parameter that is named as part of a direction."""
 
 _ZERO = 1e-13
 
@@ -175,7 +158,7 @@ class Identification:
         """The other parameter that can best make up for one, with their posterior correlation; None for none much."""
         own = self.posterior.correlation[self.posterior.names.index(name)].copy()
         own[self.posterior.names.index(name)] = 0.0
-        if not len(own) or not np.nanmax(np.abs(own), initial=0.0) >= TRADES:
+        if not len(own) or not np.nanmax(np.abs(own), initial=0.0) >= RULES.trades:
             return None
         k = int(np.nanargmax(np.abs(own)))
         return self.posterior.names[k], float(own[k])
@@ -190,7 +173,7 @@ class Identification:
         table = self.parameters
         out = self.confounded["words"].tolist()
         out += self.directions.loc[~self.directions["seen"], "words"].tolist()
-        if self.common_scale < SEEN:  # NaN where nothing is common
+        if self.common_scale < RULES.seen:  # NaN where nothing is common
             out.append(
                 f"{', '.join(table['parameter'])} can all grow by the same factor without the data noticing: they see "
                 "ratios only. A known mass or stiffness would settle it."
@@ -216,8 +199,8 @@ def faults(p: Parameter, std: float, data_share: float, value: float | None = No
         At the optimum; without it limits are not looked at.
     """
     found = {
-        "wide": not std <= IDENTIFIED * (p.upper - p.lower),
-        "prior": not data_share >= BY_DATA,
+        "wide": not std <= RULES.identified * (p.upper - p.lower),
+        "prior": not data_share >= RULES.by_data,
         "limit": value is not None and p.limit_at(value) is not None,
     }
     return tuple(name for name, wrong in found.items() if wrong)
@@ -229,7 +212,7 @@ def identify(
     jacobian: np.ndarray,
     prior_sd: np.ndarray | None = None,
     values: Mapping[str, float] | None = None,
-    threshold: float = CONFOUNDED,
+    threshold: float = RULES.confounded,
     held: np.ndarray | None = None,
     birge: float = 1.0,
 ) -> Identification:
@@ -307,9 +290,9 @@ def _directions(names: tuple[str, ...], scaled: np.ndarray) -> pd.DataFrame:
     for k in reversed(range(n)):
         part = vt[k] * np.sign(vt[k][np.argmax(np.abs(vt[k]))])
         order = np.argsort(-np.abs(part), kind="stable")
-        named = [(names[j], part[j]) for n_th, j in enumerate(order) if n_th == 0 or abs(part[j]) >= TAKES_PART]
+        named = [(names[j], part[j]) for n_th, j in enumerate(order) if n_th == 0 or abs(part[j]) >= RULES.takes_part]
         signal, text = float(singular[k]), ", ".join(f"{name} {'up' if p > 0 else 'down'}" for name, p in named)
-        seen = signal >= SEEN
+        seen = signal >= RULES.seen
         words = f"The data {'see' if seen else 'do not see'} {text}"
         words += f": {signal:.2g} times the scatter for one prior standard deviation."
         share = signal**2 / (1 + signal**2)

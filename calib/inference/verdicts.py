@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import InputError
-from calib.inference.cases import STABLE
 from calib.inference.identify import Identification, faults
+from calib.inference.rules import RULES
 from calib.space import Parameter, ParameterSpace
 
 
@@ -99,7 +99,7 @@ def parameter_verdicts(
             identified = not why
         others = [] if identified else found.confounded_with(p.name)
         trade = None if identified or others or p.name not in stds else found.trades_with(p.name)
-        stable = None if width is None else bool(width <= STABLE)
+        stable = None if width is None else bool(width <= RULES.stable)
         rows.append(
             {
                 "parameter": p.name,
@@ -180,7 +180,7 @@ def _sentence(
         words.append(f"It cannot be told apart from {', '.join(others)}.")
     if trade is not None:
         words.append(f"It trades most with {trade[0]} (correlation {trade[1]:.2f}).")
-    if width is not None and width > STABLE:
+    if width is not None and width > RULES.stable:
         words.append(f"The cases differ by {100 * width:.0f} % of its range.")
     return " ".join(words)
 

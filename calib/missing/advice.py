@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
-from calib.missing.evidence import CREDIBLE
 from calib.missing.option import Option
 from calib.missing.rivals import EIGHT_OF_TEN, Odds, Rivals
+from calib.missing.rules import RULES
 
 WORTHWHILE = 1.2
 """Smallest factor on the expected score for which a measurement is advised."""
@@ -181,7 +181,7 @@ def advice_sentence(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: S
     if pair is not None:
         own = table[table["effect"] == pair[0]]
         best = own.iloc[0]
-        if float(best["ln_bayes"]) < CREDIBLE:
+        if float(best["ln_bayes"]) < RULES.credible:
             intro = f"No measurement looked at would tell {pair[0]} from {pair[1]}"
             return f"{intro}; the best gives {best['words']}. {AVERAGED}"
         told = [_with_what_is_new(own)]

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.effect import Effect
-from calib.missing.evidence import CREDIBLE, expected_ln_bayes
+from calib.missing.evidence import expected_ln_bayes
+from calib.missing.rules import RULES
 from calib.missing.score import Scores, correlation
 
 
@@ -41,12 +42,12 @@ class Group:
 def grouped(effects: Sequence[Effect], found: Scores, threshold: float) -> tuple[Group, ...]:
     """Join effects whose fingerprints correlate beyond a threshold and that the signal at hand does not tell apart.
 
-    With the larger score ``z`` of two effects and the correlation ``rho`` of their fingerprints the log Bayes factor to
-    expect between them is ``z^2 (1 - rho^2)/2``; below `CREDIBLE` (odds of 20:1) they are joined. However alike they
-    are, a signal that is strong enough tells them apart. A negative correlation joins only effects whose strength may
-    have either sign: otherwise the sign tells them apart. Effects that depend on nuisance parameters are never joined,
-    since their fingerprint is no single direction. Nor is one whose score has the sign that its strength cannot have
-    joined to one that the signal speaks for.
+    With the larger score ``z`` of two effects and the correlation ``rho`` of their fingerprints the log Bayes
+    factor to expect between them is ``z^2 (1 - rho^2)/2``; below `Rules.credible` (odds of 20:1) they are joined.
+    However alike they are, a signal that is strong enough tells them apart. A negative correlation joins only
+    effects whose strength may have either sign: otherwise the sign tells them apart. Effects that depend on
+    nuisance parameters are never joined, since their fingerprint is no single direction. Nor is one whose score has
+    the sign that its strength cannot have joined to one that the signal speaks for.
 
     The effect of the largest score of a possible sign leads its group, of equal ones the first by name: the order of
     the library joins nothing. Groups are told in that order.
@@ -62,8 +63,8 @@ def grouped(effects: Sequence[Effect], found: Scores, threshold: float) -> tuple
             rho = float(alike[a, k])
             same = rho > threshold or (rho < -threshold and usable[a].signed and usable[k].signed)
             # A score against the only sign that an effect may have promises nothing of what its size says.
-            wrong = strength[k] < size[k] and (strength[a] ** 2 - strength[k] ** 2) / 2 >= CREDIBLE
-            if same and not wrong and expected_ln_bayes(float(size[a]), rho) < CREDIBLE:
+            wrong = strength[k] < size[k] and (strength[a] ** 2 - strength[k] ** 2) / 2 >= RULES.credible
+            if same and not wrong and expected_ln_bayes(float(size[a]), rho) < RULES.credible:
                 taken[usable[k].name] = usable[a].name
                 break
         else:

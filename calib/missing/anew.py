@@ -13,18 +13,8 @@ from calib.effect import Effect
 from calib.errors import EvaluationError
 from calib.missing.findings import Check, Trial
 from calib.missing.refits import Refits
+from calib.missing.rules import RULES
 from calib.missing.state import State, linearised
-
-ANEW = 0.5
-"""Part of the budget that is added to it, for a base fit that was led astray."""
-REJECTED = 10.0
-"""Score of an effect from which the base model is strongly rejected."""
-_REJECTED_FIT = 1e-6
-"""The same as a chance of its misfit as a whole."""
-_MAGNITUDES = (1 / 3, 1.0, 3.0)
-"""Parts of the plausible strength that an effect without a grid begins with, beside the one that one step leads to."""
-_STARTS = 2
-"""Starts of one effect that are followed."""
 
 _Start = tuple[float, str, dict[str, float]]
 
@@ -36,7 +26,7 @@ def led_astray(base: Trial, check: Check) -> bool:
     the base model is strongly rejected.
     """
     strongest = float(max(check.named.strength, default=0.0))
-    return bool(base.implausible) or strongest > REJECTED or check.p_fit < _REJECTED_FIT
+    return bool(base.implausible) or strongest > RULES.rejected or check.p_fit < RULES.rejected_fit
 
 
 def anew(fits: Refits, base: Trial, singles: Sequence[Trial], effects: Sequence[Effect]) -> list[Trial]:
@@ -47,7 +37,7 @@ def anew(fits: Refits, base: Trial, singles: Sequence[Trial], effects: Sequence[
     effect only where it ended lower.
     """
     fits.progress("fitting from the adopted values too")
-    own = replace(fits, settings=replace(fits.settings, budget=ANEW * fits.settings.budget))
+    own = replace(fits, settings=replace(fits.settings, budget=RULES.anew * fits.settings.budget))
     best = {t.names[0]: t for t in singles}
     try:
         starts = _starts(own, effects)
@@ -57,7 +47,7 @@ def anew(fits: Refits, base: Trial, singles: Sequence[Trial], effects: Sequence[
     for _, name, start in starts:
         if own.spent():
             break
-        if tried[name] < _STARTS:
+        if tried[name] < RULES.starts_anew:
             tried[name] += 1
             found = own.best_of((name,), [start], base)
             if found is not None and (name not in best or found.state.misfit < best[name].state.misfit):
@@ -94,7 +84,7 @@ def _starts(fits: Refits, effects: Sequence[Effect]) -> list[_Start]:
 def _at_magnitudes(fits: Refits, adopted: State, effect: Effect, sign: float) -> Iterator[_Start]:
     """Starts of an effect without a grid, asked of the model itself."""
     question, p = fits.question((effect.name,)), effect.strength
-    for part in _MAGNITUDES:
+    for part in RULES.magnitudes:
         point = {effect.name: sign * part * effect.plausible}
         if p.lower <= point[effect.name] <= p.upper:
             try:

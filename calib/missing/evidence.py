@@ -13,9 +13,6 @@ from calib.effect import Effect
 from calib.inference.region import ACTIVE
 from calib.missing.state import State
 
-CREDIBLE = 3.0
-"""Effects whose log evidence is within this of the best belong to the credible set (odds of 20:1)."""
-
 
 def ln_evidence(state: State, added: Sequence[Effect]) -> float:
     """Log evidence of a fitted model, up to a constant that all models of the same data share.

@@ -14,23 +14,17 @@ from calib.errors import EvaluationError, InputError
 from calib.inference.left_out import left_out
 from calib.missing.alike import Group, grouped
 from calib.missing.anew import anew, led_astray
-from calib.missing.evidence import CREDIBLE, at_lower
+from calib.missing.evidence import at_lower
 from calib.missing.findings import Check, Findings, Trial, WrongDatum
 from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.pairs import alone, fit_pairs
 from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
+from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p
 from calib.missing.state import State, nearest_whole
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
-
-LEAST_MODES = 4
-"""Fewer modes cannot tell an effect from a parameter."""
-LEAST_RESPONSES = 4
-"""Nor can fewer plain responses."""
-GUARD = 1.11
-"""Factor on the scatter from which it counts as understated (two and a half standard errors with 8 modes)."""
 
 
 def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = lambda words: None) -> Findings:
@@ -58,7 +52,7 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
         require_responses(responses, len(hypotheses.question(()).space.free))
     fits = Refits(hypotheses, settings, 1.0, progress)
     found = _Decision(fits).findings({})
-    if found.measured_scale > GUARD and found.verdict != "nothing_detectable":
+    if found.measured_scale > RULES.guard and found.verdict != "nothing_detectable":
         progress(f"the scatter seems understated by a factor of {found.measured_scale:.2f}: beginning anew")
         starts = {(): found.base.state.values, **{t.names: t.state.values for t in found.singles}}
         again = _Decision(replace(fits, scale=found.measured_scale)).findings(starts)
@@ -69,17 +63,17 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
 
 def require_modes(count: int) -> None:
     """InputError when so many measured modes are too few to name anything."""
-    if count < LEAST_MODES:
+    if count < RULES.least_modes:
         raise InputError(
             f"{count} measured modes cannot tell a missing effect from a parameter",
             place="explain",
-            remedy=f"measure at least {LEAST_MODES}, or withhold fewer",
+            remedy=f"measure at least {RULES.least_modes}, or withhold fewer",
         )
 
 
 def require_responses(count: int, free: int) -> None:
     """InputError when so many measured responses are too few to name anything beside the fitted parameters."""
-    least = max(LEAST_RESPONSES, free + 2)
+    least = max(RULES.least_responses, free + 2)
     if count < least:
         raise InputError(
             f"{count} measured responses cannot tell a missing effect from the {free} fitted parameters",
@@ -123,14 +117,14 @@ class _Decision:
         needed = self.needed(found)
         lead = self.lead(singles, able)
         found = replace(found, measured_scale=self.scale(base, lead.best, found.atom))
-        settled = self.accepted(lead, needed) and not found.measured_scale > GUARD
+        settled = self.accepted(lead, needed) and not found.measured_scale > RULES.guard
         if not settled and not starts and fits.settings.budget > 0 and led_astray(base, check):
             with fits.allowance.uncharged():  # it has an allowance of its own
                 singles = anew(fits, base, singles, able)
             lead = self.lead(singles, able)
             found = replace(found, begun_anew=True, measured_scale=self.scale(base, lead.best, found.atom))
-        doubted = found.measured_scale > GUARD and not starts
-        if doubted and self.promised_scale(lead.best, lead.check.named) > GUARD:
+        doubted = found.measured_scale > RULES.guard and not starts
+        if doubted and self.promised_scale(lead.best, lead.check.named) > RULES.guard:
             return self.done(found, lead.singles, "none_explains", lead.best, lead.check)
         if self.accepted(lead, needed):
             return self.named(found, lead)
@@ -173,7 +167,7 @@ class _Decision:
         fits, h, base, check = self.fits, self.fits.hypotheses, found.base, found.base_check
         atom = fits.best_atom(base, check.atoms, check.named, best)
         fault = fits.fault(base, check.atoms, best)
-        if _ln(fault) > max(best.ln_evidence, _ln(atom) + CREDIBLE):
+        if _ln(fault) > max(best.ln_evidence, _ln(atom) + RULES.credible):
             atom = fault
         accused = suspects(base.state, h.rows, h.fitted_factors, h.scatter_freedom, found.alpha)
         datum = wrong_datum(fits, base, accused, best)
@@ -191,8 +185,8 @@ class _Decision:
         self, found: Findings, lead: _Lead, pairs: Sequence[Trial], able: Sequence[Effect]
     ) -> Findings | None:
         """Two effects that may be named, with those that look the same; None where there are none."""
-        second = 2 * CREDIBLE + math.log(max(len(found.groups) - 1, 1))
-        measurement = max(_ln(found.fault), _ln(found.datum)) + CREDIBLE
+        second = 2 * RULES.credible + math.log(max(len(found.groups) - 1, 1))
+        measurement = max(_ln(found.fault), _ln(found.datum)) + RULES.credible
         needed = max(lead.singles[0].ln_evidence + second, self.rival(found), measurement)
         pair = self.pair(pairs, needed, found.groups)
         if not pair:
@@ -225,7 +219,7 @@ class _Decision:
         Where a fault of the measurement explains about as well, nobody can tell either. So it is with a single datum
         without which everything fits. It does not pay for the number of data: that was asked of its chance already.
         """
-        lowest = lead.singles[0].ln_evidence - CREDIBLE
+        lowest = lead.singles[0].ln_evidence - RULES.credible
         fitted = {t.names[0] for t in lead.singles}
         alike = {group.effect.name: tuple(e.name for e in group.others) for group in found.groups}
         credible = tuple(
@@ -235,7 +229,7 @@ class _Decision:
             # What looks the same and was not fitted explains as well.
             for name in (t.names[0], *(n for n in alike.get(t.names[0], ()) if n not in fitted))
         )
-        near = lead.best.ln_evidence - CREDIBLE
+        near = lead.best.ln_evidence - RULES.credible
         fault = found.fault if _ln(found.fault) > near else None
         datum = found.datum if fault is None and _ln(found.datum) > near else None
         only = len(credible) == 1 and fault is None and datum is None
@@ -265,7 +259,7 @@ class _Decision:
 
     def needed(self, found: Findings) -> float:
         """Log evidence beyond which one effect may be named."""
-        return max(found.base.ln_evidence + math.log(len(found.groups)) + CREDIBLE, self.rival(found))
+        return max(found.base.ln_evidence + math.log(len(found.groups)) + RULES.credible, self.rival(found))
 
     def accepted(self, lead: _Lead, needed: float) -> bool:
         """Whether the leading effect may be named."""
@@ -286,7 +280,7 @@ class _Decision:
 
     def lead(self, singles: list[Trial], candidates: Sequence[Effect]) -> _Lead:
         """The effect of the highest evidence, with its tests; a believable one of nearly the same goes first."""
-        near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - CREDIBLE and not t.implausible]
+        near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - RULES.credible and not t.implausible]
         best = near[0] if near else singles[0]
         return _Lead(singles, best, self.check(best, self.beside(best, candidates)))
 
@@ -299,7 +293,7 @@ class _Decision:
         if not believable or believable[0].ln_evidence <= needed:
             return ()
         leader = {name: g.effect.name for g in groups for name in g.names}
-        near = [t for t in believable if t.ln_evidence > believable[0].ln_evidence - CREDIBLE]
+        near = [t for t in believable if t.ln_evidence > believable[0].ln_evidence - RULES.credible]
         looks = {frozenset(leader[name] for name in t.names) for t in near}
         return tuple(near) if len(looks) == 1 else ()
 

@@ -11,14 +11,10 @@ import pandas as pd
 from scipy import special
 
 from calib.freedom import chance, row_freedom
+from calib.missing.rules import RULES
 from calib.problem import Label
 
 _Name = TypeVar("_Name", bound=Hashable)
-
-_ALIKE = 0.01
-"""Level at which modes differ by more than a common factor."""
-FOLLOWED = 0.02
-"""Part of a row's variance left by the parameters below which it says nothing."""
 
 
 class Fit(Protocol):
@@ -136,7 +132,7 @@ class Layout:
         some = present.astype(float) @ kind > 0
         kinds = {"chi2": chi2 @ kind, "freedom": left @ kind}
         kinds["p"] = np.where(some, chance(kinds["chi2"], kinds["freedom"], self.scatter), 1.0)
-        studied = (counts == 1) & (left > FOLLOWED)
+        studied = (counts == 1) & (left > RULES.followed)
         chi2 = np.divide(chi2, left, out=chi2.copy(), where=studied)
         modes = {"chi2": chi2, "freedom": np.where(studied, 1.0, left)}
         modes["p"] = np.where(present, chance(modes["chi2"], modes["freedom"], self.scatter[self.kind_of]), 1.0)
@@ -221,7 +217,7 @@ def noise_scale(modes: pd.DataFrame) -> float:
     square = float(np.median(chi2 / freedom) / 0.985)
     variate = (freedom, 2 / np.pi * freedom.sum(), chi2 / freedom / square)
     tail = 2 * np.minimum(special.fdtrc(*variate), special.fdtr(*variate))
-    alike = float(tail.min()) * len(shapes) > _ALIKE
+    alike = float(tail.min()) * len(shapes) > RULES.alike_scatter
     return float(np.sqrt(square)) if alike or square < 1 else 1.0
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pandas as pd
 
+from calib.missing.rules import RULES
+
 UNSEEN = ("withheld_sensors", "withheld_modes", "withheld_responses")
 """Groups of data that no fit has seen."""
-CONTRADICTED = 1e-3
-"""Chance of a right model predicting a group as badly, below which the group contradicts it."""
 
 
 def contradicting(errors: pd.DataFrame, stage: str) -> tuple[str, ...]:
@@ -21,4 +21,4 @@ def contradicting(errors: pd.DataFrame, stage: str) -> tuple[str, ...]:
         Of the model, such as ``after``.
     """
     own = errors[(errors["stage"] == stage) & errors["group"].isin(UNSEEN)]
-    return tuple(own.loc[own["p"] < CONTRADICTED, "group"].astype(str))
+    return tuple(own.loc[own["p"] < RULES.contradicted, "group"].astype(str))

@@ -11,14 +11,13 @@ from calib.effect import Effect
 from calib.missing.alike import grouped
 from calib.missing.evidence import at_lower
 from calib.missing.findings import Trial
-from calib.missing.refits import LATE, POLISHED, Refits
+from calib.missing.refits import LATE, Refits
+from calib.missing.rules import RULES
 from calib.missing.score import Scores
-from calib.missing.state import ROUGH, WORTH, State, neighbours
+from calib.missing.state import ROUGH, State, neighbours
 
 PAIRS_OF_BEST, PAIRS_OF_NEXT = 3, 2
 """Effects that are tried beside the best one and beside the runner-up."""
-PAIRED = 0.5
-"""Part of the budget that pairs of effects may spend at least, whatever single effects have spent."""
 
 
 def fit_pairs(
@@ -30,7 +29,7 @@ def fit_pairs(
     numbers astray, where a second effect cannot be seen: their neighbours are asked too. What single effects have
     spent leaves pairs a part of the budget of their own.
     """
-    fits.allowance.ensure(PAIRED * fits.settings.budget)
+    fits.allowance.ensure(RULES.paired * fits.settings.budget)
     if fits.allowance.left <= 0:
         return []
     tests = [(best, found, PAIRS_OF_BEST)]
@@ -61,7 +60,7 @@ def fit_pairs(
             out.append(pair)
     # What one effect has led astray may hide the other: several pairs are allowed to move whole numbers back.
     order = sorted(range(len(out)), key=lambda k: -out[k].ln_evidence)
-    for k in order[:POLISHED]:
+    for k in order[: RULES.polished]:
         if not fits.spent() or (k == order[0] and not out[k].implausible):
             out[k] = fits.followed(out[k], whole=1, settings=ROUGH)
     out.sort(key=lambda t: -t.ln_evidence)
@@ -88,7 +87,7 @@ def _left(views: Sequence[tuple[State, Scores]], name: str) -> tuple[float, Stat
     """Least sum of squares an effect promises to leave, and where; a place but the first one must be worth it."""
     left = [s.misfit - max(float(f.strength[f.best(name)]), 0.0) ** 2 for s, f in views]
     best = int(np.argmin(left))
-    best = best if left[best] < left[0] - WORTH else 0
+    best = best if left[best] < left[0] - RULES.worth else 0
     return (left[best], *views[best])
 
 

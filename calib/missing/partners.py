@@ -9,10 +9,8 @@ import numpy as np
 from calib.effect import Effect
 from calib.errors import EvaluationError
 from calib.missing.hypotheses import Hypotheses, Question
+from calib.missing.rules import RULES
 from calib.missing.state import State
-
-DECADES = (-2, -1, 0, 1, 2)
-"""Powers of ten times the plausible strength at which an effect is tried for what it pairs."""
 
 
 def pairing_points(
@@ -60,7 +58,7 @@ def pairing_points(
 def tried_points(effect: Effect) -> list[dict[str, float]]:
     """Decades of strength on both sides that the limits allow, each with the nuisance parameters of the grid."""
     p = effect.strength
-    sizes = [sign * effect.plausible * 10.0**k for k in DECADES for sign in (1.0, -1.0)]
+    sizes = [sign * effect.plausible * 10.0**k for k in RULES.decades for sign in (1.0, -1.0)]
     sizes = [s for s in sizes if p.lower <= s <= p.upper and s != p.value]
     nuisances = {tuple((q.name, point[q.name]) for q in effect.nuisance) for point in effect.grid} or {()}
     return [{p.name: size, **dict(one)} for one in sorted(nuisances) for size in np.sort(sizes).tolist()]

@@ -9,17 +9,9 @@ import pandas as pd
 from scipy import special
 
 from calib.effect import Effect
+from calib.missing.rules import RULES
 from calib.missing.state import State
 from calib.space import Parameter
-
-STRAIN = 0.01
-"""Family-wise level at which a parameter counts as strained."""
-NUISANCE = 2.0
-"""Largest distance of a nuisance parameter from its middle value, in prior standard deviations."""
-_AT = 1e-3
-"""Distance from a limit at which a parameter is on it, over its range."""
-_AT_STD = 0.05
-"""The same over its posterior standard deviation."""
 
 
 def strain(state: State, added: Sequence[Effect] = ()) -> pd.DataFrame:
@@ -41,7 +33,7 @@ def _strains(state: State, added: Sequence[Effect]) -> list[tuple[str, str, floa
     """Rows of `strain`; a decision asks for hundreds of them."""
     own = {name for effect in added for name in effect.names}
     index = [k for k, name in enumerate(state.names) if name not in own]
-    limit = float(-special.ndtri(STRAIN / (2 * max(len(index), 1))))
+    limit = float(-special.ndtri(RULES.strain / (2 * max(len(index), 1))))
     rows = []
     for k in index:
         name, s = state.names[k], float(state.prior_sd[k])
@@ -68,17 +60,17 @@ def implausible(state: State, added: Sequence[Effect]) -> str:
             on = [limit for limit in (q.upper, q.lower) if _held(state, q, limit)]
             if on:
                 reasons.append(f"{q.name} is on its limit of {_with_unit(on[0], q)}")
-            elif abs(here - q.value) > NUISANCE * q.prior_width:
+            elif abs(here - q.value) > RULES.nuisance * q.prior_width:
                 reasons.append(f"{q.name} = {_with_unit(here, q)} is far from {q.value:.4g}")
     return "; ".join(reasons)
 
 
 def _held(state: State, p: Parameter, limit: float) -> bool:
     """Whether a limit holds a fitted parameter: next to it for its range, and for what the data leave open."""
-    near = _AT * (p.upper - p.lower)
+    near = RULES.at_limit * (p.upper - p.lower)
     if p.name in state.names:
         k = state.names.index(p.name)
-        near = min(near, _AT_STD * float(np.sqrt(state.covariance[k, k])))
+        near = min(near, RULES.at_limit_std * float(np.sqrt(state.covariance[k, k])))
     return abs(state.values[p.name] - limit) <= near
 
 

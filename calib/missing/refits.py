@@ -13,37 +13,22 @@ from calib.errors import EvaluationError
 from calib.inference.gauss_newton import FitSettings
 from calib.missing.alike import Group
 from calib.missing.allowance import Allowance
-from calib.missing.evidence import CREDIBLE, ln_bayes_linear, ln_evidence
+from calib.missing.evidence import ln_bayes_linear, ln_evidence
 from calib.missing.findings import Trial
 from calib.missing.hypotheses import Hypotheses, Question, Scaled
 from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
+from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
 from calib.missing.state import FINE, ROUGH, State, fitted, grown, nearest_whole
 
-SAME = 0.98
-"""Correlation of fingerprints from which a local change says the same as a named effect."""
-_FAR = 30.0
-"""Log Bayes factor from which an effect leaves no room for those that promise a quarter of it."""
-_CLOSE = 10.0
-"""Effects whose log evidence is within this of the best are fitted to the end."""
-_NEARLY = 0.35
-"""The same, as a part of what the best one has gained."""
-POLISHED = 3
-"""Effects, and pairs of effects, that may move whole numbers back."""
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects; for looking where whole numbers may have been led astray."""
-_SMALLER = (0.1, 0.01)
-"""Parts of a step that are tried where the whole step ended above the fit it began from."""
-_LEAST = 8
-"""Residuals of a fit that the verdict needs although the budget is used up."""
-_HOPELESS = 1.05
-"""A rough fit that leaves so much more than another is not followed."""
 
 
 def near_to(reached: float) -> float:
     """How far below the best what is fitted to the end may be, that having gained so much log evidence."""
-    return max(_CLOSE, _NEARLY * reached)
+    return max(RULES.close, RULES.nearly * reached)
 
 
 Progress = Callable[[str], None]
@@ -142,7 +127,7 @@ class Refits:
 
     def affordable(self, settings: FitSettings) -> FitSettings:
         """The same with no more residuals than the budget leaves, but as many as the verdict needs."""
-        return replace(settings, evaluations=min(settings.evaluations, max(self.allowance.left, _LEAST)))
+        return replace(settings, evaluations=min(settings.evaluations, max(self.allowance.left, RULES.least_residuals)))
 
     def singles(
         self,
@@ -161,7 +146,7 @@ class Refits:
             if len(out) > 1 and self.spent(EARLY):
                 break
             reached = max((t.ln_evidence - base.ln_evidence for t in out), default=0.0)
-            if reached > _FAR and by_effect[name] < reached / 4 and (name,) not in starts:
+            if reached > RULES.far and by_effect[name] < reached / 4 and (name,) not in starts:
                 continue  # it promises next to nothing of what another one has done already
             found = self._single(base, named, name, starts)
             if found is not None:
@@ -181,8 +166,8 @@ class Refits:
         # Places of whole-number parameters may have followed what was missing: the best are allowed to move them back.
         reached = out[0].ln_evidence - base.ln_evidence
         near = near_to(reached)
-        for k, one in enumerate(out[:POLISHED]):
-            close = reached > CREDIBLE and out[0].ln_evidence - one.ln_evidence < near
+        for k, one in enumerate(out[: RULES.polished]):
+            close = reached > RULES.credible and out[0].ln_evidence - one.ln_evidence < near
             if close and not self.spent(EARLY if k else 1.0):
                 out[k] = self.followed(one, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
@@ -218,7 +203,7 @@ class Refits:
         if not fits:
             return None
         strengths = [n for n in names if n not in parent.names]
-        for part in _SMALLER:
+        for part in RULES.smaller_steps:
             if best().state.misfit <= parent.state.misfit or self.spent():
                 break
             follow({**starts[0], **parent.state.values, **{n: part * starts[0][n] for n in strengths}})
@@ -258,7 +243,7 @@ class Refits:
         usable = np.array(found.strength)
         if best.names:
             column = named.unit[:, named.best(best.names[0])]
-            usable[np.abs(found.unit.T @ column) > SAME] = -np.inf
+            usable[np.abs(found.unit.T @ column) > RULES.same] = -np.inf
         scales = np.array([bool(self.by_name[n].part) for n in found.owners], dtype=bool)
         part, other = (
             int(np.argmax(np.where(own, usable, -np.inf))) if own.any() else None for own in (scales, ~scales)
@@ -269,10 +254,10 @@ class Refits:
         atom = None
         if part is not None and first > 0:
             atom = self._local(found.owners[part], base, found, best)
-        clearly = second > first + CREDIBLE and not (atom is not None and self.spent())
+        clearly = second > first + RULES.credible and not (atom is not None and self.spent())
         if other is not None and (clearly or (atom is None and second > 0)):
             rival = self._local(found.owners[other], base, found, best)
-            if rival is not None and (atom is None or rival.ln_evidence > atom.ln_evidence + CREDIBLE):
+            if rival is not None and (atom is None or rival.ln_evidence > atom.ln_evidence + RULES.credible):
                 return rival
         return atom
 
@@ -296,7 +281,7 @@ class Refits:
         atom = self.best_of((name,), [first], base)
         if self.spent():
             return atom
-        if atom is not None and best.ln_evidence - atom.ln_evidence < _CLOSE:
+        if atom is not None and best.ln_evidence - atom.ln_evidence < RULES.close:
             atom = self.followed(atom)
         return atom
 
@@ -312,7 +297,7 @@ class Refits:
         if all(start[p.name] == trial.state.values[p.name] for p in question.space.free if p.integer):
             return None
         found = self.trial(trial.names, start, settings=ROUGH)
-        if found.state.misfit > _HOPELESS * trial.state.misfit:
+        if found.state.misfit > RULES.hopeless * trial.state.misfit:
             return None
         found = self.trial(trial.names, found.state.values)
         return found if found.state.misfit < trial.state.misfit else None

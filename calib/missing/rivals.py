@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as la
 
-from calib.missing.evidence import CREDIBLE
 from calib.missing.option import Option
+from calib.missing.rules import RULES
 from calib.missing.state import State
 
 _TESTS = 200
@@ -133,7 +133,7 @@ class Rivals:
                 weight.append(np.full(_TESTS, share / (len(truth.points) * _TESTS)))
         values, weights = np.concatenate(found), np.concatenate(weight)
         low, high = np.quantile(values, EIGHT_OF_TEN, weights=weights, method="inverted_cdf")
-        chance = float(np.sum(weights[values > CREDIBLE]) / weights.sum())
+        chance = float(np.sum(weights[values > RULES.credible]) / weights.sum())
         return Odds(float(np.average(values, weights=weights)), float(low), float(high), chance)
 
     def difference(self, option: Option) -> float:

@@ -12,14 +12,9 @@ import scipy.linalg as la
 from calib.effect import Effect
 from calib.errors import EvaluationError
 from calib.missing.hypotheses import Question
+from calib.missing.rules import RULES
 from calib.missing.state import State
 from calib.problem import Label
-
-DETECTABLE = 4.0
-"""Expected score from which an effect is found with about 90 % power at a family-wise level of 1 %."""
-_DRAWS = 8000
-_ABSORBED = 1e-6
-"""Columns of which the parameters leave less than this part are no directions at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +147,7 @@ def scored(
     """Scores of changes of the data (n_rows, m) that are known, at a fitted model; see `Scores`."""
     outside = state.outside(raw)
     whole, size = np.linalg.norm(raw, axis=0), np.linalg.norm(outside, axis=0)
-    seen = size > _ABSORBED * np.maximum(whole, 1e-300)
+    seen = size > RULES.absorbed * np.maximum(whole, 1e-300)
     safe = np.where(seen, size, 1.0)
     unit = np.where(seen, outside / safe, 0.0)
     return Scores(
@@ -182,13 +177,15 @@ def family_p(found: Scores, rows: Sequence[Label], scatter_freedom: Mapping[str,
     rng = np.random.default_rng(seed)
     kinds = [row.kind for row in rows]
     blocks = {kind: np.flatnonzero([k == kind for k in kinds]) for kind in dict.fromkeys(kinds)}
-    drawn = np.zeros((unit.shape[1], _DRAWS))
+    drawn = np.zeros((unit.shape[1], RULES.draws))
     for kind, index in (*blocks.items(), ("", np.arange(len(kinds), len(unit)))):
         freedom = scatter_freedom.get(kind, np.inf)
-        factor = np.sqrt(freedom / rng.chisquare(freedom, _DRAWS)) if np.isfinite(freedom) else np.ones(_DRAWS)
-        drawn += factor * (_root(unit[index].T @ unit[index]) @ rng.standard_normal((unit.shape[1], _DRAWS)))
+        factor = (
+            np.sqrt(freedom / rng.chisquare(freedom, RULES.draws)) if np.isfinite(freedom) else np.ones(RULES.draws)
+        )
+        drawn += factor * (_root(unit[index].T @ unit[index]) @ rng.standard_normal((unit.shape[1], RULES.draws)))
     largest = np.max(np.where(signed[:, None], np.abs(drawn), drawn), axis=0)
-    return float((np.count_nonzero(largest >= found.strength[seen].max()) + 1) / (_DRAWS + 1))
+    return float((np.count_nonzero(largest >= found.strength[seen].max()) + 1) / (RULES.draws + 1))
 
 
 def _root(matrix: np.ndarray) -> np.ndarray:

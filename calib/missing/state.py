@@ -15,6 +15,7 @@ from calib.errors import EvaluationError
 from calib.inference.gauss_newton import FitSettings, Prior, fit
 from calib.inference.identify import posterior
 from calib.missing.hypotheses import Question
+from calib.missing.rules import RULES
 
 FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8, evaluations=40)
 """A thousandth of a unit of the sum of squares is far below anything that decides; fits that converge need about ten
@@ -24,8 +25,6 @@ ROUGH = FitSettings(iterations=6, gain=0.05, relative=3e-4, rejections=4)
 _TURNS = 3
 _ALL_AT_ONCE = 3
 """Up to so many whole-number parameters are moved together: 26 neighbours."""
-WORTH = 0.5
-"""Smallest promised decrease for which another whole number is tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +302,7 @@ def _better_whole(state: State, reach: int) -> dict[str, float] | None:
         if not p.integer:
             continue
         here = round(state.values[p.name])
-        lowest = state.misfit - WORTH
+        lowest = state.misfit - RULES.worth
         for number in range(max(here - reach, round(p.lower)), min(here + reach, round(p.upper)) + 1):
             there = None if number == here else _elsewhere(state, {p.name: number})
             if there is None:

@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 
 from calib.freedom import LEAST_FREEDOM, chance, hat_root
-from calib.missing.goodness import FOLLOWED, Fit, Layout, goodness, overall
+from calib.missing.goodness import Fit, Layout, goodness, overall
+from calib.missing.rules import RULES
 from calib.problem import Label
 
 COLUMNS = ("what", "kind", "rows", "chi2", "freedom", "p", "p_fit_without", "explains")
@@ -127,7 +128,7 @@ def suspects(
         b = datum.rows
         here = root[b]
         inverse = np.eye(len(b)) - here @ here.T
-        if np.linalg.eigvalsh(inverse)[0] < (FOLLOWED if len(b) == 1 else _SINGULAR):
+        if np.linalg.eigvalsh(inverse)[0] < (RULES.followed if len(b) == 1 else _SINGULAR):
             continue  # a parameter stands on these data alone
         predicted = np.linalg.solve(inverse, e[b])
         whole = np.bincount(layout.which[b], minlength=len(size)) == size  # their factors are left out with them

@@ -11,14 +11,12 @@ import pandas as pd
 
 from calib.effect import Effect
 from calib.missing.alike import Group
-from calib.missing.evidence import CREDIBLE, expected_ln_bayes, ln_bayes_linear, posterior, rescaled
+from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, posterior, rescaled
 from calib.missing.findings import Findings, Trial
 from calib.missing.plausible import strain
-from calib.missing.score import DETECTABLE, correlation
+from calib.missing.rules import RULES
+from calib.missing.score import correlation
 from calib.missing.visible import smallest_visible
-
-ALIKE = 0.9
-"""Correlation of fingerprints from which effects are named as confounded."""
 
 UNTESTED = "not tested: the model fails with it"
 
@@ -122,7 +120,7 @@ def strength_of(trial: Trial, name: str) -> tuple[float, float]:
 
 
 def confounded_with(found: Findings, name: str) -> list[str]:
-    """Effects whose fingerprints are alike beyond `ALIKE`, or that at its fitted strength odds of 20:1 cannot tell."""
+    """Effects alike beyond `Rules.confounded`, or that at its fitted strength odds of 20:1 cannot tell apart."""
     named = found.base_check.named
     names = _names(found)
     columns = [named.best(n) for n in names]
@@ -132,8 +130,10 @@ def confounded_with(found: Findings, name: str) -> list[str]:
     strength = 0.0 if trial is None else strength_of(trial, name)[0] * float(named.size[k])
     out = []
     for other, r in zip(names, rho, strict=True):
-        told_apart = expected_ln_bayes(strength, float(r)) >= CREDIBLE
-        if other != name and (abs(r) > ALIKE or (abs(r) > 0.5 and strength > DETECTABLE and not told_apart)):
+        told_apart = expected_ln_bayes(strength, float(r)) >= RULES.credible
+        if other != name and (
+            abs(r) > RULES.confounded or (abs(r) > 0.5 and strength > RULES.detectable and not told_apart)
+        ):
             out.append(other)
     return out
 

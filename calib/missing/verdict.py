@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from calib.effect import Effect
-from calib.missing.evidence import CREDIBLE
 from calib.missing.findings import Check, Findings
-from calib.missing.held_out import CONTRADICTED, contradicting
+from calib.missing.held_out import contradicting
 from calib.missing.local import local_change
+from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
 
 _LEAST = 1 / 4000
@@ -196,7 +196,9 @@ def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
     credible = [e for n in rows["name"] for e in _effects(found) if e.name == n]
     wrong = ", or a measurement is wrong" if len(explaining) > len(rows) else ""
     # Only what is wrong with the measurement may be far ahead; an effect that is would be named.
-    first = "A wrong measurement explains it best" if odds > math.exp(CREDIBLE) else "These data cannot tell between"
+    first = (
+        "A wrong measurement explains it best" if odds > math.exp(RULES.credible) else "These data cannot tell between"
+    )
     return [
         f"Something is missing{wrong}: {_family(found)}.",
         f"{first}: {named}. The odds of the first against the second are {rounded(odds)}:1.",
@@ -363,7 +365,7 @@ def _errors(errors: pd.DataFrame) -> list[str]:
         floor = float(numbers[group, "after"]["expected"])
         told.append(f"{label} {before:.2f} -> {after:.2f} (noise floor {floor:.2f})")
         # An error that is larger by chance is none: a right model must hardly ever predict as badly.
-        if after > before and float(numbers[group, "after"]["p"]) < CONTRADICTED:
+        if after > before and float(numbers[group, "after"]["p"]) < RULES.contradicted:
             worse.append(label)
     if not told:
         return []

@@ -11,7 +11,8 @@ import numpy as np
 from calib.effect import Effect
 from calib.errors import EvaluationError
 from calib.missing.hypotheses import Question
-from calib.missing.score import DETECTABLE, Scores
+from calib.missing.rules import RULES
+from calib.missing.score import Scores
 from calib.missing.state import State
 
 _ASKED = 12
@@ -30,7 +31,7 @@ def smallest_visible(found: Scores, name: str) -> float:
     To first order; see `visible_within_limits` for effects that grow faster than that.
     """
     own = [k for k, owner in enumerate(found.owners) if owner == name and found.size[k] > 0]
-    return min((max(DETECTABLE / float(found.size[k]), float(found.onset[k])) for k in own), default=math.inf)
+    return min((max(RULES.detectable / float(found.size[k]), float(found.onset[k])) for k in own), default=math.inf)
 
 
 def visible_within_limits(
@@ -68,7 +69,7 @@ def _onset(question: Question, state: State, effect: Effect, end: float, nuisanc
             there = question.residual({**state.values, **nuisance, effect.name: start + part * (end - start)})
         except EvaluationError:
             return None
-        return float(np.linalg.norm(state.outside((state.residual - there)[:, None]))) / DETECTABLE
+        return float(np.linalg.norm(state.outside((state.residual - there)[:, None]))) / RULES.detectable
 
     # A model that fails at its limit tells nothing of smaller strengths: from there the next that it can be asked for.
     reached = ((part, size) for part in _INWARD if (size := shown(part)) is not None)

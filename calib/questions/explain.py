@@ -21,11 +21,11 @@ from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
 from calib.missing.advice import Prospects, advice_sentence, advise
-from calib.missing.evidence import CREDIBLE
 from calib.missing.findings import Findings, Trial
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Hypotheses, Scaled
 from calib.missing.profile import profile_interval
+from calib.missing.rules import RULES
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import (
     confounding_table,
@@ -270,7 +270,7 @@ def _visible(side: Side, found: Findings) -> dict[str, float]:
     fits = {t.names[0]: t for t in found.singles}
     for effect in (e for group in found.groups for e in group.effects):
         first, fit = smallest_visible(found.base_check.named, effect.name), fits.get(effect.name)
-        seen = fit is not None and found.ln_bayes(fit) > CREDIBLE and abs(fit.state.values[effect.name]) < first
+        seen = fit is not None and found.ln_bayes(fit) > RULES.credible and abs(fit.state.values[effect.name]) < first
         if seen or (not effect.nuisance and first > effect.plausible):
             inner = side.hypotheses.question((effect.name,))
             question = inner if found.noise_scale == 1.0 else Scaled(inner, found.noise_scale)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
@@ -16,8 +17,10 @@ import pandas as pd
 from calib.correlation.response_residual import response_std
 from calib.correlation.scatter import scatter_of
 from calib.errors import InputError
+from calib.inference import rules as inference
 from calib.measurement.disagreements import COLUMNS
 from calib.measurement.modal import MeasuredModes
+from calib.missing import rules as missing
 from calib.named_values import ANY, read_json
 from calib.questions.scatter import accuracy_words, assumed_scatter, assumed_words, scatter_notes
 from calib.questions.state import made_from
@@ -108,8 +111,13 @@ def asked(
         "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
         "seeds": dict(seeds),
         "made_from": made_from(study, question),
+        "rules": {name: asdict(rules) for name, rules in RULES.items()},
         "sentences": list(sentences),
     }
+
+
+RULES: Mapping[str, Any] = {"inference": inference.RULES, "missing": missing.RULES}
+"""What verdicts are made by."""
 
 
 def measured_table(study: Study) -> pd.DataFrame:

@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from calib.correlation.problem import ModalProblem
+from calib.inference import rules as inference
+from calib.missing import rules as missing
 from calib.several import AnyStudy, JointStudy
 from calib.study import Study, StudyFile
 from calib.version import __version__
@@ -191,13 +193,17 @@ def _stated(study: StudyFile, question: str) -> dict[str, str]:
 
 def _of_calibration(study: Study) -> tuple[Any, ...]:
     given = study.settings
-    return study.search_space, given.calibration.model_dump(), given.reduction.model_dump(), study.adopted_sd
+    return (
+        study.search_space, given.calibration.model_dump(), given.reduction.model_dump(), study.adopted_sd,
+        inference.RULES,
+    )  # fmt: skip
 
 
 def _of_explanation(study: Study) -> tuple[Any, ...]:
     effects = [(e.name, e.parameters, e.grid) for e in study.library]
     own = [digest for name, digest in study.read_files.items() if name.endswith(".py")]
-    return (*_of_calibration(study), study.settings.explain.model_dump(), effects, study.library_digest, own)
+    return (*_of_calibration(study), study.settings.explain.model_dump(), effects, study.library_digest, own,
+            missing.RULES)  # fmt: skip
 
 
 _SETTINGS: Mapping[str, Callable[[Study], tuple[Any, ...]]] = {

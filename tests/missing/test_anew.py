@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from calib.missing import explain as decision
-from calib.missing.anew import ANEW, led_astray
+from calib.missing.anew import led_astray
 from calib.missing.explain import explain
 from calib.missing.plausible import strain
+from calib.missing.rules import RULES
 from calib.missing.state import fitted
 from calib.space import Parameter, ParameterSpace
 
@@ -63,7 +64,7 @@ def test_a_large_effect_behind_a_ridge_is_named_and_measured(toy, size, radius, 
 def test_beginning_anew_costs_what_it_says(toy):
     one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), TRUTH)
     found = explain(one)
-    assert found.begun_anew and found.evaluations <= (1 + ANEW) * decision.DEFAULT.budget + 20
+    assert found.begun_anew and found.evaluations <= (1 + RULES.anew) * decision.DEFAULT.budget + 20
     least = explain(replace(one, count=[0]), replace(decision.DEFAULT, budget=0.0))
     assert not least.begun_anew and least.evaluations < 60
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing.explain import GUARD, explain
+from calib.missing.explain import explain
 from calib.missing.goodness import common_scale, goodness, lone_sensor, noise_scale
+from calib.missing.rules import RULES
 
 BAD = "S3"
 
@@ -28,7 +29,9 @@ def test_a_bad_channel_is_no_understated_scatter(made):
     for _ in range(8):
         one = channel(made, rng, 4.0)
         state = one.calibrated()
-        assert noise_scale(goodness(state, one.rows, {}, {})[1]) > 1.1 * GUARD  # all modes ask for a larger scatter
+        assert (
+            noise_scale(goodness(state, one.rows, {}, {})[1]) > 1.1 * RULES.guard
+        )  # all modes ask for a larger scatter
         found = explain(one)
         assert found.credible == () and found.noise_scale == 1.0
         assert found.base_check.sensors["sensor"][0] == BAD

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.missing.evidence import CREDIBLE, favoured, ln_bayes_linear, ln_evidence, posterior, rescaled
+from calib.missing.evidence import favoured, ln_bayes_linear, ln_evidence, posterior, rescaled
+from calib.missing.rules import RULES
 from calib.missing.score import scores
 from calib.space import ParameterSpace
 
@@ -133,7 +134,7 @@ def test_probabilities_sum_to_one_and_junk_lowers_them():
     assert posterior(np.zeros(50))[0] == pytest.approx(0.5)
     assert posterior(np.array([]))[0] == 1.0
     assert posterior(np.array([1e4, -1e4]))[1].tolist() == [1.0, 0.0]
-    assert np.exp(CREDIBLE) == pytest.approx(20, rel=0.01)
+    assert np.exp(RULES.credible) == pytest.approx(20, rel=0.01)
 
 
 @pytest.mark.parametrize(("strength", "std"), [(0.5, 0.02), (0.03, 0.02), (-0.2, 0.05), (0.001, 0.05), (3.0, 0.9)])

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing.explain import GUARD, explain
+from calib.missing.explain import explain
 from calib.missing.goodness import goodness, noise_scale
 from calib.missing.refits import Refits, Settings
+from calib.missing.rules import RULES
 
 ANEW = "beginning anew"
 
@@ -37,8 +38,8 @@ def test_two_effects_that_spoil_all_modes_alike_are_no_reason_to_doubt_the_scatt
     made = spread(toy(modes=10, sensors=20), "E0", "E1")
     found, _, anew = asked(made, seed, {"E0": 3.0, "E1": 2.5})
     modes = goodness(found.singles[0].state, made.rows, {}, {})[1]
-    assert noise_scale(modes) > 1.3 * GUARD  # one effect alone asks for a larger scatter
-    assert anew == [] and found.noise_scale == 1.0 and found.measured_scale < GUARD
+    assert noise_scale(modes) > 1.3 * RULES.guard  # one effect alone asks for a larger scatter
+    assert anew == [] and found.noise_scale == 1.0 and found.measured_scale < RULES.guard
     assert found.verdict == "two_effects" and set(found.credible) == {"E0", "E1"}
     values = found.chosen.state.values
     assert [values["E0"], values["E1"]] == pytest.approx([3.0, 2.5], abs=0.5)

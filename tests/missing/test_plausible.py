@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.missing.plausible import NUISANCE, STRAIN, implausible, strain
+from calib.missing.plausible import implausible, strain
+from calib.missing.rules import RULES
 
 
 def test_strain_is_a_standard_normal_variate_in_a_right_model(toy):
@@ -16,14 +17,14 @@ def test_strain_is_a_standard_normal_variate_in_a_right_model(toy):
     scores = np.array([t["standardised"] for t in tables])
     np.testing.assert_allclose(scores.std(axis=0), 1.0, atol=4 / np.sqrt(600))
     assert stats.kstest(scores.ravel(), "norm").pvalue > 0.005
-    assert np.mean([t["strained"].any() for t in tables]) == pytest.approx(STRAIN, abs=0.025)
+    assert np.mean([t["strained"].any() for t in tables]) == pytest.approx(RULES.strain, abs=0.025)
 
 
 def test_the_limit_grows_with_the_number_of_parameters(toy):
     for count in (1, 5, 12):
         table = strain(toy(parameters=count).calibrated())
         assert len(table) == count
-        assert table["limit"].iloc[0] == pytest.approx(stats.norm.isf(STRAIN / (2 * count)))
+        assert table["limit"].iloc[0] == pytest.approx(stats.norm.isf(RULES.strain / (2 * count)))
 
 
 def test_a_parameter_that_had_to_go_far_is_named(toy):
@@ -93,9 +94,9 @@ def test_a_wide_range_puts_no_strength_on_its_limit(toy):
     ("sd", "value", "reason"),
     [
         (1.0, 3.5, ""),
-        (1.0, 3.5 + 0.99 * NUISANCE, ""),
-        (1.0, 3.5 + 1.01 * NUISANCE, "at = 5.52 Hz is far from 3.5"),
-        (1.0, 3.5 - 1.01 * NUISANCE, "at = 1.48 Hz is far from 3.5"),
+        (1.0, 3.5 + 0.99 * RULES.nuisance, ""),
+        (1.0, 3.5 + 1.01 * RULES.nuisance, "at = 5.52 Hz is far from 3.5"),
+        (1.0, 3.5 - 1.01 * RULES.nuisance, "at = 1.48 Hz is far from 3.5"),
         (5.0, 7.99999, "at is on its limit of 8 Hz"),
         (5.0, -1.0, "at is on its limit of -1 Hz"),
         (5.0, 7.9, ""),

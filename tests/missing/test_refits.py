@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from calib.missing import pairs
-from calib.missing.anew import ANEW
 from calib.missing.explain import _Decision, explain
-from calib.missing.pairs import PAIRED, PAIRS_OF_BEST
+from calib.missing.pairs import PAIRS_OF_BEST
 from calib.missing.refits import DEFAULT, Refits, Settings
-from calib.missing.score import DETECTABLE, scores
+from calib.missing.rules import RULES
+from calib.missing.score import scores
 
 VERDICTS = {
     "nothing_detectable",
@@ -57,7 +57,7 @@ def test_a_second_effect_is_found_although_places_were_led_astray(astray, begun,
     assert single.names == ("E0",) and single.state.values["place"] == found.base.state.values["place"] == 2
     beside = scores(single.state, [e for e in one.effects if e.name != "E0"], {})
     strength = dict(zip(beside.owners, beside.strength, strict=True))
-    assert strength["E2"] < DETECTABLE / 2 and sum(s > strength["E2"] for s in strength.values()) >= PAIRS_OF_BEST
+    assert strength["E2"] < RULES.detectable / 2 and sum(s > strength["E2"] for s in strength.values()) >= PAIRS_OF_BEST
     assert found.verdict == "two_effects" and set(found.credible) == {"E0", "E2"}
     values = found.chosen.state.values
     assert values["place"] == 1 and [values["E0"], values["E2"]] == pytest.approx([2.0, 2.0], abs=0.5)
@@ -116,4 +116,4 @@ def test_a_small_budget_ends_with_a_verdict_after_about_as_many_evaluations(toy)
     assert spent == sorted(spent)
     for budget, evaluations in zip((20.0, 30.0, 40.0, 60.0), spent, strict=True):
         # The scatter is doubted, and so everything, pairs too, is decided twice.
-        assert budget <= evaluations <= (2 + ANEW + 2 * PAIRED) * budget + 16
+        assert budget <= evaluations <= (2 + RULES.anew + 2 * RULES.paired) * budget + 16

@@ -10,9 +10,9 @@ import pytest
 from calib.missing.evidence import ln_evidence
 from calib.missing.explain import explain
 from calib.missing.plausible import strain
+from calib.missing.rules import RULES
 from calib.missing.state import fitted
 from calib.missing.tables import (
-    ALIKE,
     EFFECT_COLUMNS,
     UNTESTED,
     confounded_with,
@@ -261,7 +261,7 @@ def test_effects_that_look_alike_are_named_for_each_other(toy):
     made = toy(effects=4).alike("E3", "E1", 0.97)
     _, found = found_in(made, {"E1": 0.5})
     rho = confounding_table(found).set_index("effect").loc["E1", "E3"]
-    assert ALIKE < rho < 0.98
+    assert RULES.confounded < rho < 0.98
     assert confounded_with(found, "E1") == ["E3"] and confounded_with(found, "E3") == ["E1"]
     assert confounded_with(found, "E0") == []
     table = table_of(found).set_index("name")
@@ -279,7 +279,7 @@ def test_effects_somewhat_alike_are_confounded_only_while_weak(toy, strength, to
     made = toy(effects=4, parameters=1, reach=0.1).alike("E3", "E1", 0.88)
     _, found = found_in(made, {"E1": strength})
     rho = confounding_table(found).set_index("effect").loc["E1", "E3"]
-    assert 0.8 < rho < ALIKE
+    assert 0.8 < rho < RULES.confounded
     assert confounded_with(found, "E1") == told
 
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing.evidence import CREDIBLE, ln_wrong
+from calib.missing.evidence import ln_wrong
 from calib.missing.explain import Settings, explain
+from calib.missing.rules import RULES
 
 PLACE = ("M3", "frequency")
 
@@ -39,7 +40,7 @@ def test_a_wrong_datum_is_no_proof_of_an_effect(toy, share):
     assert len(told) >= 8
     for f in told:
         assert f.datum.what == "frequency of M3" and f.untold[-1] == f.datum.told
-        assert f.datum.ln_evidence > f.chosen.ln_evidence - CREDIBLE and f.datum.p_fit > f.alpha
+        assert f.datum.ln_evidence > f.chosen.ln_evidence - RULES.credible and f.datum.p_fit > f.alpha
         # Of one value in a linear model, half of z^2 - 1 - ln z^2 with z the studentised difference.
         z2 = f.suspects.set_index("what").loc[f.datum.what, "chi2"]
         ln_bayes = f.datum.ln_evidence - f.base.ln_evidence

@@ -9,7 +9,7 @@ import pytest
 
 from calib import cli
 from calib.errors import InputError
-from calib.missing.held_out import CONTRADICTED
+from calib.missing.rules import RULES
 from calib.questions.calibrate import calibrate
 from calib.questions.contradiction import contradictions
 from calib.questions.places import ledger_of, results_of
@@ -71,7 +71,7 @@ def test_contradicting_data_are_told_everywhere(tmp_path, monkeypatch, capsys):
     folder = Path("results/bent")
     (sentence,) = json.loads((folder / "summary.json").read_text())["contradictions"]
     errors = pd.read_csv(folder / "data_errors.csv").set_index("group")
-    assert errors.loc["withheld_responses", "p"] < CONTRADICTED < errors.loc["fit", "p"]
+    assert errors.loc["withheld_responses", "p"] < RULES.contradicted < errors.loc["fit", "p"]
     assert f"{errors.loc['withheld_responses', 'rms']:.2f}" in sentence
     assert said.count(sentence) == 1
     assert all(f"{name} (withheld)" in said for name in ("y6", "y7"))
@@ -83,7 +83,7 @@ def test_contradicting_data_are_told_everywhere(tmp_path, monkeypatch, capsys):
 
 def test_data_within_their_scatter_contradict_nothing(tmp_path):
     *_, answer = calibrated(line(tmp_path / "straight", 0.0))
-    assert answer.errors.set_index("group").loc["withheld_responses", "p"] > CONTRADICTED
+    assert answer.errors.set_index("group").loc["withheld_responses", "p"] > RULES.contradicted
     assert answer.contradictions == ()
 
 

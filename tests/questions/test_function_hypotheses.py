@@ -10,8 +10,8 @@ from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel
 from calib.loading import module_of
-from calib.missing.evidence import CREDIBLE
 from calib.missing.explain import Settings, explain
+from calib.missing.rules import RULES
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.space import Parameter, ParameterSpace
 from calib.study import Study
@@ -369,7 +369,7 @@ def test_a_fault_that_explains_as_well_is_told_beside_the_effect(seed, fault, of
     found = bare_chain(seed, "", fault, offset)
     own = f"offset of {'freq' if fault.startswith('freq') else 'damping'}"
     assert found.verdict == "indistinguishable" and found.untold == (effect, own)
-    assert abs(found.fault.ln_evidence - found.chosen.ln_evidence) < CREDIBLE
+    assert abs(found.fault.ln_evidence - found.chosen.ln_evidence) < RULES.credible
 
 
 def test_a_brake_and_damping_read_too_high_cannot_be_told_apart_by_the_truth_either():

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from calib.missing.anew import ANEW
-from calib.missing.pairs import PAIRED
 from calib.missing.refits import DEFAULT
+from calib.missing.rules import RULES
 from calib.structure.basis import Basis
 
 BENCH = Path(__file__).resolve().parents[1] / "benchmarks"
@@ -62,7 +61,7 @@ def no_wrong_name(row):
     assert row["outcome"] not in ("wrong", "extra", "mixed"), row
     assert set(row["credible"]) <= set(row["hidden"]) or row["outcome"] in ("right", "second")
     decisions = 1 + (row["noise_scale"] != 1)  # a second one with a larger scatter
-    parts = decisions * (1 + PAIRED) + ANEW * row["begun_anew"]
+    parts = decisions * (1 + RULES.paired) + RULES.anew * row["begun_anew"]
     assert row["evaluations"] <= parts * DEFAULT.budget + BEYOND
 
 

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from calib import __version__
+from calib.missing.rules import RULES
 from calib.questions.compare import compare
 from calib.questions.record import measured_table, sensors_table, write_record
 from calib.results import Results
@@ -61,6 +62,7 @@ def test_the_record_names_versions_and_seeds_and_keeps_earlier_questions(guyed, 
     first, second = told["questions"].values()
     assert first["sentences"] == list(answer.sentences) and first["seeds"] == {} and not first["quick"]
     assert second["seeds"] == {"samples": 7} and second["quick"] and second["sentences"] == ["Two matter."]
+    assert first["rules"]["missing"]["credible"] == RULES.credible and len(first["rules"]["inference"]) > 5
     assert first["versions"]["calib"] == __version__ and first["versions"]["numpy"] == np.__version__
 
 

@@ -5,7 +5,8 @@ import json
 import pandas as pd
 import pytest
 
-from calib.missing.held_out import CONTRADICTED, contradicting
+from calib.missing.held_out import contradicting
+from calib.missing.rules import RULES
 from calib.questions.added import conclusion, to_add, write_nothing_added
 from calib.questions.explain import explain
 from calib.results import Results
@@ -42,7 +43,7 @@ def test_what_withheld_data_contradict_is_not_named(contradicted, guyed):
         and not answer.effects["credible"].any()
     )
     errors = answer.errors.set_index(["group", "stage"])
-    assert errors.loc[("withheld_modes", "attempt"), "p"] < CONTRADICTED < errors.loc[("fit", "attempt"), "p"]
+    assert errors.loc[("withheld_modes", "attempt"), "p"] < RULES.contradicted < errors.loc[("fit", "attempt"), "p"]
     told = json.loads((results.path / "explanation.json").read_text())
     assert told["verdict"] == "unconfirmed" and told["credible_set"] == [] and told["chosen"] == ["guy"]
     assert set(pd.read_csv(results.path / "errors.csv")["stage"]) == {"before", "attempt"}

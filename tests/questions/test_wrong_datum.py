@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib.missing.evidence import CREDIBLE
+from calib.missing.rules import RULES
 from calib.questions.added import to_add, write_nothing_added
 from calib.questions.explain import explain
 from calib.results import Results
@@ -37,7 +37,7 @@ def test_a_wrong_frequency_cannot_be_told_from_the_effect_that_explains_it(spoil
     assert answer.verdict == "indistinguishable" and found.credible == ("guy",)
     assert found.datum.what == BAD and found.untold == ("guy", found.datum.told)
     row = answer.tables["suspects_explained"].set_index("what").loc[BAD]
-    assert row["explains"] and found.datum.ln_evidence > found.chosen.ln_evidence - CREDIBLE
+    assert row["explains"] and found.datum.ln_evidence > found.chosen.ln_evidence - RULES.credible
     assert found.datum.told in answer.sentence and f"measure the {BAD} again" in answer.sentence
 
 

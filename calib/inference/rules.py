@@ -1,0 +1,44 @@
+"""What decides whether parameters are identified and cases agree, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Constants of the verdicts; `record.json` holds those that an answer was made with.
+
+    Attributes
+    ----------
+    identified : float
+        Largest posterior standard deviation, over the range between the limits, of an identified parameter.
+    by_data : float
+        Smallest part of what is known of an identified parameter that the data give; see `Posterior`.
+    confounded : float
+        Size of the posterior correlation from which two parameters count as confounded.
+    trades : float
+        Size of the posterior correlation from which a parameter that is not identified is told to trade with another.
+    seen : float
+        Signal of one prior standard deviation, over the scatter, below which the data do not see a direction.
+    takes_part : float
+        Smallest share (of length 1) of a parameter that is named as part of a direction.
+    stable : float
+        Largest difference between cases, over the range between the limits, of a stable parameter (Ribeiro et al.
+        2013).
+    nearly_equal : float
+        Relative difference up to which misfits count as equal.
+    """
+
+    identified: float = 0.025
+    by_data: float = 0.5
+    confounded: float = 0.9
+    trades: float = 0.5
+    seen: float = 1.0
+    takes_part: float = 0.3
+    stable: float = 0.10
+    nearly_equal: float = 0.05
+
+
+RULES = Rules()
+"""Those in force."""
