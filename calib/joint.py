@@ -36,52 +36,37 @@ class JointRow(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class JointProblem:
-    """Problems that share parameters by name, asked as one: their residuals one below the other.
+class JointRows:
+    """Rows of several tests, one below the other, with the test's name before modes and sensors.
 
     Attributes
     ----------
-    problems : mapping from str to Problem
-        By name of the test; for fits alone whatever has a space, a residual and its derivative.
-    known : mapping from str to collection of str
-        What else the residual of a test can be differentiated by, such as effects that its model lacks.
-    space : ParameterSpace
-        See `joined`.
+    parts : mapping from str to whatever has rows
+        By name of the test; such as `calib.problem.Problem` or `calib.missing.hypotheses.Hypotheses`.
     """
 
-    problems: Mapping[str, Any]
-    known: Mapping[str, Collection[str]] = field(default_factory=dict, repr=False)
-    space: ParameterSpace = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "space", joined({test: p.space for test, p in self.problems.items()}))
-
-    @property
-    def counts(self) -> Counts:
-        """Points that were asked of all tests together."""
-        own = {id(p.counts): p.counts for p in self.problems.values()}.values()
-        return Counts(sum(c.solved for c in own), sum(c.reused for c in own), sum(c.failed for c in own))
+    parts: Mapping[str, Any]
 
     @cached_property
     def rows(self) -> tuple[JointRow, ...]:
         """What every entry of the residual compares, length n_rows."""
         return tuple(
             JointRow(test, of_test(test, row.mode), row.kind, of_test(test, row.sensor))
-            for test, problem in self.problems.items()
+            for test, problem in self.parts.items()
             for row in problem.rows
         )
 
     @property
     def relative_std(self) -> np.ndarray:
         """Standard deviation of every row over its value, (n_rows,)."""
-        return np.concatenate([problem.relative_std for problem in self.problems.values()])
+        return np.concatenate([problem.relative_std for problem in self.parts.values()])
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
         """Real numbers by (mode, kind) that the residuals fit themselves; they are no degrees of freedom."""
         return {
             (of_test(test, mode), kind): number
-            for test, problem in self.problems.items()
+            for test, problem in self.parts.items()
             for (mode, kind), number in problem.fitted_factors.items()
         }
 
@@ -90,20 +75,47 @@ class JointProblem:
         """Degrees of freedom behind the standard deviations of each kind of row, over all tests; see `behind`."""
         return {
             kind: behind(
-                {test: float(sum(row.kind == kind for row in p.rows)) for test, p in self.problems.items()},
-                {test: p.scatter_freedom.get(kind, math.inf) for test, p in self.problems.items()},
+                {test: float(sum(row.kind == kind for row in p.rows)) for test, p in self.parts.items()},
+                {test: p.scatter_freedom.get(kind, math.inf) for test, p in self.parts.items()},
             )
             for kind in dict.fromkeys(row.kind for row in self.rows)
         }
 
+
+@dataclass(frozen=True, eq=False)
+class JointProblem(JointRows):
+    """Problems that share parameters by name, asked as one: their residuals one below the other.
+
+    Attributes
+    ----------
+    parts : mapping from str to Problem
+        By name of the test; for fits alone whatever has a space, a residual and its derivative.
+    known : mapping from str to collection of str
+        What else the residual of a test can be differentiated by, such as effects that its model lacks.
+    space : ParameterSpace
+        See `joined`.
+    """
+
+    known: Mapping[str, Collection[str]] = field(default_factory=dict, repr=False)
+    space: ParameterSpace = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "space", joined({test: p.space for test, p in self.parts.items()}))
+
+    @property
+    def counts(self) -> Counts:
+        """Points that were asked of all tests together."""
+        own = {id(p.counts): p.counts for p in self.parts.values()}.values()
+        return Counts(sum(c.solved for c in own), sum(c.reused for c in own), sum(c.failed for c in own))
+
     def responses(self, values: Mapping[str, float]) -> dict[str, float]:
         """Named responses of all tests; EvaluationError where a model cannot be solved."""
-        found = {test: self._asked(test, p.responses, values) for test, p in self.problems.items()}
+        found = {test: self._asked(test, p.responses, values) for test, p in self.parts.items()}
         return {of_test(test, name): value for test, own in found.items() for name, value in own.items()}
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual, (n_rows,); EvaluationError where a model cannot be solved."""
-        return np.concatenate([self._asked(test, p.residual, values) for test, p in self.problems.items()])
+        return np.concatenate([self._asked(test, p.residual, values) for test, p in self.parts.items()])
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Derivative of the residual per one of each parameter's own unit, (n_rows, n_params).
@@ -111,7 +123,7 @@ class JointProblem:
         It is 0 in the rows of a test without that parameter.
         """
         blocks = []
-        for test, problem in self.problems.items():
+        for test, problem in self.parts.items():
             own = [name for name in names if name in problem.space or name in self.known.get(test, ())]
             blocks.append(spread(self._asked(test, problem.jacobian, values, own), own, names))
         return np.vstack(blocks)
@@ -122,7 +134,7 @@ class JointProblem:
         """Labels and natural frequencies of all models' modes, Hz, and the derivatives of their logarithms."""
         labels: list[str] = []
         blocks: list[tuple[np.ndarray, np.ndarray]] = []
-        for test, problem in self.problems.items():
+        for test, problem in self.parts.items():
             own = [name for name in names if name in problem.space]
             found, freq, slope = self._asked(test, problem.frequencies, values, own)
             labels += [of_test(test, label) for label in found]
@@ -131,7 +143,7 @@ class JointProblem:
 
     def own(self, test: str, values: Mapping[str, float]) -> dict[str, float]:
         """What one test takes of the values of all."""
-        return {name: value for name, value in values.items() if name in self.problems[test].space}
+        return {name: value for name, value in values.items() if name in self.parts[test].space}
 
     def _asked(self, test: str, ask: Callable[..., _Answer], values: Mapping[str, float], *more: Any) -> _Answer:
         """What one test answers at the joint values; where it fails, the error names it."""

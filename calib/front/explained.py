@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -17,9 +17,8 @@ from calib.effect import Effect
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.front.asked import Asked
 from calib.front.shown import Shown
-from calib.front.test import UNSEEN, ModalTest, ResponseTest, Test, under
+from calib.front.test import ModalTest, ResponseTest, Test, under
 from calib.function import FunctionModel
-from calib.measurement.disagreements import COLUMNS
 from calib.missing.explain import explain
 from calib.missing.refits import Settings
 from calib.questions.explain import Side, answered
@@ -27,12 +26,15 @@ from calib.questions.explanation import Explanation, Told
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.joint_side import JointSide
+from calib.questions.library import local_changes
 from calib.questions.modal_side import ModalSide
 from calib.questions.plain_side import PlainSide
+from calib.questions.record import check_repeats, disagreements_table
 from calib.questions.reduction import WORTHWHILE_DOFS, Wanted
-from calib.questions.scatter import in_words
+from calib.questions.scatter import in_words, notes_on
+from calib.questions.verify import WITHHELD_RESPONSES
 from calib.settings import ExplainSettings, ReductionSettings
-from calib.structure.atoms import Atom, atoms
+from calib.structure.atoms import Atom
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
 from calib.structure.modal_function import ModalFunctionModel
@@ -131,7 +133,7 @@ def _sides(problem: Asked, effects: Library, seed: int) -> dict[str, Side]:
             out |= {test.name: _function(model, test, own, seed, several) for test in asked}
         elif isinstance(model, StructuralModel):
             modal = [test for test in tests if isinstance(test, ModalTest)]
-            local = _local(model, modal, of)
+            local = local_changes(model, [test.used for test in modal], model.space.values, of)
             out |= {test.name: _modal(model, test, own, local, seed) for test in modal}
         else:
             plain = [test for test in tests if isinstance(test, ResponseTest)]
@@ -139,24 +141,12 @@ def _sides(problem: Asked, effects: Library, seed: int) -> dict[str, Side]:
     return out
 
 
-def _local(model: StructuralModel, tests: Sequence[ModalTest], of: str) -> tuple[Atom, ...]:
-    """Local changes of a model at its parts and at every sensor of some tests of it."""
-    used = [test.used for test in tests]
-    placed = {s.name: s for modes in used for s in modes.sensors if s.point is not None}
-    lowest = min(float(modes.natural_freq.min()) for modes in used)
-    return atoms(model, list(placed.values()), model.space.values, lowest, of)
-
-
 def _told(test: Test, seed: int) -> Told:
     measured = test.modes if isinstance(test, ModalTest) else test.measured
-    rows = [tuple(getattr(one, name) for name in COLUMNS) for one in measured.disagreements]
-    assumed, claimed = in_words(test.assumed), "none" if test.accuracy is None else str(test.accuracy)
-    notes = [] if test.accuracy is None else [f"Accuracy claimed, added to the scatter in squares: {claimed}."]
-    notes += [f"Nobody stated it, so the explanation assumes, and rests on: {assumed}."] if assumed else []
-    notes += [f"Check this repeat: {one.sentence}." for one in measured.disagreements]
-    return Told(
-        assumed, claimed, tuple(notes), pd.DataFrame(rows, columns=list(COLUMNS)), {}, seed, ExplainSettings().draws
-    )
+    assumed, claimed = in_words(test.assumed), test.claimed
+    notes = (*notes_on(claimed, assumed), *check_repeats(measured))
+    table = disagreements_table(measured)
+    return Told(assumed, claimed or "none", notes, table, {}, seed, ExplainSettings().draws)
 
 
 def _modal(
@@ -202,4 +192,4 @@ def _plain(model: FunctionModel, test: ResponseTest, effects: tuple[Effect, ...]
         held, used.targets, held.space.without(dict(test.condition)), effects, used.repeats, shares=used.shares,
         test=test.name if several else "",
     )  # fmt: skip
-    return PlainSide(used, {UNSEEN: test.unseen}, hypotheses, _told(test, seed))
+    return PlainSide(used, {WITHHELD_RESPONSES: test.unseen}, hypotheses, _told(test, seed))

@@ -17,7 +17,7 @@ from calib.inference.cases import CaseResult
 from calib.questions.calibrate import parameters_of
 from calib.questions.compare import Answer, answer_of, write_answer
 from calib.questions.judge import Judgement
-from calib.questions.record import sensors_table
+from calib.questions.record import assumptions_of, sensors_table
 from calib.results import Results
 from calib.written import whole
 
@@ -149,7 +149,7 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     errors = fit.errors
     folder.write_table("data_errors", errors[errors["test"] == test.name].drop(columns="test"))
     folder.write_table("parameter_space", fit.problem.space.frame())
-    folder.write_table("assumptions", _assumed(model, test))
+    folder.write_table("assumptions", assumptions_of(model, test.assumed))
     if isinstance(test, ModalTest) and test.modes.has_shapes:
         folder.write_table(
             "sensors", sensors_table(test.modes, [n for n in test.held_out if n not in test.modes.names])
@@ -189,9 +189,3 @@ def _tables(fit: Solved) -> dict[str, pd.DataFrame]:
         "suspects_calibrated": judgement.suspects,
         "predictions": judgement.predictions.assign(scatter="assumed" if judgement.assumed else "stated"),
     }
-
-
-def _assumed(model: Model, test: Test) -> pd.DataFrame:
-    rows = [(a.item, a.value, a.unit, a.reason) for a in (*model.assumptions, *test.assumed)]
-    rows += [(p.name, f"{p.value:g}", p.unit, p.assumed) for p in model.space.parameters if p.assumed]
-    return pd.DataFrame(rows, columns=["item", "value", "unit", "reason"])

@@ -12,6 +12,7 @@ from calib.executor import ExecutorEvaluator, Injected
 from calib.front.asked import Asked
 from calib.front.test import Model, Test
 from calib.inference.objective import JointObjective, Objective
+from calib.joint import of_test
 from calib.outcome import Function
 from calib.questions.case import objective_for
 from calib.questions.sensitivity import sensitivity_responses
@@ -51,7 +52,7 @@ class Responses:
     def at(self, values: Mapping[str, float]) -> dict[str, float]:
         """Responses at the values of all parameters; a test's name goes before its own. See `JointObjective`."""
         return {
-            f"{test}: {name}": value
+            of_test(test, name): value
             for test, problem in self.problems.items()
             for name, value in problem.evaluate({n: v for n, v in values.items() if n in self.names[test]}).items()
         }
@@ -71,7 +72,7 @@ class Responses:
         """Responses by which a sensitivity analysis judges parameters, with what they are called in its tables."""
         several = len(self.problems) > 1
         return {
-            f"{test}: {name}": f"{test}: {name}" if several else name
+            of_test(test, name): of_test(test, name) if several else name
             for test, problem in self.problems.items()
             for name in sensitivity_responses(problem)
         }

@@ -20,15 +20,13 @@ from calib.given import by_name, names, number, objects, values, whole
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses, response_kinds
-from calib.questions.scatter import assumed_responses
-from calib.questions.verify import modal_errors, plain_errors, plain_scatter, whitened
+from calib.questions.scatter import assumed_responses, claimed_words
+from calib.questions.verify import WITHHELD_RESPONSES, modal_errors, plain_errors, plain_scatter, whitened
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption, StructuralModel
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
 Claimed = str | float | Mapping[str, str | float] | None
-UNSEEN = "withheld_responses"
-"""Group of responses that no fit sees, as verdicts name it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +117,11 @@ class ModalTest:
         prior_sd = np.array([model.space[n].prior_width for n in names])
         freedom = self.pair(model).scatter_freedom
         return modal_errors(self.problem(model), self.whole_problem(model), values, names, prior_sd, Floors(), freedom)
+
+    @property
+    def claimed(self) -> str:
+        """The accuracy that is claimed, in words; empty without."""
+        return self.modes.accuracy.words
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:
@@ -215,10 +218,15 @@ class ResponseTest:
     def errors(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> pd.DataFrame:
         """Errors on data used, left out in turn, and held out; see `calib.questions.verify.plain_errors`."""
         problem = self.problem(model)
-        held_out = {UNSEEN: whitened(problem, self.unseen, values, names)}
+        held_out = {WITHHELD_RESPONSES: whitened(problem, self.unseen, values, names)}
         residual, slope = whitened(problem, problem.targets, values, names)
         prior_sd = np.array([model.space[n].prior_width for n in names])
         return plain_errors(residual, slope, names, prior_sd, list(problem.targets), held_out, plain_scatter(problem))
+
+    @property
+    def claimed(self) -> str:
+        """The accuracy that is claimed, in words; empty without."""
+        return "" if self.accuracy is None else claimed_words(self.accuracy)
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:

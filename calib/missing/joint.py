@@ -9,14 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from calib.effect import Effect
-from calib.freedom import behind
-from calib.joint import JointProblem, JointRow, of_test
+from calib.joint import JointProblem, JointRows, of_test
 from calib.missing.findings import Trial
-from calib.missing.hypotheses import Hypotheses
 
 
 @dataclass(frozen=True, eq=False)
-class JointHypotheses:
+class JointHypotheses(JointRows):
     """What several tests ask of effects and local changes; what has one name is one effect in all their models.
 
     Attributes
@@ -25,17 +23,7 @@ class JointHypotheses:
         By name of the test.
     """
 
-    parts: Mapping[str, Hypotheses]
     _questions: dict[frozenset[str], JointProblem] = field(init=False, repr=False, default_factory=dict)
-
-    @cached_property
-    def rows(self) -> tuple[JointRow, ...]:
-        """Rows of every residual, length n_rows; modes and sensors with their test's name."""
-        return tuple(
-            JointRow(test, of_test(test, row.mode), row.kind, of_test(test, row.sensor))
-            for test, part in self.parts.items()
-            for row in part.rows
-        )
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
@@ -46,26 +34,6 @@ class JointHypotheses:
     def atoms(self) -> tuple[Effect, ...]:
         """Unnamed local changes of all tests."""
         return tuple({e.name: e for part in self.parts.values() for e in part.atoms}.values())
-
-    @property
-    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
-        """Numbers fitted by (mode, kind) that are no degrees of freedom."""
-        return {
-            (of_test(test, mode), kind): number
-            for test, part in self.parts.items()
-            for (mode, kind), number in part.fitted_factors.items()
-        }
-
-    @cached_property
-    def scatter_freedom(self) -> Mapping[str, float]:
-        """Degrees of freedom behind the scatter of each kind, over all tests; see `calib.freedom.behind`."""
-        return {
-            kind: behind(
-                {test: float(sum(row.kind == kind for row in part.rows)) for test, part in self.parts.items()},
-                {test: part.scatter_freedom.get(kind, np.inf) for test, part in self.parts.items()},
-            )
-            for kind in dict.fromkeys(row.kind for row in self.rows)
-        }
 
     @property
     def evaluations(self) -> int:

@@ -90,7 +90,10 @@ def _local(study: JointStudy) -> dict[str, tuple[Atom, ...]]:
             groups.setdefault(repr((one.settings.model, one.settings.model_options)), []).append(one)
     out: dict[str, tuple[Atom, ...]] = {}
     for group in groups.values():
-        found = local_changes(group, group[0].test if len(groups) > 1 else "")
+        model, used = group[0].model, [one.measured for one in group if one.measured is not None]
+        assert isinstance(model, StructuralModel)
+        of = group[0].test if len(groups) > 1 else ""
+        found = local_changes(model, used, group[0].search_space.values, of)
         out |= {one.test: found for one in group}
     return out
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
+from calib.measurement.modal import MeasuredModes
 from calib.questions.hypotheses import ModalHypotheses
 from calib.questions.reduction import Wanted, reduction_of, training, worthwhile
 from calib.results import Results
@@ -26,16 +27,24 @@ from calib.study import Study
 from calib.written import is_own
 
 
-def local_changes(studies: Sequence[Study], of: str = "") -> tuple[Atom, ...]:
+def local_changes(
+    model: StructuralModel, measured: Sequence[MeasuredModes], values: Mapping[str, float], of: str = ""
+) -> tuple[Atom, ...]:
     """Local changes of a model with matrices: of its parts, and at every sensor of some tests of it.
 
-    ``of`` names the model where others beside it have changes of the same names.
+    Parameters
+    ----------
+    model : StructuralModel
+    measured : sequence of MeasuredModes
+        What fits see, test by test.
+    values : mapping
+        Reference values; see `calib.structure.atoms.atoms`.
+    of : str
+        Names the model where others beside it have changes of the same names.
     """
-    model, used = studies[0].model, [s.measured for s in studies if s.measured is not None]
-    assert isinstance(model, StructuralModel)
-    placed = {s.name: s for measured in used for s in measured.sensors if s.point is not None}
-    lowest = min(float(measured.natural_freq.min()) for measured in used)
-    return atoms(model, list(placed.values()), studies[0].search_space.values, lowest, of)
+    placed = {s.name: s for modes in measured for s in modes.sensors if s.point is not None}
+    lowest = min(float(modes.natural_freq.min()) for modes in measured)
+    return atoms(model, list(placed.values()), values, lowest, of)
 
 
 def modal_hypotheses(
@@ -51,7 +60,8 @@ def modal_hypotheses(
     problem = study.problem
     assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
     model = problem.model
-    local = local_changes([study]) if local is None else local
+    if local is None:
+        local = local_changes(model, [problem.measured], study.search_space.values)
     effects, plain = study.candidates, tuple(a.effect for a in local)
     basis = None
     if worthwhile(study):

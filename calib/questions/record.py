@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -18,7 +18,8 @@ from calib.correlation.response_residual import response_std
 from calib.correlation.scatter import scatter_of
 from calib.errors import InputError
 from calib.inference import rules as inference
-from calib.measurement.disagreements import COLUMNS
+from calib.loading import Model
+from calib.measurement.disagreements import COLUMNS, Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.missing import rules as missing
 from calib.named_values import ANY, read_json
@@ -26,6 +27,7 @@ from calib.questions.scatter import accuracy_words, assumed_scatter, assumed_wor
 from calib.questions.state import made_from
 from calib.results import Results
 from calib.several import AnyStudy
+from calib.structure.model import Assumption
 from calib.study import Study
 from calib.version import __version__
 
@@ -37,6 +39,15 @@ MODE_COLUMNS = (
     "freq_std_used", "damping_std_used",
 )  # fmt: skip
 SENSOR_COLUMNS = ("sensor", "node", "direction", "x", "y", "z", "part", "withheld", "shape_std")
+
+
+class HasRepeats(Protocol):
+    """A study or a measurement that knows where its repeats disagree."""
+
+    @property
+    def disagreements(self) -> Sequence[Disagreement]:
+        """Where one repeat disagrees with the others."""
+        ...
 
 
 def write_record(
@@ -161,14 +172,14 @@ def _std_used(study: Study, whole: MeasuredModes) -> tuple[np.ndarray, np.ndarra
     return freq, damping
 
 
-def check_repeats(study: Study) -> list[str]:
-    """A sentence for every disagreement between the repeats."""
-    return [f"Check this repeat: {one.sentence}." for one in study.disagreements]
+def check_repeats(of: HasRepeats) -> list[str]:
+    """A sentence for every disagreement between the repeats of a study or a measurement."""
+    return [f"Check this repeat: {one.sentence}." for one in of.disagreements]
 
 
-def disagreements_table(study: Study) -> pd.DataFrame:
+def disagreements_table(of: HasRepeats) -> pd.DataFrame:
     """What disagrees between the repeats, with its influence: columns `calib.measurement.disagreements.COLUMNS`."""
-    rows = [tuple(getattr(one, name) for name in COLUMNS) for one in study.disagreements]
+    rows = [tuple(getattr(one, name) for name in COLUMNS) for one in of.disagreements]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
@@ -189,12 +200,17 @@ def sensors_table(measured: MeasuredModes, withheld: Sequence[str]) -> pd.DataFr
 
 
 def assumptions_table(study: Study) -> pd.DataFrame:
-    """What is assumed of the model, of its parameters' values and limits, and of the measurement's scatter.
+    """What a study assumes; see `assumptions_of`."""
+    return assumptions_of(study.model, assumed_scatter(study))
+
+
+def assumptions_of(model: Model, scatter: Iterable[Assumption]) -> pd.DataFrame:
+    """What is assumed of a model, of its parameters' values and limits, and of the measurement's scatter.
 
     Columns ``item, value, unit, reason``.
     """
-    rows = [(a.item, a.value, a.unit, a.reason) for a in (*study.model.assumptions, *assumed_scatter(study))]
-    rows += [(p.name, f"{p.value:g}", p.unit, p.assumed) for p in study.model.space.parameters if p.assumed]
+    rows = [(a.item, a.value, a.unit, a.reason) for a in (*model.assumptions, *scatter)]
+    rows += [(p.name, f"{p.value:g}", p.unit, p.assumed) for p in model.space.parameters if p.assumed]
     return pd.DataFrame(rows, columns=["item", "value", "unit", "reason"])
 
 

@@ -40,21 +40,28 @@ def in_words(assumed: Iterable[Assumption]) -> str:
 
 
 def scatter_notes(study: Study) -> tuple[str, ...]:
-    """What a reader must know of the standard deviations: the accuracy that is claimed, and what is assumed."""
-    out = []
-    if study.settings.measurement.accuracy is not None:
-        out.append(f"Accuracy claimed, added to the scatter in squares: {accuracy_words(study)}.")
-    told = assumed_words(study)
-    if told:
-        out.append(f"Nobody stated it, so calibration and explanation assume, and rest on: {told}.")
+    """What a reader must know of the standard deviations of a study; see `notes_on`."""
+    claimed = accuracy_words(study) if study.settings.measurement.accuracy is not None else ""
+    return notes_on(claimed, assumed_words(study))
+
+
+def notes_on(claimed: str, assumed: str) -> tuple[str, ...]:
+    """What a reader must know of standard deviations: the accuracy that is claimed, and what is assumed, in words."""
+    out = [f"Accuracy claimed, added to the scatter in squares: {claimed}."] if claimed else []
+    if assumed:
+        out.append(f"Nobody stated it, so calibration and explanation assume, and rest on: {assumed}.")
     return tuple(out)
 
 
 def accuracy_words(study: Study) -> str:
     """The claimed accuracy as it stands in the study; ``none`` without."""
-    given = study.settings.measurement.accuracy
+    return claimed_words(study.settings.measurement.accuracy)
+
+
+def claimed_words(given: str | float | Mapping[str, str | float] | None) -> str:
+    """A claimed accuracy in words; ``none`` without."""
     if given is None:
         return "none"
-    if isinstance(given, dict):
+    if isinstance(given, Mapping):
         return ", ".join(f"{value} of {name}" for name, value in given.items())
     return f"{given} of every value"

@@ -22,6 +22,8 @@ from calib.study import Study, Targets
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 
+WITHHELD_RESPONSES = "withheld_responses"
+"""Group of responses that no fit sees, as tables name it."""
 ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
 
 
@@ -43,7 +45,7 @@ def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
 
 def withheld_targets(study: Study) -> dict[str, Targets]:
     """Plain responses that enter no fit, by the group they are told in."""
-    return {"withheld_responses": {n: study.whole_targets[n] for n in study.settings.withheld.responses}}
+    return {WITHHELD_RESPONSES: {n: study.whole_targets[n] for n in study.settings.withheld.responses}}
 
 
 def whitened(

@@ -172,6 +172,12 @@ def test_held_out_data_check_a_fit(chain):
     assert not set(names) & {row.sensor for row in own.posed.rows}
 
 
+def test_an_accuracy_that_comes_with_the_modes_is_told(rig):
+    modes = replace(rig.tests.modes, accuracy=rig.tests.modes.accuracy.of("1 %"))
+    own, given = calib.ModalTest(modes, mode_count=4), calib.ModalTest(rig.tests.modes, accuracy="1 %", mode_count=4)
+    assert own.claimed == given.claimed and "1 %" in own.claimed and rig.tests.claimed == ""
+
+
 # -- what is shown, and what is refused --------------------------------------------------------------------------------
 
 
