@@ -17,7 +17,7 @@ from calib.inference.cases import CaseResult
 from calib.questions.calibrate import parameters_of
 from calib.questions.compare import Answer, answer_of, write_answer
 from calib.questions.judge import Judgement
-from calib.questions.record import assumptions_of, sensors_table
+from calib.questions.record import assumptions_of, made_with, sensors_table
 from calib.results import Results
 from calib.written import whole
 
@@ -165,10 +165,10 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     })  # fmt: skip
     folder.write_json("record", {
         "notebook": True,
-        "model": model.name,
+        "model": f"{model.name} ({test.pair(model).fingerprint})",
         "questions": {
-            "compare": {"quick": False, "sentences": list(before.sentences)},
-            "calibrate": {"quick": False, "sentences": list(fit.sentences)},
+            "compare": {**made_with(), "quick": False, "sentences": list(before.sentences)},
+            "calibrate": {**made_with(), "quick": False, "sentences": list(fit.sentences)},
         },
     })  # fmt: skip
 

@@ -116,14 +116,21 @@ def asked(
 ) -> dict[str, Any]:
     """What is recorded of one question; see `write_record`."""
     return {
-        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        **made_with(),
         "quick": quick,
         "options": list(options),
-        "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
         "seeds": dict(seeds),
         "made_from": made_from(study, question),
-        "rules": {name: asdict(rules) for name, rules in RULES.items()},
         "sentences": list(sentences),
+    }
+
+
+def made_with() -> dict[str, Any]:
+    """When, with which versions and by which rules an answer is made."""
+    return {
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
+        "rules": {name: asdict(rules) for name, rules in RULES.items()},
     }
 
 

@@ -42,6 +42,8 @@ def test_the_page_holds_every_value(fit, tmp_path):
     told = fit.parameters
     assert all(name in text for name in told.index)
     assert all(significant(value, 5) in text for value in told["value"])
+    ((model, test),) = fit.problem.pairs
+    assert f"{model.name} ({test.pair(model).fingerprint})" in text and f"calib {calib.__version__}" in text
     assert "Not asked" not in text and "http://" not in text.split("<script")[0]
 
 

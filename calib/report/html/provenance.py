@@ -55,13 +55,14 @@ def _parameters(answers: Answers) -> list[Block]:
 def versions(answers: Answers) -> Section | None:
     """When, with which versions and with which seeds every question was asked."""
     asked = answers.questions
-    if not asked or answers.record.get("notebook"):
+    if not asked:
         return None
+    record = answers.record
     used = {question: _listed(q.get("versions", {})) for question, q in asked.items()}
     same = len(set(used.values())) == 1
     rows = tuple(
         (
-            f"calib {question}",
+            question if record.get("notebook") else f"calib {question}",
             ("a quick look" if q.get("quick") else "whole") + ", of another state" * (question in answers.stale),
             str(q.get("when", "")).replace("T", " ").replace("+00:00", " UTC"),
             _listed(q.get("seeds", {})) or "none needed",
@@ -69,11 +70,13 @@ def versions(answers: Answers) -> Section | None:
         )
         for question, q in asked.items()
     )
-    record = answers.record
     more = record.get("effects_in_model", [])
     model = f"Study {record.get('study', '')}; its model is {record.get('model', '')}"
     model += f" with {', '.join(more)} added." if more else "."
     files = f"Measured data: {', '.join(record.get('files', []))}."
+    if record.get("notebook"):
+        model = f"Made from Python; model and measurement are {record.get('model', '')}."
+        files = "No study keeps it: what it was made from stands in the script."
     heads = ("question", "how", "when", "seeds of random numbers", *([] if same else ["versions"]))
     told = [Words(f"Versions: {next(iter(used.values()))}.")] if same else []
     table = Table("Questions asked", heads, rows, (1, 2, 3, 4))

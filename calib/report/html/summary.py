@@ -47,11 +47,10 @@ def _origin(answers: Answers) -> str:
     last = max(answers.questions.values(), key=lambda q: str(q.get("when", "")), default=None)
     if last is None:
         return ""
-    if answers.record.get("notebook"):
-        return "A fit that was made from Python; no study keeps it."
     quick = ", a quick look" if any(q.get("quick") for q in answers.questions.values()) else ""
     version = last.get("versions", {}).get("calib", "")
-    return f"Study {answers.name}, answered on {str(last.get('when', ''))[:10]} by calib {version}{quick}."
+    what = "A fit from Python" if answers.record.get("notebook") else f"Study {answers.name}, answered"
+    return f"{what} on {str(last.get('when', ''))[:10]} by calib {version}{quick}."
 
 
 def _explanation(answers: Answers) -> str:
