@@ -149,7 +149,8 @@ def _one_place(study_file: Path) -> Path:
     """Where a study that was written into a part of another's results, such as a quick look's, lies in the whole."""
     folder = study_file.parent
     part, home = folder.parent, folder.parent.parent
-    if not (part / OWNER).is_file() and (home / OWNER).is_file():
+    # Unlike `Path.is_file`, this does not raise where a folder may not be read: such a study is another one.
+    if not os.path.isfile(part / OWNER) and os.path.isfile(home / OWNER):
         return home / folder.name / study_file.name
     return study_file
 

@@ -1,6 +1,7 @@
 """Results that cannot be written, disks that are full, files that are damaged, studies edited meanwhile."""
 
 import contextlib
+import json
 import os
 import shutil
 import sqlite3
@@ -99,6 +100,17 @@ def test_a_ledger_that_may_not_be_written(prepared, runner, weak):
     LEDGER.chmod(0o644)
     run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
     assert run.wait() == 0, run.err
+
+
+def test_results_of_a_study_whose_folder_may_not_be_read(prepared, shared, runner, weak):
+    closed = shared / "closed/mast"
+    closed.mkdir(parents=True)
+    closed.parent.chmod(0o000)
+    (FOLDER / OWNER).write_text(json.dumps({"study": f"{closed}/study.toml", "from_here": ""}))
+    (FOLDER / OWNER).chmod(0o644)
+    run = runner.fork("compare", "mast", user=weak)
+    assert run.wait() == 2 and one_sentence(run.err) and f"{closed}/study.toml" in run.err
+    assert {name: content for name, content in files(FOLDER).items() if name != OWNER} == prepared
 
 
 def test_results_replaced_by_a_file(mast, capsys):
