@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from calib.errors import InputError
 
@@ -81,6 +82,8 @@ class _Walk:
             yield self._file(thing)
         elif isinstance(thing, np.ndarray) and thing.dtype != object:
             yield f"{thing.dtype.str} {thing.shape}".encode() + np.ascontiguousarray(thing).tobytes()
+        elif sp.issparse(thing):
+            yield from self._each(_entries(thing))
         elif isinstance(thing, types.CodeType):
             yield from self._code(thing)
         elif isinstance(thing, functools.partial):
@@ -142,6 +145,19 @@ class _Walk:
             except OSError:
                 self._files[path] = b""
         return self._files[path]
+
+
+def _entries(matrix: Any) -> list[Any]:
+    """Shape, indices and values of a sparse matrix, sorted and without duplicates.
+
+    SciPy sorts and adds up in place where an operation needs that, and notes in the matrix that it has.
+    """
+    own = matrix.copy()
+    if hasattr(own, "sum_duplicates"):  # of the format itself: another order of adding up would round differently
+        own.sum_duplicates()
+    entries = own.tocoo()
+    entries.sum_duplicates()
+    return [entries.shape, *(np.asarray(axis, dtype=np.int64) for axis in entries.coords), entries.data]
 
 
 def _is_kept(kind: type, name: str) -> bool:

@@ -3,7 +3,9 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from calib import cli
 from calib.errors import InputError
@@ -148,6 +150,33 @@ def test_what_an_object_has_kept_of_its_answers_is_no_part_of_what_it_is():
     rig.locator.row((0.0, 0.5, 0.0), 1)
     assert "_known" in vars(rig.locator.frame)
     assert digest_of(rig) == told != digest_of(bogie_on_rig(0.25))
+
+
+@pytest.mark.parametrize("form", ["csr", "csc", "coo", "bsr", "dok", "lil", "dia"])
+@pytest.mark.parametrize("kind", [sp.coo_array, sp.coo_matrix])
+def test_of_a_sparse_matrix_count_its_entries(kind, form):
+    rows, columns, values = [0, 1, 1, 1, 1], [2, 2, 0, 2, 2], [3.0, 0.1, 5.0, 0.2, 0.3]
+
+    def told(values, shape=(2, 4)):
+        matrix = kind((values, (rows, columns)), shape).asformat(form)
+        first = digest_of(lambda v: matrix @ v)
+        getattr(matrix, "has_canonical_format", None), matrix @ np.ones(shape[1])  # both may note what they have found
+        assert digest_of(lambda v: matrix @ v) == first
+        if hasattr(matrix, "sum_duplicates"):
+            matrix.sum_duplicates()
+        assert digest_of(lambda v: matrix @ v) == first
+        return first
+
+    assert len({told(values), told([3.0, 0.1, 5.5, 0.2, 0.3]), told(values, (2, 5))}) == 3
+
+
+def test_neither_the_order_of_its_entries_nor_what_scipy_has_noted_of_it_counts():
+    sorted_one = sp.csr_array(([1.0, 2.0, 3.0], [0, 2, 1], [0, 2, 3]), (2, 3))
+    told = digest_of(sorted_one)
+    assert sorted_one.has_canonical_format and digest_of(sorted_one) == told
+    other = sp.csr_array(([2.0, 1.0, 3.0], [2, 0, 1], [0, 2, 3]), (2, 3))
+    assert digest_of(sorted_one) == digest_of(other) != digest_of(sorted_one.T.tocsr())
+    assert other.indices.tolist() == [2, 0, 1]
 
 
 # -- stored points, asked anew -----------------------------------------------------------------------------------------
