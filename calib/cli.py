@@ -15,7 +15,8 @@ import typer
 from calib import console, interrupt, progress
 from calib.errors import InputError
 from calib.example import write_example
-from calib.front.study import RESULTS, Doing, Listener, Sampled, Searched, Study
+from calib.front.listener import Doing, Listener, Sampled, Searched
+from calib.front.study import RESULTS, Study
 from calib.missing.findings import Findings
 from calib.questions.added import Added
 from calib.questions.calibrate import Calibration

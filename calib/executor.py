@@ -55,6 +55,22 @@ class Injected:
                 remedy="state a positive number, or none",
             )  # fmt: skip
 
+    def require(self, time_limit: float | None, isolated: bool = False) -> None:
+        """InputError for a time limit or an isolation that the executor is not stated to support."""
+        own = self.time_limit
+        if time_limit is not None and own != time_limit:
+            does = "is not stated to end any" if own is None else f"ends them after {own:g} s"
+            raise InputError(
+                f"a point is allowed {time_limit:g} s, and the executor {does}", place="time limit",
+                remedy="leave it out, or state by calib.executor.Injected what limit the executor keeps",
+            )  # fmt: skip
+        if isolated and not self.isolated:
+            raise InputError(
+                "a point that kills its process must be survived, and the executor is not stated to do so",
+                place="isolation",
+                remedy="leave it out, or state by calib.executor.Injected that the executor does",
+            )
+
     @staticmethod
     def of(given: Executor | Injected) -> Injected:
         """What is given, a bare executor as one that supports nothing beyond `concurrent.futures`."""
@@ -89,20 +105,8 @@ class ExecutorEvaluator:
         self, source: Source, executor: Executor | Injected, time_limit: float | None = None, isolated: bool = False
     ):
         self._injected = Injected.of(executor)
+        self._injected.require(time_limit, isolated)
         self._sent = worker.Sent(source)
-        own = self._injected.time_limit
-        if time_limit is not None and own != time_limit:
-            does = "is not stated to end any" if own is None else f"ends them after {own:g} s"
-            raise InputError(
-                f"a point is allowed {time_limit:g} s, and the executor {does}", place="time limit",
-                remedy="leave it out, or state by calib.executor.Injected what limit the executor keeps",
-            )  # fmt: skip
-        if isolated and not self._injected.isolated:
-            raise InputError(
-                "a point that kills its process must be survived, and the executor is not stated to do so",
-                place="isolation",
-                remedy="leave it out, or state by calib.executor.Injected that the executor does",
-            )
 
     @property
     def isolated(self) -> bool:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +12,8 @@ from typing import Any, Literal, TypeAlias
 import pandas as pd
 
 from calib.errors import InputError
+from calib.executor import Injected
+from calib.front.listener import Listener
 from calib.front.problem import Problem
 from calib.front.shown import Compared, Shown
 from calib.front.test import ModalTest, ResponseTest
@@ -32,7 +34,7 @@ from calib.questions.joint_explanation import explain_jointly
 from calib.questions.reduction import fingerprints
 from calib.questions.stale import stale_answers
 from calib.questions.stored import modes_kept
-from calib.questions.versions import Versions, write_versions
+from calib.questions.versions import write_versions
 from calib.report.draw import draw_all
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
@@ -46,70 +48,6 @@ RESULTS = Path("results")
 """Where results go unless another place is named."""
 
 Fitted: TypeAlias = calibration.Calibration | JointCalibration
-Sampled: TypeAlias = Callable[[int, int], None]
-Searched: TypeAlias = Callable[[str, int, int, float], None]
-Doing: TypeAlias = Callable[[str], None]
-
-
-class Listener:
-    """Is told what happens while a study is asked; this one keeps quiet, the command's prints it."""
-
-    def samples(self) -> AbstractContextManager[Sampled]:
-        """Takes samples done and their number."""
-        return nullcontext(lambda done, total: None)
-
-    def search(self) -> AbstractContextManager[Searched]:
-        """Takes case, generation, number of generations and the best misfit so far."""
-        return nullcontext(lambda case, generation, generations, best: None)
-
-    def doing(self) -> AbstractContextManager[Doing]:
-        """Takes what is being done, in words."""
-        return nullcontext(lambda words: None)
-
-    def first(self, earlier: StudyFile, path: Path) -> None:
-        """An earlier study is calibrated first, since the one asked takes its values over."""
-
-    def begins(self, study: StudyFile, verb: str) -> None:
-        """A question begins."""
-
-    def other_state(self, rows: int) -> None:
-        """So many stored evaluations are of another state of the study."""
-
-    def compared(self, study: Loaded, answer: comparison.Answer, folder: Results) -> None:
-        """Model and measurement were compared."""
-
-    def sampled(self, study: Loaded, answer: influence.Sensitivity, folder: Results) -> None:
-        """Parameters were judged by what they change."""
-
-    def screened(self, answer: influence.Screening, folder: Results) -> None:
-        """The same by Morris or Sobol."""
-
-    def calibrated_jointly(self, study: JointStudy, answer: JointCalibration, folder: Results) -> None:
-        """Parameters were fitted to several tests."""
-
-    def calibrated(self, study: Loaded, answer: calibration.Calibration, folder: Results) -> None:
-        """Parameters were fitted."""
-
-    def explained(self, study: StudyFile, answer: Explanation, folder: Results) -> None:
-        """What the model lacks was asked."""
-
-    def may_add(self, study: StudyFile, found: Findings) -> None:
-        """The answer to that was asked by itself: what was named may be added."""
-
-    def extended(self, written: extension.Extension) -> None:
-        """A study with more effects was written."""
-
-    def added(self, answer: added.Added, written: extension.Extension, folder: Results) -> None:
-        """What was named was added and calibrated."""
-
-    def nothing_added(self, sentence: str) -> None:
-        """Why nothing was added."""
-
-    def versions(self, found: Versions) -> None:
-        """Errors over the versions of a model."""
-
-    def drawn(self, figures: Sequence[Path], outdated: Mapping[str, str], report: Path | None) -> None:
-        """Figures, and the report where there is one, were made."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,12 +95,14 @@ class Study:
         Folder with a ``study.toml``, or that file.
     results : Path
         Where ``<study>/`` with the results goes.
-    workers : int or None
-        Worker processes; None for one a core where that pays.
+    workers : int, Injected or None
+        Worker processes; None for one a core where that pays. An executor that a question was given takes their place.
     quick : bool
         Small searches for a first look, whose results go to a sub-folder.
     listener : Listener
         Is told what happens.
+    read : Study, JointStudy or None
+        Model, measurement and settings where they are there already; they are read when first asked for.
 
     Examples
     --------
@@ -180,9 +120,10 @@ class Study:
 
     path: Path
     results: Path = RESULTS
-    workers: int | None = None
+    workers: places.Workers = None
     quick: bool = False
     listener: Listener = field(default_factory=Listener)
+    read: AnyStudy | None = None
 
     @staticmethod
     def load(
@@ -207,6 +148,8 @@ class Study:
     @cached_property
     def loaded(self) -> AnyStudy:
         """Model, measurement and settings, the function of a plain model in a child process."""
+        if self.read is not None:
+            return self.read
         *earlier, asked = phases.in_order(self.path)
         taken, before = phases.Found({}, {}), None
         for file in earlier:
@@ -219,7 +162,7 @@ class Study:
             found = phases.values_found(study, self.results, self.quick)
             if found is None:
                 self.listener.first(study, self.path)
-                own = self._of(study)
+                own = replace(self, path=file, read=study)
                 own._fit()
                 own.draw()
                 found = phases.values_found(study, self.results, self.quick)
@@ -230,7 +173,7 @@ class Study:
     def tests(self) -> tuple[Study, ...]:
         """Each test as a study of its own; one with a single test is its only one."""
         loaded = self.loaded
-        return tuple(map(self._of, loaded.studies)) if isinstance(loaded, JointStudy) else (self,)
+        return tuple(replace(self, read=s) for s in loaded.studies) if isinstance(loaded, JointStudy) else (self,)
 
     @property
     def one(self) -> Loaded:
@@ -238,11 +181,18 @@ class Study:
         assert isinstance(self.loaded, Loaded)
         return self.loaded
 
-    def _of(self, loaded: AnyStudy) -> Study:
-        """A study that was loaded already."""
-        out = replace(self, path=loaded.file)
-        out.__dict__["loaded"] = loaded
-        return out
+    def _by(self, executor: Executor | Injected | None) -> Study:
+        """The same with an executor instead of worker processes; InputError for a setting that it does not keep."""
+        if executor is None:
+            return self
+        if isinstance(self.workers, int):
+            raise InputError(
+                f"{self.workers} workers are asked, and an executor has its own", place="executor",
+                remedy="leave one of them out",
+            )  # fmt: skip
+        injected = Injected.of(executor)
+        injected.require(places.limit_asked(self.loaded))
+        return replace(self, workers=injected, read=self.loaded)
 
     @cached_property
     def folder(self) -> Results:
@@ -266,14 +216,18 @@ class Study:
         return Compared(answers)
 
     def sensitivity(
-        self, method: Literal["ranks", "morris", "sobol"] = "ranks", *, ignore_constraints: bool = False
+        self,
+        method: Literal["ranks", "morris", "sobol"] = "ranks",
+        *,
+        ignore_constraints: bool = False,
+        executor: Executor | Injected | None = None,
     ) -> Answer:
         """Which parameters matter: rank correlations over a Latin hypercube, or the indices of Morris or Sobol.
 
-        Of several tests each is asked by itself.
+        Of several tests each is asked by itself. ``executor`` evaluates the points; see `run`.
         """
         answers = []
-        for study in self.tests:
+        for study in self._by(executor).tests:
             if method == "ranks":
                 found = study._sensitivity()
                 answer = Answer(found.sentences, found.assessment.selection, study.folder.path, found)
@@ -289,11 +243,19 @@ class Study:
         table = pd.concat([one.table.assign(test=test) for test, one in answers], ignore_index=True)
         return Answer(words, table, self.folder.path, {test: one.of for test, one in answers})
 
-    def calibrate(self, case: str | None = None, *, method: calibration.Method | None = None) -> Answer:
+    def calibrate(
+        self,
+        case: str | None = None,
+        *,
+        method: calibration.Method | None = None,
+        executor: Executor | Injected | None = None,
+    ) -> Answer:
         """Values that fit, in several independent cases, and how far each parameter can be trusted.
 
-        Several tests are fitted together.
+        Several tests are fitted together. ``executor`` evaluates the points of searches; see `run`.
         """
+        if executor is not None:
+            return self._by(executor).calibrate(case, method=method)
         loaded = self.loaded
         calibration.chosen_cases(loaded, case)
         folder = places.results_of(loaded, self.results, self.quick, case, method)
@@ -316,16 +278,31 @@ class Study:
         """Write a new study whose model has some effects more; this one stays as it is."""
         written = extension.extend(self.loaded, list(effects), path_of(into, "into"))
         self.listener.extended(written)
-        return replace(self, path=written.file, results=places.root_for(written.file, self.results))
+        return replace(self, path=written.file, results=places.root_for(written.file, self.results), read=None)
 
-    def run(self) -> Study:
+    def run(self, *, executor: Executor | Injected | None = None) -> Study:
         """Ask everything, add what is named, calibrate again, and write ``report.html``.
+
+        Parameters
+        ----------
+        executor : concurrent.futures.Executor or calib.executor.Injected, optional
+            Evaluates the points of samples and searches instead of worker processes; tables are the same. Its processes
+            must see the study's folder and its results. It stays yours: shut it down.
 
         Returns
         -------
         Study
             The extended study where something was named and added, else this one.
+
+        Raises
+        ------
+        InputError
+            For an executor beside a number of workers, and a ``time_limit`` of the study that it is not stated to keep.
         """
+        if executor is not None:
+            asked = self._by(executor)
+            found = asked.run()
+            return self if found is asked else replace(found, workers=self.workers)
         for study in self.tests:
             study._compare()
             study._sensitivity()
@@ -444,7 +421,7 @@ class Study:
         begin_at = {n: v for n, v in named.state.values.items() if n in named.state.question.space.free_names}
         written = extension.extend_among(loaded, named.names, self.folder.path, begin_at)
         self.listener.extended(written)
-        extended = replace(self, path=written.file)
+        extended = replace(self, path=written.file, read=None)
         after = extended._fit()
         self.listener.begins(loaded, "before and after")
         for own, other in zip(self.tests, extended.tests, strict=True):

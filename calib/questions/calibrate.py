@@ -25,7 +25,7 @@ from calib.questions.contradiction import contradictions, every_response
 from calib.questions.every_mode import all_stages, every_mode
 from calib.questions.failures import reasons_sentence, stored_reasons
 from calib.questions.judge import EQUAL, Judgement
-from calib.questions.places import ADDED
+from calib.questions.places import ADDED, Workers
 from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import recorded
 from calib.questions.reduction import fingerprints
@@ -143,7 +143,7 @@ def calibrate(
     study: Study,
     results: Results,
     ledger: Ledger,
-    workers: int | None = None,
+    workers: Workers = None,
     only: str | None = None,
     quick: bool = False,
     method: Method | None = None,

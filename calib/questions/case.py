@@ -23,7 +23,7 @@ from calib.problem import Counts, Pair, Problem
 from calib.questions.compare import Answer, answer_at
 from calib.questions.explained_fit import explained_fit
 from calib.questions.judge import FitProgress, Judgement, Shared, Terms, criteria, ended, fitted, judged, posed
-from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, open_evaluator
+from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.stored import confirm
 from calib.questions.user_function import function_of, kept_under
@@ -126,8 +126,8 @@ class CaseFinder:
     home : Results
         Where the reduced basis is kept.
     ledger : Ledger
-    workers : int or None
-        Worker processes of a search; None for one a core where that pays.
+    workers : int, Injected or None
+        Who evaluates a search; see `calib.questions.places.Workers`.
     quick : bool
         A smaller search for a first look.
     progress : SearchProgress
@@ -140,7 +140,7 @@ class CaseFinder:
     study: Study
     home: Results
     ledger: Ledger
-    workers: int | None
+    workers: Workers
     quick: bool
     progress: SearchProgress
     seconds: float | None = None

@@ -6,10 +6,12 @@ import os
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
+from typing import TypeAlias
 
 from calib.correlation.problem import ModalProblem
 from calib.errors import InputError
 from calib.evaluate import BatchEvaluator, Evaluator
+from calib.executor import ExecutorEvaluator, Injected
 from calib.ledger import Ledger
 from calib.questions.isolation import ChildFunction
 from calib.questions.recorded import ModesEvaluator, asked_anew, unrecorded
@@ -25,6 +27,9 @@ QUICK_SAMPLES, QUICK_POPULATION, QUICK_GENERATIONS = 60, 20, 15
 """Sizes of a first look: enough to see whether a study works and what it would tell, too few to rely on."""
 
 LEDGER = "ledger.sqlite"
+
+Workers: TypeAlias = int | Injected | None
+"""Who evaluates points: so many processes of the own pool, None for one a core where that pays, or an executor."""
 
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "added_errors.png")
 """What `calib.questions.added` tells; it rests on a calibration and an explanation and ends with either."""
@@ -112,7 +117,7 @@ def is_modal(study: Study) -> bool:
 
 def open_evaluator(
     study: Study,
-    workers: int | None,
+    workers: Workers,
     count: int,
     problem: ForwardProblem | None = None,
     basis: Path | None = None,
@@ -125,8 +130,9 @@ def open_evaluator(
     Parameters
     ----------
     study : Study
-    workers : int or None
-        Processes; None takes all cores where one process would take longer than a pool pays for, else one.
+    workers : int, Injected or None
+        Processes, or an executor that is given; None takes all cores where one process would take longer than a pool
+        pays for, else one.
     count : int
         Evaluations that are foreseen.
     problem : ForwardProblem, optional
@@ -135,9 +141,20 @@ def open_evaluator(
         File of the basis that ``problem`` is reduced to, for the workers to read.
     seconds : float, optional
         How long one evaluation takes; tried out where it is not known.
+
+    Raises
+    ------
+    InputError
+        For an executor that does not keep the study's time limit.
     """
     given = problem or study.problem
     asked = unrecorded(given)
+    source = EvaluationSource(
+        str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve()),
+        tuple(study.adopted.items()), study.test,
+    )  # fmt: skip
+    if isinstance(workers, Injected):
+        return _opened_for(given, ExecutorEvaluator(source, workers, limit_asked(study)))
     chosen = workers
     if chosen is None:
         if seconds is None:
@@ -146,20 +163,22 @@ def open_evaluator(
     function = function_of(asked)
     if chosen == 1 and isinstance(function, ChildFunction):
         return nullcontext(_answering(given, function.evaluator))
-    source = EvaluationSource(
-        str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve()),
-        tuple(study.adopted.items()), study.test,
-    )  # fmt: skip
     return _opened_for(given, Evaluator(source, chosen, study.settings.calibration.time_limit))
 
 
+def limit_asked(study: StudyFile) -> float | None:
+    """The time limit that a study's file names; None where it names none: the default is the own pool's alone."""
+    given = study.settings.calibration
+    return given.time_limit if "time_limit" in given.model_fields_set else None
+
+
 @contextmanager
-def _opened_for(problem: ForwardProblem, evaluator: Evaluator) -> Iterator[BatchEvaluator]:
+def _opened_for(problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluator) -> Iterator[BatchEvaluator]:
     with evaluator:
         yield _answering(problem, evaluator)
 
 
-def _answering(problem: ForwardProblem, evaluator: Evaluator) -> BatchEvaluator:
+def _answering(problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluator) -> BatchEvaluator:
     """An evaluator of responses, from one that asks a function of modes for these."""
     if isinstance(problem, ModalProblem) and function_of(problem) is not None:
         return ModesEvaluator(problem, evaluator)

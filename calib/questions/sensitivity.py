@@ -15,7 +15,7 @@ from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.failures import reasons, reasons_sentence
-from calib.questions.places import QUICK_SAMPLES, is_quick, open_evaluator
+from calib.questions.places import QUICK_SAMPLES, Workers, is_quick, open_evaluator
 from calib.questions.record import begin_answer, questions_of, write_record
 from calib.questions.recorded import recorded
 from calib.questions.state import changed, made_from
@@ -82,7 +82,7 @@ def sensitivity(
     study: Study,
     results: Results,
     ledger: Ledger,
-    workers: int | None = None,
+    workers: Workers = None,
     quick: bool = False,
     progress: SampleProgress = lambda done, total: None,
 ) -> Sensitivity:
@@ -219,7 +219,7 @@ def screen(
     results: Results,
     ledger: Ledger,
     method: Literal["morris", "sobol"],
-    workers: int | None = None,
+    workers: Workers = None,
     quick: bool = False,
     ignore_constraints: bool = False,
     progress: SampleProgress = lambda done, total: None,
@@ -250,7 +250,7 @@ def _evaluate(
     study: Study,
     ledger: Ledger,
     points: Sequence[Mapping[str, float]],
-    workers: int | None,
+    workers: Workers,
     progress: SampleProgress,
 ) -> list[Outcome]:
     outcomes: list[Outcome] = []
