@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+import pandas as pd
 
 from calib.errors import EvaluationError, InputError
 from calib.freedom import behind
@@ -211,6 +212,22 @@ def spread(slope: np.ndarray, own: Sequence[str], names: Sequence[str]) -> np.nd
     out = np.zeros((len(slope), len(names)))
     out[:, [list(names).index(name) for name in own]] = slope
     return out
+
+
+TEST = "test"
+"""Column of tables that have the rows of several tests."""
+
+
+def stacked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Tables of several tests below each other, with a column `TEST`."""
+    return pd.concat([table.assign(**{TEST: test}) for test, table in tables.items()], ignore_index=True)
+
+
+def said(words: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
+    """Sentences on tests, each after the name of its test where there are several."""
+    if len(words) == 1:
+        return tuple(*words.values())
+    return tuple(of_test(test, sentence) for test, sentences in words.items() for sentence in sentences)
 
 
 def of_test(test: str, what: str) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -56,10 +56,24 @@ class JointStudy(StudyFile):
                 )  # fmt: skip
         return JointStudy(told.name, told.file, told.settings, studies)
 
+    def each(self, change: Callable[[Study], Study]) -> JointStudy:
+        """The same with a change of every test's study."""
+        return replace(self, studies=tuple(map(change, self.studies)))
+
     @cached_property
     def search_space(self) -> ParameterSpace:
         """All parameters that no test's condition holds; free are those that a fit moves."""
         return joined({s.test: s.search_space.without(s.condition) for s in self.studies})
+
+    @property
+    def adopted(self) -> Mapping[str, float]:
+        """Taken over from an earlier study."""
+        return {name: value for study in self.studies for name, value in study.adopted.items()}
+
+    @property
+    def held_sd(self) -> dict[str, float]:
+        """Standard deviations of the held parameters that are known with a scatter only."""
+        return {name: sd for study in self.studies for name, sd in study.held_sd.items()}
 
     @property
     def library(self) -> tuple[Effect, ...]:

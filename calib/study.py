@@ -224,6 +224,15 @@ class Study(StudyFile):
     library_digest: str = ""
 
     @property
+    def studies(self) -> tuple[Study, ...]:
+        """Every test as a study of its own: it is the only one; see `calib.several.JointStudy`."""
+        return (self,)
+
+    def each(self, change: Callable[[Study], Study]) -> Study:
+        """The same with a change of every test's study."""
+        return change(self)
+
+    @property
     def held_sd(self) -> dict[str, float]:
         """Standard deviations of the held parameters that are known with a scatter only."""
         return {name: sd for name, sd in self.adopted_sd.items() if sd > 0}

@@ -14,24 +14,23 @@ import pandas as pd
 from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import Floors
 from calib.effect import Effect
-from calib.errors import EvaluationError, InputError, ToleranceError
+from calib.errors import InputError, ToleranceError
 from calib.front.asked import Asked
 from calib.front.shown import Shown
 from calib.front.test import ModalTest, ResponseTest, Test, under
 from calib.function import FunctionModel
-from calib.missing.explain import explain
-from calib.missing.refits import Settings
-from calib.questions.explain import Side, answered
+from calib.questions.explain import answered, decided
 from calib.questions.explanation import Explanation, Told
 from calib.questions.function_hypotheses import FunctionHypotheses
 from calib.questions.hypotheses import ModalHypotheses
-from calib.questions.joint_side import JointSide
+from calib.questions.joint_side import together
 from calib.questions.library import local_changes
 from calib.questions.modal_side import ModalSide
 from calib.questions.plain_side import PlainSide
 from calib.questions.record import check_repeats, disagreements_table
 from calib.questions.reduction import WORTHWHILE_DOFS, Wanted
 from calib.questions.scatter import in_words, notes_on
+from calib.questions.side import Side
 from calib.questions.verify import WITHHELD_RESPONSES
 from calib.settings import ExplainSettings, ReductionSettings
 from calib.structure.atoms import Atom
@@ -109,14 +108,8 @@ class Explained(Shown):
 def explained(problem: Asked, effects: Library, seed: int) -> Explained:
     """See `calib.front.problem.Problem.explain`."""
     started = time.perf_counter()
-    sides = _sides(problem, effects, seed)
-    side: Side = next(iter(sides.values())) if len(sides) == 1 else JointSide.of(sides)
-    try:
-        found = explain(side.hypotheses, Settings(seed=seed, budget=side.budget_of_fits))
-    except EvaluationError as fault:
-        raise InputError(
-            f"the model cannot be fitted: {fault}", place="explain", remedy="check values, limits and supports"
-        ) from fault
+    side = together(_sides(problem, effects, seed))
+    found = decided(side, ExplainSettings().model_copy(update={"seed": seed}), "explain")
     return Explained(problem, effects, answered(side, found, lambda words: None, started))
 
 

@@ -8,6 +8,7 @@ from html import escape
 
 import pandas as pd
 
+from calib.joint import said, stacked
 from calib.questions.compare import Answer
 
 
@@ -48,17 +49,13 @@ class Compared(Shown):
     @property
     def sentences(self) -> tuple[str, ...]:
         """Where each model fails, and what makes pairs or units doubtful."""
-        several = len(self.by_test) > 1
-        told = [(name, words) for name, answer in self.by_test.items() for words in (*answer.sentences, *_told(answer))]
-        return tuple(f"{name}: {words}" if several else words for name, words in told)
+        return said({name: (*answer.sentences, *_told(answer)) for name, answer in self.by_test.items()})
 
     @property
     def table(self) -> pd.DataFrame:
         """One row a measured mode or response, with a column ``test`` where there are several."""
         tables = {name: answer.table for name, answer in self.by_test.items()}
-        if len(tables) == 1:
-            return next(iter(tables.values()))
-        return pd.concat([table.assign(test=name) for name, table in tables.items()], ignore_index=True)
+        return stacked(tables) if len(tables) > 1 else next(iter(tables.values()))
 
     def __repr__(self) -> str:
         return f"Compared({', '.join(f'{name}: {len(answer.table)} rows' for name, answer in self.by_test.items())})"

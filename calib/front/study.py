@@ -30,7 +30,6 @@ from calib.questions import sensitivity as influence
 from calib.questions.explanation import Explanation
 from calib.questions.isolation import isolated
 from calib.questions.joint_calibration import JointCalibration, calibrate_jointly
-from calib.questions.joint_explanation import explain_jointly
 from calib.questions.reduction import fingerprints
 from calib.questions.stale import stale_answers
 from calib.questions.stored import modes_kept
@@ -153,7 +152,7 @@ class Study:
         *earlier, asked = phases.in_order(self.path)
         taken, before = phases.Found({}, {}), None
         for file in earlier:
-            study = before = _taking_over(file, taken, before)
+            study = _taking_over(file, taken, before)
             if isinstance(study, JointStudy):
                 raise InputError(
                     "values are taken over from a study with one test, and this one has several", place=file,
@@ -166,14 +165,14 @@ class Study:
                 own._fit()
                 own.draw()
                 found = phases.values_found(study, self.results, self.quick)
-            taken = found or phases.Found({}, {})
+            taken, before = found or phases.Found({}, {}), study
         return _taking_over(asked, taken, before)
 
     @property
     def tests(self) -> tuple[Study, ...]:
         """Each test as a study of its own; one with a single test is its only one."""
         loaded = self.loaded
-        return tuple(replace(self, read=s) for s in loaded.studies) if isinstance(loaded, JointStudy) else (self,)
+        return tuple(replace(self, read=one) for one in loaded.studies) if isinstance(loaded, JointStudy) else (self,)
 
     @property
     def one(self) -> Loaded:
@@ -398,13 +397,9 @@ class Study:
     def _explain(self) -> Explanation:
         loaded, root = self.loaded, self.results
         self.listener.begins(loaded, "explain")
-        with self.listener.doing() as step:
-            if isinstance(loaded, JointStudy):
-                folders = {s.one.test: s.folder for s in self.tests}
-                answer = explain_jointly(loaded, folders, self.folder, step)
-            else:
-                with modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as asked:
-                    answer = explanation.explain(asked, self.folder, step, places.results_of(loaded, root))
+        with self.listener.doing() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as asked:
+            homes = {one.test: places.results_of(one, root) for one in loaded.studies}
+            answer = explanation.explain(asked, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
         self.listener.explained(loaded, answer, self.folder)
         return answer
 
@@ -482,13 +477,12 @@ class Study:
         self.listener.drawn(figures, stale.sentences, written)
 
 
-def _taking_over(file: Path, taken: phases.Found, before: AnyStudy | None) -> AnyStudy:
+def _taking_over(file: Path, taken: phases.Found, before: Loaded | None) -> AnyStudy:
     study = load(file, *taken)
-    if isinstance(study, JointStudy):
-        return replace(study, studies=tuple(map(isolated, study.studies)))
-    if isinstance(before, Loaded):
-        phases.require_same_units(study, before)
-    return isolated(study)
+    if before is not None:
+        for one in study.studies:
+            phases.require_same_units(one, before)
+    return study.each(isolated)
 
 
 def _problem_of(loaded: Loaded) -> Problem:

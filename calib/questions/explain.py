@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Protocol
+from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -15,12 +16,13 @@ from calib.correlation.problem import FunctionProblem
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.inference.left_out import left_out
+from calib.joint import TEST
 from calib.loading import with_effects
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
-from calib.missing.advice import Prospects, advice_sentence, advise
+from calib.missing.advice import advice_sentence, advise
 from calib.missing.findings import Findings, Trial
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Hypotheses, Scaled
@@ -36,106 +38,75 @@ from calib.missing.tables import (
 )
 from calib.missing.verdict import misfit_at, sentences
 from calib.missing.visible import smallest_visible, visible_within_limits
-from calib.outcome import Outcome, as_cause, failure
-from calib.questions.budget import Budget
+from calib.outcome import as_cause, failure
 from calib.questions.explained_fit import TABLE, explained_fits
-from calib.questions.explanation import Explanation, Told, summary
+from calib.questions.explanation import Explanation, summary
 from calib.questions.failures import SHOWN, reasons
+from calib.questions.joint_side import JointSide, together
+from calib.questions.library import local_changes
 from calib.questions.modal_side import ModalSide
 from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
-from calib.questions.record import begin_answer, check_repeats, write_record
+from calib.questions.record import begin_answer, write_record
+from calib.questions.side import Side
 from calib.results import Results
+from calib.settings import ExplainSettings
 from calib.several import AnyStudy
 from calib.structure.atoms import Atom
-from calib.study import Study, StudyFile
+from calib.structure.model import StructuralModel
+from calib.study import Study
 
 Progress = Callable[[str], None]
 
 
-class Side(Protocol):
-    """What the two kinds of test answer each in its own way; see `ModalSide` and `PlainSide`."""
-
-    @property
-    def told(self) -> Told:
-        """What must be known of the measurement beside its rows."""
-        ...
-
-    @property
-    def hypotheses(self) -> Hypotheses:
-        """What the decision asks."""
-        ...
-
-    @property
-    def relative_std(self) -> np.ndarray:
-        """Standard deviation of every row over its value, of shapes over the largest entry, (n_rows,)."""
-        ...
-
-    @property
-    def budget_of_fits(self) -> float:
-        """Model evaluations after which no further effect is fitted."""
-        ...
-
-    def notes(self) -> list[str]:
-        """What a reader must know beforehand."""
-        ...
-
-    def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
-        """Errors by stage and group of data, notes, and figures for the summary."""
-        ...
-
-    def failing(self) -> set[str]:
-        """Effects with which the model failed somewhere."""
-        ...
-
-    def failed(self) -> list[Outcome]:
-        """Points at which the user's code failed."""
-        ...
-
-    def prospects(self, found: Findings) -> Prospects | None:
-        """What else could be measured."""
-        ...
-
-    def budget(self, found: Findings) -> Budget | None:
-        """What the discretisation alone would look like."""
-        ...
-
-    def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
-        """Kind, place and sensor of every local change."""
-        ...
-
-    def tables(self, stages: dict[str, Trial]) -> dict[str, pd.DataFrame]:
-        """Further tables by name."""
-        ...
-
-
 def explain(
-    study: Study, results: Results, progress: Progress = lambda words: None, home: Results | None = None
+    study: AnyStudy,
+    results: Results,
+    progress: Progress = lambda words: None,
+    homes: Mapping[str, Results] = MappingProxyType({}),
+    folders: Mapping[str, Results] = MappingProxyType({}),
 ) -> Explanation:
     """Find which effect of the study's library its model lacks; write all tables and ``explanation.json``.
 
-    Without a library, or with all of it in the model, local changes alone are asked.
+    Without a library, or with all of it in the model, local changes alone are asked. Several tests are asked together:
+    an effect acts in every test whose library has it.
 
-    ``home`` holds the reduced basis, which whole and quick runs share; by default it is ``results``.
+    Parameters
+    ----------
+    study : Study or JointStudy
+    results : Results
+    progress : callable
+        Told what is being done.
+    homes : mapping from str to Results
+        By name of the test: they hold the reduced bases, which whole and quick runs share; by default ``results``.
+    folders : mapping from str to Results
+        By name of the test: they take what each of several tests says of the answer.
 
     Raises
     ------
     InputError
         When too little was measured.
     """
-    for effect in study.candidates:  # one that cannot be built is told by its name, before anything is solved
-        with_effects(study.model, [effect], str(study.file))
-    if study.measured is not None:
-        engine.require_modes(study.measured.n_modes)
-    started = time.perf_counter()
-    side = side_of(study, home or results, progress)
-    found = decided(side, study, progress)
+    tests = study.studies
+    for one in tests:
+        for effect in one.candidates:  # one that cannot be built is told by its name, before anything is solved
+            with_effects(one.model, [effect], str(study.file))
+    _require_alike(study)
+    if any(one.measured is not None for one in tests):
+        engine.require_modes(sum(len(one.targets) if one.measured is None else one.measured.n_modes for one in tests))
+    started, local = time.perf_counter(), _local(study)
+    side = together({s.test: side_of(s, homes.get(s.test, results), progress, local.get(s.test)) for s in tests})
+    found = decided(side, study.settings.explain, study.file, progress)
     answer = answered(side, found, progress, started)
-    tables = answer.tables | {TABLE: explained_fits(study, found)}
-    answer = replace(answer, notes=(*check_repeats(study), *answer.notes), tables=tables)
-    keep(study, results, answer)
+    answer = replace(answer, tables=answer.tables | {TABLE: explained_fits(study, found)})
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
-    write_record(study, results, "explain", seeds)
+    of_all = {name: table for name, table in answer.tables.items() if TEST not in table}
+    seen: list[tuple[AnyStudy, Results, Explanation]] = [(study, results, replace(answer, tables=of_all))]
+    if isinstance(side, JointSide):
+        seen += [(one, folders[one.test], side.seen(one.test, answer)) for one in tests]
+    for asked, folder, told in seen:
+        keep(asked, folder, told)
+        write_record(asked, folder, "explain", seeds)
     return answer
 
 
@@ -146,16 +117,43 @@ def side_of(study: Study, home: Results, progress: Progress, local: tuple[Atom, 
     return ModalSide.of(study, home, progress, local)
 
 
-def decided(side: Side, study: StudyFile, progress: Progress) -> Findings:
-    """The decision with a study's settings; InputError where the model cannot be fitted."""
-    given = study.settings.explain
+def _local(study: AnyStudy) -> dict[str, tuple[Atom, ...]]:
+    """Local changes by test: those of one model are the same in all tests of it."""
+    groups: dict[str, list[Study]] = {}
+    for one in study.studies:
+        if isinstance(one.model, StructuralModel):
+            groups.setdefault(repr((one.settings.model, one.settings.model_options)), []).append(one)
+    out: dict[str, tuple[Atom, ...]] = {}
+    for group in groups.values():
+        model, used = group[0].model, [one.measured for one in group if one.measured is not None]
+        assert isinstance(model, StructuralModel)
+        of = group[0].test if len(groups) > 1 else ""
+        found = local_changes(model, used, group[0].search_space.values, of)
+        out |= {one.test: found for one in group}
+    return out
+
+
+def _require_alike(study: AnyStudy) -> None:
+    """InputError where two libraries mean different things by one name."""
+    known: dict[str, Effect] = {}
+    for effect in (e for one in study.studies for e in one.candidates):
+        other = known.setdefault(effect.name, effect)
+        if other.parameters != effect.parameters:
+            raise InputError(
+                f"the libraries of two tests have different effects {effect.name!r}", place=study.file,
+                remedy="give one of them another name, or both the same strength",
+            )  # fmt: skip
+
+
+def decided(side: Side, given: ExplainSettings, place: str | Path, progress: Progress = lambda words: None) -> Findings:
+    """The decision with some settings; InputError, with the place of what is asked, where no model can be fitted."""
     settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed, side.budget_of_fits)
     try:
         return engine.explain(side.hypotheses, settings, progress)
     except EvaluationError as fault:
         words, cause = _not_fitted(side, fault)
         remedy = "check values, limits and supports" if cause is None else "correct the function that fails"
-        raise InputError(f"the model cannot be fitted: {words}", place=study.file, remedy=remedy) from cause
+        raise InputError(f"the model cannot be fitted: {words}", place=place, remedy=remedy) from cause
 
 
 def keep(study: AnyStudy, results: Results, answer: Explanation) -> None:

@@ -11,9 +11,10 @@ import pandas as pd
 from calib.missing.findings import Findings, Trial, WrongDatum
 from calib.missing.local import local_change
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
-from calib.questions.record import disagreements_table
+from calib.questions.record import check_repeats, disagreements_table
 from calib.questions.scatter import accuracy_words, assumed_words, scatter_notes
-from calib.study import Study, StudyFile
+from calib.several import AnyStudy
+from calib.study import Study
 
 GROUPS = ("fit", *UNSEEN_GROUPS)
 """Groups of data whose errors are told."""
@@ -30,7 +31,7 @@ class Told:
     accuracy : str
         What is claimed beside the repeats; ``none`` without.
     notes : tuple of str
-        What a reader must know of the scatter.
+        What a reader must know of the scatter, and where repeats disagree.
     disagreements : DataFrame
         Repeats that disagree with the others; see `calib.questions.record.disagreements_table`.
     held_sd : mapping from str to float
@@ -54,8 +55,8 @@ class Told:
         """That of a study."""
         own = study.settings.explain
         return cls(
-            assumed_words(study), accuracy_words(study), scatter_notes(study), disagreements_table(study),
-            study.held_sd, own.seed, own.draws,
+            assumed_words(study), accuracy_words(study), (*scatter_notes(study), *check_repeats(study)),
+            disagreements_table(study), study.held_sd, own.seed, own.draws,
         )  # fmt: skip
 
 
@@ -102,7 +103,7 @@ class Explanation:
         return self.findings.verdict
 
 
-def summary(study: StudyFile, answer: Explanation) -> dict[str, object]:
+def summary(study: AnyStudy, answer: Explanation) -> dict[str, object]:
     """``explanation.json``."""
     found, check = answer.findings, answer.findings.base_check
     columns = (

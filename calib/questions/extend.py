@@ -16,7 +16,7 @@ import tomlkit
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.loading import pick
-from calib.several import AnyStudy, JointStudy, load
+from calib.several import AnyStudy, load
 from calib.study import StudyFile
 from calib.written import DRAFT, free_name, is_own_folder, note_folder
 
@@ -228,10 +228,8 @@ def _unwritable(fault: OSError, folder: Path) -> InputError:
 
 def _check(study: AnyStudy, target: Path, folder: Path) -> None:
     """Load the draft of the new study as from its place, whatever of its paths leads from there."""
-    tests = study.studies if isinstance(study, JointStudy) else (study,)
-    adopted = {name: value for one in tests for name, value in one.adopted.items()}
     try:
-        load(target, adopted)
+        load(target, study.adopted)
     except InputError as fault:
         said = str(fault).replace(str(target.parent), str(folder))
         raise InputError(

@@ -19,9 +19,8 @@ from calib.problem import Counts
 from calib.questions.calibrate import Calibration, Ran, best_of, chosen_cases, keep, why_failed
 from calib.questions.case import FITTED, QUICK_STARTS, REFITS, CaseFound, SearchProgress, Steps, objective_of, told
 from calib.questions.compare import answer_at, compare
-from calib.questions.joint_record import write_joint_record
 from calib.questions.judge import Judgement, Terms, fitted, posed
-from calib.questions.record import begin_answer
+from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import recorded
 from calib.questions.reduction import reduction_of
 from calib.questions.scatter import assumed_words
@@ -111,7 +110,7 @@ def calibrate_jointly(
     best = best_of(next(iter(answers.values())).cases)
     answer = JointCalibration(answers, best.judgement)
     _write(study, results, answer, best, time.perf_counter() - started)
-    write_joint_record(study, results, "calibrate", {c.name: c.seed for c in cases}, answer.sentences, quick)
+    write_record(study, results, "calibrate", {c.name: c.seed for c in cases}, answer.sentences, quick)
     return answer
 
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from calib.joint import of_test
+from calib.joint import TEST, of_test, said, stacked
 from calib.missing.advice import Prospects
 from calib.missing.findings import Findings, Trial
 from calib.missing.joint import JointHypotheses
 from calib.outcome import Outcome
 from calib.questions.budget import Budget
-from calib.questions.explain import Side
-from calib.questions.explanation import Told
-
-TEST = "test"
-"""Column of tables that have the rows of all tests."""
+from calib.questions.explanation import Explanation, Told
+from calib.questions.side import Side
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +40,16 @@ class JointSide:
         """The sides as one; seed and number of draws are those of the first."""
         told = {test: side.told for test, side in sides.items()}
         first = next(iter(told.values()))
-        assumed = "; ".join(of_test(test, one.assumed) for test, one in told.items() if one.assumed)
-        tables = [one.disagreements.assign(test=test) for test, one in told.items()]
-        together = Told(
-            assumed=assumed,
+        of_all = Told(
+            assumed="; ".join(of_test(test, one.assumed) for test, one in told.items() if one.assumed),
             accuracy="; ".join(of_test(test, one.accuracy) for test, one in told.items()),
-            notes=tuple(of_test(test, note) for test, one in told.items() for note in one.notes),
-            disagreements=pd.concat(tables, ignore_index=True),
+            notes=said({test: one.notes for test, one in told.items()}),
+            disagreements=stacked({test: one.disagreements for test, one in told.items()}),
             held_sd={name: sd for one in told.values() for name, sd in one.held_sd.items()},
             seed=first.seed,
             draws=first.draws,
         )
-        return cls(sides, JointHypotheses({test: side.hypotheses for test, side in sides.items()}), together)
+        return cls(sides, JointHypotheses({test: side.hypotheses for test, side in sides.items()}), of_all)
 
     @property
     def relative_std(self) -> np.ndarray:
@@ -68,7 +63,7 @@ class JointSide:
 
     def notes(self) -> list[str]:
         """Those of every test."""
-        return [of_test(test, note) for test, side in self.sides.items() for note in side.notes()]
+        return list(said({test: side.notes() for test, side in self.sides.items()}))
 
     def errors(self, stages: dict[str, Trial], scale: float) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data over all tests; notes and figures of each.
@@ -109,14 +104,33 @@ class JointSide:
 
         A test that has no table of a name has no rows there.
         """
-        found: dict[str, list[pd.DataFrame]] = {}
+        found: dict[str, dict[str, pd.DataFrame]] = {}
         for test, side in self.sides.items():
             for name, table in side.tables(self._of(test, stages)).items():
-                found.setdefault(name, []).append(table.assign(**{TEST: test}))
-        return {name: pd.concat(tables, ignore_index=True) for name, tables in found.items()}
+                found.setdefault(name, {})[test] = table
+        return {name: stacked(tables) for name, tables in found.items()}
+
+    def seen(self, test: str, answer: Explanation) -> Explanation:
+        """What one test says of an answer: its own errors, in the stages of the joint ones, and its own rows."""
+        found = answer.findings
+        last = next((stage for stage in answer.errors["stage"] if stage != "before"), "")
+        stages = {"before": found.base} | ({last: found.chosen} if last and found.chosen is not None else {})
+        errors = self.sides[test].errors(self._of(test, stages), found.noise_scale)[0]
+        errors = errors[list(answer.errors.columns.drop("scatter"))].assign(scatter=answer.errors["scatter"].iloc[0])
+        tables = {}
+        for name, table in answer.tables.items():
+            own = table[table[TEST] == test].drop(columns=TEST) if TEST in table else table
+            if TEST not in table or len(own):
+                tables[name] = own
+        return replace(answer, errors=errors, tables=tables)
 
     def _of(self, test: str, stages: dict[str, Trial]) -> dict[str, Trial]:
         return {stage: self.hypotheses.of(test, trial) for stage, trial in stages.items()}
+
+
+def together(sides: Mapping[str, Side]) -> Side:
+    """What all tests ask; one alone asks for itself."""
+    return JointSide.of(sides) if len(sides) > 1 else next(iter(sides.values()))
 
 
 def _together(table: pd.DataFrame) -> pd.DataFrame:

@@ -26,7 +26,8 @@ from calib.ledger import Ledger
 from calib.missing.goodness import goodness, misfit_factor, overall
 from calib.missing.suspect import LEVEL, suspects
 from calib.problem import Counts, Pair, Problem
-from calib.questions.scatter import assumed_words
+from calib.questions.scatter import assumed_words, in_one
+from calib.several import AnyStudy
 from calib.space import ParameterSpace
 from calib.study import ForwardProblem, Study
 
@@ -69,9 +70,9 @@ class Terms:
     assumed: str = ""
 
     @classmethod
-    def of(cls, study: Study) -> Terms:
+    def of(cls, study: AnyStudy) -> Terms:
         """Those of a study."""
-        return cls(study.settings.explain.alpha, study.held_sd, assumed_words(study))
+        return cls(study.settings.explain.alpha, study.held_sd, in_one(study, assumed_words))
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,15 +18,16 @@ from calib.correlation.response_residual import response_std
 from calib.correlation.scatter import scatter_of
 from calib.errors import InputError
 from calib.inference import rules as inference
+from calib.joint import said, stacked
 from calib.loading import Model
 from calib.measurement.disagreements import COLUMNS, Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.missing import rules as missing
 from calib.named_values import ANY, read_json
-from calib.questions.scatter import accuracy_words, assumed_scatter, assumed_words, scatter_notes
+from calib.questions.scatter import accuracy_words, assumed_scatter, assumed_words, in_one, scatter_notes
 from calib.questions.state import made_from
 from calib.results import Results
-from calib.several import AnyStudy
+from calib.several import AnyStudy, JointStudy
 from calib.structure.model import Assumption
 from calib.study import Study
 from calib.version import __version__
@@ -51,7 +52,7 @@ class HasRepeats(Protocol):
 
 
 def write_record(
-    study: Study,
+    study: AnyStudy,
     results: Results,
     question: str,
     seeds: Mapping[str, int],
@@ -63,11 +64,11 @@ def write_record(
 
     Writes ``measured.csv``, ``sensors.csv`` (of a modal measurement), ``repeat_disagreements.csv``,
     ``assumptions.csv``, ``parameter_space.csv`` and ``record.json``, which keeps the earlier questions of the same
-    folder.
+    folder. Of several tests the tables have the rows of all, with a column ``test``.
 
     Parameters
     ----------
-    study : Study
+    study : Study or JointStudy
     results : Results
     question : str
         The verb that was asked.
@@ -80,13 +81,24 @@ def write_record(
     options : sequence of str
         Further options of the command that asked, as they are typed.
     """
-    results.write_table("measured", measured_table(study))
-    if study.whole is not None and study.whole.has_shapes:
-        results.write_table("sensors", sensors_table(study.whole, study.settings.withheld.sensors))
-    results.write_table("repeat_disagreements", disagreements_table(study))
-    results.write_table("assumptions", assumptions_table(study))
-    results.write_table("parameter_space", study.model.space.frame())
-    given = study.settings
+    tests = study.studies
+    tables = {
+        "measured": {one.test: measured_table(one) for one in tests},
+        "sensors": {
+            one.test: sensors_table(one.whole, one.settings.withheld.sensors)
+            for one in tests
+            if one.whole is not None and one.whole.has_shapes
+        },
+        "repeat_disagreements": {one.test: disagreements_table(one) for one in tests},
+        "assumptions": {one.test: assumptions_table(one) for one in tests},
+    }
+    for name, own in tables.items():
+        if own:
+            results.write_table(name, stacked(own) if len(tests) > 1 else own[study.test])
+    space = study.search_space if isinstance(study, JointStudy) else study.model.space
+    results.write_table("parameter_space", space.frame())
+    given, measured = study.settings, [one.settings.measurement for one in tests]
+    notes = said({one.test: (*one.measurement_notes, *scatter_notes(one)) for one in tests})
     record = {
         "study": study.name,
         "title": given.title,
@@ -96,33 +108,25 @@ def write_record(
         "adopted_from": None if given.adopted is None else given.adopted.study,
         "effects_known": len(study.library),
         "effects_in_model": list(given.with_effects),
-        "files": [*given.measurement.files, *given.measurement.shapes, *filter(None, [given.measurement.responses])],
-        "repeats": study.repeats,
-        "accuracy": accuracy_words(study),
-        "scatter_assumed": assumed_words(study),
-        "notes": [*study.measurement_notes, *(note.removesuffix(".") for note in scatter_notes(study))],
-        "questions": {**earlier(results, question), question: asked(study, question, seeds, sentences, quick, options)},
+        "tests": [one.test for one in tests if one.test],
+        "files": list(dict.fromkeys(f for m in measured for f in (*m.files, *m.shapes, m.responses) if f)),
+        "repeats": study.repeats if isinstance(study, Study) else None,
+        "accuracy": in_one(study, accuracy_words),
+        "scatter_assumed": in_one(study, assumed_words),
+        "notes": [note.removesuffix(".") for note in notes],
+        "questions": {
+            **earlier(results, question),
+            question: {
+                **made_with(),
+                "quick": quick,
+                "options": list(options),
+                "seeds": dict(seeds),
+                "made_from": made_from(study, question),
+                "sentences": list(sentences),
+            },
+        },
     }
     results.write_json("record", record)
-
-
-def asked(
-    study: AnyStudy,
-    question: str,
-    seeds: Mapping[str, int],
-    sentences: Sequence[str] = (),
-    quick: bool = False,
-    options: Sequence[str] = (),
-) -> dict[str, Any]:
-    """What is recorded of one question; see `write_record`."""
-    return {
-        **made_with(),
-        "quick": quick,
-        "options": list(options),
-        "seeds": dict(seeds),
-        "made_from": made_from(study, question),
-        "sentences": list(sentences),
-    }
 
 
 def made_with() -> dict[str, Any]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from calib.correlation.response_residual import UNKNOWN_STD
 from calib.correlation.scatter import assumptions
+from calib.joint import said
+from calib.several import AnyStudy
 from calib.structure.model import Assumption
 from calib.study import Study
 
@@ -32,6 +34,11 @@ def assumed_responses(targets: Mapping[str, tuple[float, float | None]]) -> tupl
 def assumed_words(study: Study) -> str:
     """The same in a few words, such as ``standard deviation of natural frequencies 0.5 % of each``; empty for none."""
     return in_words(assumed_scatter(study))
+
+
+def in_one(study: AnyStudy, words: Callable[[Study], str]) -> str:
+    """What is told in a few words of every test, in one line."""
+    return "; ".join(filter(None, said({one.test: [words(one)] for one in study.studies})))
 
 
 def in_words(assumed: Iterable[Assumption]) -> str:

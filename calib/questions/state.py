@@ -11,7 +11,7 @@ from typing import Any
 from calib.correlation.problem import ModalProblem
 from calib.inference import rules as inference
 from calib.missing import rules as missing
-from calib.several import AnyStudy, JointStudy
+from calib.several import AnyStudy
 from calib.study import Study, StudyFile
 from calib.version import __version__
 
@@ -72,24 +72,22 @@ def made_from(study: AnyStudy, question: str) -> dict[str, Any]:
         and settings, ``selected``: the parameters of the search, and ``taken``: values that an earlier study has
         found. The last three are all that can be told without running the study's code (see `made_from_on_paper`).
     """
-    tests = study.studies if isinstance(study, JointStudy) else (study,)
     models, settings = [], []
-    for one in tests:
+    for one in study.studies:
         problem, given = one.problem, one.settings
         model = problem.model.fingerprint if isinstance(problem, ModalProblem) else problem.fingerprint
         models.append(_digest(model, one.model.space, given.with_effects))
         settings.append(_digest(given.pairing.model_dump(), *_SETTINGS[question.partition(" ")[0]](one)))
     adopted = study.settings.adopted
-    values = {name: value for one in tests for name, value in one.adopted.items()}
     return {
         "measurement": _measured(study, question),
         "model": models[0] if len(models) == 1 else _digest(*models),
         "settings": settings[0] if len(settings) == 1 else _digest(*settings),
         "code": __version__,
-        "files": {name: digest for one in tests for name, digest in one.read_files.items()},
+        "files": {name: digest for one in study.studies for name, digest in one.read_files.items()},
         "stated": _stated(study, question),
         "selected": list(study.search_space.free_names),
-        "taken": {} if adopted is None else {name: values.get(name) for name in adopted.parameters},
+        "taken": {} if adopted is None else {name: study.adopted.get(name) for name in adopted.parameters},
     }
 
 

@@ -12,6 +12,7 @@ from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.recorded import asked_anew, numbers_anew, recorded
 from calib.questions.user_function import function_of, kept_under, told_by
+from calib.several import AnyStudy
 from calib.space import ParameterSpace
 from calib.study import Study
 
@@ -83,14 +84,27 @@ def confirm(study: Study, ledger: Ledger, known: Outcome) -> float:
 
 
 @contextmanager
-def modes_kept(study: Study, opened: Callable[[], AbstractContextManager[Ledger]]) -> Iterator[Study]:
-    """A study of a function of modes behind its ledger, one stored point asked anew; any other study as it is."""
-    if not isinstance(study.problem, ModalProblem) or function_of(study.problem) is None:
+def modes_kept(study: AnyStudy, opened: Callable[[], AbstractContextManager[Ledger]]) -> Iterator[AnyStudy]:
+    """A study with functions of modes behind its ledger, one stored point of each asked anew; others stay as they are.
+
+    Every test of a study is asked so.
+    """
+    if not any(_tells_modes(one) for one in study.studies):
         yield study
         return
     with opened() as ledger:
-        confirmed(study, ledger)
-        yield recorded(study, ledger)
+
+        def kept(one: Study) -> Study:
+            if not _tells_modes(one):
+                return one
+            confirmed(one, ledger)
+            return recorded(one, ledger)
+
+        yield study.each(kept)
+
+
+def _tells_modes(study: Study) -> bool:
+    return isinstance(study.problem, ModalProblem) and function_of(study.problem) is not None
 
 
 def point_words(space: ParameterSpace, values: Mapping[str, float]) -> str:
