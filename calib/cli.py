@@ -19,17 +19,15 @@ from calib.front.listener import Doing, Listener, Sampled, Searched
 from calib.front.study import RESULTS, Study
 from calib.missing.findings import Findings
 from calib.questions.added import Added
-from calib.questions.calibrate import Calibration
 from calib.questions.compare import Answer
 from calib.questions.explanation import Explanation
 from calib.questions.extend import Extension
-from calib.questions.joint_calibration import JointCalibration
+from calib.questions.joint_calibration import Fitted
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
 from calib.settings import possible_path
 from calib.settings import schema as settings_schema
-from calib.several import JointStudy
 from calib.study import Study as Loaded
 from calib.study import StudyFile, shell_argument
 from calib.threads import one_thread
@@ -234,10 +232,7 @@ class _Printing(Listener):
     def screened(self, answer: Screening, folder: Results) -> None:
         console.tell_screening(answer, folder)
 
-    def calibrated_jointly(self, study: JointStudy, answer: JointCalibration, folder: Results) -> None:
-        console.tell_joint_calibration(answer, folder)
-
-    def calibrated(self, study: Loaded, answer: Calibration, folder: Results) -> None:
+    def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
         console.tell_calibration(study, answer, folder)
 
     def explained(self, study: StudyFile, answer: Explanation, folder: Results) -> None:

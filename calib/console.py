@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from rich.console import Console
@@ -24,8 +25,7 @@ from calib.questions.case import CaseFound
 from calib.questions.compare import Answer
 from calib.questions.explanation import Explanation
 from calib.questions.extend import Extension
-from calib.questions.joint_calibration import JointCalibration
-from calib.questions.places import is_modal
+from calib.questions.joint_calibration import Fitted, JointCalibration
 from calib.questions.record import assumptions_table, check_repeats
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
@@ -198,8 +198,11 @@ def tell_screening(answer: Screening, folder: Results) -> None:
     say(f"All of them are in {folder.path / (answer.method + '.csv')}.")
 
 
-def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None:
-    """Cases, parameters, before and after."""
+def tell_calibration(study: StudyFile, answer: Fitted, folder: Results) -> None:
+    """Cases, parameters, before and after; of several tests what all determine, and what each says of it."""
+    if isinstance(answer, JointCalibration):
+        _tell_joint_calibration(answer, folder)
+        return
     counts = ("asked", "solved", "reused", "infeasible", "failed")
     cases = [
         (
@@ -230,7 +233,7 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     for warning in best.answer.warnings:
         _out.print(warning, style="yellow")
     before, after = answer.before, best.answer
-    label = "frequency error" if is_modal(study) else "error"
+    label = "error" if before.comparison is None else "frequency error"
     say(f"Mean {label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %.")
     if not math.isnan(after.mean_mac):
         allowed = "" if math.isnan(after.noise_mac) else f" (noise alone allows {after.noise_mac:.4f})"
@@ -243,30 +246,33 @@ def tell_calibration(study: Study, answer: Calibration, folder: Results) -> None
     held = study.settings.withheld
     if answer.errors is not None and (held.modes or held.sensors or held.responses):
         say("Errors in units of the scatter:")
-        errors = [
-            (WORDS[r["group"]], str(r["rows"]), _number(r["rms"], 2), _number(r["expected"], 2), f"{r['p']:.2g}")
-            for r in answer.errors.to_dict("records")
-        ]
-        _table(("data", "rows", "rms", "of a right model", "p"), errors)
+        _table(("data", *_ERRORS), [(WORDS[r["group"]], *_errors(r)) for r in answer.errors.to_dict("records")])
     for sentence in answer.contradictions:
         _out.print(sentence, style="yellow")
 
 
-def tell_joint_calibration(answer: JointCalibration, folder: Results) -> None:
-    """Parameters that all tests together determine, and what each test says of them."""
+def _tell_joint_calibration(answer: JointCalibration, folder: Results) -> None:
     first = next(iter(answer.tests.values()))
     _print_verdicts(answer.verdicts, first.best)
     for sentence in answer.sentences:
         say(sentence)
     rows = [
-        (test, WORDS[r["group"]], str(r["rows"]), _number(r["rms"], 2), _number(r["expected"], 2), f"{r['p']:.2g}")
+        (test, WORDS[r["group"]], *_errors(r))
         for test, one in answer.tests.items()
         if one.errors is not None
         for r in one.errors.to_dict("records")
     ]
     say("Errors in units of the scatter:")
-    _table(("test", "data", "rows", "rms", "of a right model", "p"), rows, left=("data",))
+    _table(("test", "data", *_ERRORS), rows, left=("data",))
     say(f"What all tests say is in {folder.path}, what each says by itself beside it.")
+
+
+_ERRORS = ("rows", "rms", "of a right model", "p")
+
+
+def _errors(row: Mapping[Any, Any]) -> tuple[str, ...]:
+    """One row of `_ERRORS`."""
+    return str(row["rows"]), _number(row["rms"], 2), _number(row["expected"], 2), f"{row['p']:.2g}"
 
 
 def _print_verdicts(verdicts: pd.DataFrame, best: CaseFound) -> None:
@@ -371,23 +377,13 @@ def tell_explanation(study: StudyFile, answer: Explanation, folder: Results) -> 
         against = "ln Bayes is against the base model, for the plausible size of each effect"
         say(f"z is a score and no probability; {against}.")
     if len(answer.errors):
-        errors = [
-            (
-                str(r["group"]),
-                str(r["stage"]),
-                str(r["rows"]),
-                _number(r["rms"], 2),
-                _number(r["expected"], 2),
-                f"{r['p']:.2g}",
-            )
-            for r in answer.errors.to_dict("records")
-        ]
+        errors = [(str(r["group"]), str(r["stage"]), *_errors(r)) for r in answer.errors.to_dict("records")]
         name = "" if found.chosen is None else " and ".join(found.chosen.names)
         label = f" and after with {name}" if name else ""
         if (answer.errors["stage"] == "attempt").any():
             label = f" and with {name}: best attempt, not believed"
         say(f"\nErrors in units of the scatter, before{label}:")
-        _table(("data", "stage", "rows", "rms", "of a right model", "p"), errors)
+        _table(("data", "stage", *_ERRORS), errors)
 
 
 def tell_what_to_add(study: StudyFile, found: Findings) -> None:

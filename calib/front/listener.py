@@ -9,15 +9,13 @@ from typing import TypeAlias
 
 from calib.missing.findings import Findings
 from calib.questions.added import Added
-from calib.questions.calibrate import Calibration
 from calib.questions.compare import Answer
 from calib.questions.explanation import Explanation
 from calib.questions.extend import Extension
-from calib.questions.joint_calibration import JointCalibration
+from calib.questions.joint_calibration import Fitted
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
-from calib.several import JointStudy
 from calib.study import Study, StudyFile
 
 Sampled: TypeAlias = Callable[[int, int], None]
@@ -58,10 +56,7 @@ class Listener:
     def screened(self, answer: Screening, folder: Results) -> None:
         """The same by Morris or Sobol."""
 
-    def calibrated_jointly(self, study: JointStudy, answer: JointCalibration, folder: Results) -> None:
-        """Parameters were fitted to several tests."""
-
-    def calibrated(self, study: Study, answer: Calibration, folder: Results) -> None:
+    def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
         """Parameters were fitted."""
 
     def explained(self, study: StudyFile, answer: Explanation, folder: Results) -> None:

@@ -14,9 +14,9 @@ from calib.front.asked import Solved
 from calib.front.responses import own
 from calib.front.test import ModalTest, Model, ResponseTest, Test
 from calib.inference.cases import CaseResult
-from calib.questions.calibrate import parameters_of
-from calib.questions.compare import Answer, answer_of, write_answer
-from calib.questions.judge import Judgement
+from calib.problem import Counts
+from calib.questions.calibrate import tables_of
+from calib.questions.compare import Answer, answer_of, before_and_after, write_answer
 from calib.questions.record import assumptions_of, made_with, sensors_table
 from calib.results import Results
 from calib.written import whole
@@ -49,7 +49,7 @@ def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
 
 
 def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
-    """See `calib.front.problem.Fit.figure`."""
+    """See `calib.front.fit.Fit.figure`."""
     if name not in FIGURES:
         raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
     model, asked = chosen(fit, test)
@@ -116,7 +116,7 @@ def _shaped(test: Test) -> ModalTest:
 
 
 def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
-    """See `calib.front.problem.Fit.report`."""
+    """See `calib.front.fit.Fit.report`."""
     from calib.report.html.answers import Answers
     from calib.report.html.write import page
 
@@ -157,10 +157,7 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     folder.write_json("summary", {
         "best_case": CASE,
         "method": "gauss-newton",
-        "mean_freq_error_before": before.mean_freq_error,
-        "mean_freq_error_after": after.mean_freq_error,
-        "mean_mac_before": before.mean_mac,
-        "mean_mac_after": after.mean_mac,
+        **before_and_after(before, after),
         "noise_mac": after.noise_mac,
     })  # fmt: skip
     folder.write_json("record", {
@@ -175,17 +172,5 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
 
 def _tables(fit: Solved) -> dict[str, pd.DataFrame]:
     """What a fit found, as the tables of a study tell it."""
-    judgement: Judgement = fit.judgement
-    result = CaseResult(
-        name=CASE, values=judgement.values, misfit=judgement.misfit, responses={}, convergence=pd.DataFrame(),
-        asked=0, solved=0, reused=0, infeasible=0, failed=0, seconds=0.0,
-    )  # fmt: skip
-    space = fit.problem.space
-    return {
-        "parameters": parameters_of(space, [(result, judgement)]),
-        "verdicts": judgement.verdicts(space, {}),
-        "confounded": judgement.identification.confounded,
-        "unseen_directions": judgement.identification.directions,
-        "suspects_calibrated": judgement.suspects,
-        "predictions": judgement.predictions.assign(scatter="assumed" if judgement.assumed else "stated"),
-    }
+    result = CaseResult.fitted(CASE, fit.judgement.values, Counts(), pd.DataFrame(), 0.0)
+    return tables_of(fit.problem.space, [(result, fit.judgement)], fit.judgement)

@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import pandas as pd
 
@@ -18,7 +18,7 @@ from calib.front.problem import Problem
 from calib.front.shown import Compared, Shown
 from calib.front.test import ModalTest, ResponseTest
 from calib.given import path as path_of
-from calib.joint import of_test
+from calib.joint import said, stacked
 from calib.measurement.responses import read_responses
 from calib.missing.findings import Findings
 from calib.questions import added, phases, places
@@ -29,7 +29,7 @@ from calib.questions import extend as extension
 from calib.questions import sensitivity as influence
 from calib.questions.explanation import Explanation
 from calib.questions.isolation import isolated
-from calib.questions.joint_calibration import JointCalibration, calibrate_jointly
+from calib.questions.joint_calibration import Fitted, calibrate_jointly
 from calib.questions.reduction import fingerprints
 from calib.questions.stale import stale_answers
 from calib.questions.stored import modes_kept
@@ -45,8 +45,6 @@ from calib.written import is_own
 
 RESULTS = Path("results")
 """Where results go unless another place is named."""
-
-Fitted: TypeAlias = calibration.Calibration | JointCalibration
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -225,7 +223,7 @@ class Study:
 
         Of several tests each is asked by itself. ``executor`` evaluates the points; see `run`.
         """
-        answers = []
+        answers = {}
         for study in self._by(executor).tests:
             if method == "ranks":
                 found = study._sensitivity()
@@ -234,13 +232,13 @@ class Study:
                 screened = study._screen(method, ignore_constraints)
                 told = (screened.note,) if screened.note else ()
                 answer = Answer(told, screened.table, study.folder.path, screened)
-            answers.append((study.one.test, answer))
+            answers[study.one.test] = answer
             study.draw()
         if len(answers) == 1:
-            return answers[0][1]
-        words = tuple(of_test(test, word) for test, one in answers for word in one.sentences)
-        table = pd.concat([one.table.assign(test=test) for test, one in answers], ignore_index=True)
-        return Answer(words, table, self.folder.path, {test: one.of for test, one in answers})
+            return answer
+        words = said({test: one.words for test, one in answers.items()})
+        table = stacked({test: one.rows for test, one in answers.items()})
+        return Answer(words, table, self.folder.path, {test: one.of for test, one in answers.items()})
 
     def calibrate(
         self,
@@ -253,17 +251,10 @@ class Study:
 
         Several tests are fitted together. ``executor`` evaluates the points of searches; see `run`.
         """
-        if executor is not None:
-            return self._by(executor).calibrate(case, method=method)
-        loaded = self.loaded
-        calibration.chosen_cases(loaded, case)
-        folder = places.results_of(loaded, self.results, self.quick, case, method)
-        if isinstance(loaded, JointStudy):
-            joint = self._calibrate_jointly(loaded, folder, case, method)
-            self._draw_tests(case, method)
-            return Answer(joint.sentences, joint.verdicts, folder.path, joint)
-        found = self._calibrate(folder, case, method)
-        self.draw(folder)
+        asked = self._by(executor)
+        found = asked._calibrate(case, method)
+        asked._draw_tests(case, method)
+        folder = places.results_of(self.loaded, self.results, self.quick, case, method)
         return Answer(found.sentences, found.verdicts, folder.path, found)
 
     def explain(self) -> Answer:
@@ -305,12 +296,8 @@ class Study:
         for study in self.tests:
             study._compare()
             study._sensitivity()
-        loaded, extended = self.loaded, None
-        if isinstance(loaded, JointStudy):
-            before: Fitted = self._calibrate_jointly(loaded, self.folder, None, None)
-        else:
-            before = self._calibrate(self.folder, None, None)
-        if loaded.candidates:
+        before, extended = self._calibrate(), None
+        if self.loaded.candidates:
             extended = self._add(before, self._explain().findings)
             if extended is not None:
                 extended._draw_tests(report=True)
@@ -353,46 +340,34 @@ class Study:
         self.listener.screened(answer, self.folder)
         return answer
 
-    def _calibrate(
-        self, folder: Results, case: str | None, method: calibration.Method | None
-    ) -> calibration.Calibration:
-        root, workers, quick = self.results, self.workers, self.quick
-        loaded = influence.selected_by_measures(self.one, self.folder)
+    def _calibrate(self, case: str | None = None, method: calibration.Method | None = None) -> Fitted:
+        root, quick = self.results, self.quick
+        calibration.chosen_cases(self.loaded, case)
+        chosen = [influence.selected_by_measures(study.one, study.folder) for study in self.tests]
+        selected = tuple(dict.fromkeys(name for one in chosen for name in one.search_space.free_names))
+        left = isinstance(self.loaded.settings.selection, str)
+        loaded = self.loaded.each(lambda one: one.selecting(selected)) if left else self.loaded
         self.listener.begins(loaded, "calibrate")
+        folder = places.results_of(loaded, root, quick, case, method)
+        homes = {one.test: places.results_of(one, root) for one in loaded.studies}
         with places.ledger_of(loaded, root) as ledger, self.listener.search() as step:
-            home = places.results_of(loaded, root)
-            self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, home)))
-            answer = calibration.calibrate(loaded, folder, ledger, workers, case, quick, method, step, home)
-        self.listener.calibrated(loaded, answer, folder)
-        return answer
-
-    def _calibrate_jointly(
-        self, loaded: JointStudy, folder: Results, case: str | None, method: calibration.Method | None
-    ) -> JointCalibration:
-        root = self.results
-        chosen = [influence.selected_by_measures(s.one, s.folder).search_space.free_names for s in self.tests]
-        if isinstance(loaded.settings.selection, str):
-            selected = tuple(dict.fromkeys(name for names in chosen for name in names))
-            loaded = replace(loaded, studies=tuple(study.selecting(selected) for study in loaded.studies))
-        self.listener.begins(loaded, "calibrate")
-        folders = {s.test: places.results_of(s, root, self.quick, case, method) for s in loaded.studies}
-        homes = {s.test: places.results_of(s, root) for s in loaded.studies}
-        with places.ledger_of(loaded, root) as ledger, self.listener.search() as step:
-            known = [mark for s in loaded.studies for mark in fingerprints(s, homes[s.test])]
+            known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
             self.listener.other_state(ledger.other_fingerprints(*known))
-            answer = calibrate_jointly(loaded, folders, folder, ledger, case, self.quick, method, step, homes)
-        self.listener.calibrated_jointly(loaded, answer, folder)
-        return answer
+            if isinstance(loaded, JointStudy):
+                folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
+                found: Fitted = calibrate_jointly(loaded, folders, folder, ledger, case, quick, method, step, homes)
+            else:
+                home = homes[loaded.test]
+                found = calibration.calibrate(loaded, folder, ledger, self.workers, case, quick, method, step, home)
+        self.listener.calibrated(loaded, found, folder)
+        return found
 
     def _fit(self) -> Fitted:
         """Calibrate, and ask before which parameters matter where the study leaves their choice to that."""
-        loaded = self.loaded
-        if isinstance(loaded.settings.selection, str):
+        if isinstance(self.loaded.settings.selection, str):
             for study in self.tests:
                 study._sensitivity()
-        if isinstance(loaded, JointStudy):
-            return self._calibrate_jointly(loaded, self.folder, None, None)
-        return self._calibrate(self.folder, None, None)
+        return self._calibrate()
 
     def _explain(self) -> Explanation:
         loaded, root = self.loaded, self.results
@@ -421,8 +396,8 @@ class Study:
         self.listener.begins(loaded, "before and after")
         for own, other in zip(self.tests, extended.tests, strict=True):
             test = own.one.test
-            fits = [fit.tests[test] if isinstance(fit, JointCalibration) else fit for fit in (before, after)]
-            answer = added.write_added(own.one, fits[0], named, other.one, fits[1], own.folder, self.quick)
+            was, now = before.seen(test), after.seen(test)
+            answer = added.write_added(own.one, was, named, other.one, now, own.folder, self.quick)
             if not self.quick:
                 write_versions(other.one, self.results)
             self.listener.added(answer, written, other.folder)

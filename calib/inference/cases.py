@@ -19,6 +19,7 @@ from calib.inference.objective import Objective
 from calib.inference.rules import RULES
 from calib.ledger import Asked, Ledger
 from calib.outcome import Outcome, key_of
+from calib.problem import Counts
 from calib.space import ParameterSpace
 
 FAILED = 1e12
@@ -66,6 +67,16 @@ class CaseResult:
     infeasible: int
     failed: int
     seconds: float
+
+    @classmethod
+    def fitted(
+        cls, name: str, values: dict[str, float], counts: Counts, convergence: pd.DataFrame, seconds: float
+    ) -> CaseResult:
+        """Where least squares ended, without misfit and responses of an objective."""
+        return cls(
+            name=name, values=values, misfit=math.nan, responses={}, convergence=convergence, asked=counts.asked,
+            solved=counts.solved, reused=counts.reused, infeasible=0, failed=counts.failed, seconds=seconds,
+        )  # fmt: skip
 
 
 def run_id(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -20,7 +20,7 @@ from calib.inference.verdicts import identified_sentence
 from calib.ledger import Ledger
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.questions.case import CaseFinder, CaseFound, SearchProgress
-from calib.questions.compare import Answer, compare, write_answer, write_model_modes
+from calib.questions.compare import Answer, before_and_after, compare, write_answer, write_model_modes
 from calib.questions.contradiction import contradictions, every_response
 from calib.questions.every_mode import all_stages, every_mode
 from calib.questions.failures import reasons_sentence, stored_reasons
@@ -51,8 +51,8 @@ class Calibration:
         Of the lowest sum of squares where least squares were fitted, of the lowest misfit else and among equals.
     before : Answer
         At the adopted values.
-    parameters, verdicts : DataFrame
-        ``parameters.csv``, ``verdicts.csv``.
+    tables : mapping from str to DataFrame
+        See `tables_of`.
     agreement : Agreement
         Whether the cases agree on one solution.
     search_agreement : Agreement or None
@@ -73,8 +73,7 @@ class Calibration:
     cases: tuple[CaseFound, ...]
     best: CaseFound
     before: Answer
-    parameters: pd.DataFrame
-    verdicts: pd.DataFrame
+    tables: Mapping[str, pd.DataFrame]
     agreement: Agreement
     search_agreement: Agreement | None
     modes: pd.DataFrame | None = None
@@ -87,6 +86,20 @@ class Calibration:
     def names(self) -> tuple[str, ...]:
         """Names of the cases."""
         return tuple(case.name for case in self.cases)
+
+    def seen(self, test: str) -> Calibration:
+        """What the only test says of it."""
+        return self
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """``parameters.csv``."""
+        return self.tables["parameters"]
+
+    @property
+    def verdicts(self) -> pd.DataFrame:
+        """``verdicts.csv``."""
+        return self.tables["verdicts"]
 
     @property
     def contradictions(self) -> tuple[str, ...]:
@@ -211,22 +224,15 @@ def keep(study: Study, results: Results, found: Sequence[CaseFound], before: Ans
     best, space = best_of(found), ran.space
     reported = [case.result for case in found]
     searched = [case.search for case in found if case.search is not None]
-    parameters = parameters_of(space, [(case.result, case.judgement) for case in found], searched)
-    spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
-    verdicts = _without_whole(best.judgement.verdicts(space, spread), space)
+    tables = tables_of(space, [(case.result, case.judgement) for case in found], best.judgement, searched)
     level = expected_misfit(study, before)
     verdict = agreement(reported, space, level)
     raw = agreement(searched, space, level) if searched and study.settings.calibration.polish else None
     begin_answer(results, "calibrate")
     write_answer(results, best.answer, "after")
-    results.write_table("parameters", parameters)
+    for name, table in tables.items():
+        results.write_table(name, table)
     results.write_table("points", pd.concat([case.points for case in found], ignore_index=True))
-    results.write_table("verdicts", verdicts)
-    results.write_table("suspects_calibrated", best.judgement.suspects)
-    results.write_table("confounded", best.judgement.identification.confounded)
-    results.write_table("unseen_directions", best.judgement.identification.directions)
-    rests = "assumed" if best.judgement.assumed else "stated"
-    results.write_table("predictions", best.judgement.predictions.assign(scatter=rests))
     results.write_table("convergence", convergence_table(reported))
     results.remove("modes.csv")
     modes = None
@@ -242,11 +248,11 @@ def keep(study: Study, results: Results, found: Sequence[CaseFound], before: Ans
     values = {name: value for name, value in best.judgement.values.items() if name in study.model.space}
     with suppress(EvaluationError):  # a model that fails beside the optimum has no errors to tell
         errors = errors_at(study, values)
-        results.write_table("data_errors", errors.assign(scatter=rests))
+        results.write_table("data_errors", errors.assign(scatter=best.judgement.rests_on))
         if study.settings.withheld.responses:
             responses = every_response(study, study.model.space.values, values)
             results.write_table("responses", responses)
-    answer = Calibration(tuple(found), best, before, parameters, verdicts, verdict, raw, modes, errors, responses,
+    answer = Calibration(tuple(found), best, before, tables, verdict, raw, modes, errors, responses,
                          tuple(ran.notes()), ran.retried)  # fmt: skip
     summary = _summary(study, ran.method, found, best, before, time.perf_counter() - ran.started)
     summary["contradictions"] = list(answer.contradictions)
@@ -278,8 +284,27 @@ def _worsened(case: CaseFound) -> str:
     )
 
 
-def parameters_of(
-    space: ParameterSpace, found: Sequence[tuple[CaseResult, Judgement]], searched: Sequence[CaseResult] = ()
+def tables_of(
+    space: ParameterSpace,
+    found: Sequence[tuple[CaseResult, Judgement]],
+    best: Judgement,
+    searched: Sequence[CaseResult] = (),
+) -> dict[str, pd.DataFrame]:
+    """What is known of the parameters after some cases, by the name of its file."""
+    parameters = _parameters(space, found, searched)
+    spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
+    return {
+        "parameters": parameters,
+        "verdicts": _without_whole(best.verdicts(space, spread), space),
+        "suspects_calibrated": best.suspects,
+        "confounded": best.identification.confounded,
+        "unseen_directions": best.identification.directions,
+        "predictions": best.predictions.assign(scatter=best.rests_on),
+    }
+
+
+def _parameters(
+    space: ParameterSpace, found: Sequence[tuple[CaseResult, Judgement]], searched: Sequence[CaseResult]
 ) -> pd.DataFrame:
     """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
 
@@ -345,10 +370,7 @@ def _summary(
             "misfit": case.result.misfit,
             "search_misfit": None if case.search is None else case.search.misfit,
             "search_misfit_full_order": case.search_full_order,
-            "mean_freq_error_before": before.mean_freq_error,
-            "mean_freq_error_after": case.answer.mean_freq_error,
-            "mean_mac_before": before.mean_mac,
-            "mean_mac_after": case.answer.mean_mac,
+            **before_and_after(before, case.answer),
             **{key: getattr(case.result, name) for key, name in counts.items()},
             "seconds": case.result.seconds,
         }
@@ -359,18 +381,11 @@ def _summary(
         "fingerprint": fingerprint(study),
         "method": method,
         "best_case": best.name,
-        "mean_freq_error_before": before.mean_freq_error,
-        "mean_freq_error_after": best.answer.mean_freq_error,
-        "mean_mac_before": before.mean_mac,
-        "mean_mac_after": best.answer.mean_mac,
+        **before_and_after(before, best.answer),
         "noise_freq_error": float(np.mean(_noise_errors(study))),
         "noise_mac": best.answer.noise_mac,
-        "whitened_misfit": best.judgement.misfit,
-        "degrees_of_freedom": best.judgement.freedom,
-        "p_fit": best.judgement.p_fit,
-        "birge": best.judgement.birge,
+        **best.judgement.figures,
         "accuracy": accuracy_words(study),
-        "scatter_assumed": best.judgement.assumed,
         **{key: sum(getattr(case.result, name) for case in found) for key, name in counts.items()},
         "seconds": seconds,
         "withheld_modes": list(study.settings.withheld.modes),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -22,13 +23,14 @@ from calib.outcome import Outcome, answered, as_cause, key_of
 from calib.problem import Counts, Pair, Problem
 from calib.questions.compare import Answer, answer_at
 from calib.questions.explained_fit import explained_fit
-from calib.questions.judge import FitProgress, Judgement, Shared, Terms, criteria, ended, fitted, judged, posed
+from calib.questions.judge import FitProgress, Judgement, Shared, Terms, criteria, ended, judged, polished, posed
 from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator
 from calib.questions.reduction import Reduction, reduction_of
 from calib.questions.stored import confirm
 from calib.questions.user_function import function_of, kept_under
 from calib.results import Results
 from calib.sampling import sample
+from calib.several import AnyStudy
 from calib.study import ForwardProblem, Study, StudyFile
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
@@ -155,9 +157,7 @@ class CaseFinder:
     @cached_property
     def known(self) -> tuple[dict[str, float], ...]:
         """Where least squares begins too: where the study says, and where an explanation has fitted the same model."""
-        space, given = self.study.search_space, self.study.settings.calibration.begin_at
-        explained = explained_fit(self.study, self.home)
-        return tuple(space.complete(start) for start in (given, explained) if start)
+        return known_starts(self.study, explained_fit(self.study, self.home))
 
     def by_search(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
         """Genetic algorithm; least squares from its best point, `known` and the adopted values, where they are wanted.
@@ -187,7 +187,7 @@ class CaseFinder:
                         judgement = self.polished(reduction, [search.values], POLISH_REFITS, shared=True)
                     else:
                         judgement = judged(self.exact, Terms.of(study), search.values)
-                    yield self.reported(objective, search, search, judgement)
+                    yield self._searched(objective, search, judgement)
                     before = reduction
                     reduction = None if reduction is None else reduction.after_case(search.values, self.home)
                     if reduction is not before:
@@ -195,24 +195,9 @@ class CaseFinder:
 
     def by_least_squares(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
         """Least squares from several starting points, the cases' own."""
-        study, space = self.study, self.study.search_space
-        reduction = self._reduction()
-        given = study.settings.calibration.starts
-        count = min(given, QUICK_STARTS) if self.quick else given
+        fit = partial(self.polished, self._reduction())
         for case in cases:
-            started = time.perf_counter()
-            drawn = [space.complete(x) for x in sample(space, count, case.seed).points]
-            starts = [*self.known, space.values, *drawn][: max(count, len(self.known) + 1)]
-            steps, counts = Steps(case.name, count, self.progress), Counts()
-            with told(study):
-                judgement = self.polished(reduction, starts, REFITS, steps, counts=counts)
-                self.progress(case.name, count, count, judgement.misfit)
-            here = CaseResult(
-                name=case.name, values=judgement.values, misfit=np.nan, responses={}, convergence=steps.table(),
-                asked=counts.asked, solved=counts.solved, reused=counts.reused, infeasible=0, failed=counts.failed,
-                seconds=time.perf_counter() - started,
-            )  # fmt: skip
-            yield self.reported(objective_of(study), here, None, judgement)
+            yield reported(self.study, *least_squares(case, self.study, self.known, self.quick, self.progress, fit))
 
     def _reduction(self) -> Reduction | None:
         """The basis of a search; none where it does not reach its tolerance, which is told."""
@@ -226,26 +211,20 @@ class CaseFinder:
         self,
         reduction: Reduction | None,
         starts: Sequence[dict[str, float]],
-        refits: int,
+        refits: int = REFITS,
         progress: FitProgress = lambda start, fits, misfit: None,
         shared: bool = False,
         counts: Counts | None = None,
     ) -> Judgement:
-        """Least squares from some points; first on a reduced basis where there is one, then at full order.
+        """See `calib.questions.judge.polished`.
 
-        ``shared`` adds the points that all cases have in common. Full order begins at the best of what the basis has
-        found and of `known`, so that it never ends above those. ``counts`` is told every point that is asked.
+        ``shared`` adds the points that all cases have in common. ``counts`` is told every point that is asked.
         """
         study, counts = self.study, counts or Counts()
         exact = posed(study, self.ledger, counts=counts)
-        problem = exact if reduction is None else posed(study, self.ledger, reduction.problem, counts)
-        common = self._in_common(problem, refits) if shared else None
-        terms = Terms.of(study)
-        near = fitted(problem, terms, starts, refits, progress, shared=common)
-        if reduction is None:
-            return near
-        begin = min((near.values, *self.known), key=lambda values: sum(criteria(exact, values)))
-        return fitted(exact, terms, [begin], 1, before=near)
+        near = None if reduction is None else posed(study, self.ledger, reduction.problem, counts)
+        common = self._in_common(exact if near is None else near, refits) if shared else None
+        return polished(exact, near, Terms.of(study), starts, refits, progress, self.known, common)
 
     def _in_common(self, problem: Problem[Pair], refits: int) -> Shared:
         """Fits from the points that all cases share, once a basis."""
@@ -255,27 +234,68 @@ class CaseFinder:
             self._shared[key] = Shared(adopted, known=ended(problem, self.known, refits))
         return self._shared[key]
 
-    def reported(
-        self, objective: Objective, result: CaseResult, search: CaseResult | None, judgement: Judgement
-    ) -> CaseFound:
-        """The case at its final values, solved at full order whatever the search worked on."""
+    def _searched(self, objective: Objective, search: CaseResult, judgement: Judgement) -> CaseFound:
+        """A case that a search has begun, with where that ended at full order."""
         problem = self.study.problem
-        plain = isinstance(problem, FunctionProblem)
-        if search is not None and function_of(problem) is not None:
+        if function_of(problem) is not None:
             key = key_of(search.values)
             confirm(self.study, self.ledger, self.ledger.lookup(kept_under(problem), [key])[key])
-        answer = answer_at(self.study, judgement.values)
-        responses = answered(problem.evaluate, judgement.values)
-        final = replace(result, values=judgement.values, misfit=objective(responses), responses=responses)
-        full, points = float("nan"), []
-        if search is not None:
-            full = objective(search.responses if plain else answered(problem.evaluate, search.values))
-            points.append((final.name, SEARCH, full, *criteria(self.exact, search.values)))
-        if judgement.fit is not None:
-            points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))
-        table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])
-        table["total"] = table["sum_of_squares"] + table["prior"]
-        return CaseFound(final, search, full, judgement, answer, table)
+        plain = isinstance(problem, FunctionProblem)
+        full = objective(search.responses if plain else answered(problem.evaluate, search.values))
+        return reported(self.study, search, judgement, search, (full, *criteria(self.exact, search.values)))
+
+
+def reported(
+    study: Study,
+    result: CaseResult,
+    judgement: Judgement,
+    search: CaseResult | None = None,
+    before: tuple[float, float, float] = (math.nan, math.nan, math.nan),
+) -> CaseFound:
+    """The case at its final values as one test sees it, solved at full order whatever was asked on the way.
+
+    ``before`` are objective, sum of squares and that of the priors where a search ended.
+    """
+    values = {name: value for name, value in judgement.values.items() if name in study.model.space}
+    responses = answered(study.problem.evaluate, values)
+    final = replace(result, values=judgement.values, misfit=objective_of(study)(responses), responses=responses)
+    points = [] if search is None else [(final.name, SEARCH, *before)]
+    if judgement.fit is not None:
+        points.append((final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit))
+    table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])
+    table["total"] = table["sum_of_squares"] + table["prior"]
+    return CaseFound(final, search, before[0], judgement, answer_at(study, values), table)
+
+
+def known_starts(study: AnyStudy, *others: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+    """Where least squares begins too: where the study says, and at other points that are known to fit."""
+    space = study.search_space
+    given = {name: value for name, value in study.settings.calibration.begin_at.items() if name in space}
+    return tuple(space.complete(start) for start in (given, *others) if start)
+
+
+def least_squares(
+    case: Case,
+    study: AnyStudy,
+    known: Sequence[dict[str, float]],
+    quick: bool,
+    progress: SearchProgress,
+    fit: Callable[..., Judgement],
+) -> tuple[CaseResult, Judgement]:
+    """One case by least squares alone: from known points, from the adopted values, and from points of its own seed.
+
+    ``fit`` takes starts and, as keywords, ``progress`` and ``counts``.
+    """
+    started, space, given = time.perf_counter(), study.search_space, study.settings.calibration.starts
+    count = min(given, QUICK_STARTS) if quick else given
+    drawn = [space.complete(x) for x in sample(space, count, case.seed).points]
+    starts = [*known, space.values, *drawn][: max(count, len(known) + 1)]
+    steps, counts = Steps(case.name, count, progress), Counts()
+    with told(study):
+        judgement = fit(starts, progress=steps, counts=counts)
+        progress(case.name, count, count, judgement.misfit)
+    seconds = time.perf_counter() - started
+    return CaseResult.fitted(case.name, judgement.values, counts, steps.table(), seconds), judgement
 
 
 def _as_it_is(outcome: Outcome) -> Outcome:

@@ -205,6 +205,16 @@ def compare(study: Study, results: Results) -> Answer:
     return answer
 
 
+def before_and_after(before: Answer, after: Answer) -> dict[str, float]:
+    """Mean errors and MAC of two comparisons, as ``summary.json`` tells them."""
+    return {
+        "mean_freq_error_before": before.mean_freq_error,
+        "mean_freq_error_after": after.mean_freq_error,
+        "mean_mac_before": before.mean_mac,
+        "mean_mac_after": after.mean_mac,
+    }
+
+
 def write_answer(results: Results, answer: Answer, stage: str) -> None:
     """Write every table of one comparison, named ``*_before`` or ``*_after``."""
     results.write_table(f"comparison_{stage}", answer.table)

@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import TypeAlias
 
-import numpy as np
 import pandas as pd
 
 from calib.errors import InputError, ToleranceError
-from calib.inference.cases import Case, CaseResult
 from calib.inference.verdicts import identified_sentence
-from calib.joint import JointProblem, of_test
+from calib.joint import JointProblem, of_test, stacked
 from calib.ledger import Ledger
-from calib.outcome import answered
 from calib.problem import Counts
 from calib.questions.calibrate import Calibration, Ran, best_of, chosen_cases, keep, why_failed
-from calib.questions.case import FITTED, QUICK_STARTS, REFITS, CaseFound, SearchProgress, Steps, objective_of, told
-from calib.questions.compare import answer_at, compare
-from calib.questions.judge import Judgement, Terms, fitted, posed
+from calib.questions.case import REFITS, CaseFound, SearchProgress, known_starts, least_squares, reported
+from calib.questions.compare import before_and_after, compare
+from calib.questions.judge import FitProgress, Judgement, Terms, polished, posed
 from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import recorded
 from calib.questions.reduction import reduction_of
-from calib.questions.scatter import assumed_words
 from calib.questions.stored import confirmed
 from calib.results import Results
-from calib.sampling import sample
 from calib.several import JointStudy
 from calib.study import ForwardProblem, Study
 
@@ -46,6 +42,10 @@ class JointCalibration:
     tests: Mapping[str, Calibration]
     judgement: Judgement
 
+    def seen(self, test: str) -> Calibration:
+        """What one test says of it."""
+        return self.tests[test]
+
     @property
     def verdicts(self) -> pd.DataFrame:
         """One row a parameter: what all tests together determine."""
@@ -62,6 +62,9 @@ class JointCalibration:
             out.append(of_test(test, f"mean absolute error {100 * before:.2f} % before, {100 * after:.2f} % after."))
             out += [of_test(test, words) for words in (*answer.contradictions, *answer.notes)]
         return tuple(out)
+
+
+Fitted: TypeAlias = Calibration | JointCalibration
 
 
 def calibrate_jointly(
@@ -81,32 +84,38 @@ def calibrate_jointly(
     ``homes`` hold the reduced bases of the tests, by default their folders.
     """
     started = time.perf_counter()
-    given = study.settings.calibration
+    given, homes = study.settings.calibration, homes or folders
     if (method or (given.method if "method" in given.model_fields_set else "")) == "genetic":
         raise InputError(
             "a genetic search asks one test, and the study has several", place=study.file,
             remedy="leave the method out: several tests are fitted by least squares from several starts",
         )  # fmt: skip
     cases = chosen_cases(study, only)
-    studies = {}
     for one in study.studies:
         confirmed(one, ledger)
-        studies[one.test] = recorded(one, ledger)
-    before = {test: compare(one, folders[test]) for test, one in studies.items()}
-    reduced, notes = _reduced(studies, homes or folders)
-    finder = _Finder(study, studies, reduced, ledger, quick, progress)
-    fits = [finder.case(case) for case in cases]
+    asked = study.each(lambda one: recorded(one, ledger))
+    before = {one.test: compare(one, folders[one.test]) for one in asked.studies}
+    reduced, notes = _reduced(asked.studies, homes)
+    terms, known = Terms.of(study), known_starts(study)
+
+    def problem(instead: Mapping[str, ForwardProblem], counts: Counts) -> JointProblem:
+        return JointProblem({s.test: posed(s, ledger, instead.get(s.test), counts) for s in asked.studies})
+
+    def fit(starts: Sequence[Mapping[str, float]], progress: FitProgress, counts: Counts) -> Judgement:
+        near = problem(reduced, counts) if reduced else None
+        return polished(problem({}, counts), near, terms, starts, REFITS, progress, known)
+
+    fits = [least_squares(case, asked, known, quick, progress, fit) for case in cases]
     answers = {}
-    for test, one in studies.items():
-        home = (homes or folders)[test]
+    for one in asked.studies:
 
-        def told_of(one: Study = one, home: Results = home, test: str = test) -> list[str]:
-            return [note for note in (notes.get(test, ""), why_failed(one, ledger, home)) if note]
+        def notes_of(one: Study = one) -> list[str]:
+            return [note for note in (notes.get(one.test, ""), why_failed(one, ledger, homes[one.test])) if note]
 
-        found = tuple(_seen(one, result, judgement) for result, judgement in fits)
+        found = tuple(reported(one, result, judgement) for result, judgement in fits)
         options = ("--case", only) if only else ()
-        ran = Ran("gauss-newton", started, quick, options, told_of, ledger.retried, study.search_space)
-        answers[test] = keep(one, folders[test], found, before[test], ran)
+        ran = Ran("gauss-newton", started, quick, options, notes_of, ledger.retried, study.search_space)
+        answers[one.test] = keep(one, folders[one.test], found, before[one.test], ran)
     best = best_of(next(iter(answers.values())).cases)
     answer = JointCalibration(answers, best.judgement)
     _write(study, results, answer, best, time.perf_counter() - started)
@@ -115,115 +124,37 @@ def calibrate_jointly(
 
 
 def _reduced(
-    studies: Mapping[str, Study], homes: Mapping[str, Results]
+    studies: Sequence[Study], homes: Mapping[str, Results]
 ) -> tuple[dict[str, ForwardProblem], dict[str, str]]:
     """Stand-ins on reduced bases where tests have some, and why others have none although they should."""
     found, notes = dict[str, ForwardProblem](), dict[str, str]()
-    for test, one in studies.items():
+    for one in studies:
         try:
-            reduction = reduction_of(one, homes[test])
+            reduction = reduction_of(one, homes[one.test])
         except ToleranceError as fault:
-            notes[test] = f"Fitted at full order: {fault.problem}."
+            notes[one.test] = f"Fitted at full order: {fault.problem}."
         else:
             if reduction is not None:
-                found[test] = reduction.problem
+                found[one.test] = reduction.problem
     return found, notes
-
-
-@dataclass(frozen=True, eq=False)
-class _Finder:
-    """Fits all tests together, on reduced bases first where they have some."""
-
-    study: JointStudy
-    studies: Mapping[str, Study]
-    reduced: Mapping[str, ForwardProblem]
-    ledger: Ledger
-    quick: bool
-    progress: SearchProgress
-
-    def case(self, case: Case) -> tuple[CaseResult, Judgement]:
-        """Least squares from the adopted values and from further points, those of the case's seed."""
-        started, counts, space = time.perf_counter(), Counts(), self.study.search_space
-        given = self.study.settings.calibration
-        count = min(given.starts, QUICK_STARTS) if self.quick else given.starts
-        known = [space.complete({n: v for n, v in given.begin_at.items() if n in space})] if given.begin_at else []
-        drawn = [space.complete(x) for x in sample(space, count, case.seed).points]
-        starts = [*known, space.values, *drawn][: max(count, len(known) + 1)]
-        steps = Steps(case.name, count, self.progress)
-        with told(self.study):
-            judgement = self._fitted(starts, steps, counts)
-            self.progress(case.name, count, count, judgement.misfit)
-        result = CaseResult(
-            name=case.name, values=judgement.values, misfit=np.nan, responses={}, convergence=steps.table(),
-            asked=counts.asked, solved=counts.solved, reused=counts.reused, infeasible=0, failed=counts.failed,
-            seconds=time.perf_counter() - started,
-        )  # fmt: skip
-        return result, judgement
-
-    def _fitted(self, starts: Sequence[dict[str, float]], steps: Steps, counts: Counts) -> Judgement:
-        """On reduced bases from all starts, then at full order from the best."""
-        exact = self._posed({}, counts)
-        held = {name: sd for one in self.study.studies for name, sd in one.held_sd.items()}
-        assumed = [of_test(one.test, words) for one in self.study.studies if (words := assumed_words(one))]
-        terms = Terms(self.study.settings.explain.alpha, held, "; ".join(assumed))
-        near = fitted(self._posed(self.reduced, counts), terms, starts, REFITS, steps)
-        return fitted(exact, terms, [near.values], 1, before=near) if self.reduced else near
-
-    def _posed(self, instead: Mapping[str, ForwardProblem], counts: Counts) -> JointProblem:
-        return JointProblem(
-            {test: posed(one, self.ledger, instead.get(test), counts) for test, one in self.studies.items()}
-        )
-
-
-def _seen(study: Study, result: CaseResult, judgement: Judgement) -> CaseFound:
-    """One case as one test sees it: its responses and its comparison; the fit is that of all tests."""
-    own = {name: value for name, value in judgement.values.items() if name in study.model.space}
-    responses = answered(study.problem.evaluate, own)
-    final = replace(result, misfit=objective_of(study)(responses), responses=responses)
-    point = (final.name, FITTED, final.misfit, judgement.misfit, judgement.prior_misfit, judgement.criterion)
-    columns = ["case", "point", "objective", "sum_of_squares", "prior", "total"]
-    table = pd.DataFrame([point], columns=columns)
-    return CaseFound(final, None, float("nan"), judgement, answer_at(study, own), table)
 
 
 def _write(study: JointStudy, results: Results, answer: JointCalibration, best: CaseFound, seconds: float) -> None:
     """The parameters, and what all tests together know of them; what is of one test lies in its own folder."""
-    first, judgement = next(iter(answer.tests.values())), answer.judgement
+    judgement = answer.judgement
     begin_answer(results, "calibrate")
-    results.write_table("parameters", first.parameters)
-    results.write_table("verdicts", first.verdicts)
-    results.write_table("suspects_calibrated", judgement.suspects)
-    results.write_table("confounded", judgement.identification.confounded)
-    results.write_table("unseen_directions", judgement.identification.directions)
-    rests = "assumed" if judgement.assumed else "stated"
-    results.write_table("predictions", judgement.predictions.assign(scatter=rests))
-    errors = [
-        one.errors.assign(test=test, scatter=rests) for test, one in answer.tests.items() if one.errors is not None
-    ]
+    for name, table in next(iter(answer.tests.values())).tables.items():
+        results.write_table(name, table)
+    errors = {test: one.errors for test, one in answer.tests.items() if one.errors is not None}
     results.remove("data_errors.csv")
     if errors:
-        results.write_table("data_errors", pd.concat(errors, ignore_index=True))
-    results.write_json(
-        "summary",
-        {
-            "study": study.name,
-            "synthetic": study.synthetic,
-            "method": "gauss-newton",
-            "best_case": best.name,
-            "whitened_misfit": judgement.misfit,
-            "degrees_of_freedom": judgement.freedom,
-            "p_fit": judgement.p_fit,
-            "birge": judgement.birge,
-            "scatter_assumed": judgement.assumed,
-            "seconds": seconds,
-            "tests": {
-                test: {
-                    "mean_freq_error_before": one.before.mean_freq_error,
-                    "mean_freq_error_after": one.best.answer.mean_freq_error,
-                    "mean_mac_before": one.before.mean_mac,
-                    "mean_mac_after": one.best.answer.mean_mac,
-                }
-                for test, one in answer.tests.items()
-            },
-        },
-    )
+        results.write_table("data_errors", stacked(errors).assign(scatter=judgement.rests_on))
+    results.write_json("summary", {
+        "study": study.name,
+        "synthetic": study.synthetic,
+        "method": "gauss-newton",
+        "best_case": best.name,
+        **judgement.figures,
+        "seconds": seconds,
+        "tests": {test: before_and_after(one.before, one.best.answer) for test, one in answer.tests.items()},
+    })  # fmt: skip

@@ -131,10 +131,25 @@ class Judgement:
     def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
         """One verdict a parameter; see `calib.inference.identify.parameter_verdicts`."""
         table = parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits, self.birge)
-        if not self.assumed:
-            return table.assign(scatter="stated")
-        words = table["sentence"].where(table["std"].isna(), table["sentence"] + " The scatter behind it is assumed.")
-        return table.assign(scatter="assumed", sentence=words)
+        more = " The scatter behind it is assumed." if self.assumed else ""
+        words = table["sentence"].where(table["std"].isna(), table["sentence"] + more)
+        return table.assign(scatter=self.rests_on, sentence=words)
+
+    @property
+    def figures(self) -> dict[str, object]:
+        """What ``summary.json`` tells of it."""
+        return {
+            "whitened_misfit": self.misfit,
+            "degrees_of_freedom": self.freedom,
+            "p_fit": self.p_fit,
+            "birge": self.birge,
+            "scatter_assumed": self.assumed,
+        }
+
+    @property
+    def rests_on(self) -> str:
+        """Whether the scatter behind it is ``stated`` or ``assumed``."""
+        return "assumed" if self.assumed else "stated"
 
     @property
     def criterion(self) -> float:
@@ -225,6 +240,27 @@ def fitted(
         return _judged(problem, terms, found.best.values, found.best, before.profiles, before.complete)
     profiles = {p.name: found.profile(p.name) for p in space.free if p.integer}
     return _judged(problem, terms, found.best.values, found.best, profiles, found.complete)
+
+
+def polished(
+    exact: Asked,
+    near: Asked | None,
+    terms: Terms,
+    starts: Sequence[Mapping[str, float]],
+    refits: int,
+    progress: FitProgress = lambda start, fits, misfit: None,
+    known: Sequence[Mapping[str, float]] = (),
+    shared: Shared | None = None,
+) -> Judgement:
+    """Least squares as of `fitted`; first on a reduced stand-in where there is one, then at full order.
+
+    Full order begins at the best of what the stand-in has found and of ``known``, so that it never ends above those.
+    """
+    found = fitted(exact if near is None else near, terms, starts, refits, progress, shared=shared)
+    if near is None:
+        return found
+    begin = min((found.values, *known), key=lambda values: sum(criteria(exact, values)))
+    return fitted(exact, terms, [begin], 1, before=found)
 
 
 def judged(problem: Asked, terms: Terms, values: Mapping[str, float]) -> Judgement:

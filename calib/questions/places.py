@@ -110,11 +110,6 @@ def _same(one: Path, other: Path) -> bool:
         return one.resolve() == other.resolve()
 
 
-def is_modal(study: Study) -> bool:
-    """Whether the study compares modes."""
-    return isinstance(study.problem, ModalProblem)
-
-
 def open_evaluator(
     study: Study,
     workers: Workers,
