@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from calib.errors import EvaluationError as EvaluationError
     from calib.errors import InputError as InputError
     from calib.front.explained import Explained as Explained
-    from calib.front.problem import Fit as Fit
+    from calib.front.fit import Fit as Fit
     from calib.front.problem import Problem as Problem
     from calib.front.sensitivity import Assessed as Assessed
     from calib.front.shown import Compared as Compared
@@ -37,7 +37,7 @@ _PLACES = {
     "Effect": "effect",
     "EvaluationError": "errors",
     "Explained": "front.explained",
-    "Fit": "front.problem",
+    "Fit": "front.fit",
     "FunctionModel": "function",
     "InputError": "errors",
     "LinearConstraint": "space",

@@ -29,7 +29,7 @@ from calib.results import Results
 from calib.settings import possible_path
 from calib.settings import schema as settings_schema
 from calib.study import Study as Loaded
-from calib.study import StudyFile, shell_argument
+from calib.study_file import StudyFile, shell_argument
 from calib.threads import one_thread
 from calib.version import __version__
 from calib.written import noting_kept

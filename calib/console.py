@@ -30,7 +30,8 @@ from calib.questions.record import assumptions_table, check_repeats
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
-from calib.study import Study, StudyFile, shell_argument
+from calib.study import Study
+from calib.study_file import StudyFile, shell_argument
 from calib.version import __version__
 
 WIDTH = 120

@@ -13,7 +13,8 @@ from calib.errors import InputError
 from calib.given import path as path_of
 from calib.joint import joined
 from calib.space import ParameterSpace
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 

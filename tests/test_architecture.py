@@ -18,6 +18,8 @@ RANKS = (
     {"function", "correlation"},
     {"settings", "evaluate", "results", "problem"},
     {"joint", "limits", "ledger", "loading", "executor", "study_text"},
+    {"study_file"},
+    {"forward"},
     {"study"},
     {"several"},
     {"sensitivity", "inference"},

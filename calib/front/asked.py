@@ -1,17 +1,22 @@
-"""What questions ask of a problem and of a fit; `calib.front.problem` holds both."""
+"""What questions ask of a problem and of a fit; see `calib.front.problem` and `calib.front.fit`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, Self, TypeAlias, TypeVar
 
 import pandas as pd
 
+from calib.effect import Effect
+from calib.front.shown import Compared
 from calib.front.test import Model, Test
 from calib.joint import JointProblem
 from calib.problem import Problem as Posed
 from calib.questions.judge import Judgement, Terms
 from calib.space import ParameterSpace
+
+Effects: TypeAlias = Sequence[Effect] | Mapping[str, Sequence[Effect]]
+"""What models may lack: of the first model, or by the name of the model."""
 
 
 class Asked(Protocol):
@@ -42,13 +47,20 @@ class Asked(Protocol):
         """What fits are judged by, beside the rows."""
         ...
 
-    def with_effects(self, effects: Any) -> Any:
+    def compare(self, values: Mapping[str, float] | None = None) -> Compared:
+        """Models against tests at named values, or at the adopted ones."""
+        ...
+
+    def with_effects(self, effects: Effects) -> Self:
         """The same problem with effects in its models."""
         ...
 
 
+P = TypeVar("P", bound=Asked)
+
+
 class Solved(Protocol):
-    """A problem solved; see `calib.front.problem.Fit`."""
+    """A problem solved; see `calib.front.fit.Fit`."""
 
     @property
     def problem(self) -> Asked:

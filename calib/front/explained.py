@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Generic, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -15,10 +15,11 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
-from calib.front.asked import Asked
+from calib.front.asked import Asked, Effects, P
 from calib.front.shown import Shown
 from calib.front.test import ModalTest, ResponseTest, Test, under
 from calib.function import FunctionModel
+from calib.given import objects, whole
 from calib.questions.explain import answered, decided
 from calib.questions.explanation import Explanation, Told
 from calib.questions.function_hypotheses import FunctionHypotheses
@@ -45,7 +46,7 @@ Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Explained(Shown):
+class Explained(Shown, Generic[P]):
     """What the model lacks, how sure that is, and what to measure next.
 
     Attributes
@@ -58,7 +59,7 @@ class Explained(Shown):
         Everything that is told, with its tables.
     """
 
-    problem: Asked
+    problem: P
     effects: Library
     explanation: Explanation
 
@@ -92,7 +93,7 @@ class Explained(Shown):
         """Errors before and after by group of data, in units of the scatter."""
         return self.explanation.errors
 
-    def with_named(self) -> Any:
+    def with_named(self) -> P:
         """The problem with what is named in its model; InputError where nothing is."""
         if not self.named:
             raise InputError(
@@ -105,12 +106,26 @@ class Explained(Shown):
         return f"Explained({self.verdict}{''.join(f', {e.name}' for e in self.named)})"
 
 
-def explained(problem: Asked, effects: Library, seed: int) -> Explained:
+def explained(problem: P, effects: Effects, seed: int) -> Explained[P]:
     """See `calib.front.problem.Problem.explain`."""
+    library, seed = library_of(problem, effects), whole(seed, 0, "seed")
     started = time.perf_counter()
-    side = together(_sides(problem, effects, seed))
+    side = together(_sides(problem, library, seed))
     found = decided(side, ExplainSettings().model_copy(update={"seed": seed}), "explain")
-    return Explained(problem, effects, answered(side, found, lambda words: None, started))
+    return Explained(problem, library, answered(side, found, lambda words: None, started))
+
+
+def library_of(problem: Asked, effects: Effects) -> Library:
+    """Effects by the name of the model, by default of the first; InputError for a name that no model has."""
+    known = [model.name for model, _ in problem.by_model]
+    if not isinstance(effects, Mapping):
+        return {known[0]: objects(effects, Effect, "effects")}
+    for name in effects:
+        if name not in known:
+            raise InputError(
+                f"no model is named {name!r}", place="effects", remedy=f"the models are {', '.join(known)}"
+            )
+    return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
 
 
 def _sides(problem: Asked, effects: Library, seed: int) -> dict[str, Side]:

@@ -16,7 +16,8 @@ from calib.questions.joint_calibration import Fitted
 from calib.questions.sensitivity import Screening, Sensitivity
 from calib.questions.versions import Versions
 from calib.results import Results
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 
 Sampled: TypeAlias = Callable[[int, int], None]
 Searched: TypeAlias = Callable[[str, int, int, float], None]

@@ -6,41 +6,34 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
-from calib.effect import Effect
 from calib.errors import InputError
 from calib.executor import Injected
-from calib.front.explained import Explained, Library, explained
-from calib.front.page import draw, write_pages
+from calib.front.asked import Effects
+from calib.front.explained import Explained, Library, explained, library_of
+from calib.front.fit import Fit
 from calib.front.responses import own
-from calib.front.search import Searched, refined, searched
+from calib.front.search import refined, searched
 from calib.front.sensitivity import Assessed, assessed
-from calib.front.shown import Compared, Shown
+from calib.front.shown import Compared
 from calib.front.test import ModalTest, Model, ResponseTest, Test, under
 from calib.function import FunctionModel, extend_function
 from calib.given import names as names_of
 from calib.given import objects, whole
-from calib.given import path as path_of
 from calib.given import values as values_of
 from calib.inference.genetic import GeneticSettings
 from calib.joint import JointProblem
 from calib.problem import Counts
 from calib.problem import Problem as Posed
 from calib.questions.compare import answer_of
-from calib.questions.judge import Judgement, Terms, fitted, judged
+from calib.questions.judge import Terms, fitted, judged
 from calib.questions.scatter import in_words
 from calib.sampling import sample
 from calib.space import ParameterSpace
 from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-Effects: TypeAlias = Sequence[Effect] | Mapping[str, Sequence[Effect]]
 
 REFITS = 40
 """Combinations of whole-number parameters that a fit tries from every start."""
@@ -168,7 +161,7 @@ class Problem:
 
         Those of joined problems stay as they are, unless effects are given by the name of the model.
         """
-        return self._with(self._by_model(effects))
+        return self._with(library_of(self, effects))
 
     def _with(self, effects: Library) -> Problem:
         own = effects.get(self.model.name, ())
@@ -176,18 +169,6 @@ class Problem:
         if own:
             model = extend(model, own) if isinstance(model, StructuralModel) else extend_function(model, own)
         return replace(self, model=model, beside=tuple(p._with(effects) for p in self.beside))
-
-    def _by_model(self, effects: Effects) -> Library:
-        """Effects by the name of the model; InputError for a name that no model has."""
-        if not isinstance(effects, Mapping):
-            return {self.model.name: objects(effects, Effect, "effects")}
-        known = [model.name for model, _ in self.by_model]
-        for name in effects:
-            if name not in known:
-                raise InputError(
-                    f"no model is named {name!r}", place="effects", remedy=f"the models are {', '.join(known)}"
-                )
-        return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
 
     # -- questions -----------------------------------------------------------------------------------------------------
 
@@ -204,7 +185,7 @@ class Problem:
             {test.name: answer_of(test.problem(model), own(model, test, complete)) for model, test in self.pairs}
         )
 
-    def calibrate(self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1) -> Fit:
+    def calibrate(self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1) -> Fit[Problem]:
         """Fit by least squares, in units of the scatter and with the priors, and judge what the data determine.
 
         Parameters
@@ -239,7 +220,7 @@ class Problem:
         generations: int = 250,
         seed: int = 1,
         executor: Executor | Injected | None = None,
-    ) -> Fit:
+    ) -> Fit[Problem]:
         """Fit by genetic search from several seeds, then by least squares from where these ended.
 
         The search makes small the sum over all tests of relative frequency errors and MAC deficits, or of relative
@@ -347,7 +328,7 @@ class Problem:
         samples, seed = whole(samples, 3, "samples"), whole(seed, 0, "seed")
         return assessed(self._of(parameters), samples, seed, executor)
 
-    def judge(self, values: Mapping[str, float]) -> Fit:
+    def judge(self, values: Mapping[str, float]) -> Fit[Problem]:
         """What the data say about the parameters at given values, nothing fitted."""
         return Fit(self, judged(self.posed, self.terms, self._complete(values)))
 
@@ -358,7 +339,7 @@ class Problem:
     def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
         return self.space.complete(values_of(values, "values"))
 
-    def explain(self, effects: Effects = (), *, seed: int = 1) -> Explained:
+    def explain(self, effects: Effects = (), *, seed: int = 1) -> Explained[Problem]:
         """Which of some effects the models lack: calibrate, test, fit the promising ones, check what is left.
 
         Without effects it tells whether anything is missing, and where a local change would help most. All tests are
@@ -376,107 +357,9 @@ class Problem:
         InputError
             Where too little was measured to name anything.
         """
-        return explained(self, self._by_model(effects), whole(seed, 0, "seed"))
+        return explained(self, effects, seed)
 
     @property
     def terms(self) -> Terms:
         """What fits are judged by, beside the rows."""
         return Terms(assumed=in_words(a for _, test in self.pairs for a in test.assumed))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Fit(Shown):
-    """A problem solved, and what is known of its parameters there.
-
-    Attributes
-    ----------
-    problem : Problem
-        With the fitted parameters free.
-    judgement : Judgement
-    search : Searched or None
-        The genetic searches that led here; None without one.
-    """
-
-    problem: Problem
-    judgement: Judgement
-    search: Searched | None = None
-
-    @property
-    def values(self) -> dict[str, float]:
-        """All parameters, each in its own unit."""
-        return self.judgement.values
-
-    @cached_property
-    def parameters(self) -> Any:
-        """One row a fitted parameter: value, standard deviation, and whether the data determine it.
-
-        Columns as of `calib.inference.verdicts.parameter_verdicts`; the index is the parameter.
-        """
-        return self.judgement.verdicts(self.problem.space, {}).set_index("parameter")
-
-    @property
-    def table(self) -> Any:
-        """What is shown of the parameters."""
-        shown = ["value", "unit", "std", "identified", "on_bound", "confounded_with"]
-        return self.parameters[shown].reset_index()
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Whether the model fits, what is known of each parameter, and whether searches agree."""
-        each = (f"{name}: {told}" for name, told in self.parameters["sentence"].items())
-        return (self.judgement.sentence, *each, *(self.search.sentences if self.search else ()))
-
-    def __repr__(self) -> str:
-        known = int(self.parameters["identified"].fillna(False).astype(bool).sum())
-        return f"Fit({len(self.parameters)} parameters, {known} identified; p = {self.judgement.p_fit:.2g})"
-
-    @cached_property
-    def errors(self) -> Any:
-        """Errors on data used, left out in turn and held out, in units of the scatter, test by test.
-
-        ``test, group, rows, rms, expected, p, unpaired``; ``expected`` is what a right model would show.
-        """
-        import pandas as pd
-
-        parts = []
-        for model, test in self.problem.pairs:
-            names = tuple(p.name for p in model.space.free if not p.integer)
-            parts.append(test.errors(model, own(model, test, self.values), names).assign(test=test.name))
-        return pd.concat(parts, ignore_index=True)[["test", "group", "rows", "rms", "expected", "p", "unpaired"]]
-
-    def compare(self) -> Compared:
-        """Models against tests at the fitted values."""
-        return self.problem.compare(self.values)
-
-    def explain(self, effects: Effects = (), *, seed: int = 1) -> Explained:
-        """See `Problem.explain`."""
-        return self.problem.explain(effects, seed=seed)
-
-    def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
-        """Draw one figure of the fit.
-
-        Parameters
-        ----------
-        name : str
-            ``frequency_errors``, ``mac``, ``mac_matrix``, ``comac`` (before and after the fit) or ``parameters``.
-        ax : Axes, optional
-            Where it is drawn; a figure of its own by default.
-        test : str
-            Whose modes are drawn, where there are several tests.
-
-        Raises
-        ------
-        InputError
-            For an unknown figure or test, and where nothing was measured that it shows.
-        """
-        return draw(self, name, test, ax)
-
-    def report(self, path: str | Path) -> tuple[Path, ...]:
-        """Write a page that tells the fit and opens anywhere, offline; of several tests one each, with its name.
-
-        Raises
-        ------
-        InputError
-            Where it cannot be written.
-        """
-        return write_pages(self, path_of(path, "report"))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from calib.evaluate import Evaluator
 from calib.executor import ExecutorEvaluator, Injected
+from calib.forward import ForwardProblem
 from calib.front.asked import Asked
 from calib.front.test import Model, Test
 from calib.inference.objective import JointObjective, Objective
@@ -16,7 +17,6 @@ from calib.joint import of_test
 from calib.outcome import Function
 from calib.questions.case import objective_for
 from calib.questions.sensitivity import sensitivity_responses
-from calib.study import ForwardProblem
 
 
 def own(model: Model, test: Test, values: Mapping[str, float]) -> dict[str, float]:

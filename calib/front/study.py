@@ -40,7 +40,7 @@ from calib.report.html.write import write_report
 from calib.results import Results
 from calib.several import AnyStudy, JointStudy, load
 from calib.study import Study as Loaded
-from calib.study import StudyFile, shell_argument
+from calib.study_file import StudyFile, shell_argument
 from calib.written import is_own
 
 RESULTS = Path("results")

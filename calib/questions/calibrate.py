@@ -35,7 +35,8 @@ from calib.questions.user_function import modes_kept_under
 from calib.questions.verify import errors_at
 from calib.results import Results
 from calib.space import ParameterSpace
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 
 Method: TypeAlias = Literal["genetic", "gauss-newton"]
 

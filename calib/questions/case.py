@@ -15,6 +15,7 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
+from calib.forward import ForwardProblem
 from calib.inference.cases import Case, CaseResult, run_case
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import FrequencyMacObjective, ResponseObjective
@@ -31,7 +32,8 @@ from calib.questions.user_function import function_of, kept_under
 from calib.results import Results
 from calib.sampling import sample
 from calib.several import AnyStudy
-from calib.study import ForwardProblem, Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
 SearchProgress = Callable[[str, int, int, float], None]

@@ -15,6 +15,7 @@ from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.correlation.sensors import suspicious_sensors
 from calib.correlation.units import frequency_hint, response_hints
 from calib.errors import EvaluationError, InputError
+from calib.forward import ForwardProblem
 from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
 from calib.outcome import answered, as_cause
@@ -22,7 +23,7 @@ from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import traced
 from calib.questions.scatter import scatter_notes
 from calib.results import Results
-from calib.study import ForwardProblem, Study
+from calib.study import Study
 
 
 @dataclass(frozen=True)

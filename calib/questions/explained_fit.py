@@ -11,7 +11,8 @@ from calib.errors import InputError
 from calib.missing.findings import Findings
 from calib.questions.stale import stale_answers
 from calib.results import Results
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 from calib.study_text import base_of
 from calib.table import read_rows
 

@@ -17,7 +17,7 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.loading import pick
 from calib.several import AnyStudy, load
-from calib.study import StudyFile
+from calib.study_file import StudyFile
 from calib.written import DRAFT, free_name, is_own_folder, note_folder
 
 NAME = "study.toml"

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import pandas as pd
 
 from calib.errors import InputError, ToleranceError
+from calib.forward import ForwardProblem
 from calib.inference.verdicts import identified_sentence
 from calib.joint import JointProblem, of_test, stacked
 from calib.ledger import Ledger
@@ -24,7 +25,7 @@ from calib.questions.reduction import reduction_of
 from calib.questions.stored import confirmed
 from calib.results import Results
 from calib.several import JointStudy
-from calib.study import ForwardProblem, Study
+from calib.study import Study
 
 
 @dataclass(frozen=True)

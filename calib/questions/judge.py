@@ -15,6 +15,7 @@ from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.errors import EvaluationError
+from calib.forward import ForwardProblem
 from calib.freedom import effective_freedom
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
@@ -29,7 +30,7 @@ from calib.problem import Counts, Pair, Problem
 from calib.questions.scatter import assumed_words, in_one
 from calib.several import AnyStudy
 from calib.space import ParameterSpace
-from calib.study import ForwardProblem, Study
+from calib.study import Study
 
 FitProgress = Callable[[int, int, float], None]
 Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]

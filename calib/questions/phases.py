@@ -12,7 +12,8 @@ from calib.questions.places import QUICK
 from calib.questions.sensitivity import outdated_selection, selecting
 from calib.results import Results
 from calib.space import ParameterSpace
-from calib.study import Study, shell_argument, study_file
+from calib.study import Study
+from calib.study_file import shell_argument, study_file
 from calib.study_text import read_settings
 from calib.table import read_table
 

@@ -12,12 +12,14 @@ from calib.correlation.problem import ModalProblem
 from calib.errors import InputError
 from calib.evaluate import BatchEvaluator, Evaluator
 from calib.executor import ExecutorEvaluator, Injected
+from calib.forward import ForwardProblem
 from calib.ledger import Ledger
 from calib.questions.isolation import ChildFunction
 from calib.questions.recorded import ModesEvaluator, asked_anew, unrecorded
 from calib.questions.user_function import function_of
 from calib.results import Results
-from calib.study import EvaluationSource, ForwardProblem, Study, StudyFile, shell_argument
+from calib.study import EvaluationSource, Study
+from calib.study_file import StudyFile, shell_argument
 from calib.written import LOG
 
 QUICK = "quick"

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
+from calib.forward import Targets
 from calib.function import FunctionModel, extend_function
 from calib.missing.advice import Prospects
 from calib.missing.findings import Findings, Trial
@@ -18,7 +19,7 @@ from calib.questions.budget import Budget
 from calib.questions.explanation import Told
 from calib.questions.function_hypotheses import Failure, FunctionHypotheses
 from calib.questions.verify import plain_errors, plain_scatter, whitened, withheld_targets
-from calib.study import Study, Targets
+from calib.study import Study
 
 
 @dataclass(frozen=True, eq=False)

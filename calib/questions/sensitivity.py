@@ -12,6 +12,7 @@ import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
 from calib.errors import InputError
+from calib.forward import ForwardProblem
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.questions.failures import reasons, reasons_sentence
@@ -25,7 +26,8 @@ from calib.sampling import sample
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
-from calib.study import ForwardProblem, Study, shell_argument
+from calib.study import Study
+from calib.study_file import shell_argument
 from calib.table import read_table
 from calib.written import is_own
 

@@ -16,7 +16,8 @@ from calib.questions.sensitivity import selected_in, selecting
 from calib.questions.state import WRITES, changed, made_from, made_from_on_paper
 from calib.questions.taken_over import found_earlier
 from calib.results import Results
-from calib.study import Study, StudyFile, shell_argument
+from calib.study import Study
+from calib.study_file import StudyFile, shell_argument
 from calib.written import is_own
 
 

@@ -12,7 +12,8 @@ from calib.correlation.problem import ModalProblem
 from calib.inference import rules as inference
 from calib.missing import rules as missing
 from calib.several import AnyStudy
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 from calib.version import __version__
 
 PARTS = ("measurement", "model", "settings", "code")

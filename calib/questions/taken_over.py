@@ -9,7 +9,7 @@ from calib.errors import InputError
 from calib.named_values import read_json
 from calib.questions.places import QUICK
 from calib.results import Results
-from calib.study import StudyFile, study_file
+from calib.study_file import StudyFile, study_file
 from calib.table import read_table
 
 

@@ -15,10 +15,11 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.responses import response_rows
 from calib.correlation.scatter import Floors
 from calib.correlation.unused import group_table, withheld_errors
+from calib.forward import Targets
 from calib.freedom import KNOWN, behind, chance, effective_freedom
 from calib.inference.identify import posterior, with_held
 from calib.inference.left_out import left_out
-from calib.study import Study, Targets
+from calib.study import Study
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 

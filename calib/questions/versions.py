@@ -14,7 +14,7 @@ from calib.questions.record import questions_of
 from calib.questions.stale import stale_answers
 from calib.questions.state import measurement_digest
 from calib.results import Results
-from calib.study import StudyFile, shell_argument
+from calib.study_file import StudyFile, shell_argument
 from calib.study_text import base_of, read_settings
 from calib.table import read_table
 

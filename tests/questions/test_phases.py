@@ -15,7 +15,8 @@ from calib.questions.isolation import isolated
 from calib.questions.phases import in_order, values_found
 from calib.questions.stale import stale_answers
 from calib.results import Results
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 from calib.study_text import read_settings
 
 MODEL = """

@@ -8,7 +8,8 @@ from calib.errors import InputError
 from calib.questions.extend import extend_among
 from calib.questions.places import answers_of, results_of
 from calib.results import Results
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 
 
 def test_only_answers_count_as_answers(mast, tmp_path):

@@ -12,7 +12,8 @@ from calib.questions.record import write_record
 from calib.questions.sensitivity import selected_by_measures
 from calib.questions.stale import stale_answers
 from calib.results import Results
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 
 MODEL = """
 from calib.function import FunctionModel

@@ -9,7 +9,8 @@ from calib.questions.extend import extend
 from calib.questions.record import write_record
 from calib.questions.versions import COLUMNS, write_versions
 from calib.results import Results
-from calib.study import Study, shell_argument
+from calib.study import Study
+from calib.study_file import shell_argument
 
 GROUPS = ("fit", "left_out", "withheld_sensors")
 

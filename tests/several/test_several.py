@@ -7,7 +7,8 @@ import calib
 from calib import cli
 from calib.errors import InputError
 from calib.several import JointStudy, load
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 from calib.study_text import read_settings
 from tests.several.conftest import GROUND, STIFF, STUDY, told, write_study
 

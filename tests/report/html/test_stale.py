@@ -18,7 +18,8 @@ from calib.report.html.summary import summary
 from calib.report.html.write import NAME, sections
 from calib.report.shown import Shown
 from calib.results import OWNER, Results
-from calib.study import Study, StudyFile
+from calib.study import Study
+from calib.study_file import StudyFile
 
 MODEL = """
 from calib.function import FunctionModel

@@ -1,0 +1,119 @@
+"""What a fit of a study asks: what was measured and is not withheld, against the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
+from calib.errors import InputError
+from calib.function import FunctionModel
+from calib.loading import Model
+from calib.measurement.modal import MeasuredModes
+from calib.measurement.responses import MeasuredResponses
+from calib.structure.modal_function import ModalFunctionModel
+from calib.structure.model import StructuralModel
+from calib.study_file import StudyFile
+
+ForwardProblem = ModalProblem | FunctionProblem
+Targets = Mapping[str, tuple[float, float | None]]
+
+
+def measured_for(study: StudyFile, model: Model) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
+    """Everything that was measured, of the kind that the model answers."""
+    given = study.settings.measurement
+    if isinstance(model, FunctionModel) != bool(given.responses):
+        words = "plain responses (responses = '...')" if isinstance(model, FunctionModel) else "modes (files = [...])"
+        raise InputError(
+            f"the model {model.name!r} is compared with measured {words}", place=study.place("measurement")
+        )
+    return study.measurement()
+
+
+def used_of(
+    study: StudyFile, whole: MeasuredModes | None, whole_targets: Targets
+) -> tuple[MeasuredModes | None, Targets]:
+    """What was measured and is not withheld."""
+    held = study.settings.withheld
+    for key, names in held.model_dump().items():
+        if names and (key == "responses") != (whole is None):
+            kind, own = ("plain responses", "responses") if whole is None else ("modes", "modes or sensors")
+            raise InputError(
+                f"{key} are withheld, but the study measures {kind}",
+                place=study.place("withheld", key),
+                remedy=f"name {own} under [withheld]",
+            )
+    if whole is None:
+        names = held.responses
+        for name in names:
+            if name not in whole_targets:
+                raise InputError(f"withheld response {name!r} was not measured", place=study.place("withheld"))
+        targets = {name: target for name, target in whole_targets.items() if name not in names}
+        if not targets:
+            raise InputError(
+                "every measured response is withheld", place=study.place("withheld"), remedy="leave some to fit"
+            )
+        return None, targets
+    try:
+        used = whole.without(held.modes, held.sensors)
+    except InputError as fault:
+        raise InputError(fault.problem, place=study.place("withheld"), remedy=fault.remedy) from None
+    if not used.n_modes:
+        raise InputError("every measured mode is withheld", place=study.place("withheld"), remedy="leave some to fit")
+    if whole.has_shapes and not used.has_shapes:
+        raise InputError(
+            "every sensor is withheld",
+            place=study.place("withheld", "sensors"),
+            remedy="leave some to tell the modes apart by",
+        )
+    return used, {}
+
+
+def function_problem(
+    study: StudyFile, model: FunctionModel, fingerprint: str, targets: Targets, measured: MeasuredResponses
+) -> FunctionProblem:
+    """Plain responses that are used; repeats are as many as tell as much when pooled."""
+    pooled = measured.pooled_repeats
+    repeats = study.settings.measurement.repeats if pooled is None else pooled
+    return FunctionProblem(model.space, model.function, targets, fingerprint, repeats, measured.shares)
+
+
+def modal_problem(
+    study: StudyFile, model: StructuralModel | ModalFunctionModel, measured: MeasuredModes, n_added: int
+) -> ModalProblem:
+    """Modes that are used; the degrees of freedom that effects added bring as many modes more."""
+    pairing = study.settings.pairing
+    default = usual_mode_count(measured, model.n_modes - n_added)
+    count = pairing.mode_count if pairing.mode_count is not None else default
+    if count < measured.n_modes:
+        raise InputError(
+            f"mode_count is {count}, but {measured.n_modes} modes were measured",
+            place=study.place("pairing", "mode_count"),
+            remedy="ask the model for at least as many, better for a few more",
+        )
+    named = set(pairing.clusters) | set(pairing.override)
+    withheld = set(study.settings.withheld.modes)
+    for mode in sorted(named - set(measured.names) - withheld):
+        raise InputError(
+            f"mode {mode!r} was not measured",
+            place=study.place("pairing"),
+            remedy=f"the measured modes are {', '.join(measured.names)}",
+        )
+    try:
+        return ModalProblem(
+            model=model,
+            measured=measured,
+            mode_clusters={m: c for m, c in pairing.clusters.items() if m not in withheld},
+            mode_count=count + n_added,
+            threshold=pairing.threshold,
+            freq_window=pairing.freq_window,
+            override={m: k for m, k in pairing.override.items() if m not in withheld},
+        )
+    except InputError as fault:
+        raise misfit(study, fault) from None
+
+
+def misfit(study: StudyFile, fault: InputError) -> InputError:
+    """What does not fit between model and measurement, with its place in the study."""
+    where = fault.place if fault.place and fault.place.startswith("sensor") else None
+    place = f"{study.file}, {where}" if where else study.place("pairing")
+    return InputError(fault.problem, place=place, remedy=fault.remedy)

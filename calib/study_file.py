@@ -1,0 +1,200 @@
+"""What a study's file says, without running any code that it names."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from calib.errors import InputError
+from calib.fingerprint import code_files
+from calib.measurement.accuracy import Accuracy
+from calib.measurement.modal import MeasuredModes
+from calib.measurement.read import read_modes
+from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
+from calib.settings import StudySettings, TestSettings
+from calib.study_text import place_of, read_layers, read_settings
+
+
+@dataclass(frozen=True)
+class Part:
+    """One of the tests of a study.
+
+    Attributes
+    ----------
+    index : int
+        Its place in the file, from 0.
+    given : TestSettings
+    several : bool
+        Whether there are others beside it.
+    """
+
+    index: int
+    given: TestSettings
+    several: bool
+
+
+@dataclass(frozen=True)
+class StudyFile:
+    """What a study's file says, read and checked without running any code that it names.
+
+    Attributes
+    ----------
+    name : str
+        Name of the study's folder, of one of several tests with that of the test.
+    file : Path
+        Its ``study.toml``.
+    settings : StudySettings
+        Of one test those of a study with that test alone.
+    part : Part or None
+        Which of the tests under ``[[tests]]`` it is; None for a study with ``[measurement]``, and for all tests
+        together.
+    """
+
+    name: str
+    file: Path
+    settings: StudySettings
+    part: Part | None = field(default=None, kw_only=True)
+
+    @staticmethod
+    def read(path: Path, test: str = "") -> StudyFile:
+        """Read a study folder's TOML file, or that file; InputError for anything wrong in it.
+
+        Of several tests the one named, or all of them together.
+        """
+        file = study_file(path)
+        settings, name = read_settings(file), file.resolve().parent.name
+        if not test and len(settings.tests) != 1:
+            return StudyFile(name, file, settings)
+        index = next((k for k, one in enumerate(settings.tests) if one.name == test), 0)
+        part = Part(index, settings.tests[index], settings.several) if settings.tests else None
+        own = settings.of_test(test or settings.tests[0].name)
+        return StudyFile(f"{name}.{test}" if settings.several else name, file, own, part=part)
+
+    @property
+    def test(self) -> str:
+        """Name of the test, where it is one of several."""
+        return self.part.given.name if self.part is not None and self.part.several else ""
+
+    @property
+    def condition(self) -> dict[str, float]:
+        """Parameters that hold for this test only, each in its own unit."""
+        return {} if self.part is None else dict(self.part.given.set)
+
+    @property
+    def parts(self) -> tuple[StudyFile, ...]:
+        """Every test by itself; a study with one test is its only part."""
+        if not self.settings.several:
+            return (self,)
+        return tuple(StudyFile.read(self.file, test.name) for test in self.settings.tests)
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether the measurement, or some of it, was made by a computer."""
+        measured = self.settings.tests or (self.settings.measurement,)
+        return any(one.synthetic for one in measured)
+
+    @property
+    def folder(self) -> Path:
+        """The study's folder, without links; files are relative to it."""
+        return self.file.resolve().parent
+
+    def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
+        """Everything that one test has measured: modes, or plain responses; InputError where it cannot be read."""
+        given = self.settings.measurement
+        if given.responses:
+            responses = read_responses(self.path(given.responses, "measurement", "responses"), given.pooling)
+            kinds = response_kinds(responses.targets)
+            try:
+                return None, responses.pooled(kinds).claiming(kinds, given.accuracy)
+            except InputError as fault:
+                place = self.place("measurement", "accuracy")
+                raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
+        measured = read_modes(
+            [self.path(f, "measurement", "files") for f in given.files],
+            shapes=[self.path(f, "measurement", "shapes") for f in given.shapes],
+            sensors=self.path(given.sensors, "measurement", "sensors") if given.sensors else None,
+            repeats=given.repeats,
+            std_of=given.std_of,
+            mode_names=given.mode_names,
+            pooling=given.pooling,
+            synthetic=given.synthetic,
+        )
+        return replace(measured, accuracy=Accuracy.of(given.accuracy)), None
+
+    def place(self, *keys: int | str) -> str:
+        """File and, where it can be told, line of a key."""
+        layers = read_layers(self.file)
+        if self.part is not None:
+            own = keys[1:] if keys[:1] == ("measurement",) else keys
+            if (there := place_of(layers, "tests", self.part.index, *own)) != str(self.file):
+                return there
+        return place_of(layers, *keys)
+
+    def path(self, name: str, *keys: int | str) -> Path:
+        """A file that the study names under a key; InputError where it is not there."""
+        path = self.folder / name
+        if not path.is_file():
+            raise InputError(
+                f"there is no file {name!r}", place=self.place(*keys), remedy="paths are relative to the study's folder"
+            )
+        return path
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """Every file that the study reads, itself included, without links."""
+        return (*(layer.file.resolve() for layer in read_layers(self.file)), *self.named_files.values())
+
+    @property
+    def named_files(self) -> Mapping[str, Path]:
+        """Every file that the study names, by the path it writes, without links."""
+        given, folder = self.settings, self.folder
+        code = [where for f in given.functions if (where := f.rpartition(":")[0]).endswith(".py")]
+        files = list(code)
+        for data in given.tests or (given.measurement,):
+            files += [*data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
+        files += given.depends_on
+        return {file: (folder / file).resolve() for file in files}
+
+    @property
+    def code_files(self) -> list[Path]:
+        """All code in the study's folder, and what lies beside a file with code that it names elsewhere."""
+        given, folder = self.settings, self.folder
+        files = code_files(folder)
+        for named in given.functions:
+            path = (folder / named.rpartition(":")[0]).resolve()
+            if path.suffix == ".py" and not path.is_relative_to(folder):
+                files += sorted(path.parent.glob("*.py"))
+        return files
+
+    @property
+    def file_digests(self) -> Mapping[str, str]:
+        """Digests of the named files and of all code as they are now; one that is gone has none.
+
+        Named files are told by the path that the study writes, others by that from its folder.
+        """
+        folder, named = self.folder, self.named_files
+        others = {Path(os.path.relpath(p, folder)).as_posix(): p for p in self.code_files if p not in named.values()}
+        found = ((name, _digest_of_file(path)) for name, path in {**named, **others}.items())
+        return {name: digest for name, digest in found if digest}
+
+
+def _digest_of_file(path: Path) -> str:
+    """Of its content; empty for one that cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError:
+        return ""
+
+
+def study_file(path: Path) -> Path:
+    """The TOML file of a study that is named by its folder or by that file."""
+    return path if path.suffix == ".toml" else path / "study.toml"
+
+
+def shell_argument(path: Path) -> str:
+    """A study or another path as an argument to type: a study by its folder, quoted where a shell needs it."""
+    return shlex.quote(str(path.parent if path.name == "study.toml" else path))
