@@ -4,32 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from calib import console, interrupt, progress
+from calib import interrupt, terminal
+from calib.console import PRINTING
 from calib.errors import InputError
 from calib.example import write_example
-from calib.front.listener import Doing, Listener, Sampled, Searched
 from calib.front.study import RESULTS, Study
-from calib.missing.findings import Findings
-from calib.questions.added import Added
-from calib.questions.compare import Answer
-from calib.questions.explanation import Explanation
-from calib.questions.extend import Extension
-from calib.questions.joint_calibration import Fitted
-from calib.questions.sensitivity import Screening, Sensitivity
-from calib.questions.versions import Versions
-from calib.results import Results
 from calib.settings import possible_path
 from calib.settings import schema as settings_schema
-from calib.study import Study as Loaded
-from calib.study_file import StudyFile, shell_argument
+from calib.study_file import shell_argument
 from calib.threads import one_thread
 from calib.version import __version__
 from calib.written import noting_kept
@@ -91,8 +79,8 @@ class CalibrationMethod(StrEnum):
 def new(folder: NewFolder) -> None:
     """Write an annotated example study with its own model and data."""
     for path in write_example(folder):
-        console.say(str(path))
-    console.say(f"Run it with: calib run {shell_argument(folder)}")
+        terminal.say(str(path))
+    terminal.say(f"Run it with: calib run {shell_argument(folder)}")
 
 
 @app.command()
@@ -164,7 +152,7 @@ def extend(
     """Write a new study whose model has one effect more, or several; the old one stays as it is."""
     written = _study(study, results).extend(effects, into)
     place = "" if written.results == RESULTS else f" --results {shell_argument(written.results)}"
-    console.say(f"Calibrate it with: calib calibrate {shell_argument(written.path)}{place}")
+    terminal.say(f"Calibrate it with: calib calibrate {shell_argument(written.path)}{place}")
 
 
 @app.command()
@@ -173,7 +161,7 @@ def report(study: StudyPath, results: ResultsPath = RESULTS) -> None:
 
     Nothing is computed, and no code of the study is run.
     """
-    Study(study, results, listener=_Printing()).report()
+    Study(study, results, listener=PRINTING).report()
 
 
 @app.command()
@@ -188,7 +176,7 @@ def run(study: StudyPath, results: ResultsPath = RESULTS, workers: Workers = Non
 
 def _version(asked: bool) -> None:
     if asked:
-        console.say(f"calib {__version__}")
+        terminal.say(f"calib {__version__}")
         raise typer.Exit
 
 
@@ -199,70 +187,8 @@ def _main(
     pass
 
 
-# -- what is printed meanwhile -----------------------------------------------------------------------------------------
-
-
-class _Printing(Listener):
-    """Prints what happens, with bars on a terminal."""
-
-    def samples(self) -> AbstractContextManager[Sampled]:
-        return progress.samples()
-
-    def search(self) -> AbstractContextManager[Searched]:
-        return progress.search()
-
-    def doing(self) -> AbstractContextManager[Doing]:
-        return progress.told()
-
-    def first(self, earlier: StudyFile, path: Path) -> None:
-        console.say(f"{earlier.settings.title} comes first: {path} takes over what it finds.")
-
-    def begins(self, study: StudyFile, verb: str) -> None:
-        console.head(study, verb)
-
-    def other_state(self, rows: int) -> None:
-        console.tell_stale(rows)
-
-    def compared(self, study: Loaded, answer: Answer, folder: Results) -> None:
-        console.tell_comparison(study, answer, folder)
-
-    def sampled(self, study: Loaded, answer: Sensitivity, folder: Results) -> None:
-        console.tell_sensitivity(study, answer, folder)
-
-    def screened(self, answer: Screening, folder: Results) -> None:
-        console.tell_screening(answer, folder)
-
-    def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
-        console.tell_calibration(study, answer, folder)
-
-    def explained(self, study: StudyFile, answer: Explanation, folder: Results) -> None:
-        console.tell_explanation(study, answer, folder)
-        console.tell_traces(f"explain {study.file}", answer.traces)
-
-    def may_add(self, study: StudyFile, found: Findings) -> None:
-        console.tell_what_to_add(study, found)
-
-    def extended(self, written: Extension) -> None:
-        console.tell_extension(written)
-
-    def added(self, answer: Added, written: Extension, folder: Results) -> None:
-        console.tell_added(answer, written, folder)
-
-    def nothing_added(self, sentence: str) -> None:
-        console.say(sentence)
-
-    def versions(self, found: Versions) -> None:
-        console.tell_versions(found)
-
-    def drawn(self, figures: Sequence[Path], outdated: Mapping[str, str], report: Path | None) -> None:
-        console.tell_figures(figures)
-        console.tell_outdated(outdated)
-        if report is not None:
-            console.tell_report(report)
-
-
 def _study(path: Path, results: Path, workers: int | None = None, quick: bool = False) -> Study:
-    return Study.load(path, results, workers=workers, quick=quick, listener=_Printing())
+    return Study.load(path, results, workers=workers, quick=quick, listener=PRINTING)
 
 
 # -- leaving -----------------------------------------------------------------------------------------------------------
@@ -271,7 +197,7 @@ def _study(path: Path, results: Path, workers: int | None = None, quick: bool = 
 def main() -> None:
     """Entry point of the command."""
     interrupt.once()
-    console.write_to_any_code_page()
+    terminal.write_to_any_code_page()
     sys.exit(answer(sys.argv[1:]))
 
 
@@ -287,17 +213,17 @@ def answer(arguments: list[str]) -> int:
                     app(args=arguments, prog_name="calib")
             finally:
                 interrupt.answered()
-                console.tell_kept(kept)
+                terminal.tell_kept(kept)
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
         if code == interrupt.CODE:
-            console.complain(interrupt.WORDS)
+            terminal.complain(interrupt.WORDS)
         return code
     except InputError as fault:
-        console.complain_of_input(fault, arguments)
+        terminal.complain_of_input(fault, arguments)
         return 2
     except Exception as fault:
-        console.complain_of_unexpected(fault, arguments)
+        terminal.complain_of_unexpected(fault, arguments)
         return 1
     return 0
 

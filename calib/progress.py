@@ -6,10 +6,9 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-_err = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+from calib.terminal import ERR
 
 
 @contextmanager
@@ -48,8 +47,8 @@ def told() -> Iterator[Callable[[str], None]]:
     with Progress(
         TextColumn("{task.description}"),
         TimeElapsedColumn(),
-        console=_err,
-        disable=not _err.is_terminal,
+        console=ERR,
+        disable=not ERR.is_terminal,
         transient=True,
     ) as bar:
         task = bar.add_task("", total=None)
@@ -62,6 +61,6 @@ def _bar(*columns: TextColumn) -> Progress:
         BarColumn(),
         *columns,
         TimeRemainingColumn(elapsed_when_finished=True),
-        console=_err,
-        disable=not _err.is_terminal,
+        console=ERR,
+        disable=not ERR.is_terminal,
     )

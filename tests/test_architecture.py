@@ -26,7 +26,9 @@ RANKS = (
     {"missing"},
     {"questions"},
     {"report"},
-    {"console", "progress", "example", "front"},
+    {"terminal"},
+    {"progress", "example", "front"},
+    {"console"},
     {"cli"},
     {"__main__"},
 )

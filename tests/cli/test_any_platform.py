@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli, console
+from calib import cli, terminal
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = """
@@ -52,11 +52,11 @@ def test_any_name_can_be_told_in_any_code_page(tmp_path, monkeypatch, page, whol
         told = done.stdout.decode(page)
     else:
         monkeypatch.chdir(tmp_path)
-        terminal = io.TextIOWrapper(io.BytesIO(), page, write_through=True)
-        monkeypatch.setattr(sys, "stdout", terminal)
-        console.write_to_any_code_page()
+        stream = io.TextIOWrapper(io.BytesIO(), page, write_through=True)
+        monkeypatch.setattr(sys, "stdout", stream)
+        terminal.write_to_any_code_page()
         assert cli.answer(["compare", "plain"]) == 0
-        told = terminal.buffer.getvalue().decode(page)
+        told = stream.buffer.getvalue().decode(page)
     title, name = ("Bridge \u2212 \u6865\u6881", "f \u2212 \u6865") if page == "utf-8" else ("Bridge - ??", "f - ?")
     assert f"{title}: compare" in told and name in told
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib import console
+from calib.console import PRINTING
 from calib.questions.sensitivity import Screening
 from calib.results import Results
 
@@ -17,7 +17,7 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
         [("a", "x", np.nan), ("a", "y", np.nan), ("b", "x", 0.25), ("b", "y", 0.75)],
         columns=["parameter", "response", "mu_star"],
     )
-    console.tell_screening(Screening("morris", table, 12, ""), Results(tmp_path))
+    PRINTING.screened(Screening("morris", table, 12, ""), Results(tmp_path))
     first, second = (line.split() for line in capsys.readouterr().out.splitlines() if line[:2] in ("a ", "b "))
     assert first == ["b", "0.75", "y"] and second == "a no response: too few are known, or none changes".split()
 
@@ -34,7 +34,7 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
 def test_only_what_has_no_rival_is_to_be_added(capsys, verdict, names, untold, added):
     chosen = SimpleNamespace(names=names)
     found = SimpleNamespace(verdict=verdict, chosen=chosen, untold=untold)
-    console.tell_what_to_add(SimpleNamespace(file=Path("mast/study.toml")), found)
+    PRINTING.may_add(SimpleNamespace(file=Path("mast/study.toml")), found)
     them, _, which = added.partition(": ")
     told = f"Add {them} with: calib extend mast {which} --into FOLDER\n" if added else ""
     assert capsys.readouterr().out == told
