@@ -8,7 +8,6 @@ import queue
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
-from types import TracebackType
 
 from calib import worker
 from calib.errors import InputError
@@ -116,9 +115,7 @@ class ExecutorEvaluator:
     def __enter__(self) -> ExecutorEvaluator:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *fault: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -35,11 +35,6 @@ class Study(StudyFile):
 
     Attributes
     ----------
-    name : str
-        Name of the study's folder.
-    file : Path
-        Its ``study.toml``.
-    settings : StudySettings
     model : StructuralModel, ModalFunctionModel or FunctionModel
         With the study's effects, parameter values, limits and constraints.
     measured : MeasuredModes or None
@@ -261,6 +256,12 @@ class EvaluationSource:
     basis: str = ""
     adopted: tuple[tuple[str, float], ...] = ()
     test: str = ""
+
+    @classmethod
+    def of(cls, study: Study, problem: ForwardProblem, basis: Path | None = None) -> EvaluationSource:
+        """That of a problem of the study, which may be reduced to a basis in a file."""
+        file = "" if basis is None else str(basis.resolve())
+        return cls(str(study.file.resolve()), problem.fingerprint, file, tuple(study.adopted.items()), study.test)
 
     def __call__(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
         """The function from named values to named responses."""

@@ -25,11 +25,12 @@ from calib.questions.contradiction import contradictions, every_response
 from calib.questions.every_mode import all_stages, every_mode
 from calib.questions.failures import reasons_sentence, stored_reasons
 from calib.questions.judge import EQUAL, Judgement
-from calib.questions.places import ADDED, Workers
+from calib.questions.places import Workers
 from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import recorded
 from calib.questions.reduction import fingerprints
 from calib.questions.scatter import accuracy_words
+from calib.questions.state import ADDED
 from calib.questions.stored import confirmed
 from calib.questions.user_function import modes_kept_under
 from calib.questions.verify import errors_at

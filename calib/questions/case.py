@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import TypeAlias
 
@@ -109,15 +109,12 @@ def objective_for(problem: ForwardProblem, weight_freq: float = 1.0, weight_mac:
 
 def genetic_settings(study: Study, quick: bool) -> GeneticSettings:
     """Settings of the genetic algorithm, smaller for a quick look."""
-    given = study.settings.calibration
-    return GeneticSettings(
-        population=min(given.population, QUICK_POPULATION) if quick else given.population,
-        generations=min(given.generations, QUICK_GENERATIONS) if quick else given.generations,
-        crossover=given.crossover,
-        mutation=given.mutation,
-        sigma_start=given.sigma_start,
-        sigma_end=given.sigma_end,
-    )
+    own = {one.name for one in fields(GeneticSettings)}
+    given = GeneticSettings(**study.settings.calibration.model_dump(include=own))
+    if not quick:
+        return given
+    population, generations = min(given.population, QUICK_POPULATION), min(given.generations, QUICK_GENERATIONS)
+    return replace(given, population=population, generations=generations)
 
 
 @dataclass(frozen=True, eq=False)

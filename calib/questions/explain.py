@@ -45,10 +45,10 @@ from calib.questions.failures import SHOWN, reasons
 from calib.questions.joint_side import JointSide, together
 from calib.questions.library import local_changes
 from calib.questions.modal_side import ModalSide
-from calib.questions.places import ADDED
 from calib.questions.plain_side import PlainSide
 from calib.questions.record import begin_answer, write_record
 from calib.questions.side import Side
+from calib.questions.state import ADDED
 from calib.results import Results
 from calib.settings import ExplainSettings
 from calib.several import AnyStudy

@@ -9,7 +9,7 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.missing.findings import Findings
-from calib.questions.stale import stale_answers
+from calib.questions.stale import stale_questions
 from calib.results import Results
 from calib.study import Study
 from calib.study_file import StudyFile
@@ -53,7 +53,7 @@ def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
     for file, folder in asked:
         found = {}
         rows = _read(folder / f"{TABLE}.csv", effects)
-        for name, value in rows if rows and _present(file, folder) else ():
+        for name, value in rows if rows and "explain" not in stale_questions(file, Results(folder)) else ():
             if name in space.free_names:
                 p = space[name]
                 inside = min(max(value, p.lower), p.upper)
@@ -61,14 +61,6 @@ def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
         if found:
             return found
     return {}
-
-
-def _present(file: Path, folder: Path) -> bool:
-    """Whether an explanation is of its study as that is now; it is not where the study cannot be read any more."""
-    try:
-        return "explain" not in stale_answers(StudyFile.read(file), Results(folder)).sentences
-    except InputError:
-        return False
 
 
 def _key(*names: str) -> str:

@@ -58,9 +58,7 @@ def isolated(study: Study) -> Study:
     problem, model = study.problem, study.model
     if isinstance(model, StructuralModel):
         return study
-    source = EvaluationSource(
-        str(study.file.resolve()), problem.fingerprint, "", tuple(study.adopted.items()), study.test
-    )
+    source = EvaluationSource.of(study, problem)
     child = ChildFunction(Evaluator(source, 1, study.settings.calibration.time_limit, isolated=True))
     return replace(
         study,

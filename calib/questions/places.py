@@ -33,9 +33,6 @@ LEDGER = "ledger.sqlite"
 Workers: TypeAlias = int | Injected | None
 """Who evaluates points: so many processes of the own pool, None for one a core where that pays, or an executor."""
 
-ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "added_errors.png")
-"""What `calib.questions.added` tells; it rests on a calibration and an explanation and ends with either."""
-
 
 def results_of(
     study: StudyFile, root: Path, quick: bool = False, only: str | None = None, method: str | None = None
@@ -146,10 +143,7 @@ def open_evaluator(
     """
     given = problem or study.problem
     asked = unrecorded(given)
-    source = EvaluationSource(
-        str(study.file.resolve()), asked.fingerprint, "" if basis is None else str(basis.resolve()),
-        tuple(study.adopted.items()), study.test,
-    )  # fmt: skip
+    source = EvaluationSource.of(study, asked, basis)
     if isinstance(workers, Injected):
         return _opened_for(given, ExecutorEvaluator(source, workers, limit_asked(study)))
     chosen = workers

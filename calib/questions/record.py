@@ -227,11 +227,14 @@ def assumptions_of(model: Model, scatter: Iterable[Assumption]) -> pd.DataFrame:
 
 def questions_of(results: Results) -> dict[str, dict[str, Any]]:
     """Questions of the folder's record, the one asked last at the end; none when there is no readable record."""
+    return dict(_record(results).get("questions", {}))
+
+
+def _record(results: Results) -> dict[str, Any]:
     try:
-        record = read_json(results.path / "record.json", {"questions": {ANY: _ASKED}})
+        return dict(read_json(results.path / "record.json", {"questions": {ANY: _ASKED}}))
     except InputError:
         return {}
-    return dict(record.get("questions", {}))
 
 
 def begin_answer(results: Results, question: str) -> None:
@@ -239,13 +242,9 @@ def begin_answer(results: Results, question: str) -> None:
 
     A question that breaks off in between has no answer, and tables of two states are never told as one.
     """
-    try:
-        record = read_json(results.path / "record.json", {"questions": {ANY: _ASKED}})
-    except InputError:
-        return
-    if question in record.get("questions", {}):
-        others = {name: told for name, told in record["questions"].items() if name != question}
-        results.write_json("record", {**record, "questions": others})
+    asked = questions_of(results)
+    if asked.pop(question, None) is not None:
+        results.write_json("record", {**_record(results), "questions": asked})
 
 
 def earlier(results: Results, question: str) -> dict[str, dict[str, Any]]:

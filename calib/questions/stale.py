@@ -81,6 +81,14 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
     return Stale(sentences, frozenset(stale | written))
 
 
+def stale_questions(file: Path, results: Results) -> set[str]:
+    """Questions of a folder whose answers are not of a study as its file is now; all where it cannot be read."""
+    try:
+        return set(stale_answers(StudyFile.read(file), results).sentences)
+    except InputError:
+        return set(questions_of(results))
+
+
 _OWN = {
     question: frozenset(files) - {file for other, theirs in WRITES.items() if other != question for file in theirs}
     for question, files in WRITES.items()

@@ -31,7 +31,8 @@ def _of_stages(*stages: str) -> tuple[str, ...]:
 
 
 _MESH = ("mesh_points.csv", "mesh_elements.csv")
-_ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv")
+ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv")
+"""What `calib.questions.added` tells; it rests on a calibration and an explanation and ends with either."""
 _MEASURES = ("sensitivity", "partial", "influence", "selection", "sensitivity_samples", "input_correlation")
 _CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "confounded", "unseen_directions",
                "predictions", "convergence", "modes", "responses", "data_errors", "versions")  # fmt: skip
@@ -50,7 +51,7 @@ WRITES: Mapping[str, tuple[str, ...]] = {
     "explain": (
         *RECORDED, *_MESH, *(f"{name}.csv" for name in _EXPLAINED), "explanation.json", "added.json",
     ),
-    "extend": (*RECORDED, *_ADDED),
+    "extend": (*RECORDED, *ADDED),
 }  # fmt: skip
 """Every table that a question may write; the one that was asked last has written it."""
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from calib.errors import InputError
 from calib.questions.places import results_of
 from calib.questions.record import questions_of
-from calib.questions.stale import stale_answers
+from calib.questions.stale import stale_questions
 from calib.questions.state import measurement_digest
 from calib.results import Results
 from calib.study_file import StudyFile, shell_argument
@@ -68,7 +67,7 @@ def write_versions(study: StudyFile, root: Path) -> Versions:
     parts, measurement = [], measurement_digest(study)
     for number, (name, effects, origin) in enumerate(reversed(chain), start=1):
         found = Results(root / name)
-        errors = _errors(found, measurement, _stale(origin, found)) if found.belongs_to(origin) else None
+        errors = _errors(found, measurement, stale_questions(origin, found)) if found.belongs_to(origin) else None
         if errors is None:
             command = f"calib explain {shell_argument(origin)} --results {shell_argument(root)}"
             notes.append(f"Version {number} ({name}) has no errors of its present state under {root}: run '{command}'.")
@@ -79,14 +78,6 @@ def write_versions(study: StudyFile, root: Path) -> Versions:
     table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
     results_of(study, root).write_table("versions", table)
     return Versions(table, tuple(notes))
-
-
-def _stale(file: Path, results: Results) -> set[str]:
-    """Questions whose answers are of an earlier state of a version; every one where its measurement cannot be read."""
-    try:
-        return set(stale_answers(StudyFile.read(file), results).sentences)
-    except InputError:
-        return set(questions_of(results))
 
 
 def _errors(results: Results, measurement: str, stale: Collection[str]) -> pd.DataFrame | None:
