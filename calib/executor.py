@@ -123,25 +123,11 @@ class ExecutorEvaluator:
         self._sent.forget()
 
     def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
-        """Evaluate a batch.
+        """As `calib.evaluate.Evaluator.evaluate`; ``arrived`` is told in this thread.
 
-        Parameters
-        ----------
-        points : sequence of mapping
-            Named values.
-        arrived : callable
-            Told every outcome as soon as it is there, in this thread.
-
-        Returns
-        -------
-        list of Outcome
-            In the order given. A point whose worker died, that the executor refused, cancelled or lost has failed.
-
-        Raises
-        ------
-        InputError
-            The set-up is wrong, or cannot be sent to other processes. As with every exception that leaves here, tasks
-            that wait are cancelled; those under way cannot be ended.
+        A point whose worker died, that the executor refused, cancelled or lost has failed. InputError also for a set-up
+        that cannot be sent to other processes. With every exception that leaves here, tasks that wait are cancelled;
+        those under way cannot be ended.
         """
         outcomes: dict[int, Outcome] = {}
         numbers: dict[_Task, int] = {}

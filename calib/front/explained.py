@@ -32,7 +32,6 @@ from calib.questions.record import check_repeats, disagreements_table
 from calib.questions.reduction import WORTHWHILE_DOFS, Wanted
 from calib.questions.scatter import in_words, notes_on
 from calib.questions.side import Side
-from calib.questions.verify import WITHHELD_RESPONSES
 from calib.settings import ExplainSettings, ReductionSettings
 from calib.structure.atoms import Atom
 from calib.structure.basis import Basis
@@ -151,7 +150,7 @@ def _side(model: Model, test: Test, effects: tuple[Effect, ...], local: tuple[At
         plain = test.problem(held)
         assert isinstance(held, FunctionModel)
         asked = FunctionHypotheses(held, plain.targets, space, effects, plain.repeats, shares=plain.shares, test=name)
-        return PlainSide(plain, {WITHHELD_RESPONSES: test.unseen}, asked, told)
+        return PlainSide(plain, test.unseen, asked, told)
     used, whole = test.problem(held), test.whole_problem(held)
     if isinstance(held, ModalFunctionModel):
         return ModalSide.of_function(held, used, whole, effects, space, told, name)

@@ -76,8 +76,7 @@ class Fit(Shown, Generic[P]):
 
         parts = []
         for model, test in self.problem.pairs:
-            names = tuple(p.name for p in model.space.free if not p.integer)
-            parts.append(test.errors(model, own(model, test, self.values), names).assign(test=test.name))
+            parts.append(test.errors(model, own(model, test, self.values)).assign(test=test.name))
         return pd.concat(parts, ignore_index=True)[["test", "group", "rows", "rms", "expected", "p", "unpaired"]]
 
     def compare(self) -> Compared:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -29,6 +28,10 @@ CASE = "fit"
 """What tables call the only case of a fit."""
 
 
+FIGURES = ("frequency_errors", "mac", "mac_matrix", "comac", "parameters")
+"""Figures of a fit."""
+
+
 def compared(fit: Solved, test: Test, model: Model) -> tuple[Answer, Answer]:
     """One test before the fit, at the adopted values, and after it."""
     before, after = (
@@ -50,69 +53,27 @@ def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
 
 def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     """See `calib.front.fit.Fit.figure`."""
+    from calib.report.calibration import draw_parameters
+    from calib.report.comparison import draw_comac, draw_frequency_error, draw_mac, draw_mac_matrix
+
     if name not in FIGURES:
         raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
     model, asked = chosen(fit, test)
-    return FIGURES[name](fit, model, asked, ax)
-
-
-def _frequency_errors(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
-    from calib.report.comparison import draw_frequency_error
-
-    before, after = compared(fit, _modal(test), model)
-    return draw_frequency_error(before.table, after.table, ax)
-
-
-def _mac(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
-    from calib.report.comparison import draw_mac
-
-    before, after = compared(fit, _shaped(test), model)
-    return draw_mac(before.table, after.table, ax)
-
-
-def _mac_matrix(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
-    from calib.report.comparison import draw_mac_matrix
-
-    _, after = compared(fit, _shaped(test), model)
-    assert after.comparison is not None
-    return draw_mac_matrix(after.comparison.mac_table(), ax)
-
-
-def _comac(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
-    from calib.report.comparison import draw_comac
-
-    before, after = compared(fit, _shaped(test), model)
+    if name == "parameters":
+        return draw_parameters(_tables(fit)["parameters"], ax)
+    if isinstance(asked, ResponseTest):
+        raise InputError("it has no modes", place=f"test {asked.name}", remedy="draw its parameters")
+    if name != "frequency_errors" and not asked.used.has_shapes:
+        raise InputError("no shapes were measured", place=f"test {asked.name}", remedy="draw the frequency errors")
+    before, after = compared(fit, asked, model)
+    if name == "frequency_errors":
+        return draw_frequency_error(before.table, after.table, ax)
+    if name == "mac":
+        return draw_mac(before.table, after.table, ax)
     assert before.comparison is not None and after.comparison is not None
+    if name == "mac_matrix":
+        return draw_mac_matrix(after.comparison.mac_table(), ax)
     return draw_comac(before.comparison.comac_table(), after.comparison.comac_table(), ax)
-
-
-def _parameters(fit: Solved, model: Model, test: Test, ax: Axes | None) -> Axes:
-    from calib.report.calibration import draw_parameters
-
-    return draw_parameters(_tables(fit)["parameters"], ax)
-
-
-FIGURES: Mapping[str, Callable[[Any, Model, Test, Any], Any]] = {
-    "frequency_errors": _frequency_errors,
-    "mac": _mac,
-    "mac_matrix": _mac_matrix,
-    "comac": _comac,
-    "parameters": _parameters,
-}
-"""Figures of a fit by name."""
-
-
-def _modal(test: Test) -> ModalTest:
-    if isinstance(test, ResponseTest):
-        raise InputError("it has no modes", place=f"test {test.name}", remedy="draw its parameters")
-    return test
-
-
-def _shaped(test: Test) -> ModalTest:
-    modal = _modal(test)
-    if not modal.used.has_shapes:
-        raise InputError("no shapes were measured", place=f"test {test.name}", remedy="draw the frequency errors")
-    return modal
 
 
 def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from calib.joint import said, stacked
-from calib.questions.compare import Answer
+from calib.questions import compare
 
 
 class Shown:
@@ -44,7 +46,7 @@ class Compared(Shown):
         Of each test.
     """
 
-    by_test: Mapping[str, Answer]
+    by_test: Mapping[str, compare.Answer]
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -61,7 +63,40 @@ class Compared(Shown):
         return f"Compared({', '.join(f'{name}: {len(answer.table)} rows' for name, answer in self.by_test.items())})"
 
 
-def _told(answer: Answer) -> list[str]:
+@dataclass(frozen=True, eq=False, repr=False)
+class Answer(Shown):
+    """What a study answers: sentences and the table that shows it.
+
+    Attributes
+    ----------
+    words : tuple of str
+    rows : DataFrame
+    folder : Path
+        Where all tables and figures are.
+    of : object
+        Everything that was found, such as a `calib.questions.calibrate.Calibration`.
+    """
+
+    words: tuple[str, ...]
+    rows: pd.DataFrame
+    folder: Path
+    of: Any
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was found, the most important first."""
+        return self.words
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """What shows it."""
+        return self.rows
+
+    def __repr__(self) -> str:
+        return f"Answer({len(self.rows)} rows in {self.folder})"
+
+
+def _told(answer: compare.Answer) -> list[str]:
     """Suspicious sensors, and the mean error of plain responses."""
     out = [finding.sentence for finding in answer.findings]
     if answer.comparison is None:

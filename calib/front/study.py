@@ -7,19 +7,16 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
-
-import pandas as pd
+from typing import Literal
 
 from calib.errors import InputError
 from calib.executor import Injected
 from calib.front.listener import Listener
 from calib.front.problem import Problem
-from calib.front.shown import Compared, Shown
-from calib.front.test import ModalTest, ResponseTest
+from calib.front.shown import Answer, Compared
+from calib.front.test import test_of
 from calib.given import path as path_of
 from calib.joint import said, stacked
-from calib.measurement.responses import read_responses
 from calib.missing.findings import Findings
 from calib.questions import added, phases, places
 from calib.questions import calibrate as calibration
@@ -45,39 +42,6 @@ from calib.written import is_own
 
 RESULTS = Path("results")
 """Where results go unless another place is named."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Answer(Shown):
-    """What a study answers: sentences and the table that shows it.
-
-    Attributes
-    ----------
-    words : tuple of str
-    rows : DataFrame
-    folder : Path
-        Where all tables and figures are.
-    of : object
-        Everything that was found, such as a `calib.questions.calibrate.Calibration`.
-    """
-
-    words: tuple[str, ...]
-    rows: pd.DataFrame
-    folder: Path
-    of: Any
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """What was found, the most important first."""
-        return self.words
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """What shows it."""
-        return self.rows
-
-    def __repr__(self) -> str:
-        return f"Answer({len(self.rows)} rows in {self.folder})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -199,7 +163,9 @@ class Study:
     @property
     def problem(self) -> Problem:
         """The same in memory: models with what the study selects free, against their tests; nothing is kept of it."""
-        first, *others = (_problem_of(study.one) for study in self.tests)
+        first, *others = (
+            Problem(replace(one.model, space=one.search_space), test_of(one)) for one in self.loaded.studies
+        )
         return replace(first, beside=tuple(others))
 
     # -- questions -----------------------------------------------------------------------------------------------------
@@ -225,14 +191,8 @@ class Study:
         """
         answers = {}
         for study in self._by(executor).tests:
-            if method == "ranks":
-                found = study._sensitivity()
-                answer = Answer(found.sentences, found.assessment.selection, study.folder.path, found)
-            else:
-                screened = study._screen(method, ignore_constraints)
-                told = (screened.note,) if screened.note else ()
-                answer = Answer(told, screened.table, study.folder.path, screened)
-            answers[study.one.test] = answer
+            found = study._sensitivity() if method == "ranks" else study._screen(method, ignore_constraints)
+            answers[study.one.test] = answer = Answer(found.sentences, found.table, study.folder.path, found)
             study.draw()
         if len(answers) == 1:
             return answer
@@ -458,26 +418,3 @@ def _taking_over(file: Path, taken: phases.Found, before: Loaded | None) -> AnyS
         for one in study.studies:
             phases.require_same_units(one, before)
     return study.each(isolated)
-
-
-def _problem_of(loaded: Loaded) -> Problem:
-    """One test of a study against its model."""
-    given, model, name = loaded.settings, replace(loaded.model, space=loaded.search_space), loaded.test or "test"
-    if loaded.whole is not None:
-        pairing = given.pairing
-        modal = ModalTest(
-            loaded.whole,
-            held_out=(*given.withheld.modes, *given.withheld.sensors),
-            name=name,
-            condition=loaded.condition,
-            clusters=pairing.clusters,
-            mode_count=pairing.mode_count,
-            freq_window=pairing.freq_window,
-            threshold=pairing.threshold,
-            override=pairing.override,
-        )
-        return Problem(model, modal)
-    data = given.measurement
-    read = read_responses(loaded.file.resolve().parent / str(data.responses), data.pooling)
-    held_out, condition = given.withheld.responses, loaded.condition
-    return Problem(model, ResponseTest(read, held_out, name, condition, data.accuracy))

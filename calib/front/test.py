@@ -13,17 +13,19 @@ import pandas as pd
 from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
-from calib.correlation.scatter import Floors, assumptions
+from calib.correlation.scatter import assumptions
 from calib.errors import InputError
+from calib.forward import Targets
 from calib.function import FunctionModel
 from calib.given import by_name, names, number, objects, values, whole
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.modal import MeasuredModes
-from calib.measurement.responses import MeasuredResponses, response_kinds
+from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
 from calib.questions.scatter import assumed_responses, claimed_words
-from calib.questions.verify import WITHHELD_RESPONSES, modal_errors, plain_errors, plain_scatter, whitened
+from calib.questions.verify import WITHHELD_RESPONSES, errors_of
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption, StructuralModel
+from calib.study import Study
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
 Claimed = str | float | Mapping[str, str | float] | None
@@ -112,11 +114,9 @@ class ModalTest:
         """All that was measured against a model, to check a fit; None where nothing is held out."""
         return self._against(model, self.modes) if self.held_out else None
 
-    def errors(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> pd.DataFrame:
-        """Errors on data used, left out in turn, and held out; see `calib.questions.verify.modal_errors`."""
-        prior_sd = np.array([model.space[n].prior_width for n in names])
-        freedom = self.pair(model).scatter_freedom
-        return modal_errors(self.problem(model), self.whole_problem(model), values, names, prior_sd, Floors(), freedom)
+    def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
+        """Errors on data used, left out in turn, and held out; see `calib.questions.verify.errors_of`."""
+        return errors_of(self.problem(model), self.whole_problem(model), {}, model.space, values)
 
     @property
     def claimed(self) -> str:
@@ -211,17 +211,13 @@ class ResponseTest:
         return ResponseResidual(self.problem(model))
 
     @property
-    def unseen(self) -> dict[str, tuple[float, float | None]]:
-        """Held-out responses."""
-        return {name: self.measured.targets[name] for name in self.held_out}
+    def unseen(self) -> dict[str, Targets]:
+        """Held-out responses, by the group they are told in."""
+        return {WITHHELD_RESPONSES: {name: self.measured.targets[name] for name in self.held_out}}
 
-    def errors(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> pd.DataFrame:
-        """Errors on data used, left out in turn, and held out; see `calib.questions.verify.plain_errors`."""
-        problem = self.problem(model)
-        held_out = {WITHHELD_RESPONSES: whitened(problem, self.unseen, values, names)}
-        residual, slope = whitened(problem, problem.targets, values, names)
-        prior_sd = np.array([model.space[n].prior_width for n in names])
-        return plain_errors(residual, slope, names, prior_sd, list(problem.targets), held_out, plain_scatter(problem))
+    def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
+        """Errors on data used, left out in turn, and held out; see `calib.questions.verify.errors_of`."""
+        return errors_of(self.problem(model), None, self.unseen, model.space, values)
 
     @property
     def claimed(self) -> str:
@@ -235,6 +231,27 @@ class ResponseTest:
 
 
 Test = ModalTest | ResponseTest
+
+
+def test_of(study: Study) -> Test:
+    """The only test of a study."""
+    given, name, condition = study.settings, study.test or "test", study.condition
+    if study.whole is not None:
+        pairing = given.pairing
+        return ModalTest(
+            study.whole,
+            held_out=(*given.withheld.modes, *given.withheld.sensors),
+            name=name,
+            condition=condition,
+            clusters=pairing.clusters,
+            mode_count=pairing.mode_count,
+            freq_window=pairing.freq_window,
+            threshold=pairing.threshold,
+            override=pairing.override,
+        )
+    data = given.measurement
+    read = read_responses(study.folder / str(data.responses), data.pooling)
+    return ResponseTest(read, given.withheld.responses, name, condition, data.accuracy)
 
 
 def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:

@@ -68,6 +68,11 @@ class Sensitivity:
     why_failed: str = ""
 
     @property
+    def table(self) -> pd.DataFrame:
+        """``selection.csv``."""
+        return self.assessment.selection
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """How many samples stand behind the measures, why some failed, and what they select."""
         samples = f"{self.samples} sample{'s' * (self.samples != 1)}"
@@ -214,6 +219,11 @@ class Screening:
     table: pd.DataFrame
     points: int
     note: str
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the points leave out of account."""
+        return (self.note,) if self.note else ()
 
 
 def screen(

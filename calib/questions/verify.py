@@ -15,10 +15,11 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.responses import response_rows
 from calib.correlation.scatter import Floors
 from calib.correlation.unused import group_table, withheld_errors
-from calib.forward import Targets
+from calib.forward import ForwardProblem, Targets
 from calib.freedom import KNOWN, behind, chance, effective_freedom
 from calib.inference.identify import posterior, with_held
 from calib.inference.left_out import left_out
+from calib.space import ParameterSpace
 from calib.study import Study
 
 _NONE: Mapping[str, float] = MappingProxyType({})
@@ -29,18 +30,44 @@ ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
 
 
 def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
-    """Errors of a study's model by group of data, at fitted values of the selected parameters; see `modal_errors`."""
-    names = tuple(p.name for p in study.search_space.free if not p.integer)
-    prior_sd = np.array([study.search_space[n].prior_width for n in names])
-    problem = study.problem
+    """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
+    whole, unseen = study.whole_problem(), withheld_targets(study)
+    return errors_of(study.problem, whole, unseen, study.search_space, values, study.held_sd)
+
+
+def errors_of(
+    problem: ForwardProblem,
+    whole: ModalProblem | None,
+    unseen: Mapping[str, Targets],
+    space: ParameterSpace,
+    values: Mapping[str, float],
+    held_sd: Mapping[str, float] = _NONE,
+) -> pd.DataFrame:
+    """Errors by group of data used, left out in turn, and withheld; see `modal_errors` and `plain_errors`.
+
+    Parameters
+    ----------
+    problem : ModalProblem or FunctionProblem
+        What the fit saw.
+    whole : ModalProblem or None
+        The same model with all modes and sensors.
+    unseen : mapping from group to targets
+        Plain responses that the fit did not see.
+    space : ParameterSpace
+        Free are the fitted parameters.
+    values : mapping from str to float
+        Fitted values.
+    held_sd : mapping from str to float
+        Standard deviations of held parameters that are known with a scatter only.
+    """
+    names = tuple(p.name for p in space.free if not p.integer)
+    prior_sd = np.array([space[n].prior_width for n in names])
     if isinstance(problem, ModalProblem):
         freedom = ModalResidual(problem).scatter_freedom
-        whole = study.whole_problem()
-        return modal_errors(problem, whole, values, names, prior_sd, Floors(), freedom, held_sd=study.held_sd)
-    problem = replace(problem, space=study.search_space)
-    groups = withheld_targets(study).items()
-    withheld = {group: whitened(problem, own, values, names, study.held_sd) for group, own in groups}
-    e, g = whitened(problem, problem.targets, values, names, study.held_sd)
+        return modal_errors(problem, whole, values, names, prior_sd, Floors(), freedom, held_sd=held_sd)
+    problem = replace(problem, space=space)
+    withheld = {group: whitened(problem, own, values, names, held_sd) for group, own in unseen.items()}
+    e, g = whitened(problem, problem.targets, values, names, held_sd)
     return plain_errors(e, g, names, prior_sd, list(problem.targets), withheld, plain_scatter(problem))
 
 

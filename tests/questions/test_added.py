@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from calib.questions.added import by_group, conclusion, to_add, write_nothing_added
-from calib.questions.places import ADDED
 from calib.questions.record import questions_of, write_record
 from calib.questions.stale import stale_answers
+from calib.questions.state import ADDED
 from calib.results import Results
 from calib.study import Study
 
