@@ -13,7 +13,7 @@ from calib.front.asked import Asked
 from calib.front.responses import Responses
 from calib.front.shown import Shown
 from calib.questions.failures import reasons, reasons_sentence
-from calib.questions.sensitivity import Sensitivity, measured, table_of
+from calib.questions.sensitivity import Sensitivity, measured
 from calib.sampling import sample
 
 
@@ -25,12 +25,14 @@ class Assessed(Shown):
     ----------
     answer : Sensitivity
         All measures, their noise floors, and what stands behind them.
-    samples : DataFrame (n, n_parameters + n_responses)
-        Latin hypercube points with the model's responses there, NaN where there is none.
     """
 
     answer: Sensitivity
-    samples: pd.DataFrame
+
+    @property
+    def samples(self) -> pd.DataFrame:
+        """Latin hypercube points with the model's responses there, NaN where there is none."""
+        return self.answer.sampled
 
     @property
     def selected(self) -> tuple[str, ...]:
@@ -74,10 +76,7 @@ def assessed(problem: Asked, samples: int, seed: int, executor: Executor | Injec
     drawn = sample(space, samples, seed)
     with responses.evaluator(executor) as evaluator:
         outcomes = evaluator.evaluate([space.complete(point) for point in drawn.points])
-    failed = sum(o.status == "failed" for o in outcomes)
-    why = reasons_sentence(space, reasons(outcomes), len(outcomes))
-    if failed == len(outcomes):
+    if all(o.status != "ok" for o in outcomes):
+        why = reasons_sentence(space, reasons(outcomes), len(outcomes))
         raise EvaluationError(f"the model cannot be evaluated within its limits: {why}")
-    x = pd.DataFrame(drawn.points, columns=list(space.free_names))
-    y = table_of(outcomes, list(responses.measured)).rename(columns=responses.measured)
-    return Assessed(measured(x, y, failed, drawn.acceptance, why), pd.concat([x, y], axis=1))
+    return Assessed(measured(space, drawn, outcomes, responses.measured))

@@ -22,10 +22,11 @@ from calib.questions.recorded import recorded
 from calib.questions.state import changed, made_from
 from calib.questions.stored import confirmed
 from calib.results import Results
-from calib.sampling import sample
+from calib.sampling import Sample, sample
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
+from calib.space import ParameterSpace
 from calib.study import Study
 from calib.study_file import shell_argument
 from calib.table import read_table
@@ -55,6 +56,8 @@ class Sensitivity:
         Part of the drawn points that kept the constraints.
     noise_floor : float
         Largest rank correlation that chance alone would give in the whole table, 95 %.
+    sampled : DataFrame (samples, n_parameters + n_responses)
+        Points with the model's responses there, NaN where there is none.
     why_failed : str
         The commonest reasons of failures; empty without any.
     """
@@ -65,6 +68,7 @@ class Sensitivity:
     unpaired: int
     acceptance: float
     noise_floor: float
+    sampled: pd.DataFrame
     why_failed: str = ""
 
     @property
@@ -99,18 +103,15 @@ def sensitivity(
     count = min(settings.samples, QUICK_SAMPLES) if quick else settings.samples
     drawn = sample(space, count, settings.seed)
     outcomes = _evaluate(study, ledger, [space.complete(x) for x in drawn.points], workers, progress)
-    x = pd.DataFrame(drawn.points, columns=list(space.free_names))
-    y = table_of(outcomes, sensitivity_responses(study.problem))
     forced = None if isinstance(study.settings.selection, str) else study.settings.selection
-    why = reasons_sentence(space, reasons(outcomes), len(outcomes))
-    answer = measured(x, y, sum(o.status != "ok" for o in outcomes), drawn.acceptance, why, forced)
+    answer = measured(space, drawn, outcomes, {name: name for name in sensitivity_responses(study.problem)}, forced)
     assessment = answer.assessment
     begin_answer(results, "sensitivity")
     results.write_table("sensitivity", assessment.spearman, index=True)
     results.write_table("partial", assessment.partial, index=True)
     results.write_table("influence", assessment.influence.table, index=True)
     results.write_table("selection", assessment.selection)
-    results.write_table("sensitivity_samples", pd.concat([x, y], axis=1))
+    results.write_table("sensitivity_samples", answer.sampled)
     if space.constraints:
         results.write_table("input_correlation", assessment.input_correlation, index=True)
     write_record(study, results, "sensitivity", {"samples": settings.seed}, answer.sentences, quick)
@@ -118,26 +119,33 @@ def sensitivity(
 
 
 def measured(
-    points: pd.DataFrame,
-    responses: pd.DataFrame,
-    failed: int,
-    acceptance: float,
-    why_failed: str,
+    space: ParameterSpace,
+    drawn: Sample,
+    outcomes: Sequence[Outcome],
+    names: Mapping[str, str],
     forced: Sequence[str] | None = None,
 ) -> Sensitivity:
     """Measures of influence from a sample; see `Sensitivity` and `calib.sensitivity.selection.assess`.
 
     Parameters
     ----------
-    points : DataFrame (n, n_parameters)
-    responses : DataFrame (n, n_responses)
-        Row for row with ``points``; NaN where unknown, as in the ``failed`` rows.
+    space : ParameterSpace
+    drawn : Sample
+    outcomes : sequence of Outcome
+        Of its points.
+    names : mapping from response to str
+        Responses that count, with what tables call them.
+    forced : sequence of str, optional
+        Parameters that the user has selected.
     """
-    assessment = assess(points, responses, forced)
-    known = int((~responses.isna().any(axis=1)).sum())
+    x = pd.DataFrame(drawn.points, columns=list(space.free_names))
+    y = table_of(outcomes, list(names)).rename(columns=dict(names))
+    assessment = assess(x, y, forced)
+    known, failed = int((~y.isna().any(axis=1)).sum()), sum(o.status != "ok" for o in outcomes)
     floor = noise_floor(max(known, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
-    unpaired = len(points) - known - failed
-    return Sensitivity(assessment, len(points), failed, unpaired, acceptance, floor, why_failed)
+    why = reasons_sentence(space, reasons(outcomes), len(outcomes))
+    samples = pd.concat([x, y], axis=1)
+    return Sensitivity(assessment, len(x), failed, len(x) - known - failed, drawn.acceptance, floor, samples, why)
 
 
 def selected_by_measures(study: Study, home: Results) -> Study:
