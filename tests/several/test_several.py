@@ -10,6 +10,7 @@ from calib.several import JointStudy, load
 from calib.study import Study
 from calib.study_file import StudyFile
 from calib.study_text import read_settings
+from tests.front import cantilever
 from tests.several.conftest import GROUND, STIFF, STUDY, told, write_study
 
 BENCH = """
@@ -104,6 +105,35 @@ def test_the_problem_of_a_study_is_the_one_it_fits(frame):
     stored = pd.read_csv(results / "frame/verdicts.csv").set_index("parameter")
     assert fit.values["k"] == pytest.approx(stored.loc["k", "value"], rel=1e-6)
     assert fit.parameters["std"]["k"] == pytest.approx(stored.loc["k", "std"], rel=1e-3)
+
+
+def test_the_record_of_all_tests_has_the_rows_of_each(frame):
+    _, results = frame
+    record = told(results / "frame/record.json")
+    assert record["tests"] == ["empty", "loaded"]
+    assert record["files"] == ["empty.csv", "empty_shapes.csv", "loaded.csv", "loaded_shapes.csv"]
+    assert {"calibrate", "explain"} <= set(record["questions"])
+    for table in ("measured", "sensors", "assumptions"):
+        whole = pd.read_csv(results / f"frame/{table}.csv")
+        for test, own in whole.groupby("test"):
+            part = pd.read_csv(results / f"frame.{test}/{table}.csv")
+            pd.testing.assert_frame_equal(own.drop(columns="test").reset_index(drop=True), part, check_dtype=False)
+    assert told(results / "frame.loaded/record.json")["tests"] == ["loaded"]
+
+
+def test_functions_of_modes_in_several_tests_are_asked_for_no_point_again(tmp_path):
+    folder = cantilever.write_study(tmp_path / "study", tmp_path / "calls", prop=2500.0)
+    text = (folder / "study.toml").read_text()
+    given = text[text.index("[measurement]") : text.index("[sensitivity]")]
+    one = given.replace("[withheld]", "[tests.withheld]").replace("[pairing]", "[tests.pairing]")
+    tests = (one.replace("[measurement]", f'[[tests]]\nname = "{name}"') for name in ("first", "second"))
+    (folder / "study.toml").write_text(text.replace(given, "\n".join(tests)))
+    effects, counted = [], []
+    for _ in range(2):
+        effects.append(calib.Study.load(folder, tmp_path / "results")._explain().effects)
+        counted.append(len((tmp_path / "calls").read_text().splitlines()))
+    pd.testing.assert_frame_equal(*effects)
+    assert counted[0] > 100 and counted[1] - counted[0] <= 2  # one stored point a test, on purpose
 
 
 # -- what is read ------------------------------------------------------------------------------------------------------
