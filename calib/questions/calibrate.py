@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -177,20 +178,24 @@ def calibrate(
     before = compare(study, results)
     finder = CaseFinder(study, home or results, ledger, workers, quick, progress, seconds)
     found = tuple((finder.by_search if chosen == "genetic" else finder.by_least_squares)(cases))
-
-    def notes() -> list[str]:  # asked at the end: what is told of the optimum may fail too
-        return [note for note in (*finder.notes, why_failed(study, ledger, finder.home)) if note]
-
-    options = [*(["--case", only] if only else []), *(["--method", method] if method else [])]
-    ran = Ran(chosen, started, quick, tuple(options), notes, ledger.retried, study.search_space)
-    return keep(study, results, found, before, ran)
+    notes = partial(notes_on, study, ledger, finder.home, finder.notes)
+    options = options_of(only, method)
+    return keep(
+        study, results, found, before, Ran(chosen, started, quick, options, notes, ledger.retried, study.search_space)
+    )
 
 
-def why_failed(study: Study, ledger: Ledger, home: Results) -> str:
-    """The commonest reasons why points of a study have failed; empty without any."""
+def options_of(only: str | None, method: str | None) -> tuple[str, ...]:
+    """Options of the command that asked, as they are typed."""
+    return (*(("--case", only) if only else ()), *(("--method", method) if method else ()))
+
+
+def notes_on(study: Study, ledger: Ledger, home: Results, first: Sequence[str]) -> list[str]:
+    """Some notes, then the commonest reasons why points of a study have failed."""
     kept = set(modes_kept_under(study.problem, study.library_digest))  # what fails there has no responses either
     answering = [one for one in fingerprints(study, home) if one not in kept]
-    return reasons_sentence(study.sensitivity_space, *stored_reasons(ledger, answering))
+    why = reasons_sentence(study.sensitivity_space, *stored_reasons(ledger, answering))
+    return [*first, *([why] if why else [])]
 
 
 @dataclass(frozen=True)
@@ -206,7 +211,7 @@ class Ran:
     options : tuple of str
         Of the command, as they are typed.
     notes : callable
-        Gives those of `Calibration.notes`.
+        Gives those of `Calibration.notes`; asked at the end, since what is told of the optimum may fail too.
     retried : int
     space : ParameterSpace
         What was fitted: the study's search, or that of all tests together.

@@ -166,7 +166,7 @@ class CaseFinder:
         """
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
-        reduction = self._reduction()
+        reduction = reduction_noted(self.study, self.home, self.notes)
         remaining = list(cases)
         while remaining:
             problem = study.problem if reduction is None else reduction.problem
@@ -194,17 +194,9 @@ class CaseFinder:
 
     def by_least_squares(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
         """Least squares from several starting points, the cases' own."""
-        fit = partial(self.polished, self._reduction())
+        fit = partial(self.polished, reduction_noted(self.study, self.home, self.notes))
         for case in cases:
             yield reported(self.study, *least_squares(case, self.study, self.known, self.quick, self.progress, fit))
-
-    def _reduction(self) -> Reduction | None:
-        """The basis of a search; none where it does not reach its tolerance, which is told."""
-        try:
-            return reduction_of(self.study, self.home)
-        except ToleranceError as fault:
-            self.notes.append(f"Searched at full order: {fault.problem}.")
-            return None
 
     def polished(
         self,
@@ -264,6 +256,15 @@ def reported(
     table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])
     table["total"] = table["sum_of_squares"] + table["prior"]
     return CaseFound(final, search, before[0], judgement, answer_at(study, values), table)
+
+
+def reduction_noted(study: Study, home: Results, notes: list[str]) -> Reduction | None:
+    """The basis of a study's search; none where it does not reach its tolerance, which is added to the notes."""
+    try:
+        return reduction_of(study, home)
+    except ToleranceError as fault:
+        notes.append(f"Searched at full order: {fault.problem}.")
+        return None
 
 
 def known_starts(study: AnyStudy, *others: Mapping[str, float]) -> tuple[dict[str, float], ...]:

@@ -5,27 +5,34 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias
 
 import pandas as pd
 
-from calib.errors import InputError, ToleranceError
+from calib.errors import InputError
 from calib.forward import ForwardProblem
 from calib.inference.verdicts import identified_sentence
 from calib.joint import JointProblem, of_test, stacked
 from calib.ledger import Ledger
 from calib.problem import Counts
-from calib.questions.calibrate import Calibration, Ran, best_of, chosen_cases, keep, why_failed
-from calib.questions.case import REFITS, CaseFound, SearchProgress, known_starts, least_squares, reported
+from calib.questions.calibrate import Calibration, Ran, best_of, chosen_cases, keep, notes_on, options_of
+from calib.questions.case import (
+    REFITS,
+    CaseFound,
+    SearchProgress,
+    known_starts,
+    least_squares,
+    reduction_noted,
+    reported,
+)
 from calib.questions.compare import before_and_after, compare
 from calib.questions.judge import FitProgress, Judgement, Terms, polished, posed
 from calib.questions.record import begin_answer, write_record
 from calib.questions.recorded import recorded
-from calib.questions.reduction import reduction_of
 from calib.questions.stored import confirmed
 from calib.results import Results
 from calib.several import JointStudy
-from calib.study import Study
 
 
 @dataclass(frozen=True)
@@ -96,7 +103,9 @@ def calibrate_jointly(
         confirmed(one, ledger)
     asked = study.each(lambda one: recorded(one, ledger))
     before = {one.test: compare(one, folders[one.test]) for one in asked.studies}
-    reduced, notes = _reduced(asked.studies, homes)
+    notes: dict[str, list[str]] = {one.test: [] for one in asked.studies}
+    bases = {one.test: reduction_noted(one, homes[one.test], notes[one.test]) for one in asked.studies}
+    reduced = {test: basis.problem for test, basis in bases.items() if basis is not None}
     terms, known = Terms.of(study), known_starts(study)
 
     def problem(instead: Mapping[str, ForwardProblem], counts: Counts) -> JointProblem:
@@ -107,37 +116,17 @@ def calibrate_jointly(
         return polished(problem({}, counts), near, terms, starts, REFITS, progress, known)
 
     fits = [least_squares(case, asked, known, quick, progress, fit) for case in cases]
-    answers = {}
+    answers, options = {}, options_of(only, method)
     for one in asked.studies:
-
-        def notes_of(one: Study = one) -> list[str]:
-            return [note for note in (notes.get(one.test, ""), why_failed(one, ledger, homes[one.test])) if note]
-
         found = tuple(reported(one, result, judgement) for result, judgement in fits)
-        options = ("--case", only) if only else ()
-        ran = Ran("gauss-newton", started, quick, options, notes_of, ledger.retried, study.search_space)
+        told = partial(notes_on, one, ledger, homes[one.test], notes[one.test])
+        ran = Ran("gauss-newton", started, quick, options, told, ledger.retried, study.search_space)
         answers[one.test] = keep(one, folders[one.test], found, before[one.test], ran)
     best = best_of(next(iter(answers.values())).cases)
     answer = JointCalibration(answers, best.judgement)
     _write(study, results, answer, best, time.perf_counter() - started)
-    write_record(study, results, "calibrate", {c.name: c.seed for c in cases}, answer.sentences, quick)
+    write_record(study, results, "calibrate", {c.name: c.seed for c in cases}, answer.sentences, quick, options)
     return answer
-
-
-def _reduced(
-    studies: Sequence[Study], homes: Mapping[str, Results]
-) -> tuple[dict[str, ForwardProblem], dict[str, str]]:
-    """Stand-ins on reduced bases where tests have some, and why others have none although they should."""
-    found, notes = dict[str, ForwardProblem](), dict[str, str]()
-    for one in studies:
-        try:
-            reduction = reduction_of(one, homes[one.test])
-        except ToleranceError as fault:
-            notes[one.test] = f"Fitted at full order: {fault.problem}."
-        else:
-            if reduction is not None:
-                found[one.test] = reduction.problem
-    return found, notes
 
 
 def _write(study: JointStudy, results: Results, answer: JointCalibration, best: CaseFound, seconds: float) -> None:

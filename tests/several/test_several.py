@@ -164,8 +164,10 @@ def test_one_test_is_a_study_as_ever(own):
 
 def test_another_model_is_fitted_beside(own, tmp_path):
     (own / "study.toml").write_text(STUDY.replace("[sensitivity]", f"{BENCH}\n[sensitivity]"))
-    answer = calib.Study.load(own, tmp_path / "results", workers=1).calibrate()
+    answer = calib.Study.load(own, tmp_path / "results", workers=1).calibrate("C1")
     assert set(answer.of.tests) == {"empty", "loaded", "bench"}
+    for folder in (answer.folder, tmp_path / "results/frame.bench/case_C1"):
+        assert told(folder / "record.json")["questions"]["calibrate"]["options"] == ["--case", "C1"]
     found = calib.Study.load(own, tmp_path / "results", workers=1).explain()
     assert found.of.verdict == "effect" and list(found.of.findings.credible) == ["contact_3"]
     assert any("in test bench" in name for name in found.of.findings.base_check.atoms.owners)
