@@ -53,7 +53,7 @@ class JointSide:
 
     @property
     def relative_std(self) -> np.ndarray:
-        """See `calib.questions.explain.Side`."""
+        """See `calib.questions.side.Side`."""
         return np.concatenate([side.relative_std for side in self.sides.values()])
 
     @property

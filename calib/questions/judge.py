@@ -130,7 +130,7 @@ class Judgement:
     assumed: str = ""
 
     def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
-        """One verdict a parameter; see `calib.inference.identify.parameter_verdicts`."""
+        """One verdict a parameter; see `calib.inference.verdicts.parameter_verdicts`."""
         table = parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits, self.birge)
         more = " The scatter behind it is assumed." if self.assumed else ""
         words = table["sentence"].where(table["std"].isna(), table["sentence"] + more)

@@ -60,7 +60,7 @@ class PlainSide:
 
     @property
     def relative_std(self) -> np.ndarray:
-        """See `calib.questions.explain.Side`."""
+        """See `calib.questions.side.Side`."""
         return self.hypotheses.relative_std
 
     @property
