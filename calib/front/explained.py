@@ -17,7 +17,7 @@ from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
 from calib.front.asked import Asked, Effects, P
 from calib.front.shown import Shown
-from calib.front.test import ModalTest, Model, ResponseTest, Test, under
+from calib.front.test import ModalTest, ResponseTest, Test, under
 from calib.function import FunctionModel
 from calib.given import objects, whole
 from calib.questions.explain import answered, decided
@@ -32,6 +32,7 @@ from calib.questions.record import check_repeats, disagreements_table
 from calib.questions.reduction import WORTHWHILE_DOFS, Wanted
 from calib.questions.scatter import in_words, notes_on
 from calib.questions.side import Side
+from calib.questions.verify import WITHHELD_RESPONSES
 from calib.settings import ExplainSettings, ReductionSettings
 from calib.structure.atoms import Atom
 from calib.structure.basis import Basis
@@ -132,33 +133,20 @@ def _sides(problem: Asked, effects: Library, seed: int) -> dict[str, Side]:
     groups = problem.by_model
     out: dict[str, Side] = {}
     for model, tests in groups:
-        own, several = effects.get(model.name, ()), len(tests) > 1 or len(groups) > 1
-        local: tuple[Atom, ...] = ()
-        if isinstance(model, StructuralModel):
-            used = [test.used for test in tests if isinstance(test, ModalTest)]
-            local = local_changes(model, used, model.space.values, model.name if len(groups) > 1 else "")
-        for test in tests:
-            out[test.name] = _side(model, test, own, local, seed, test.name if several else "")
+        own = effects.get(model.name, ())
+        of = model.name if len(groups) > 1 else ""
+        several = len(tests) > 1 or len(groups) > 1
+        if isinstance(model, ModalFunctionModel):
+            asked = [test for test in tests if isinstance(test, ModalTest)]
+            out |= {test.name: _function(model, test, own, seed, several) for test in asked}
+        elif isinstance(model, StructuralModel):
+            modal = [test for test in tests if isinstance(test, ModalTest)]
+            local = local_changes(model, [test.used for test in modal], model.space.values, of)
+            out |= {test.name: _modal(model, test, own, local, seed) for test in modal}
+        else:
+            plain = [test for test in tests if isinstance(test, ResponseTest)]
+            out |= {test.name: _plain(model, test, own, seed, several) for test in plain}
     return out
-
-
-def _side(model: Model, test: Test, effects: tuple[Effect, ...], local: tuple[Atom, ...], seed: int, name: str) -> Side:
-    """What one test asks; ``name`` is its own where there are several."""
-    held, told = under(model, test.name, test.condition), _told(test, seed)
-    space = held.space.without(dict(test.condition))
-    if isinstance(test, ResponseTest):
-        plain = test.problem(held)
-        assert isinstance(held, FunctionModel)
-        asked = FunctionHypotheses(held, plain.targets, space, effects, plain.repeats, shares=plain.shares, test=name)
-        return PlainSide(plain, test.unseen, asked, told)
-    used, whole = test.problem(held), test.whole_problem(held)
-    if isinstance(held, ModalFunctionModel):
-        return ModalSide.of_function(held, used, whole, effects, space, told, name)
-    assert isinstance(held, StructuralModel)
-    unnamed, large = tuple(a.effect for a in local), held.n_dof >= WORTHWHILE_DOFS
-    basis = _basis(held, used, effects, unnamed, seed) if large else None
-    hypotheses = ModalHypotheses(used, Variants(held, effects, unnamed, basis), space, Floors())
-    return ModalSide(held, used, whole, hypotheses, local, told, reduced=large)
 
 
 def _told(test: Test, seed: int) -> Told:
@@ -167,6 +155,20 @@ def _told(test: Test, seed: int) -> Told:
     notes = (*notes_on(claimed, assumed), *check_repeats(measured))
     table = disagreements_table(measured)
     return Told(assumed, claimed or "none", notes, table, {}, seed, ExplainSettings().draws)
+
+
+def _modal(
+    model: StructuralModel, test: ModalTest, effects: tuple[Effect, ...], local: tuple[Atom, ...], seed: int
+) -> Side:
+    held = under(model, test.name, test.condition)
+    used = test.problem(held)
+    assert isinstance(held, StructuralModel)
+    plain = tuple(a.effect for a in local)
+    large = model.n_dof >= WORTHWHILE_DOFS
+    basis = _basis(held, used, effects, plain, seed) if large else None
+    space = held.space.without(dict(test.condition))
+    hypotheses = ModalHypotheses(used, Variants(held, effects, plain, basis), space, Floors())
+    return ModalSide(held, used, test.whole_problem(held), hypotheses, local, _told(test, seed), reduced=large)
 
 
 def _basis(
@@ -178,3 +180,24 @@ def _basis(
     with suppress(ToleranceError):
         return effect_basis(model, wanted.trained(model, model.space), model.space, effects, local, seed)
     return None
+
+
+def _function(
+    model: ModalFunctionModel, test: ModalTest, effects: tuple[Effect, ...], seed: int, several: bool
+) -> Side:
+    held = under(model, test.name, test.condition)
+    assert isinstance(held, ModalFunctionModel)
+    space, told = held.space.without(dict(test.condition)), _told(test, seed)
+    used, whole = test.problem(held), test.whole_problem(held)
+    return ModalSide.of_function(held, used, whole, effects, space, told, test.name if several else "")
+
+
+def _plain(model: FunctionModel, test: ResponseTest, effects: tuple[Effect, ...], seed: int, several: bool) -> Side:
+    held = under(model, test.name, test.condition)
+    assert isinstance(held, FunctionModel)
+    used = test.problem(held)
+    hypotheses = FunctionHypotheses(
+        held, used.targets, held.space.without(dict(test.condition)), effects, used.repeats, shares=used.shares,
+        test=test.name if several else "",
+    )  # fmt: skip
+    return PlainSide(used, {WITHHELD_RESPONSES: test.unseen}, hypotheses, _told(test, seed))

@@ -15,7 +15,6 @@ from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.scatter import assumptions
 from calib.errors import InputError
-from calib.forward import Targets
 from calib.function import FunctionModel
 from calib.given import by_name, names, number, objects, values, whole
 from calib.measurement.accuracy import Accuracy
@@ -211,13 +210,13 @@ class ResponseTest:
         return ResponseResidual(self.problem(model))
 
     @property
-    def unseen(self) -> dict[str, Targets]:
-        """Held-out responses, by the group they are told in."""
-        return {WITHHELD_RESPONSES: {name: self.measured.targets[name] for name in self.held_out}}
+    def unseen(self) -> dict[str, tuple[float, float | None]]:
+        """Held-out responses."""
+        return {name: self.measured.targets[name] for name in self.held_out}
 
     def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
         """Errors on data used, left out in turn, and held out; see `calib.questions.verify.errors_of`."""
-        return errors_of(self.problem(model), None, self.unseen, model.space, values)
+        return errors_of(self.problem(model), None, {WITHHELD_RESPONSES: self.unseen}, model.space, values)
 
     @property
     def claimed(self) -> str:

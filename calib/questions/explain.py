@@ -110,8 +110,8 @@ def explain(
     return answer
 
 
-def side_of(study: Study, home: Results, progress: Progress, local: tuple[Atom, ...] | None) -> Side:
-    """What a study's test asks, ``local`` changes of a model of matrices included."""
+def side_of(study: Study, home: Results, progress: Progress, local: tuple[Atom, ...] | None = None) -> Side:
+    """What a study's test asks; ``local`` changes are by default those of its own."""
     if isinstance(study.problem, FunctionProblem):
         return PlainSide.of(study)
     return ModalSide.of(study, home, progress, local)

@@ -129,7 +129,7 @@ class ModalSide:
 
     @property
     def relative_std(self) -> np.ndarray:
-        """See `calib.questions.side.Side`."""
+        """See `calib.questions.explain.Side`."""
         return self.hypotheses.relative_std
 
     def notes(self) -> list[str]:

@@ -60,7 +60,7 @@ class PlainSide:
 
     @property
     def relative_std(self) -> np.ndarray:
-        """See `calib.questions.side.Side`."""
+        """See `calib.questions.explain.Side`."""
         return self.hypotheses.relative_std
 
     @property
