@@ -287,8 +287,7 @@ _ERRORS = ("rows", "rms", "of a right model", "p")
 
 
 def _tell_joint_calibration(answer: JointCalibration, folder: Results) -> None:
-    first = next(iter(answer.tests.values()))
-    _print_verdicts(answer.verdicts, first.best)
+    _print_verdicts(answer.verdicts, answer.any.best)
     for sentence in answer.sentences:
         say(sentence)
     rows = [

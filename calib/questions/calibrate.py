@@ -113,23 +113,35 @@ class Calibration:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What is identified, whether the model fits, whether the cases agree, and what happened on the way."""
+        worsened = [_worsened(case) for case in self.cases if case.worsened]
+        return (
+            *self.before.scatter, *self.of_parameters, *self.contradictions, *worsened, *self.of_cases, *self.notes
+        )  # fmt: skip
+
+    @property
+    def of_parameters(self) -> tuple[str, ...]:
+        """What is identified, and whether the model fits."""
         judgement = self.best.judgement
         whole = ", ".join(judgement.whole)
-        out = [*self.before.scatter, identified_sentence(self.verdicts), *judgement.identification.sentences()]
+        out = [identified_sentence(self.verdicts), *judgement.identification.sentences()]
         if whole:
             out.append(f"Whole numbers, judged by how much worse their neighbours fit: {whole}.")
         if not judgement.complete:
             out.append("Not all neighbours of these whole numbers were tried: another combination may fit better.")
-        out += filter(None, [judgement.sentence, suspect_sentence(judgement.suspects), *self.contradictions])
-        out += [_worsened(case) for case in self.cases if case.worsened]
-        if self.search_agreement is None:
-            out.append(self.agreement.sentence)
-        else:
-            out.append(f"The searches alone: {self.search_agreement.sentence}")
-            out.append(f"After least squares, which also weighs the priors: {self.agreement.sentence}")
+        return (*out, *filter(None, [judgement.sentence, suspect_sentence(judgement.suspects)]))
+
+    @property
+    def of_cases(self) -> tuple[str, ...]:
+        """Whether the cases agree."""
+        out = [self.agreement.sentence]
+        if self.search_agreement is not None:
+            out = [
+                f"The searches alone: {self.search_agreement.sentence}",
+                f"After least squares, which also weighs the priors: {self.agreement.sentence}",
+            ]
         if self.agreement.verdict == "several solutions":
             out.append("Identified therefore means: around the reported solution; the others are just as good.")
-        return (*out, *self.notes)
+        return tuple(out)
 
 
 def fingerprint(study: Study) -> str:

@@ -37,6 +37,7 @@ from calib.study_file import StudyFile
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
 SearchProgress = Callable[[str, int, int, float], None]
+Starts: TypeAlias = Sequence[Mapping[str, float]]
 
 QUICK_STARTS = 2
 
@@ -201,11 +202,11 @@ class CaseFinder:
     def polished(
         self,
         reduction: Reduction | None,
-        starts: Sequence[dict[str, float]],
-        refits: int = REFITS,
+        starts: Starts,
+        refits: int,
         progress: FitProgress = lambda start, fits, misfit: None,
-        shared: bool = False,
         counts: Counts | None = None,
+        shared: bool = False,
     ) -> Judgement:
         """See `calib.questions.judge.polished`.
 
@@ -280,11 +281,12 @@ def least_squares(
     known: Sequence[dict[str, float]],
     quick: bool,
     progress: SearchProgress,
-    fit: Callable[..., Judgement],
+    fit: Callable[[Starts, int, FitProgress, Counts], Judgement],
 ) -> tuple[CaseResult, Judgement]:
     """One case by least squares alone: from known points, from the adopted values, and from points of its own seed.
 
-    ``fit`` takes starts and, as keywords, ``progress`` and ``counts``.
+    ``fit`` takes starts, how many combinations of whole numbers are tried, what is told every fit, and what is told
+    every point that is asked.
     """
     started, space, given = time.perf_counter(), study.search_space, study.settings.calibration.starts
     count = min(given, QUICK_STARTS) if quick else given
@@ -292,7 +294,7 @@ def least_squares(
     starts = [*known, space.values, *drawn][: max(count, len(known) + 1)]
     steps, counts = Steps(case.name, count, progress), Counts()
     with told(study):
-        judgement = fit(starts, progress=steps, counts=counts)
+        judgement = fit(starts, REFITS, steps, counts)
         progress(case.name, count, count, judgement.misfit)
     seconds = time.perf_counter() - started
     return CaseResult.fitted(case.name, judgement.values, counts, steps.table(), seconds), judgement

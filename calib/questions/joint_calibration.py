@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
@@ -12,20 +12,11 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.forward import ForwardProblem
-from calib.inference.verdicts import identified_sentence
 from calib.joint import JointProblem, of_test, stacked
 from calib.ledger import Ledger
 from calib.problem import Counts
-from calib.questions.calibrate import Calibration, Ran, best_of, chosen_cases, keep, notes_on, options_of
-from calib.questions.case import (
-    REFITS,
-    CaseFound,
-    SearchProgress,
-    known_starts,
-    least_squares,
-    reduction_noted,
-    reported,
-)
+from calib.questions.calibrate import Calibration, Ran, chosen_cases, keep, notes_on, options_of
+from calib.questions.case import SearchProgress, Starts, known_starts, least_squares, reduction_noted, reported
 from calib.questions.compare import before_and_after, compare
 from calib.questions.judge import FitProgress, Judgement, Terms, polished, posed
 from calib.questions.record import begin_answer, write_record
@@ -43,12 +34,14 @@ class JointCalibration:
     ----------
     tests : mapping from str to Calibration
         What each test says of it: its comparison before and after, its errors; parameters are those of all.
-    judgement : Judgement
-        What all tests together know of the parameters.
     """
 
     tests: Mapping[str, Calibration]
-    judgement: Judgement
+
+    @property
+    def any(self) -> Calibration:
+        """That of one test, for what is of all: the parameters and how well they are known."""
+        return next(iter(self.tests.values()))
 
     def seen(self, test: str) -> Calibration:
         """What one test says of it."""
@@ -57,14 +50,12 @@ class JointCalibration:
     @property
     def verdicts(self) -> pd.DataFrame:
         """One row a parameter: what all tests together determine."""
-        return next(iter(self.tests.values())).verdicts
+        return self.any.verdicts
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """What is identified, whether the models fit, and how far each test was off before and is after."""
-        first = next(iter(self.tests.values()))
-        out = [identified_sentence(self.verdicts), *self.judgement.identification.sentences()]
-        out += [self.judgement.sentence, first.agreement.sentence]
+        out = [*self.any.of_parameters, *self.any.of_cases]
         for test, answer in self.tests.items():
             before, after = answer.before.mean_freq_error, answer.best.answer.mean_freq_error
             out.append(of_test(test, f"mean absolute error {100 * before:.2f} % before, {100 * after:.2f} % after."))
@@ -111,9 +102,9 @@ def calibrate_jointly(
     def problem(instead: Mapping[str, ForwardProblem], counts: Counts) -> JointProblem:
         return JointProblem({s.test: posed(s, ledger, instead.get(s.test), counts) for s in asked.studies})
 
-    def fit(starts: Sequence[Mapping[str, float]], progress: FitProgress, counts: Counts) -> Judgement:
+    def fit(starts: Starts, refits: int, progress: FitProgress, counts: Counts) -> Judgement:
         near = problem(reduced, counts) if reduced else None
-        return polished(problem({}, counts), near, terms, starts, REFITS, progress, known)
+        return polished(problem({}, counts), near, terms, starts, refits, progress, known)
 
     fits = [least_squares(case, asked, known, quick, progress, fit) for case in cases]
     answers, options = {}, options_of(only, method)
@@ -122,29 +113,28 @@ def calibrate_jointly(
         told = partial(notes_on, one, ledger, homes[one.test], notes[one.test])
         ran = Ran("gauss-newton", started, quick, options, told, ledger.retried, study.search_space)
         answers[one.test] = keep(one, folders[one.test], found, before[one.test], ran)
-    best = best_of(next(iter(answers.values())).cases)
-    answer = JointCalibration(answers, best.judgement)
-    _write(study, results, answer, best, time.perf_counter() - started)
+    answer = JointCalibration(answers)
+    _write(study, results, answer, time.perf_counter() - started)
     write_record(study, results, "calibrate", {c.name: c.seed for c in cases}, answer.sentences, quick, options)
     return answer
 
 
-def _write(study: JointStudy, results: Results, answer: JointCalibration, best: CaseFound, seconds: float) -> None:
+def _write(study: JointStudy, results: Results, answer: JointCalibration, seconds: float) -> None:
     """The parameters, and what all tests together know of them; what is of one test lies in its own folder."""
-    judgement = answer.judgement
+    best = answer.any.best
     begin_answer(results, "calibrate")
-    for name, table in next(iter(answer.tests.values())).tables.items():
+    for name, table in answer.any.tables.items():
         results.write_table(name, table)
     errors = {test: one.errors for test, one in answer.tests.items() if one.errors is not None}
     results.remove("data_errors.csv")
     if errors:
-        results.write_table("data_errors", stacked(errors).assign(scatter=judgement.rests_on))
+        results.write_table("data_errors", stacked(errors).assign(scatter=best.judgement.rests_on))
     results.write_json("summary", {
         "study": study.name,
         "synthetic": study.synthetic,
         "method": "gauss-newton",
         "best_case": best.name,
-        **judgement.figures,
+        **best.judgement.figures,
         "seconds": seconds,
         "tests": {test: before_and_after(one.before, one.best.answer) for test, one in answer.tests.items()},
     })  # fmt: skip
