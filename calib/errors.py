@@ -46,3 +46,11 @@ class ToleranceError(InputError):
 
 class EvaluationError(RuntimeError):
     """The model cannot be evaluated at this point (singular stiffness, no convergence); recorded as a failed row."""
+
+
+def again(fault: EvaluationError, words: str | None = None) -> EvaluationError:
+    """The same failure with what was noted of it, in other words if given, without the places it has passed through."""
+    out = EvaluationError(*fault.args) if words is None else EvaluationError(words)
+    for note in getattr(fault, "__notes__", ()):
+        out.add_note(note)
+    return out

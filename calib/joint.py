@@ -11,9 +11,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import pandas as pd
 
-from calib.errors import EvaluationError, InputError
+from calib.errors import EvaluationError, InputError, again
 from calib.freedom import behind
-from calib.problem import Counts, again
+from calib.problem import Counts
 from calib.space import Parameter, ParameterSpace
 
 _Answer = TypeVar("_Answer")

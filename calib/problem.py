@@ -9,7 +9,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from calib.errors import EvaluationError
+from calib.errors import EvaluationError, again
 from calib.outcome import Outcome, failure, key_of
 from calib.space import ParameterSpace
 
@@ -36,7 +36,48 @@ class Label(Protocol):
         ...
 
 
-class Pair(Protocol):
+class Labelled(Protocol):
+    """Anything with a residual whose rows have labels."""
+
+    @property
+    def rows(self) -> Sequence[Label]:
+        """What every entry of the residual compares, length n_rows."""
+        ...
+
+    @property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """Real numbers by (mode, kind) that the residual fits itself, such as the scale of a shape; no freedom."""
+        ...
+
+    @property
+    def scatter_freedom(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Labels of some rows with what stands behind them; see `Labelled`.
+
+    Attributes
+    ----------
+    rows : sequence of Label
+    fitted_factors : mapping from (mode, kind) to int
+    scatter_freedom : mapping from kind to float
+        Infinite for a kind left out.
+    """
+
+    rows: Sequence[Label]
+    fitted_factors: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    scatter_freedom: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, whole: Labelled, kept: Iterable[int]) -> Rows:
+        """Some of them, by their number."""
+        return cls([whole.rows[k] for k in kept], whole.fitted_factors, whole.scatter_freedom)
+
+
+class Pair(Labelled, Protocol):
     """A model and a test of it: what a solution of the one says about the other.
 
     Such as `calib.correlation.residual.ModalResidual` and `calib.correlation.response_residual.ResponseResidual`. What
@@ -49,23 +90,8 @@ class Pair(Protocol):
         ...
 
     @property
-    def rows(self) -> Sequence[Label]:
-        """What every entry of the residual compares, length n_rows."""
-        ...
-
-    @property
     def relative_std(self) -> np.ndarray:
         """Standard deviation of every row over its value, (n_rows,)."""
-        ...
-
-    @property
-    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
-        """Real numbers by (mode, kind) that the residual fits itself, such as the scale of a shape."""
-        ...
-
-    @property
-    def scatter_freedom(self) -> Mapping[str, float]:
-        """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
         ...
 
     @property
@@ -303,11 +329,3 @@ class Problem(Generic[P]):
     def _keep(self, outcome: Outcome) -> None:
         if self.store is not None:
             self.store.append(self.pair.problem.fingerprint, [outcome])
-
-
-def again(fault: EvaluationError, words: str | None = None) -> EvaluationError:
-    """The same failure with what was noted of it, in other words if given, without the places it has passed through."""
-    out = EvaluationError(*fault.args) if words is None else EvaluationError(words)
-    for note in getattr(fault, "__notes__", ()):
-        out.add_note(note)
-    return out

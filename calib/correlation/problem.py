@@ -18,6 +18,7 @@ from calib.correlation.order import Costs
 from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
 from calib.correlation.responses import response_freedom
 from calib.errors import EvaluationError, InputError
+from calib.function import FunctionModel
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
 from calib.space import ParameterSpace
@@ -134,6 +135,16 @@ class ModalProblem:
         if not self.measured.has_shapes:
             digest.update(repr(sorted({**self.space.values, **self.reference}.items())).encode())
         return digest.hexdigest()[:16]
+
+    def with_model(self, model: ModalModel, added: int | None = None) -> ModalProblem:
+        """The same question asked of another model.
+
+        ``added`` is how many modes more that has because of effects on this one, which then is its `base`; None for
+        another form of this model.
+        """
+        if added is None:
+            return replace(self, model=model)
+        return replace(self, model=model, mode_count=self.mode_count + added, base=self)
 
     def reduced(self, basis: Basis) -> ModalProblem:
         """The same question asked of the model on a reduced basis; InputError when the basis is of another model."""
@@ -341,6 +352,10 @@ class FunctionProblem:
                     place="targets",
                     remedy="give a positive one or none",
                 )
+
+    def with_model(self, model: FunctionModel) -> FunctionProblem:
+        """The same targets of another function."""
+        return replace(self, space=model.space, function=model.function)
 
     @property
     def scatter_freedom(self) -> dict[str, float]:

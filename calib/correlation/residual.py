@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from calib.fingerprint import digest_of
 from calib.mac import is_real
 from calib.space import ParameterSpace
 from calib.structure.derivatives import ModeDerivatives
+from calib.structure.modal_model import ModalModel
 
 _BESIDE = 1e-6
 """How far from 0 a derivative by a parameter under a root is taken, over its limit.
@@ -191,6 +192,10 @@ class ModalResidual:
         """Whether a solution can be restored from its responses."""
         return False
 
+    def with_model(self, model: ModalModel, added: int | None = None) -> ModalResidual:
+        """The same measurement against another model; see `ModalProblem.with_model`."""
+        return replace(self, problem=self.problem.with_model(model, added))
+
     def solve(self, values: Mapping[str, float]) -> Comparison:
         """Model against measurement at named values; EvaluationError when the model cannot be solved there."""
         return self.problem.compare(values)
@@ -198,6 +203,10 @@ class ModalResidual:
     def responses(self, solution: Comparison) -> dict[str, float]:
         """See `ModalProblem.responses`."""
         return self.problem.responses(solution)
+
+    def unpaired(self, solution: Comparison) -> frozenset[str]:
+        """Measured modes without a partner."""
+        return frozenset(self.problem.measured.names[i] for i in solution.pairing.unpaired_measured)
 
     def restored(self, responses: Mapping[str, float]) -> None:
         """None: responses do not tell the modes."""
@@ -227,8 +236,30 @@ class ModalResidual:
     def frequencies(
         self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison]
     ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-        """As `freq_jacobian` of all model modes, with solutions from ``at``."""
-        return self.freq_jacobian(values, names, every=True, at=at)
+        """Frequencies of all model modes with their relative derivatives, for prediction intervals.
+
+        Parameters
+        ----------
+        values : mapping
+        names : sequence of str
+        at : callable
+            Gives the comparison at named values.
+
+        Returns
+        -------
+        labels : tuple of str
+            Name of the measured mode, or ``model 7`` for a model mode without one.
+        freq : ndarray (n_modes,)
+            Natural frequencies of the model, Hz.
+        jacobian : ndarray (n_modes, n_params)
+            Of ``ln natural_freq``, per one of each parameter's own unit.
+        """
+        found = at(self.regular(values, names))
+        freq, index = found.modes.natural_freq, found.pairing.model_index
+        owner = {int(index[i]): self.problem.measured.names[i] for i in found.pairing.paired}
+        slopes = self._derivatives(found, names, range(len(freq)), np.zeros((0, found.modes.shapes.shape[0])), at)
+        labels = tuple(owner.get(j, f"model {j + 1}") for j in range(len(freq)))
+        return labels, freq, (slopes.natural_freq / freq).T
 
     def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         """Where derivatives by the named parameters are taken: beside 0 for one that stands under a root.
@@ -241,42 +272,6 @@ class ModalResidual:
                 p = model.space[name]
                 out[name] = _BESIDE * (p.upper if p.upper > 0 else p.lower)
         return out
-
-    def freq_jacobian(
-        self,
-        values: Mapping[str, float],
-        names: Sequence[str],
-        every: bool = False,
-        at: Callable[[Mapping[str, float]], Comparison] | None = None,
-    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-        """Model frequencies with their relative derivatives, for prediction intervals.
-
-        Parameters
-        ----------
-        values : mapping
-        names : sequence of str
-        every : bool
-            All model modes; otherwise those paired.
-        at : callable, optional
-            Gives the comparison at named values; by default they are solved.
-
-        Returns
-        -------
-        labels : tuple of str
-            Name of the measured mode, or ``model 7`` for a model mode without one.
-        freq : ndarray (n_modes,)
-            Natural frequencies of the model, Hz.
-        jacobian : ndarray (n_modes, n_params)
-            Of ``ln natural_freq``, per one of each parameter's own unit.
-        """
-        found = (at or self.solve)(self.regular(values, names))
-        index = found.pairing.model_index
-        owner = {int(index[i]): self.problem.measured.names[i] for i in found.pairing.paired}
-        chosen = list(range(found.modes.n_modes)) if every else [int(index[i]) for i in found.pairing.paired]
-        slopes = self._derivatives(found, names, chosen, np.zeros((0, found.modes.shapes.shape[0])), at)
-        freq = found.modes.natural_freq[chosen]
-        labels = tuple(owner.get(j, f"model {j + 1}") for j in chosen)
-        return labels, freq, (slopes.natural_freq / freq).T
 
     def derivatives(
         self,

@@ -12,6 +12,7 @@ from calib.correlation.responses import ResponseRow, response_rows
 from calib.differences import central_jacobian
 from calib.errors import EvaluationError, InputError
 from calib.fingerprint import digest_of
+from calib.function import FunctionModel
 from calib.outcome import answered
 from calib.space import ParameterSpace
 
@@ -93,9 +94,9 @@ class ResponseResidual:
         told = (list(self.problem.targets.items()), self.step)
         return digest_of(_DEFINITION, self.problem.fingerprint, told)[:16]
 
-    def against(self, targets: Mapping[str, tuple[float, float | None]]) -> ResponseResidual:
-        """The same model against other measured responses."""
-        return replace(self, problem=replace(self.problem, targets=targets))
+    def with_model(self, model: FunctionModel, added: int | None = None) -> ResponseResidual:
+        """The same measured responses against another model; ``added`` is of modes."""
+        return replace(self, problem=self.problem.with_model(model))
 
     def of(self, answer: Mapping[str, float]) -> np.ndarray:
         """Whitened residual of responses already computed; EvaluationError for one that is missing or not finite."""
@@ -121,6 +122,10 @@ class ResponseResidual:
     def restored(self, responses: Mapping[str, float]) -> dict[str, float]:
         """A solution from responses that were kept."""
         return dict(responses)
+
+    def unpaired(self, solution: Mapping[str, float]) -> frozenset[str]:
+        """None: plain responses are told by their names."""
+        return frozenset()
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual at named values, (n_rows,); EvaluationError where the function gives no answer."""

@@ -12,18 +12,17 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.problem import ModalProblem
-from calib.correlation.scatter import Floors
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
 from calib.front.asked import Asked, Effects, P
 from calib.front.shown import Shown
-from calib.front.test import ModalTest, ResponseTest, Test, under
+from calib.front.test import ModalTest, Model, ResponseTest, Test, under
 from calib.function import FunctionModel
 from calib.given import objects, whole
 from calib.questions.explain import answered, decided
 from calib.questions.explanation import Explanation, Told
-from calib.questions.function_hypotheses import FunctionHypotheses
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.function_hypotheses import function_hypotheses
+from calib.questions.hypotheses import ModelHypotheses
 from calib.questions.joint_side import together
 from calib.questions.library import local_changes
 from calib.questions.modal_side import ModalSide
@@ -133,20 +132,34 @@ def _sides(problem: Asked, effects: Library, seed: int) -> dict[str, Side]:
     groups = problem.by_model
     out: dict[str, Side] = {}
     for model, tests in groups:
-        own = effects.get(model.name, ())
-        of = model.name if len(groups) > 1 else ""
-        several = len(tests) > 1 or len(groups) > 1
-        if isinstance(model, ModalFunctionModel):
-            asked = [test for test in tests if isinstance(test, ModalTest)]
-            out |= {test.name: _function(model, test, own, seed, several) for test in asked}
-        elif isinstance(model, StructuralModel):
-            modal = [test for test in tests if isinstance(test, ModalTest)]
-            local = local_changes(model, [test.used for test in modal], model.space.values, of)
-            out |= {test.name: _modal(model, test, own, local, seed) for test in modal}
-        else:
-            plain = [test for test in tests if isinstance(test, ResponseTest)]
-            out |= {test.name: _plain(model, test, own, seed, several) for test in plain}
+        own, several = effects.get(model.name, ()), len(tests) > 1 or len(groups) > 1
+        local: tuple[Atom, ...] = ()
+        if isinstance(model, StructuralModel):
+            measured = [test.used for test in tests if isinstance(test, ModalTest)]
+            local = local_changes(model, measured, model.space.values, model.name if len(groups) > 1 else "")
+        out |= {test.name: _side(model, test, own, local, seed, several) for test in tests}
     return out
+
+
+def _side(
+    model: Model, test: Test, effects: tuple[Effect, ...], local: tuple[Atom, ...], seed: int, several: bool
+) -> Side:
+    """What one test asks; its name is told with changes that are of it alone where there are several."""
+    held, told = under(model, test.name, test.condition), _told(test, seed)
+    space, name = held.space.without(dict(test.condition)), test.name if several else ""
+    if isinstance(test, ResponseTest):
+        assert isinstance(held, FunctionModel)
+        plain, asked = function_hypotheses(held, test.pair(held), effects, space, name)
+        return PlainSide(plain, asked, told, {WITHHELD_RESPONSES: test.unseen})
+    pair, whole = test.pair(held), test.whole_problem(held)
+    if isinstance(held, ModalFunctionModel):
+        modal, asked = function_hypotheses(held, pair, effects, space, name)
+        return ModalSide(modal, asked, told, whole)
+    assert isinstance(held, StructuralModel)
+    changes, large = tuple(a.effect for a in local), held.n_dof >= WORTHWHILE_DOFS
+    basis = _basis(held, pair.problem, effects, changes, seed) if large else None
+    modal = ModelHypotheses(pair, Variants(held, effects, changes, basis), space)
+    return ModalSide(modal, local, told, whole, reduced=large)
 
 
 def _told(test: Test, seed: int) -> Told:
@@ -155,20 +168,6 @@ def _told(test: Test, seed: int) -> Told:
     notes = (*notes_on(claimed, assumed), *check_repeats(measured))
     table = disagreements_table(measured)
     return Told(assumed, claimed or "none", notes, table, {}, seed, ExplainSettings().draws)
-
-
-def _modal(
-    model: StructuralModel, test: ModalTest, effects: tuple[Effect, ...], local: tuple[Atom, ...], seed: int
-) -> Side:
-    held = under(model, test.name, test.condition)
-    used = test.problem(held)
-    assert isinstance(held, StructuralModel)
-    plain = tuple(a.effect for a in local)
-    large = model.n_dof >= WORTHWHILE_DOFS
-    basis = _basis(held, used, effects, plain, seed) if large else None
-    space = held.space.without(dict(test.condition))
-    hypotheses = ModalHypotheses(used, Variants(held, effects, plain, basis), space, Floors())
-    return ModalSide(held, used, test.whole_problem(held), hypotheses, local, _told(test, seed), reduced=large)
 
 
 def _basis(
@@ -180,24 +179,3 @@ def _basis(
     with suppress(ToleranceError):
         return effect_basis(model, wanted.trained(model, model.space), model.space, effects, local, seed)
     return None
-
-
-def _function(
-    model: ModalFunctionModel, test: ModalTest, effects: tuple[Effect, ...], seed: int, several: bool
-) -> Side:
-    held = under(model, test.name, test.condition)
-    assert isinstance(held, ModalFunctionModel)
-    space, told = held.space.without(dict(test.condition)), _told(test, seed)
-    used, whole = test.problem(held), test.whole_problem(held)
-    return ModalSide.of_function(held, used, whole, effects, space, told, test.name if several else "")
-
-
-def _plain(model: FunctionModel, test: ResponseTest, effects: tuple[Effect, ...], seed: int, several: bool) -> Side:
-    held = under(model, test.name, test.condition)
-    assert isinstance(held, FunctionModel)
-    used = test.problem(held)
-    hypotheses = FunctionHypotheses(
-        held, used.targets, held.space.without(dict(test.condition)), effects, used.repeats, shares=used.shares,
-        test=test.name if several else "",
-    )  # fmt: skip
-    return PlainSide(used, {WITHHELD_RESPONSES: test.unseen}, hypotheses, _told(test, seed))

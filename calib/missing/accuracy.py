@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from calib.missing.findings import Findings
 from calib.missing.goodness import goodness, overall
 from calib.missing.score import Scores, family_p, scored
 from calib.missing.state import State
-from calib.problem import Label
+from calib.problem import Labelled, Rows
 
 GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 """Accuracies that are asked, as shares of a value; of shapes, of the largest entry."""
@@ -22,10 +22,8 @@ COLUMNS = ("accuracy", "p_family", "p_fit", "misfit", "freedom", "missing")
 
 def less_accurate(
     found: Findings,
-    rows: Sequence[Label],
+    labelled: Labelled,
     relative_std: np.ndarray,
-    fitted_factors: Mapping[tuple[str, str], int],
-    scatter_freedom: Mapping[str, float],
     seed: int,
     grid: Sequence[float] = GRID,
 ) -> pd.DataFrame:
@@ -38,12 +36,10 @@ def less_accurate(
     Parameters
     ----------
     found : Findings
-    rows : sequence of Label
-        Length n_rows.
+    labelled : Labelled
+        Whose residual it is.
     relative_std : ndarray (n_rows,)
         Standard deviation of every row over its value, before any factor that the explanation found on the scatter.
-    fitted_factors, scatter_freedom
-        As in `calib.missing.goodness.goodness`.
     seed : int
         Of the draws behind probabilities.
     grid : sequence of float
@@ -56,18 +52,19 @@ def less_accurate(
         nothing is detectable, with the scatter as stated or as it was found.
     """
     lines: list[tuple[float, float, float, float, float, bool]] = []
-    own = np.asarray(relative_std, dtype=float) * found.noise_scale
+    rows, own = labelled.rows, np.asarray(relative_std, dtype=float) * found.noise_scale
     for accuracy in grid if found.verdict not in ("nothing_detectable", "noise_underestimated") else ():
         with np.errstate(invalid="ignore"):
             weight = np.where(np.isfinite(own), own / np.hypot(own, accuracy), 1.0)
         state = _weighted(found.base.state, weight)
         behind = {
             kind: beside_known(freedom, weight[[row.kind == kind for row in rows]] ** 2)
-            for kind, freedom in scatter_freedom.items()
+            for kind, freedom in labelled.scatter_freedom.items()
         }
-        kinds, modes = goodness(state, rows, fitted_factors, behind)
+        told = Rows(rows, labelled.fitted_factors, behind)
+        kinds, modes = goodness(state, told)
         each = [
-            family_p(_again(state, scores, weight), rows, behind, seed)
+            family_p(_again(state, scores, weight), told, seed)
             for scores in (found.base_check.named, found.base_check.atoms)
         ]
         p_family, p_fit = min(1.0, 2 * min(each)), overall(kinds, modes)

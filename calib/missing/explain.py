@@ -169,7 +169,7 @@ class _Decision:
         fault = fits.fault(base, check.atoms, best)
         if _ln(fault) > max(best.ln_evidence, _ln(atom) + RULES.credible):
             atom = fault
-        accused = suspects(base.state, h.rows, h.fitted_factors, h.scatter_freedom, found.alpha)
+        accused = suspects(base.state, h, found.alpha)
         datum = wrong_datum(fits, base, accused, best)
         return replace(found, atom=atom, fault=fault, datum=datum, suspects=accused)
 
@@ -302,8 +302,7 @@ class _Decision:
     def scale(self, *trials: Trial | None) -> float:
         """What shapes ask for at the best of some fits; 1 when it is not common to all modes and sensors."""
         best = max((t for t in trials if t is not None), key=lambda t: t.ln_evidence)
-        h = self.fits.hypotheses
-        return common_scale(best.state, h.rows, h.fitted_factors, h.scatter_freedom, self.fits.settings.alpha)
+        return common_scale(best.state, self.fits.hypotheses, self.fits.settings.alpha)
 
     def promised_scale(self, trial: Trial, others: Scores) -> float:
         """The same if the effect that stands out beside a fit did all that its score promises."""
@@ -322,17 +321,16 @@ class _Decision:
         """Tests of a fitted model, given the scores of the named effects that it does not have."""
         hypotheses, seed = self.fits.hypotheses, self.fits.settings.seed
         local = self.beside(trial, hypotheses.atoms)
-        freedom = hypotheses.scatter_freedom
-        kinds, modes = goodness(trial.state, hypotheses.rows, hypotheses.fitted_factors, freedom)
+        kinds, modes = goodness(trial.state, hypotheses)
         return Check(
             named=named,
             atoms=local,
-            p_named=family_p(named, hypotheses.rows, freedom, seed),
-            p_atoms=family_p(local, hypotheses.rows, freedom, seed),
+            p_named=family_p(named, hypotheses, seed),
+            p_atoms=family_p(local, hypotheses, seed),
             kinds=kinds,
             modes=modes,
             p_fit=overall(kinds, modes),
-            sensors=by_sensor(trial.state, hypotheses.rows, hypotheses.fitted_factors, freedom),
+            sensors=by_sensor(trial.state, hypotheses),
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import pandas as pd
 
 from calib.effect import Effect
@@ -88,6 +89,11 @@ class Trial:
     def names(self) -> tuple[str, ...]:
         """Names of its effects."""
         return tuple(e.name for e in self.effects)
+
+    def strength(self, name: str) -> tuple[float, float]:
+        """Fitted strength of an effect and its linearised standard deviation."""
+        k = self.state.names.index(name)
+        return self.state.values[name], float(np.sqrt(self.state.covariance[k, k]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
@@ -12,7 +12,7 @@ from scipy import special
 
 from calib.freedom import chance, row_freedom
 from calib.missing.rules import RULES
-from calib.problem import Label
+from calib.problem import Labelled, Rows
 
 _Name = TypeVar("_Name", bound=Hashable)
 
@@ -36,18 +36,19 @@ class Fit(Protocol):
         ...
 
 
-def goodness(
-    state: Fit,
-    rows: Sequence[Label],
-    fitted_factors: Mapping[tuple[str, str], int],
-    scatter_freedom: Mapping[str, float],
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+def goodness(state: Fit, labelled: Labelled) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Sum of squares of every kind, and of every mode and kind, against what the scatter allows.
 
     The degrees of freedom of a block b are ``n_b - tr(G_b V G_b^T)`` (see `calib.freedom`) less the factors fitted to
     its shapes. The scatter was itself estimated, so that the ratio is an F variate. A single row is studentised,
     ``e^2/(1 - h)`` with one degree of freedom (Cook and Weisberg 1982), unless the parameters follow it nearly
     everywhere.
+
+    Parameters
+    ----------
+    state : Fit
+    labelled : Labelled
+        Whose residual it is, such as a problem or hypotheses.
 
     Returns
     -------
@@ -56,8 +57,8 @@ def goodness(
     modes : DataFrame
         ``mode, kind, chi2, freedom, p``.
     """
-    layout = Layout.of(rows, fitted_factors, scatter_freedom)
-    kept = np.ones((1, len(rows)), dtype=bool)
+    layout = Layout.of(labelled)
+    kept = np.ones((1, len(layout.which)), dtype=bool)
     found = layout.sums(state.residual[None] ** 2, row_freedom(state.slope, state.prior_sd)[None], kept)
     kinds = pd.DataFrame({"kind": list(layout.kinds), **{name: a[0] for name, a in found.kinds.items()}})
     modes = pd.DataFrame(list(layout.blocks), columns=["mode", "kind"])
@@ -101,14 +102,10 @@ class Layout:
     scatter: np.ndarray
 
     @classmethod
-    def of(
-        cls,
-        rows: Sequence[Label],
-        fitted_factors: Mapping[tuple[str, str], int],
-        scatter_freedom: Mapping[str, float],
-    ) -> Layout:
+    def of(cls, labelled: Labelled) -> Layout:
         """See `goodness`."""
-        blocks, which = _numbered([(row.mode, row.kind) for row in rows])
+        fitted_factors, scatter_freedom = labelled.fitted_factors, labelled.scatter_freedom
+        blocks, which = _numbered([(row.mode, row.kind) for row in labelled.rows])
         kinds, kind_of = _numbered([kind for _, kind in blocks])
         factors = np.array([float(fitted_factors.get(block, 0)) for block in blocks])
         scatter = np.array([scatter_freedom.get(kind, np.inf) for kind in kinds])
@@ -154,25 +151,21 @@ def _numbered(names: Sequence[_Name]) -> tuple[list[_Name], np.ndarray]:
     return list(numbers), np.array([numbers[name] for name in names], dtype=int)
 
 
-def by_sensor(
-    state: Fit,
-    rows: Sequence[Label],
-    fitted_factors: Mapping[tuple[str, str], int],
-    scatter_freedom: Mapping[str, float],
-) -> pd.DataFrame:
+def by_sensor(state: Fit, labelled: Labelled) -> pd.DataFrame:
     """Sum of squares of every sensor, or plain response, over all modes: ``sensor, chi2, freedom, p``, worst first.
 
     ``p`` is that of one sensor; among n it counts n times.
     """
-    table = _sensors(state, rows, fitted_factors)
+    table, scatter_freedom = _sensors(state, labelled), labelled.scatter_freedom
     scatter = np.array([scatter_freedom.get(kind, np.inf) for kind in table["kind"]])
     table["p"] = chance(table["chi2"].to_numpy(), table["freedom"].to_numpy(), scatter)
     table = table[table["sensor"] != ""].drop(columns="kind")
     return table.sort_values(["p", "chi2"], ascending=[True, False], ignore_index=True, kind="stable")
 
 
-def _sensors(state: Fit, rows: Sequence[Label], fitted_factors: Mapping[tuple[str, str], int]) -> pd.DataFrame:
+def _sensors(state: Fit, labelled: Labelled) -> pd.DataFrame:
     """``sensor, kind, chi2, freedom`` in the order of the rows; factors fitted to a shape are shared by its rows."""
+    rows, fitted_factors = labelled.rows, labelled.fitted_factors
     blocks, which = _numbered([(row.mode, row.kind) for row in rows])
     share = np.array([fitted_factors.get(block, 0) for block in blocks]) / np.bincount(which)
     freedom = row_freedom(state.slope, state.prior_sd) - share[which]
@@ -221,15 +214,13 @@ def noise_scale(modes: pd.DataFrame) -> float:
     return float(np.sqrt(square)) if alike or square < 1 else 1.0
 
 
-def lone_sensor(
-    state: Fit, rows: Sequence[Label], fitted_factors: Mapping[tuple[str, str], int], level: float
-) -> str | None:
+def lone_sensor(state: Fit, labelled: Labelled, level: float) -> str | None:
     """The sensor whose share of the misfit of all shapes is more than that of the others explains; None without one.
 
     Its sum of squares over its degrees of freedom, against that of all other sensors, is an F variate whatever the
     scatter; the largest of n sensors counts n times (Bonferroni).
     """
-    table = _sensors(state, rows, fitted_factors)
+    table = _sensors(state, labelled)
     table = table[table["kind"] == "shape"]
     chi2, freedom = table["chi2"].to_numpy(), table["freedom"].to_numpy()
     rest, others = chi2.sum() - chi2, freedom.sum() - freedom
@@ -242,28 +233,22 @@ def lone_sensor(
     return str(table["sensor"].iloc[worst]) if p[worst] * len(table) <= level else None
 
 
-def common_scale(
-    state: Fit,
-    rows: Sequence[Label],
-    fitted_factors: Mapping[tuple[str, str], int],
-    scatter_freedom: Mapping[str, float],
-    level: float,
-) -> float:
+def common_scale(state: Fit, labelled: Labelled, level: float) -> float:
     """Factor on the scatter that all modes ask for, see `noise_scale`, without a sensor that alone may ask for it.
 
     A bad channel spoils the shapes of all modes as an understated scatter does, but at one sensor; at the level that
     one stands out (`lone_sensor`), the others tell.
     """
-    factor = noise_scale(goodness(state, rows, fitted_factors, scatter_freedom)[1])
-    lone = lone_sensor(state, rows, fitted_factors, level) if factor > 1 else None
+    factor = noise_scale(goodness(state, labelled)[1])
+    lone = lone_sensor(state, labelled, level) if factor > 1 else None
     if lone is None:
         return factor
-    kept = [k for k, row in enumerate(rows) if row.sensor != lone]
-    rest = _Rows(np.asarray(state.residual)[kept], np.asarray(state.slope)[kept], state.prior_sd)
-    return noise_scale(goodness(rest, [rows[k] for k in kept], fitted_factors, scatter_freedom)[1])
+    kept = [k for k, row in enumerate(labelled.rows) if row.sensor != lone]
+    rest = _Part(np.asarray(state.residual)[kept], np.asarray(state.slope)[kept], state.prior_sd)
+    return noise_scale(goodness(rest, Rows.of(labelled, kept))[1])
 
 
-class _Rows(NamedTuple):
+class _Part(NamedTuple):
     """Some rows of a fit."""
 
     residual: np.ndarray

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from calib.effect import Effect
 from calib.inference.gauss_newton import LeastSquares
-from calib.problem import Label
+from calib.problem import Labelled
 from calib.space import ParameterSpace
 
 
@@ -23,16 +23,11 @@ class Question(LeastSquares, Protocol):
         ...
 
 
-class Hypotheses(Protocol):
+class Hypotheses(Labelled, Protocol):
     """The base model, the effects it may lack, and its unnamed local changes, all against one measurement.
 
     Every question has the same rows, whitened by the same scatter.
     """
-
-    @property
-    def rows(self) -> Sequence[Label]:
-        """Rows of every residual, length n_rows."""
-        ...
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -42,16 +37,6 @@ class Hypotheses(Protocol):
     @property
     def atoms(self) -> tuple[Effect, ...]:
         """Unnamed local changes."""
-        ...
-
-    @property
-    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
-        """Numbers fitted by (mode, kind) that are no degrees of freedom: scale and phase of shapes."""
-        ...
-
-    @property
-    def scatter_freedom(self) -> Mapping[str, float]:
-        """Degrees of freedom behind the scatter of each kind; infinite where it is known."""
         ...
 
     @property
@@ -69,21 +54,37 @@ class Hypotheses(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Scaled:
-    """A question whose scatter is multiplied by a factor."""
+class Altered:
+    """A question with a factor on its scatter, about some of its rows, or with parameters held.
+
+    Attributes
+    ----------
+    inner : Question
+    scale : float
+        That factor.
+    kept : ndarray (n_kept,), int, or None
+        Those rows; None for all.
+    held : mapping from str to float
+        Values of those parameters.
+    """
 
     inner: Question
-    scale: float
+    scale: float = 1.0
+    kept: np.ndarray | None = None
+    held: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def space(self) -> ParameterSpace:
-        """That of the question."""
-        return self.inner.space
+        """That of the question, with those parameters fixed."""
+        return self.inner.space.freeze(self.held) if self.held else self.inner.space
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """Whitened residual, (n_rows,)."""
-        return self.inner.residual(values) / self.scale
+        """Whitened residual, (n_kept,)."""
+        return self._seen(self.inner.residual({**values, **self.held}))
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Its derivative, (n_rows, n_params)."""
-        return self.inner.jacobian(values, names) / self.scale
+        """Its derivative, (n_kept, n_params)."""
+        return self._seen(self.inner.jacobian({**values, **self.held}, names))
+
+    def _seen(self, rows: np.ndarray) -> np.ndarray:
+        return (rows if self.kept is None else rows[self.kept]) / self.scale

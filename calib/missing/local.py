@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from calib.effect import Effect
 from calib.missing.findings import Trial
 
-_WIDE = 1.96
+WIDE = 1.96
+"""Half a 95 % interval, in standard deviations."""
+
+
+def unit_words(unit: str) -> str:
+    """A unit behind a number; nothing for a number alone."""
+    return "" if unit == "-" else f" {unit}"
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,7 @@ class LocalChange:
     def told(self) -> str:
         """Such as ``damping of the rear right damper, about 60 % lost [45, 72]``."""
         if not self.effect.part:
-            unit = "" if self.effect.strength.unit == "-" else f" {self.effect.strength.unit}"
+            unit = unit_words(self.effect.strength.unit)
             return f"{self.effect.title}, about {self.value:.2g}{unit} [{self.low:.2g}, {self.high:.2g}]"
         sign, word = (-1, "lost") if self.value < 0 else (1, "more")
         low, high = sorted((100 * sign * self.low, 100 * sign * self.high))
@@ -40,6 +45,5 @@ class LocalChange:
 def local_change(trial: Trial) -> LocalChange:
     """What a fit with one local change says of it."""
     (effect,) = trial.effects
-    k, p = trial.state.names.index(effect.name), effect.strength
-    value, half = trial.state.values[effect.name], _WIDE * math.sqrt(float(trial.state.covariance[k, k]))
-    return LocalChange(effect, value, max(value - half, p.lower), min(value + half, p.upper))
+    p, (value, std) = effect.strength, trial.strength(effect.name)
+    return LocalChange(effect, value, max(value - WIDE * std, p.lower), min(value + WIDE * std, p.upper))

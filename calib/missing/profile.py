@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from calib.errors import EvaluationError
-from calib.missing.hypotheses import Question
+from calib.missing.hypotheses import Altered
 from calib.missing.state import State, fitted
-from calib.space import ParameterSpace
 
 _RISE = 1.96
 """Root of the rise of the sum of squares at the ends of a 95 % interval."""
@@ -61,29 +58,7 @@ def _rise(state: State, k: int, value: float) -> float:
     p = state.question.space[name]
     own = ((value - p.value) / p.prior_width) ** 2
     try:
-        there = fitted(_Held(state.question, name, value), state.effects, start)
+        there = fitted(Altered(state.question, held={name: value}), state.effects, start)
     except EvaluationError:
         return math.nan
     return math.sqrt(max(there.misfit + own - state.misfit, 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Held:
-    """A question with one parameter held."""
-
-    inner: Question
-    name: str
-    value: float
-
-    @property
-    def space(self) -> ParameterSpace:
-        """With that parameter fixed."""
-        return self.inner.space.freeze({self.name: self.value})
-
-    def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """As the inner question."""
-        return self.inner.residual({**values, self.name: self.value})
-
-    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """As the inner question."""
-        return self.inner.jacobian({**values, self.name: self.value}, names)

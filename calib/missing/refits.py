@@ -15,7 +15,7 @@ from calib.missing.alike import Group
 from calib.missing.allowance import Allowance
 from calib.missing.evidence import ln_bayes_linear, ln_evidence
 from calib.missing.findings import Trial
-from calib.missing.hypotheses import Hypotheses, Question, Scaled
+from calib.missing.hypotheses import Altered, Hypotheses, Question
 from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
@@ -94,8 +94,7 @@ class Refits:
 
     def question(self, names: tuple[str, ...]) -> Question:
         """The model with the named effects or local changes against the measurement."""
-        inner = self.hypotheses.question(names)
-        return inner if self.scale == 1.0 else Scaled(inner, self.scale)
+        return Altered(self.hypotheses.question(names), self.scale)
 
     def spent(self, part: float = 1.0) -> bool:
         """Whether that part of the budget is used up, so that only what the verdict needs is still solved."""

@@ -14,7 +14,7 @@ from calib.errors import EvaluationError
 from calib.missing.hypotheses import Question
 from calib.missing.rules import RULES
 from calib.missing.state import State
-from calib.problem import Label
+from calib.problem import Labelled
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +80,16 @@ class Scores:
             onset=self.onset[kept],
         )
 
+    def of(self, name: str) -> list[int]:
+        """Columns of a candidate."""
+        return [k for k, owner in enumerate(self.owners) if owner == name]
+
     def best(self, name: str) -> int:
         """Column of a candidate with the largest promised decrease."""
-        own = [k for k, owner in enumerate(self.owners) if owner == name]
-        return max(own, key=lambda k: float(self.strength[k]))
+        return max(self.of(name), key=lambda k: float(self.strength[k]))
 
     def steps(self, name: str, count: int) -> list[int]:
         """The columns of a candidate that would lower the sum of squares most at their own strength."""
-        own = [k for k, owner in enumerate(self.owners) if owner == name]
 
         def drop(k: int) -> float:
             if not self.points[k]:
@@ -95,7 +97,7 @@ class Scores:
             length = self.size[k] * abs(self.points[k][name])
             return float(2 * self.z[k] * length - length**2)
 
-        return sorted(own, key=drop, reverse=True)[:count]
+        return sorted(self.of(name), key=drop, reverse=True)[:count]
 
 
 def scores(
@@ -163,7 +165,7 @@ def scored(
     )
 
 
-def family_p(found: Scores, rows: Sequence[Label], scatter_freedom: Mapping[str, float], seed: int) -> float:
+def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
     """Chance that the largest of all scores is as large as found although nothing is missing.
 
     Scores are correlated normal variates with covariance ``U^T U`` of their unit directions. What is known of the
@@ -175,11 +177,11 @@ def family_p(found: Scores, rows: Sequence[Label], scatter_freedom: Mapping[str,
         return 1.0
     unit, signed = found.unit[:, seen], found.signed[seen]
     rng = np.random.default_rng(seed)
-    kinds = [row.kind for row in rows]
+    kinds = [row.kind for row in labelled.rows]
     blocks = {kind: np.flatnonzero([k == kind for k in kinds]) for kind in dict.fromkeys(kinds)}
     drawn = np.zeros((unit.shape[1], RULES.draws))
     for kind, index in (*blocks.items(), ("", np.arange(len(kinds), len(unit)))):
-        freedom = scatter_freedom.get(kind, np.inf)
+        freedom = labelled.scatter_freedom.get(kind, np.inf)
         factor = (
             np.sqrt(freedom / rng.chisquare(freedom, RULES.draws)) if np.isfinite(freedom) else np.ones(RULES.draws)
         )

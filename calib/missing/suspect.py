@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -11,7 +11,7 @@ import pandas as pd
 from calib.freedom import LEAST_FREEDOM, chance, hat_root
 from calib.missing.goodness import Fit, Layout, goodness, overall
 from calib.missing.rules import RULES
-from calib.problem import Label
+from calib.problem import Label, Labelled
 
 COLUMNS = ("what", "kind", "rows", "chi2", "freedom", "p", "p_fit_without", "explains")
 LEVEL = 0.01
@@ -87,9 +87,7 @@ def data_of(rows: Sequence[Label]) -> tuple[Datum, ...]:
 
 def suspects(
     fit: Optimum,
-    rows: Sequence[Label],
-    fitted_factors: Mapping[tuple[str, str], int],
-    scatter_freedom: Mapping[str, float],
+    labelled: Labelled,
     level: float = LEVEL,
 ) -> pd.DataFrame:
     """Leave out every datum in turn, where the fit as a whole fails, and tell which of them alone is to blame.
@@ -107,8 +105,8 @@ def suspects(
     ----------
     fit : Optimum
         Nothing is accused by one that has not converged.
-    rows, fitted_factors, scatter_freedom
-        As in `calib.missing.goodness.goodness`.
+    labelled : Labelled
+        Whose residual it is.
     level : float
         Also of goodness of fit.
 
@@ -118,10 +116,10 @@ def suspects(
         `COLUMNS`, the largest decrease first within those that explain, and those first; empty when everything fits
         and without a converged fit.
     """
-    if not fit.converged or overall(*goodness(fit, rows, fitted_factors, scatter_freedom)) > level:
+    if not fit.converged or overall(*goodness(fit, labelled)) > level:
         return pd.DataFrame(columns=list(COLUMNS))
-    e, root, data = np.asarray(fit.residual, dtype=float), hat_root(fit.slope, fit.prior_sd), data_of(rows)
-    layout = Layout.of(rows, fitted_factors, scatter_freedom)
+    e, root, data = np.asarray(fit.residual, dtype=float), hat_root(fit.slope, fit.prior_sd), data_of(labelled.rows)
+    layout = Layout.of(labelled)
     size, behind = np.bincount(layout.which), layout.scatter[layout.kind_of][layout.which]
     asked: list[_LeftOut] = []
     for datum in data:

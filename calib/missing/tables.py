@@ -13,6 +13,7 @@ from calib.effect import Effect
 from calib.missing.alike import Group
 from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, posterior, rescaled
 from calib.missing.findings import Findings, Trial
+from calib.missing.local import WIDE
 from calib.missing.plausible import strain
 from calib.missing.rules import RULES
 from calib.missing.score import correlation
@@ -75,13 +76,13 @@ def effects_table(
         }  # fmt: skip
         factors = {"ln_bayes": 1.0, "ln_bayes_third": 1 / 3, "ln_bayes_triple": 3.0}
         if trial is None:
-            own = [j for j, owner in enumerate(named.owners) if owner == e.name]
+            own = named.of(e.name)
             for column, factor in factors.items():
                 width = np.full(len(own), factor * e.plausible)
                 row[column] = float(np.max(ln_bayes_linear(named.strength[own], named.size[own], width)))
         else:
-            phi, std = strength_of(trial, e.name)
-            low, high = intervals.get(e.name, (phi - 1.96 * std, phi + 1.96 * std))
+            phi, std = trial.strength(e.name)
+            low, high = intervals.get(e.name, (phi - WIDE * std, phi + WIDE * std))
             p = e.strength
             row |= {"phi": phi, "phi_low": max(low, p.lower), "phi_high": min(high, p.upper)}
             for column, factor in factors.items():
@@ -113,12 +114,6 @@ def _untested(e: Effect) -> dict[str, object]:
     return row | {"visible": False, "refitted": False, "credible": False, "confounded_with": "", "stands_for": ""}
 
 
-def strength_of(trial: Trial, name: str) -> tuple[float, float]:
-    """Fitted strength of an effect and its linearised standard deviation."""
-    k = trial.state.names.index(name)
-    return trial.state.values[name], float(np.sqrt(trial.state.covariance[k, k]))
-
-
 def confounded_with(found: Findings, name: str) -> list[str]:
     """Effects alike beyond `Rules.confounded`, or that at its fitted strength odds of 20:1 cannot tell apart."""
     named = found.base_check.named
@@ -127,7 +122,7 @@ def confounded_with(found: Findings, name: str) -> list[str]:
     rho = correlation(named, columns)[names.index(name)]
     trial = next((t for t in found.singles if t.names == (name,)), None)
     k = named.best(name)
-    strength = 0.0 if trial is None else strength_of(trial, name)[0] * float(named.size[k])
+    strength = 0.0 if trial is None else trial.strength(name)[0] * float(named.size[k])
     out = []
     for other, r in zip(names, rho, strict=True):
         told_apart = expected_ln_bayes(strength, float(r)) >= RULES.credible

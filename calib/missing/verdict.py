@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import pandas as pd
 
 from calib.effect import Effect
 from calib.missing.findings import Check, Findings
 from calib.missing.held_out import contradicting
-from calib.missing.local import local_change
+from calib.missing.local import WIDE, local_change, unit_words
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
 
@@ -120,7 +120,7 @@ def _noise(found: Findings, effects: pd.DataFrame) -> list[str]:
 
 def _strength(effects: pd.DataFrame, name: str) -> str:
     row = effects[effects["name"] == name].iloc[0]
-    unit = "" if row["unit"] == "-" else f" {row['unit']}"
+    unit = unit_words(row["unit"])
     if not row["refitted"]:
         return f"whose fingerprint is that of {str(row['confounded_with']).split(', ')[0]}"
     return f"{row['phi']:.3g}{unit} (95 %: {row['phi_low']:.3g} to {row['phi_high']:.3g}{unit})"
@@ -210,14 +210,12 @@ def _indistinguishable(found: Findings, effects: pd.DataFrame) -> list[str]:
 
 def _two(found: Findings, effects: pd.DataFrame) -> list[str]:
     assert found.chosen is not None
-    values: Mapping[str, float] = found.chosen.state.values
     told = []
     alike = {e.name: _others_alike(found, e.name) for e in found.chosen.effects}
     for e in found.chosen.effects:
-        k = found.chosen.state.names.index(e.name)
-        std = float(found.chosen.state.covariance[k, k]) ** 0.5
-        unit = "" if e.strength.unit == "-" else f" {e.strength.unit}"
-        told.append(f"{_titled(effects, e.name, alike[e.name])}, {values[e.name]:.3g} +- {1.96 * std:.2g}{unit} (95 %)")
+        value, std = found.chosen.strength(e.name)
+        size = f"{value:.3g} +- {WIDE * std:.2g}{unit_words(e.strength.unit)} (95 %)"
+        told.append(f"{_titled(effects, e.name, alike[e.name])}, {size}")
     return [
         f"Two effects are missing: {_family(found)}, and no single effect leaves nothing organised.",
         "Best explanation: " + " together with ".join(told) + ".",
@@ -380,7 +378,7 @@ def _unseen(effects: pd.DataFrame, chosen: Sequence[str]) -> list[str]:
     told, blind = [], ~effects["visible"].astype(bool) & ~effects["name"].isin(chosen)
     untested = effects["implausible"] == UNTESTED
     for row in effects[blind & ~untested & effects["phi_min"].notna()].to_dict("records"):
-        unit, least = "" if row["unit"] == "-" else f" {row['unit']}", float(row["phi_min"])
+        unit, least = unit_words(str(row["unit"])), float(row["phi_min"])
         possible = least <= float(row["largest"])
         told.append(
             f"{row['name']} below {rounded(least)}{unit}" if possible else f"{row['name']} of any possible strength"

@@ -30,7 +30,7 @@ def smallest_visible(found: Scores, name: str) -> float:
 
     To first order; see `visible_within_limits` for effects that grow faster than that.
     """
-    own = [k for k, owner in enumerate(found.owners) if owner == name and found.size[k] > 0]
+    own = [k for k in found.of(name) if found.size[k] > 0]
     return min((max(RULES.detectable / float(found.size[k]), float(found.onset[k])) for k in own), default=math.inf)
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-
 import numpy as np
 import pandas as pd
 
@@ -12,11 +9,11 @@ from calib.errors import EvaluationError
 from calib.missing.evidence import ln_evidence, ln_wrong
 from calib.missing.findings import Trial, WrongDatum
 from calib.missing.goodness import goodness, overall
-from calib.missing.hypotheses import Question
+from calib.missing.hypotheses import Altered
 from calib.missing.refits import Refits, near_to
 from calib.missing.state import FINE, fitted
 from calib.missing.suspect import data_of
-from calib.space import ParameterSpace
+from calib.problem import Rows
 
 
 def wrong_datum(fits: Refits, base: Trial, accused: pd.DataFrame, best: Trial) -> WrongDatum | None:
@@ -49,36 +46,14 @@ def wrong_datum(fits: Refits, base: Trial, accused: pd.DataFrame, best: Trial) -
     question = fits.question(())
     fits.progress(f"fitting without {first['what']}")
     try:
-        rest = fitted(_Part(question, kept), (), base.state.values, settings=fits.affordable(FINE))
+        rest = fitted(Altered(question, kept=kept), (), base.state.values, settings=fits.affordable(FINE))
         difference = question.residual(rest.values)[gone]
         slope = question.jacobian(rest.values, rest.names)[gone]
     except EvaluationError:
         return None
-    others = [h.rows[k] for k in kept]
-    p_fit = overall(*goodness(rest, others, h.fitted_factors, h.scatter_freedom))
+    p_fit = overall(*goodness(rest, Rows.of(h, kept)))
     if p_fit <= fits.settings.alpha:
         return None
     covariance = np.eye(len(gone)) + slope @ rest.covariance @ slope.T
     ln = ln_evidence(rest, ()) + ln_wrong(difference, covariance)
     return WrongDatum(str(first["what"]), str(first["kind"]), ln, p_fit)
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """A question about some of the rows, (n_kept,)."""
-
-    inner: Question
-    kept: np.ndarray
-
-    @property
-    def space(self) -> ParameterSpace:
-        """That of the question."""
-        return self.inner.space
-
-    def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """Whitened residual, (n_kept,)."""
-        return self.inner.residual(values)[self.kept]
-
-    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Its derivative, (n_kept, n_params)."""
-        return self.inner.jacobian(values, names)[self.kept]

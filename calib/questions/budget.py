@@ -8,11 +8,12 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
+from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
 from calib.missing.score import scores
 from calib.missing.state import State, fitted
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModelHypotheses
 from calib.questions.prospects import imagined_measurement
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
@@ -54,12 +55,12 @@ class Budget:
         return f"{told}, more than {ALLOWED:g}: refine the mesh before you believe a verdict."
 
 
-def discretisation_budget(hypotheses: ModalHypotheses, state: State, finer: StructuralModel) -> Budget:
+def discretisation_budget(hypotheses: ModelHypotheses[ModalResidual], state: State, finer: StructuralModel) -> Budget:
     """Fit the base model to the noise-free modes of a finer mesh, and score everything.
 
     Parameters
     ----------
-    hypotheses : ModalHypotheses
+    hypotheses : ModelHypotheses
     state : State
         The base model, fitted to the measurement: the finer mesh takes its values.
     finer : StructuralModel
@@ -71,16 +72,19 @@ def discretisation_budget(hypotheses: ModalHypotheses, state: State, finer: Stru
         When the finer model lacks a parameter, cannot be solved, or does not have the modes that were measured.
     """
     try:
-        modes = finer.modes({n: state.values[n] for n in finer.space.names}, hypotheses.problem.mode_count)
+        modes = finer.modes({n: state.values[n] for n in finer.space.names}, hypotheses.pair.problem.mode_count)
     except (KeyError, EvaluationError) as fault:
         raise InputError(f"the finer model cannot be solved ({fault})", place="finer_options") from None
-    return budget_of(hypotheses, state, modes, finer.sensor_rows(hypotheses.problem.measured.sensors) @ modes.shapes)
+    rows = finer.sensor_rows(hypotheses.pair.problem.measured.sensors)
+    return budget_of(hypotheses, state, modes, rows @ modes.shapes)
 
 
-def budget_of(hypotheses: ModalHypotheses, state: State, modes: Modes, sensor_shapes: np.ndarray) -> Budget:
+def budget_of(
+    hypotheses: ModelHypotheses[ModalResidual], state: State, modes: Modes, sensor_shapes: np.ndarray
+) -> Budget:
     """The budget of a twin without noise, given by its modes and their shapes at the sensors, (n_sensors, n_modes)."""
     question = hypotheses.question(())
-    found, measured = question.at(state.values), hypotheses.problem.measured
+    found, measured = question.at(state.values), hypotheses.pair.problem.measured
     paired = found.pairing.paired
     names = tuple(measured.names[i] for i in paired)
     similar = mac(found.sensor_shapes[:, found.pairing.model_index[paired]], sensor_shapes)
@@ -89,15 +93,15 @@ def budget_of(hypotheses: ModalHypotheses, state: State, modes: Modes, sensor_sh
         raise InputError("the finer model does not have the modes that were measured", place="finer_options")
     shapes = sensor_shapes[:, which] / np.abs(sensor_shapes[:, which]).max(axis=0)
     twin = imagined_measurement(measured, question.pair.scatter, names, modes, which.tolist(), measured.sensors, shapes)
-    problem = hypotheses.problem
+    problem = hypotheses.pair.problem
     clusters = {m: c for m, c in problem.mode_clusters.items() if m in names}
     imagined = replace(problem, measured=twin, mode_clusters=clusters, override={}, reference=state.values)
-    floors = replace(hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)  # they are in the scatter already
+    floors = replace(hypotheses.pair.floors, freq=0.0, damping=0.0, shape=0.0)  # they are in the scatter already
     # Priors about the twin's own values: they would pull the fit away from it and look like an error of the mesh.
     space = hypotheses.space
     for p in space.free:
         space = space.replace(p.name, value=state.values[p.name])
-    asked = ModalHypotheses(imagined, hypotheses.variants, space, floors)
+    asked = ModelHypotheses(ModalResidual(imagined, floors), hypotheses.variants, space)
     base = fitted(asked.question(()), (), state.values)
     rows: list[tuple[str, str, float]] = []
     for kind, candidates in (("effect", asked.effects), ("local change", asked.atoms)):

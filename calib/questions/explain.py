@@ -13,8 +13,11 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.problem import FunctionProblem
+from calib.correlation.residual import ModalResidual
+from calib.correlation.response_residual import ResponseResidual
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
+from calib.function import FunctionModel
 from calib.inference.left_out import left_out
 from calib.joint import TEST
 from calib.loading import with_effects
@@ -25,7 +28,7 @@ from calib.missing.advice import COLUMNS as ADVICE_COLUMNS
 from calib.missing.advice import advice_sentence, advise
 from calib.missing.findings import Findings, Trial
 from calib.missing.held_out import contradicting
-from calib.missing.hypotheses import Hypotheses, Scaled
+from calib.missing.hypotheses import Altered, Hypotheses
 from calib.missing.profile import profile_interval
 from calib.missing.rules import RULES
 from calib.missing.suspect import sentence as suspect_sentence
@@ -40,19 +43,23 @@ from calib.missing.verdict import misfit_at, sentences
 from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.outcome import as_cause, failure
 from calib.questions.explained_fit import TABLE, explained_fits
-from calib.questions.explanation import Explanation, summary
+from calib.questions.explanation import Explanation, Told, summary
 from calib.questions.failures import SHOWN, reasons
+from calib.questions.function_hypotheses import function_hypotheses
 from calib.questions.joint_side import JointSide, together
-from calib.questions.library import local_changes
+from calib.questions.library import local_changes, modal_hypotheses
 from calib.questions.modal_side import ModalSide
 from calib.questions.plain_side import PlainSide
 from calib.questions.record import begin_answer, write_record
+from calib.questions.reduction import worthwhile
 from calib.questions.side import Side
 from calib.questions.state import ADDED
+from calib.questions.verify import withheld_targets
 from calib.results import Results
 from calib.settings import ExplainSettings
 from calib.several import AnyStudy
 from calib.structure.atoms import Atom
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.study import Study
 
@@ -112,9 +119,17 @@ def explain(
 
 def side_of(study: Study, home: Results, progress: Progress, local: tuple[Atom, ...] | None = None) -> Side:
     """What a study's test asks; ``local`` changes are by default those of its own."""
-    if isinstance(study.problem, FunctionProblem):
-        return PlainSide.of(study)
-    return ModalSide.of(study, home, progress, local)
+    problem, told, space = study.problem, Told.of(study), study.search_space.without(study.condition)
+    if isinstance(problem, FunctionProblem):
+        assert isinstance(study.model, FunctionModel)
+        pair = ResponseResidual(problem)
+        plain, asked = function_hypotheses(study.model, pair, study.candidates, space, study.test)
+        return PlainSide(plain, asked, told, withheld_targets(study))
+    if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
+        modal, asked = function_hypotheses(problem.model, ModalResidual(problem), study.candidates, space, study.test)
+    else:
+        modal, asked = modal_hypotheses(study, home, progress, local)
+    return ModalSide(modal, asked, told, study.whole_problem(), study.finer_model, worthwhile(study))
 
 
 def _local(study: AnyStudy) -> dict[str, tuple[Atom, ...]]:
@@ -198,8 +213,8 @@ def answered(side: Side, found: Findings, progress: Progress, started: float) ->
     progress("what the discretisation alone would look like")
     budget = side.budget(found)
     notes = [*([] if budget is None else [budget.sentence]), *side.notes(), *more_notes]
-    h, told = side.hypotheses, side.told
-    accuracy = less_accurate(found, h.rows, side.relative_std, h.fitted_factors, h.scatter_freedom, told.seed)
+    told = side.told
+    accuracy = less_accurate(found, side.hypotheses, side.relative_std, told.seed)
     rests = f"All this rests on an assumed scatter: {told.assumed}." if told.assumed else ""
     more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy), rests)
     words = (*sentences(found, effects, errors, advice, told.disagreements), *filter(None, more))
@@ -253,7 +268,7 @@ def _confirmed(side: Side, found: Findings) -> tuple[Findings, pd.DataFrame, lis
 def _untested(side: Side, found: Findings) -> list[Effect]:
     """Effects with which the model could not be solved, at no strength or at none of their grid."""
     scores = found.base_check.named
-    absorbed = {n for n in scores.owners if not scores.size[[k for k, o in enumerate(scores.owners) if o == n]].any()}
+    absorbed = {n for n in scores.owners if not scores.size[scores.of(n)].any()}
     tested = {name for group in found.groups for name in group.names} - (absorbed & side.failing())
     return [e for e in side.hypotheses.effects if e.name not in tested]
 
@@ -270,8 +285,7 @@ def _visible(side: Side, found: Findings) -> dict[str, float]:
         first, fit = smallest_visible(found.base_check.named, effect.name), fits.get(effect.name)
         seen = fit is not None and found.ln_bayes(fit) > RULES.credible and abs(fit.state.values[effect.name]) < first
         if seen or (not effect.nuisance and first > effect.plausible):
-            inner = side.hypotheses.question((effect.name,))
-            question = inner if found.noise_scale == 1.0 else Scaled(inner, found.noise_scale)
+            question = Altered(side.hypotheses.question((effect.name,)), found.noise_scale)
             nuisance = {q.name: fit.state.values[q.name] if fit else q.value for q in effect.nuisance}
             within = visible_within_limits(question, state, effect, nuisance)
             out[effect.name] = np.fmin(first, within) if seen else within

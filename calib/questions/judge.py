@@ -284,12 +284,12 @@ def _judged(
     else:
         vector, slope = problem.residual(values), problem.jacobian(values, names)
     held = problem.jacobian(values, tuple(taken)) * list(taken.values()) if taken else None
-    prior_sd, factors = np.array([space[n].prior_width for n in names]), problem.fitted_factors
+    prior_sd = np.array([space[n].prior_width for n in names])
     misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
-    freedom = effective_freedom(slope, prior_sd, sum(factors.values()))
+    freedom = effective_freedom(slope, prior_sd, sum(problem.fitted_factors.values()))
     converged = fit is not None and fit.converged
     at = _Fitted(vector, slope, prior_sd, converged)
-    kinds, modes = goodness(at, problem.rows, factors, problem.scatter_freedom)
+    kinds, modes = goodness(at, problem)
     p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, alpha)
     whole = {
         name: whole_number_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
@@ -297,7 +297,7 @@ def _judged(
     }
     identification = identify(space, names, slope, values=values, held=held, birge=birge)
     predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
-    suspected = suspects(at, problem.rows, factors, problem.scatter_freedom, alpha)
+    suspected = suspects(at, problem, alpha)
     return Judgement(
         values=values, misfit=misfit, prior_misfit=float(own @ own), freedom=freedom, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,

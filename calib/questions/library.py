@@ -9,11 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from calib.correlation.problem import ModalProblem
-from calib.correlation.scatter import Floors
+from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
 from calib.measurement.modal import MeasuredModes
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModelHypotheses
 from calib.questions.reduction import Wanted, reduction_of, training, worthwhile
 from calib.results import Results
 from calib.space import ParameterSpace
@@ -52,7 +52,7 @@ def modal_hypotheses(
     results: Results,
     progress: Callable[[str], None] = lambda words: None,
     local: tuple[Atom, ...] | None = None,
-) -> tuple[ModalHypotheses, tuple[Atom, ...]]:
+) -> tuple[ModelHypotheses[ModalResidual], tuple[Atom, ...]]:
     """Hypotheses of a study whose model has modes, and its local changes; by default those of its own test.
 
     A basis trained before is taken from the results' folder.
@@ -77,7 +77,7 @@ def modal_hypotheses(
             with contextlib.suppress(ToleranceError):  # then the full model is asked, and `ModalSide` says so
                 basis = kept_basis(model, space, effects, plain, wanted, results.path, search_basis)
     variants = Variants(model, effects, plain, basis)
-    return ModalHypotheses(problem, variants, study.search_space.without(study.condition), Floors()), local
+    return ModelHypotheses(ModalResidual(problem), variants, study.search_space.without(study.condition)), local
 
 
 def kept_basis(

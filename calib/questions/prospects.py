@@ -23,7 +23,7 @@ from calib.missing.rivals import Rival, Rivals
 from calib.missing.score import Scores
 from calib.missing.state import State
 from calib.problem import Problem
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModelHypotheses
 from calib.structure.modes import Modes
 
 PLACES = 40
@@ -48,7 +48,7 @@ BENCH = 0.03
 
 
 def modal_prospects(
-    hypotheses: ModalHypotheses,
+    hypotheses: ModelHypotheses[ModalResidual],
     believed: Sequence[Trial],
     effects: Sequence[Effect],
     found: Scores,
@@ -66,7 +66,7 @@ def modal_prospects(
 
     Parameters
     ----------
-    hypotheses : ModalHypotheses
+    hypotheses : ModelHypotheses
     believed : sequence of Trial
         The model taken for true, or two that the data cannot tell apart.
     effects : sequence of Effect
@@ -100,7 +100,7 @@ def modal_prospects(
 
 
 def _options(
-    hypotheses: ModalHypotheses,
+    hypotheses: ModelHypotheses[ModalResidual],
     state: State,
     imagined: _Imagined,
     labels: Sequence[Row],
@@ -206,10 +206,10 @@ def imagined_measurement(
 class _Imagined:
     """A measurement without error of the fitted model, with more sensors and more modes."""
 
-    def __init__(self, hypotheses: ModalHypotheses, state: State, withheld: Mapping[str, float]):
+    def __init__(self, hypotheses: ModelHypotheses[ModalResidual], state: State, withheld: Mapping[str, float]):
         question = hypotheses.question(state.effects)
         self.hypotheses, self.found = hypotheses, question.at(state.values)
-        problem, measured = hypotheses.problem, hypotheses.problem.measured
+        problem, measured = hypotheses.pair.problem, hypotheses.pair.problem.measured
         self.scatter = question.pair.scatter
         self.sensors = measured.sensors
         index = self.found.pairing.model_index
@@ -252,7 +252,7 @@ class _Imagined:
         return True
 
     def _measurement(self) -> MeasuredModes:
-        modes, cols, known = self.found.modes, self.columns, self.hypotheses.problem.measured
+        modes, cols, known = self.found.modes, self.columns, self.hypotheses.pair.problem.measured
         shapes = np.zeros((0, len(cols)), dtype=complex)
         if known.has_shapes:
             model = self.found.model
@@ -280,7 +280,7 @@ class _Imagined:
                 base=None,
                 threshold=0.05,
             )
-            floors = replace(self.hypotheses.floors, freq=0.0, damping=0.0, shape=0.0)
+            floors = replace(self.hypotheses.pair.floors, freq=0.0, damping=0.0, shape=0.0)
             # Scale and phase come from the sensors that are there: what others would see is predicted.
             residual = ModalResidual(imagined, floors, factor_sensors=tuple(s.name for s in self.sensors))
             self._questions[effects] = replace(asked, pair=residual)

@@ -77,12 +77,32 @@ class ModeDerivatives:
     regular: np.ndarray
 
 
-def dissipates(model: DifferentiableModel) -> bool:
-    """Whether a model has damping at its adopted values, or would have some with another parameter."""
-    values = model.space.values
-    # Derivatives only where they are needed: some matrices have none at 0.
-    slopes = (model.matrix_derivatives(values, name) for name in model.space.names)
-    return _has_entries(model.matrices(values)[1]) or any(_has_entries(damping) for _, damping, _ in slopes)
+class Analytic:
+    """What of a `calib.structure.modal_model.ModalModel` follows from matrices and their derivatives, of any type."""
+
+    @property
+    def dissipates(self: DifferentiableModel) -> bool:
+        """Whether its modes are damped at the adopted values, or would be with another parameter."""
+        values = self.space.values
+        # Derivatives only where they are needed: some matrices have none at 0.
+        slopes = (self.matrix_derivatives(values, name) for name in self.space.names)
+        return _has_entries(self.matrices(values)[1]) or any(_has_entries(damping) for _, damping, _ in slopes)
+
+    def derivatives(
+        self: DifferentiableModel,
+        values: Mapping[str, float],
+        modes: Modes,
+        names: Sequence[str],
+        which: Sequence[int] | np.ndarray,
+        rows: np.ndarray,
+        at: Callable[[Mapping[str, float]], Modes] | None = None,
+    ) -> ModeDerivatives:
+        """Analytic derivatives of some modes, for which no further point is solved; see `mode_derivatives`."""
+        return mode_derivatives(self, values, modes, names, which, rows)
+
+    def weighted(self: DifferentiableModel, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
+        """Shapes times the mass matrix, (n_dof, n_modes): the weight in which they are orthogonal."""
+        return np.asarray(self.matrices(values)[2] @ shapes)
 
 
 def eigenvalues(modes: Modes) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -29,7 +29,6 @@ def followed_derivatives(
     which: Sequence[int] | np.ndarray,
     rows: np.ndarray,
     step: float,
-    optional: Collection[str] = (),
 ) -> ModeDerivatives:
     """Central differences of modes, each followed to both ends by its MAC, so that modes may cross on the way.
 
@@ -57,13 +56,11 @@ def followed_derivatives(
         Motions wanted of the shapes.
     step : float
         Half a difference, over the range between the limits.
-    optional : collection of str
-        Parameters along which a model that fails on both sides has the derivative 0.
 
     Raises
     ------
     EvaluationError
-        When the model fails on both sides of the point along one of the other parameters.
+        When the model fails on both sides of the point along one of the parameters.
     """
     chosen = np.asarray(which, dtype=int)
     complete = space.complete(dict(values))
@@ -72,12 +69,7 @@ def followed_derivatives(
     shapes = np.zeros((len(names), len(rows), len(chosen)), dtype=kind)
     for q, name in enumerate(names if len(chosen) else ()):
         path = _Path(at, modes, chosen, complete)
-        try:
-            slope = difference(path.vector, complete, space[name], step).reshape(-1, 2, len(chosen))
-        except EvaluationError:
-            if name not in optional:
-                raise
-            continue
+        slope = difference(path.vector, complete, space[name], step).reshape(-1, 2, len(chosen))
         moved = np.nan_to_num(slope[:, 0] + 1j * slope[:, 1])
         root[q] = moved[0]
         change = np.where(path.smooth, moved[1:], 0.0)

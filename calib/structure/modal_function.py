@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from calib.errors import EvaluationError, InputError
+from calib.errors import EvaluationError, InputError, again
 from calib.fingerprint import digest_of
 from calib.given import objects, whole
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -55,10 +55,7 @@ class Memory:
             self._found[key] = function, answer  # with the function, so that no other one gets its identity
         known = self._found[key][1]
         if isinstance(known, EvaluationError):
-            again = EvaluationError(*known.args)
-            for note in getattr(known, "__notes__", ()):
-                again.add_note(note)
-            raise again
+            raise again(known)
         return known
 
 
@@ -210,12 +207,7 @@ class ModalFunctionModel:
         def solved(there: Mapping[str, float]) -> Modes:
             return self.modes(there, self.n_modes)
 
-        optional = self._optional(values)
-        return followed_derivatives(at or solved, self.space, values, modes, names, which, rows, self.step, optional)
-
-    def _optional(self, values: Mapping[str, float]) -> Collection[str]:
-        """Parameters along which the function may fail, and has then the derivative 0."""
-        return ()
+        return followed_derivatives(at or solved, self.space, values, modes, names, which, rows, self.step)
 
     def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
         """The shapes themselves: without a mass every sensor weighs the same."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,7 +15,7 @@ from calib.errors import InputError
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial
-from calib.structure.derivatives import ModeDerivatives, dissipates, mode_derivatives
+from calib.structure.derivatives import Analytic
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
 from calib.structure.matrices import DofTable, Terms, affine, pairs, require_mass, require_used
@@ -60,7 +60,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class StructuralModel:
+class StructuralModel(Analytic):
     """A finite-element model that is affine in functions of named parameters.
 
     Attributes
@@ -202,11 +202,6 @@ class StructuralModel:
         return not self.damping.is_zero
 
     @property
-    def dissipates(self) -> bool:
-        """Whether its modes are damped at the adopted values, or would be with another parameter."""
-        return dissipates(self)
-
-    @property
     def fingerprint(self) -> str:
         """Hash over matrices and their coefficients; changes whenever an evaluation could."""
         digest = hashlib.sha256()
@@ -242,22 +237,6 @@ class StructuralModel:
         """
         k, c, m = self.matrices(values)
         return solve_modes(k, c if self.is_damped else None, m, count, rotational=self.dofs.direction >= 3)
-
-    def derivatives(
-        self,
-        values: Mapping[str, float],
-        modes: Modes,
-        names: Sequence[str],
-        which: Sequence[int] | np.ndarray,
-        rows: np.ndarray,
-        at: Callable[[Mapping[str, float]], Modes] | None = None,
-    ) -> ModeDerivatives:
-        """Analytic derivatives of some modes, for which no further point is solved; see `mode_derivatives`."""
-        return mode_derivatives(self, values, modes, names, which, rows)
-
-    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """Shapes times the mass matrix, (n_dof, n_modes): the weight in which they are orthogonal."""
-        return self.matrices(values)[2] @ shapes
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
         """Motion at the sensors over the free degrees of freedom, shape (n_sensors, n_dof).

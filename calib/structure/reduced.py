@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,7 @@ from calib.measurement.modal import Sensor
 from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix
 from calib.structure.basis import Basis
-from calib.structure.derivatives import ModeDerivatives, dissipates, mode_derivatives
+from calib.structure.derivatives import Analytic
 from calib.structure.energy import shares_of, strain_energy
 from calib.structure.extend import extend
 from calib.structure.geometry import Mesh
@@ -31,7 +31,7 @@ from calib.structure.solve_dense import solve_dense
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedModel:
+class ReducedModel(Analytic):
     """A structural model whose shapes are confined to a basis; a `ModalModel` whose degrees of freedom are its vectors.
 
     Frequencies are those of the full model to within the square of what the basis cannot represent of the shapes
@@ -125,11 +125,6 @@ class ReducedModel:
         return self.model.is_damped
 
     @property
-    def dissipates(self) -> bool:
-        """Whether its modes are damped at the adopted values, or would be with another parameter."""
-        return dissipates(self)
-
-    @property
     def roots(self) -> frozenset[str]:
         """Those of the full model."""
         return self.model.roots
@@ -184,22 +179,6 @@ class ReducedModel:
             return float(abs(np.vdot(shape, self._turning_mass(si) @ shape)) / total) if total > 0 else 0.0
 
         return solve_dense(stiffness, damping, mass, count, turning)
-
-    def derivatives(
-        self,
-        values: Mapping[str, float],
-        modes: Modes,
-        names: Sequence[str],
-        which: Sequence[int] | np.ndarray,
-        rows: np.ndarray,
-        at: Callable[[Mapping[str, float]], Modes] | None = None,
-    ) -> ModeDerivatives:
-        """Analytic derivatives of some modes, for which no further point is solved; see `mode_derivatives`."""
-        return mode_derivatives(self, values, modes, names, which, rows)
-
-    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """Shapes times the mass matrix, (size, n_modes)."""
-        return self.matrices(values)[2] @ shapes
 
     def lift(self, shapes: np.ndarray) -> np.ndarray:
         """Shapes over the full model's degrees of freedom, (n_full, n_modes), from those over the basis."""

@@ -41,6 +41,21 @@ class Variants:
         """Degrees of freedom that each effect adds."""
         return {e.name: addition_of(self.model, e).n_added for e in self.effects}
 
+    @property
+    def calls(self) -> None:
+        """None: no function of the user's is asked."""
+        return
+
+    @property
+    def unproven(self) -> tuple[str, ...]:
+        """None: a term of strength 0 changes nothing."""
+        return ()
+
+    def built(self, names: Sequence[str]) -> StructuralModel:
+        """The base model with the named effects and local changes alone, at full order."""
+        own = [e for e in (*self.effects, *self.atoms) if e.name in names]
+        return extend(self.model, own) if own else self.model
+
     def added(self, names: Sequence[str]) -> int:
         """Degrees of freedom that the named effects add together."""
         return sum(self._added.get(name, 0) for name in names)

@@ -25,10 +25,12 @@ from dataclasses import replace
 import numpy as np
 from rates_subject import ROOT
 
+from calib.correlation.problem import FunctionProblem
+from calib.correlation.response_residual import ResponseResidual
 from calib.function import FunctionModel
 from calib.loading import module_of
 from calib.missing.explain import Settings, explain
-from calib.questions.function_hypotheses import FunctionHypotheses
+from calib.questions.function_hypotheses import function_hypotheses
 from calib.space import ParameterSpace
 from calib.study import Study
 
@@ -65,7 +67,8 @@ def main() -> None:
             targets = twin.measure(faulty(exact, name, rng), rng)
             repeats = study.settings.measurement.repeats
             library = tuple(e for e in study.candidates if not (given.outside and e.name == name))
-            asked = FunctionHypotheses(model, targets, space, library, repeats=repeats)
+            pair = ResponseResidual(FunctionProblem(model.space, model.function, targets, "", repeats))
+            asked, _ = function_hypotheses(model, pair, library, space)
             found = explain(asked, Settings(budget=np.inf))
             counts[_outcome(found.verdict, found.untold, truth_of(name))] += 1
             calls.append(found.evaluations)

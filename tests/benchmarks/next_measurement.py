@@ -43,7 +43,7 @@ from calib.missing.findings import Findings, Trial
 from calib.missing.option import Option
 from calib.missing.refits import DEFAULT, Refits
 from calib.missing.rivals import sharpness
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModelHypotheses
 from calib.questions.prospects import modal_prospects
 
 
@@ -84,7 +84,7 @@ def run(twin: Twin) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def refitted(found: Findings, hypotheses: ModalHypotheses, names: Sequence[str]) -> list[Trial]:
+def refitted(found: Findings, hypotheses: ModelHypotheses, names: Sequence[str]) -> list[Trial]:
     """Fits with each of the two effects to the end, in the order of the names.
 
     One that the decision did not fit begins at a third of its plausible size, well inside its range: at 0 an effect
@@ -97,7 +97,7 @@ def refitted(found: Findings, hypotheses: ModalHypotheses, names: Sequence[str])
     return [fits.trial((name,), starts[name], whole=1) for name in names]
 
 
-def measured_next(twin: Twin, first: ModalHypotheses, trial: Trial, option: Option) -> ModalHypotheses:
+def measured_next(twin: Twin, first: ModelHypotheses, trial: Trial, option: Option) -> ModelHypotheses:
     """What was measured together with what the option adds."""
     case, space, extra, repeats = twin.case, first.space, [], REPEATS
     held = list(case.modes)

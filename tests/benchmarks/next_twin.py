@@ -12,8 +12,9 @@ from next_subject import Case
 from rates_scenarios import OWN
 from rates_world import World
 
+from calib.correlation.residual import ModalResidual
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModelHypotheses
 from calib.space import ParameterSpace
 
 REPEATS = 5
@@ -82,7 +83,7 @@ class Twin:
         both = [sum(part[i] for part in parts) / math.sqrt(repeats) for i in range(3)]
         return both[0][0], both[0][1], np.concatenate(both[1:]) @ np.array([1.0, 1.0j])
 
-    def hypotheses(self, measured: MeasuredModes, space: ParameterSpace | None = None) -> ModalHypotheses:
+    def hypotheses(self, measured: MeasuredModes, space: ParameterSpace | None = None) -> ModelHypotheses:
         """The question of the blind studies, asked of what was measured."""
         problem = self.world.specimen.problem(measured, withheld=False)
-        return ModalHypotheses(problem, self.world.libraries[OWN], space or self.world.space)
+        return ModelHypotheses(ModalResidual(problem), self.world.libraries[OWN], space or self.world.space)

@@ -21,6 +21,7 @@ from rates_scenarios import FIFTY, OWN, Scenario, fifty_effects
 from rates_subject import ROOT, Subject
 
 from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import ModalResidual
 from calib.correlation.unused import withheld_errors
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
@@ -30,7 +31,7 @@ from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 from calib.missing.explain import explain
 from calib.missing.findings import Findings
 from calib.missing.profile import profile_interval
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModelHypotheses
 from calib.questions.library import kept_basis
 from calib.questions.reduction import Wanted
 from calib.space import ParameterSpace
@@ -43,8 +44,9 @@ from calib.study import Study
 
 ANSWERING = (
     "calib/missing", "calib/structure", "calib/correlation", "calib/inference", "calib/measurement", "models",
-    "calib/questions/hypotheses.py", "calib/effect.py", "calib/space.py", "calib/mac.py", "calib/limits.py",
-    "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py", "tests/benchmarks/rates_outcome.py",
+    "calib/problem.py", "calib/questions/hypotheses.py", "calib/effect.py", "calib/space.py", "calib/mac.py",
+    "calib/limits.py", "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py",
+    "tests/benchmarks/rates_outcome.py",
 )  # fmt: skip
 _NEAR = 3.0
 """Standard deviations of a draw within which the twin's basis is trained."""
@@ -226,7 +228,9 @@ class World:
             row |= self._truth(scenario, measured)
             removed = measured.hidden if scenario.removed else ()
             problem = self.specimen.problem(measured.whole)
-            hypotheses = ModalHypotheses(problem, self.libraries[scenario.library], self.space, without=removed)
+            hypotheses = ModelHypotheses(
+                ModalResidual(problem), self.libraries[scenario.library], self.space, without=removed
+            )
             found = explain(hypotheses)
             row |= outcome(found, measured)
             if row["outcome"] == "right" and len(measured.hidden) == 1:
@@ -239,7 +243,7 @@ class World:
         hidden = [self.effects[name] for name in measured.hidden]
         problem = self.specimen.problem(measured.clean)
         problem = replace(problem, model=self.specimen.fine, mode_count=self._twin_modes)
-        asked = ModalHypotheses(problem, self.twin, self.space)
+        asked = ModelHypotheses(ModalResidual(problem), self.twin, self.space)
         without = asked.question(()).pair
         size = [
             self.maker.blind.change_seen(without, asked.question((e.name,)).pair, self.space, measured.only(e))
@@ -264,7 +268,7 @@ class World:
             "interval": [low, high], "covers": bool(low <= true <= high),
         }  # fmt: skip
 
-    def _withheld(self, found: Findings, hypotheses: ModalHypotheses, measured: Measured) -> dict[str, Any]:
+    def _withheld(self, found: Findings, hypotheses: ModelHypotheses, measured: Measured) -> dict[str, Any]:
         trial = found.chosen
         assert trial is not None
         out: dict[str, Any] = {}

@@ -49,8 +49,6 @@ def test_modes_and_plain_responses_are_fitted_together(build, twin):
     assert {row.test for row in joint.rows} == {"modes", "scale"} and len(joint.rows) == len(slope)
     kinds, blocks = goodness(
         At(found.residual, found.jacobian, np.array([space[n].prior_width for n in names])),
-        joint.rows,
-        joint.fitted_factors,
-        joint.scatter_freedom,
+        joint,
     )
     assert overall(kinds, blocks) > 0.9 and set(kinds["kind"]) == {row.kind for row in joint.rows}

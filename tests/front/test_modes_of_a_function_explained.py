@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.questions.function_variants import FunctionVariants, modal_function_atoms
+from calib.questions.function_atoms import modal_function_atoms
+from calib.questions.function_variants import FunctionVariants
 from tests.front.cantilever import (
     ADOPTED,
     SENSORS,
@@ -115,6 +116,24 @@ def test_points_at_which_an_effect_fails_are_told():
     test = calib.ModalTest(measured(prop=PROP), mode_count=14)
     why = calib.Problem(as_function(), test).explain([prop, replace(mass, build=build)])
     assert [e.name for e in why.named] == ["prop"]
+    told = why.explanation
+    assert told.figures["failed"] == 2 and any("no convergence with it" in trace for trace in told.traces)
+    row = told.effects.set_index("name").loc["m_mid"]
+    assert not row["visible"] and np.isnan(row["z"]) and "fails" in row["implausible"]
+
+
+def test_the_calls_of_a_function_are_counted_and_none_is_made_twice():
+    asked = []
+
+    def bending(v):
+        asked.append(tuple(sorted(v.items())))
+        return bends(v)
+
+    model = replace(as_function(), function=bending)
+    test = calib.ModalTest(measured(prop=PROP), mode_count=14, held_out=["m3", "2y"])
+    told = calib.Problem(model, test).explain(effects_of_function()).explanation
+    later = told.figures["evaluations_intervals"] + told.figures["evaluations_advice"]
+    assert len(asked) == len(set(asked)) >= told.findings.evaluations + later > 100
 
 
 # -- what may be off by itself -----------------------------------------------------------------------------------------

@@ -7,23 +7,24 @@ import pytest
 
 from calib.missing.accuracy import less_accurate, sentence
 from calib.missing.explain import explain
+from calib.problem import Rows
 
 
 @pytest.mark.parametrize("verdict", ["nothing_detectable", "noise_underestimated"])
 def test_where_nothing_is_missing_no_accuracy_is_asked(verdict):
     found = SimpleNamespace(verdict=verdict, noise_scale=2.0)
-    table = less_accurate(found, (), np.zeros(0), {}, {}, 1)
+    table = less_accurate(found, Rows(()), np.zeros(0), 1)
     assert table.empty and sentence(table) == ""
 
 
 def test_an_accuracy_beyond_the_repeats_is_as_good_as_known(toy):
     """Added to a scatter of a quarter of it, it leaves a fifteenth of the variance to the few repeats."""
-    found = explain(toy().drawn(np.random.default_rng(1), {"E0": 6.0}))
-    rows = found.base.state.question.toy.rows
+    measured = toy().drawn(np.random.default_rng(1), {"E0": 6.0})
+    found, rows = explain(measured), measured.rows
 
     def p_fit(freedom):
         behind = {row.kind: freedom for row in rows}
-        return less_accurate(found, rows, np.full(len(rows), 2.5e-4), {}, behind, 1, (1e-3,))["p_fit"][0]
+        return less_accurate(found, Rows(rows, {}, behind), np.full(len(rows), 2.5e-4), 1, (1e-3,))["p_fit"][0]
 
     few, known = p_fit(4.0), p_fit(np.inf)
     assert known < few < 2 * known < 1e-4

@@ -29,9 +29,7 @@ def test_a_bad_channel_is_no_understated_scatter(made):
     for _ in range(8):
         one = channel(made, rng, 4.0)
         state = one.calibrated()
-        assert (
-            noise_scale(goodness(state, one.rows, {}, {})[1]) > 1.1 * RULES.guard
-        )  # all modes ask for a larger scatter
+        assert noise_scale(goodness(state, one)[1]) > 1.1 * RULES.guard  # all modes ask for a larger scatter
         found = explain(one)
         assert found.credible == () and found.noise_scale == 1.0
         assert found.base_check.sensors["sensor"][0] == BAD
@@ -44,14 +42,14 @@ def test_beside_a_bad_channel_the_factor_is_that_of_all_others(made):
     for _ in range(8):
         one = channel(made, rng, 6.0, 2.0)
         state = one.calibrated()
-        assert lone_sensor(state, one.rows, {}, 0.01) == BAD
-        assert common_scale(state, one.rows, {}, {}, 0.01) == pytest.approx(2.0, rel=0.15)
-        assert noise_scale(goodness(state, one.rows, {}, {})[1]) > 2.5
+        assert lone_sensor(state, one, 0.01) == BAD
+        assert common_scale(state, one, 0.01) == pytest.approx(2.0, rel=0.15)
+        assert noise_scale(goodness(state, one)[1]) > 2.5
 
 
 @pytest.mark.parametrize("noise", [1.0, 2.0])
 def test_where_no_sensor_is_bad_hardly_ever_one_stands_out(made, noise):
     rng = np.random.default_rng(3)
     drawn = [made.drawn(rng, noise=noise) for _ in range(300)]
-    found = [lone_sensor(one.calibrated(), one.rows, {}, 0.05) for one in drawn]
+    found = [lone_sensor(one.calibrated(), one, 0.05) for one in drawn]
     assert sum(name is not None for name in found) <= 28  # 5 % of 300, and three standard deviations

@@ -37,7 +37,7 @@ def asked(toy, seed, truth, noise=1.0):
 def test_two_effects_that_spoil_all_modes_alike_are_no_reason_to_doubt_the_scatter(toy, seed):
     made = spread(toy(modes=10, sensors=20), "E0", "E1")
     found, _, anew = asked(made, seed, {"E0": 3.0, "E1": 2.5})
-    modes = goodness(found.singles[0].state, made.rows, {}, {})[1]
+    modes = goodness(found.singles[0].state, made)[1]
     assert noise_scale(modes) > 1.3 * RULES.guard  # one effect alone asks for a larger scatter
     assert anew == [] and found.noise_scale == 1.0 and found.measured_scale < RULES.guard
     assert found.verdict == "two_effects" and set(found.credible) == {"E0", "E1"}

@@ -8,10 +8,11 @@ import pytest
 from scipy import stats
 
 from calib.missing.goodness import goodness, misfit_factor, noise_scale, overall
+from calib.problem import Rows
 
 
 def tables(toy, state, factors=None, freedom=None):
-    return goodness(state, toy.rows, factors or {}, freedom or {})
+    return goodness(state, Rows(toy.rows, factors or {}, freedom or {}))
 
 
 def redrawn(toy, state, rng, noise=1.0):

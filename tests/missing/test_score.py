@@ -8,6 +8,7 @@ from scipy import stats
 
 from calib.missing.score import Scores, correlation, family_p, scores
 from calib.missing.state import State
+from calib.problem import Rows
 
 
 def many(toy, state: State, found: Scores, draws: int, seed: int, scale=None) -> np.ndarray:
@@ -24,7 +25,7 @@ def critical(found: Scores, toy, level: float, freedom=None) -> float:
     low, high = 0.0, 60.0
     for _ in range(22):
         middle = 0.5 * (low + high)
-        p = family_p(replace(found, z=np.full(len(found.z), middle)), toy.rows, freedom or {}, seed=1)
+        p = family_p(replace(found, z=np.full(len(found.z), middle)), Rows(toy.rows, {}, freedom or {}), seed=1)
         low, high = (middle, high) if p > level else (low, middle)
     return 0.5 * (low + high)
 
@@ -79,9 +80,9 @@ def test_what_is_absorbed_to_the_last_has_no_score(toy):
     assert found.size[0] == found.z[0] == found.gamma[0] == 0.0 < found.size[1]
     assert not found.unit[:, 0].any()
     alone = scores(toy.calibrated(), toy.effects[:1], {})
-    assert family_p(alone, toy.rows, {}, seed=1) == 1.0
+    assert family_p(alone, toy, seed=1) == 1.0
     none = scores(toy.calibrated(), (), {})
-    assert none.owners == () and family_p(none, toy.rows, {}, seed=1) == 1.0
+    assert none.owners == () and family_p(none, toy, seed=1) == 1.0
 
 
 def test_a_column_by_difference_is_the_derivative_of_a_linear_effect(toy, make_effect):
@@ -130,10 +131,10 @@ def test_a_single_candidate_has_the_normal_tail(toy, z, signed):
     found = scores(toy.calibrated(), toy.effects, {})
     exact = stats.norm.sf(z) * (2 if signed else 1)
     for sign in (1, -1) if signed else (1,):
-        p = family_p(replace(found, z=np.array([sign * z])), toy.rows, {}, seed=1)
+        p = family_p(replace(found, z=np.array([sign * z])), toy, seed=1)
         assert p == pytest.approx(exact, abs=4 * np.sqrt(exact / 8000))
     if not signed:
-        assert family_p(replace(found, z=np.array([-z])), toy.rows, {}, seed=1) == pytest.approx(1 - exact, abs=0.02)
+        assert family_p(replace(found, z=np.array([-z])), toy, seed=1) == pytest.approx(1 - exact, abs=0.02)
 
 
 def test_duplicates_and_what_the_parameters_absorb_change_nothing(toy):
@@ -145,7 +146,7 @@ def test_duplicates_and_what_the_parameters_absorb_change_nothing(toy):
         p = []
         for effects in (toy.effects[:1], toy.effects):
             found = scores(state, effects, {})
-            p.append(family_p(replace(found, z=np.full(len(effects), z)), toy.rows, {}, seed=1))
+            p.append(family_p(replace(found, z=np.full(len(effects), z)), toy, seed=1))
         assert p[1] == pytest.approx(p[0], abs=4 * np.sqrt(2 * p[0] / 8000))
 
 
@@ -155,7 +156,7 @@ def test_independent_candidates_multiply(toy):
     toy = replace(toy, columns={**toy.columns, **{f"E{k}": turned[:, k] for k in range(6)}})
     found = scores(toy.calibrated(), toy.effects, {})
     exact = 1 - stats.norm.cdf(2.2) ** 6
-    p = family_p(replace(found, z=np.array([2.2, 0, -9.0, 0, 0, 1])), toy.rows, {}, seed=1)
+    p = family_p(replace(found, z=np.array([2.2, 0, -9.0, 0, 0, 1])), toy, seed=1)
     assert p == pytest.approx(exact, abs=4 * np.sqrt(exact / 8000))
 
 
@@ -179,7 +180,7 @@ def test_p_of_fitted_draws_is_uniform(toy):
     p = []
     for _ in range(300):
         one = toy.drawn(rng)
-        p.append(family_p(scores(one.calibrated(), one.effects, {}), one.rows, {}, seed=1))
+        p.append(family_p(scores(one.calibrated(), one.effects, {}), one, seed=1))
     assert stats.kstest(p, "uniform").pvalue > 0.01
 
 
@@ -205,13 +206,13 @@ def test_every_kind_has_a_scatter_of_its_own(toy):
     state = toy.calibrated()
     for name, exact in (("E0", stats.t.sf(2.5, 3)), ("E1", stats.norm.sf(2.5))):
         found = replace(scores(state, [e for e in toy.effects if e.name == name], {}), z=np.array([2.5]))
-        p = family_p(found, toy.rows, freedom, seed=1)
+        p = family_p(found, Rows(toy.rows, {}, freedom), seed=1)
         assert p == pytest.approx(exact, abs=4 * np.sqrt(exact / 8000))
 
 
 def test_same_seed_same_probability(toy):
     toy = toy().drawn(np.random.default_rng(14))
     found = scores(toy.calibrated(), toy.effects, {})
-    first = family_p(found, toy.rows, {"shape": 9.0}, seed=1)
-    assert first == family_p(found, toy.rows, {"shape": 9.0}, seed=1)
-    assert first != family_p(found, toy.rows, {"shape": 9.0}, seed=2)
+    first = family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=1)
+    assert first == family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=1)
+    assert first != family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=2)

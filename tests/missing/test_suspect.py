@@ -10,6 +10,7 @@ import pytest
 from calib.missing.goodness import goodness, overall
 from calib.missing.state import FINE, fitted, linearised
 from calib.missing.suspect import data_of, sentence, suspects
+from calib.problem import Rows
 
 
 def linear(toy, spoilt, seed=1, modes=6, sensors=6):
@@ -22,7 +23,7 @@ def linear(toy, spoilt, seed=1, modes=6, sensors=6):
 
 
 def table_of(made):
-    return suspects(made.calibrated(), made.rows, {}, {})
+    return suspects(made.calibrated(), made)
 
 
 def row_of(made, mode, kind, sensor=None):
@@ -58,7 +59,7 @@ def test_the_closed_form_is_a_fit_without_the_datum(toy):
     made = linear(toy, {row_of(toy(modes=6, sensors=6), "M2", "frequency"): 15.0})
     near = made.calibrated()
     state = near.elsewhere({}, near.residual)
-    table = suspects(state, made.rows, {}, {}).set_index("what")
+    table = suspects(state, made).set_index("what")
     for datum in data_of(made.rows):
         weight = np.ones(len(made.rows))
         weight[datum.rows] = 0.0
@@ -68,7 +69,7 @@ def test_the_closed_form_is_a_fit_without_the_datum(toy):
         if np.isfinite(table["p_fit_without"][datum.what]):
             kept = np.delete(np.arange(len(made.rows)), datum.rows)
             rest = replace(alone, residual=alone.residual[kept], slope=alone.slope[kept])
-            expected = overall(*goodness(rest, [made.rows[k] for k in kept], {}, {}))
+            expected = overall(*goodness(rest, Rows.of(made, kept)))
             assert table["p_fit_without"][datum.what] == pytest.approx(expected, rel=1e-6)
 
 
@@ -96,7 +97,7 @@ def test_where_everything_fits_nobody_is_asked(toy):
         blamed += len(table) > 0 and bool(table["explains"].any())
     assert blamed <= 6  # 99.9 % of a binomial of 150 at the level 1 %
     made = linear(toy, {}, 1)
-    assert overall(*goodness(made.calibrated(), made.rows, {}, {})) > 0.01 and table_of(made).empty
+    assert overall(*goodness(made.calibrated(), made)) > 0.01 and table_of(made).empty
 
 
 def test_a_value_that_a_parameter_follows_nearly_everywhere_is_not_accused(toy):
@@ -110,8 +111,8 @@ def test_a_value_that_a_parameter_follows_nearly_everywhere_is_not_accused(toy):
     slope = np.column_stack([slope, own])
     residual = np.where(np.arange(len(made.rows)) == k, 8.0, state.residual)
     fit = _Fit(residual, slope, np.append(state.prior_sd, np.inf))
-    assert overall(*goodness(fit, made.rows, {}, {})) < 0.01
-    table = suspects(fit, made.rows, {}, {})
+    assert overall(*goodness(fit, made)) < 0.01
+    table = suspects(fit, made)
     assert "frequency of M0" not in set(table["what"])
 
 
@@ -127,9 +128,9 @@ def test_without_a_converged_fit_nothing_is_accused(toy):
     bad = row_of(toy(modes=6, sensors=6), "M2", "frequency")
     made = linear(toy, {bad: 15.0})
     state = made.calibrated()
-    assert state.converged and len(suspects(state, made.rows, {}, {}))
+    assert state.converged and len(suspects(state, made))
     once = fitted(state.question, (), state.question.space.values, 0, replace(FINE, evaluations=1))
-    assert not once.converged and suspects(once, made.rows, {}, {}).empty
+    assert not once.converged and suspects(once, made).empty
     assert not linearised(state.question, (), state.values).converged
 
 
@@ -139,13 +140,13 @@ def test_how_many_data_are_left_out_at_once_does_not_matter(toy, monkeypatch):
     made = replace(made, data=made.data + 4 * np.random.default_rng(2).standard_normal(len(made.rows)))
     state = made.calibrated()
     factors = {(f"M{k}", "shape"): 1 for k in range(30)}
-    table = suspects(state, made.rows, factors, {})
+    table = suspects(state, replace(made, fitted_factors=factors))
     assert len(made.rows) == 900 and (table["p"] < 0.01).sum() > 100
     monkeypatch.setattr("calib.missing.suspect._AT_ONCE", 7)
-    pd.testing.assert_frame_equal(suspects(state, made.rows, factors, {}), table)
+    pd.testing.assert_frame_equal(suspects(state, replace(made, fitted_factors=factors)), table)
 
 
 def test_data_that_parameters_stand_on_alone_leave_an_empty_table():
     rows = [SimpleNamespace(mode="", kind="response", sensor=f"y{k}") for k in range(2)]
     fit = _Fit(np.array([9.0, 9.0]), np.eye(2), np.full(2, np.inf))
-    assert suspects(fit, rows, {}, {}).empty
+    assert suspects(fit, Rows(rows)).empty

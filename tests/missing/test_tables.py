@@ -21,7 +21,6 @@ from calib.missing.tables import (
     expected_ln_bayes,
     misfit_table,
     strain_table,
-    strength_of,
     tried_table,
 )
 from calib.missing.visible import smallest_visible
@@ -90,7 +89,7 @@ def test_the_true_effect_comes_first_with_its_strength(one):
     table = table_of(found)
     first = table.iloc[0]
     (trial,) = [t for t in found.singles if t.names == ("E3",)]
-    phi, std = strength_of(trial, "E3")
+    phi, std = trial.strength("E3")
     assert found.verdict == "effect" and first["name"] == "E3" and first["refitted"] and first["credible"]
     assert first["phi"] == phi == trial.state.values["E3"] == pytest.approx(1.0, abs=4 * std)
     assert (first["phi_low"], first["phi_high"]) == pytest.approx((phi - 1.96 * std, phi + 1.96 * std))

@@ -62,9 +62,9 @@ def test_what_stands_out_is_not_unlocated(toy):
 def test_misfit_by_sensor_adds_up(toy):
     one = toy().drawn(np.random.default_rng(3), {})
     state = one.calibrated()
-    table = by_sensor(state, one.rows, {("M0", "shape"): 2}, {})
+    table = by_sensor(state, replace(one, fitted_factors={("M0", "shape"): 2}))
     shapes = np.array([row.kind == "shape" for row in one.rows])
     assert table["chi2"].sum() == pytest.approx(np.sum(state.residual[shapes] ** 2))
-    plain = by_sensor(state, one.rows, {}, {})
+    plain = by_sensor(state, one)
     assert plain["freedom"].sum() - table["freedom"].sum() == pytest.approx(2.0)
     assert set(table["sensor"]) == {f"S{k}" for k in range(10)} and table["p"].is_monotonic_increasing

@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
+from calib.correlation.response_residual import ResponseResidual
 from calib.errors import EvaluationError
 from calib.function import extend_function
 from calib.loading import module_of
 from calib.missing.explain import explain
-from calib.questions.function_hypotheses import FunctionHypotheses
+from calib.questions.function_hypotheses import function_hypotheses
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.extend import extend
 from calib.study import Study
@@ -124,12 +126,18 @@ def test_the_twin_scatters_as_stated(twin):
 # -- the search --------------------------------------------------------------------------------------------------------
 
 
+def hypotheses_of(model, targets, space, effects, repeats):
+    """What measured responses ask of the chain."""
+    pair = ResponseResidual(FunctionProblem(model.space, model.function, targets, "", repeats))
+    return function_hypotheses(model, pair, effects, space)[0]
+
+
 def asked(twin, seed, hidden):
     rng = np.random.default_rng(seed)
     truth = twin.draw(rng, hidden)
     model = five_mass_chain()
     targets = twin.measure(twin.twin_responses(truth), rng)
-    return explain(FunctionHypotheses(model, targets, model.space, chain_effects(), repeats=twin.REPEATS)), truth
+    return explain(hypotheses_of(model, targets, model.space, chain_effects(), repeats=twin.REPEATS)), truth
 
 
 def test_nothing_is_named_where_nothing_is_missing(twin):
@@ -169,7 +177,7 @@ def test_the_study_says_it_is_synthetic_and_finds_what_was_hidden():
     assert study.synthetic and "SYNTHETIC" in (FOLDER / "measured.csv").read_text("utf-8")
     assert study.search_space.free_names == ("k1", "k2", "k3", "k4", "k5", "damping")
     found = explain(
-        FunctionHypotheses(study.model, study.targets, study.search_space, study.candidates,
+        hypotheses_of(study.model, study.targets, study.search_space, study.candidates,
                            repeats=study.settings.measurement.repeats)
     )  # fmt: skip
     assert found.verdict == "effect" and found.credible == (TRUTH["effect"],)
@@ -204,7 +212,7 @@ def test_the_tutorials_own_effect_is_found_when_it_is_what_is_missing(twin):
     truth = twin.draw(rng, "")
     exact = chain_responses(ADOPTED | truth | {"m1": chain.MASS + 0.2})
     found = explain(
-        FunctionHypotheses(study.model, twin.measure(exact, rng), study.search_space, study.candidates, repeats=10)
+        hypotheses_of(study.model, twin.measure(exact, rng), study.search_space, study.candidates, repeats=10)
     )
     assert found.verdict == "effect" and found.credible == ("bracket_mass_1",)
     assert found.chosen.state.values["bracket_mass_1"] == pytest.approx(0.2, abs=0.05)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.correlation.residual import ModalResidual
 from calib.errors import InputError
 from calib.missing.state import State, fitted
 from calib.questions.budget import ALLOWED, Budget, budget_of, discretisation_budget
@@ -92,10 +93,10 @@ def test_there_is_no_noise_in_it(settled, mast):
     one = discretisation_budget(hypotheses, state, mast.mast(1.0)).table
     again = discretisation_budget(hypotheses, state, mast.mast(1.0)).table
     assert one.equals(again)
-    measured = hypotheses.problem.measured
+    measured = hypotheses.pair.problem.measured
     rng = np.random.default_rng(3)
     noisy = replace(measured, natural_freq=measured.natural_freq * (1 + 0.002 * rng.standard_normal(measured.n_modes)))
-    other = replace(hypotheses, problem=replace(hypotheses.problem, measured=noisy))
+    other = replace(hypotheses, pair=ModalResidual(replace(hypotheses.pair.problem, measured=noisy)))
     there = discretisation_budget(other, state, mast.mast(1.0)).table
     joined = one.merge(there, on=["candidate", "kind"])
     np.testing.assert_allclose(joined["score_x"], joined["score_y"], atol=0.02 * one["score"].abs().max())
@@ -103,13 +104,14 @@ def test_there_is_no_noise_in_it(settled, mast):
 
 def test_twice_the_scatter_halves_the_budget(settled, mast):
     hypotheses, state = settled
-    measured = hypotheses.problem.measured
+    measured = hypotheses.pair.problem.measured
     wide = replace(measured, freq_std=10 * measured.freq_std, shape_std=10 * measured.shape_std)
     wider = replace(wide, freq_std=2 * wide.freq_std, shape_std=2 * wide.shape_std)
     flat = ParameterSpace(tuple(replace(p, prior_sd=1e4 * p.prior_width) for p in hypotheses.space.parameters))
     tables = [
         discretisation_budget(
-            replace(hypotheses, problem=replace(hypotheses.problem, measured=m), space=flat), state, mast.mast(2.0)
+            replace(hypotheses, pair=ModalResidual(replace(hypotheses.pair.problem, measured=m)), space=flat),
+            state, mast.mast(2.0),
         ).table.set_index("candidate")["score"]
         for m in (wide, wider)
     ]  # fmt: skip
@@ -124,7 +126,7 @@ def test_a_finer_model_that_is_another_model_is_refused(settled, mast):
         discretisation_budget(hypotheses, state, extra)
     assert told.value.place == "finer_options"
     swapped = finer.modes(state.values, 12)
-    shapes = finer.sensor_rows(hypotheses.problem.measured.sensors) @ swapped.shapes
+    shapes = finer.sensor_rows(hypotheses.pair.problem.measured.sensors) @ swapped.shapes
     with pytest.raises(InputError, match="does not have the modes that were measured"):
         budget_of(hypotheses, state, swapped, shapes[::-1] * (-1.0) ** np.arange(len(shapes))[:, None])
 

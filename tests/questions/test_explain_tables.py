@@ -100,7 +100,7 @@ def test_misfit_by_sensor_is_that_of_the_fits(guyed, chain):
     table = saved(results, "sensor_misfit")
     for stage, trial in (("base", answer.findings.base), ("explained", answer.findings.chosen)):
         own = table[table["stage"] == stage]
-        shapes = [k for k, row in enumerate(trial.state.question.pair.rows) if row.kind == "shape"]
+        shapes = [k for k, row in enumerate(trial.state.question.inner.rows) if row.kind == "shape"]
         np.testing.assert_allclose(own["re"], trial.state.residual[shapes], rtol=1e-8, atol=1e-9)
     plain = saved(chain[1], "response_misfit")
     np.testing.assert_allclose(
@@ -123,7 +123,7 @@ def test_effects_have_the_documented_columns(guyed, chain):
 def test_gains_on_data_left_out_are_those_of_the_two_models(guyed):
     *_, answer, _ = guyed
     found = answer.findings
-    modes = [row.mode for row in found.base.state.question.pair.rows]
+    modes = [row.mode for row in found.base.state.question.inner.rows]
 
     def density(trial):
         s = trial.state

@@ -6,19 +6,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import calib
+from calib.correlation.problem import FunctionProblem
+from calib.correlation.response_residual import ResponseResidual
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel
 from calib.loading import module_of
 from calib.missing.explain import Settings, explain
 from calib.missing.rules import RULES
-from calib.questions.function_hypotheses import FunctionHypotheses
+from calib.questions.function_hypotheses import function_hypotheses
 from calib.space import Parameter, ParameterSpace
 from calib.study import Study
 
 CHAIN = Path(__file__).resolve().parents[2] / "studies" / "five_mass_chain"
 STD = 0.01
 N, P, E = 14, 3, 5
+
+
+def hypotheses_of(model, targets, space, effects, repeats=None, step=1e-4):
+    """What measured responses ask of a function."""
+    problem = FunctionProblem(model.space, model.function, targets, "", repeats)
+    return function_hypotheses(model, ResponseResidual(problem, step), effects, space)[0]
 
 
 class Counted:
@@ -63,7 +72,7 @@ class Linear:
         model = FunctionModel("linear", self.space, self.function)
         targets = {name: (float(v), STD) for name, v in zip(self.names, self.y, strict=True)}
         effects = tuple(effect(f"e{k}") for k in range(E))
-        return FunctionHypotheses(model, targets, self.space, effects, **options)
+        return hypotheses_of(model, targets, self.space, effects, **options)
 
     def closed_form(self):
         """Score, share seen and log Bayes factor of each effect, from the marginal distribution of the data."""
@@ -130,7 +139,7 @@ def curved(values):
 def curved_hypotheses(function=curved, **options):
     model = FunctionModel("curved", ParameterSpace((Parameter("x", 1.0, 0.0, 2.0),)), function)
     targets = {name: (1.0, 0.1) for name in "abcde"}
-    return FunctionHypotheses(model, targets, model.space, (effect("phi", lower=0.0),), **options)
+    return hypotheses_of(model, targets, model.space, (effect("phi", lower=0.0),), **options)
 
 
 def test_derivatives_within_the_limits_at_them_and_of_effects_the_model_lacks():
@@ -169,6 +178,17 @@ def test_every_call_is_counted_and_none_is_made_twice():
     assert len(asked) < 150
     again = explain(hypotheses)
     assert hypotheses.evaluations == found.evaluations and again.verdict == found.verdict
+
+
+def test_what_is_told_of_a_decision_asks_no_point_twice():
+    problem = Linear(0, 0.3)
+    model = FunctionModel("linear", problem.space, problem.function)
+    targets = {name: (float(v), STD) for name, v in zip(problem.names, problem.y, strict=True)}
+    test = calib.ResponseTest(targets, held_out=problem.names[:2])
+    why = calib.Problem(model, test).explain([effect(f"e{k}") for k in range(E)])
+    asked = problem.function.asked
+    assert why.errors["group"].eq("withheld_responses").any()
+    assert len(asked) == len(set(asked)) >= why.explanation.findings.evaluations > 30
 
 
 def test_questions_share_what_they_have_in_common():
@@ -228,7 +248,7 @@ def test_an_effect_that_changes_the_model_at_strength_0_is_refused():
 
     model = FunctionModel("curved", ParameterSpace((Parameter("x", 1.0, 0.0, 2.0),)), curved)
     targets = {name: (1.0, 0.1) for name in "abcde"}
-    hypotheses = FunctionHypotheses(model, targets, model.space, (effect("jump", jump),))
+    hypotheses = hypotheses_of(model, targets, model.space, (effect("jump", jump),))
     with pytest.raises(InputError, match=r"effect jump.*0\.01 standard deviations"):
         explain(hypotheses)
 
@@ -239,7 +259,7 @@ def test_an_effect_that_changes_the_model_at_strength_0_is_refused():
 def test_kinds_are_the_shared_beginnings_of_names():
     names = ["freq_1", "freq_2", "shape_1_1", "shape_1_2", "mass_total", "stroke", "stroke_2", "_x", "_y"]
     model = FunctionModel("many", ParameterSpace((Parameter("x", 1.0, 0.0, 2.0),)), lambda v: {})
-    hypotheses = FunctionHypotheses(model, {n: (1.0, 0.1) for n in names}, model.space, (effect("phi"),), repeats=4)
+    hypotheses = hypotheses_of(model, {n: (1.0, 0.1) for n in names}, model.space, (effect("phi"),), repeats=4)
     assert [row.sensor for row in hypotheses.rows] == names
     kinds = ["freq", "freq", "shape", "shape", *["response"] * 5]
     assert [row.kind for row in hypotheses.rows] == kinds and {row.mode for row in hypotheses.rows} == {""}
@@ -250,7 +270,7 @@ def test_kinds_are_the_shared_beginnings_of_names():
 def test_an_unknown_scatter_is_one_percent():
     model = FunctionModel("curved", ParameterSpace((Parameter("x", 1.0, 0.0, 2.0),)), curved)
     targets = {"a": (2.0, None), "b": (1.0, 0.5), "c": (1.0, 0.1), "d": (1.0, 0.1)}
-    hypotheses = FunctionHypotheses(model, targets, model.space, (effect("phi"),))
+    hypotheses = hypotheses_of(model, targets, model.space, (effect("phi"),))
     residual = hypotheses.question(()).residual({"x": 0.0})
     np.testing.assert_allclose(residual[:2], [(2.0 - 1.0) / 0.02, 1.0 / 0.5])
     np.testing.assert_allclose(hypotheses.relative_std, [0.01, 0.5, 0.1, 0.1])
@@ -263,10 +283,10 @@ def test_too_few_responses_are_refused(count, free):
     model = FunctionModel("few", space, lambda v: {})
     targets = {f"r{k}": (1.0, 0.1) for k in range(count)}
     with pytest.raises(InputError, match=f"{count} measured responses"):
-        explain(FunctionHypotheses(model, targets, space, (effect("phi"),)))
+        explain(hypotheses_of(model, targets, space, (effect("phi"),)))
     enough = {f"r{k}": (1.0, 0.1) for k in range(max(4, free + 2))}
     with pytest.raises(EvaluationError):  # they are enough, and then the model is asked, which answers nothing
-        explain(FunctionHypotheses(model, enough, space, (effect("phi"),)))
+        explain(hypotheses_of(model, enough, space, (effect("phi"),)))
 
 
 def test_every_input_and_every_response_may_be_off():
@@ -280,7 +300,7 @@ def test_every_input_and_every_response_may_be_off():
         )
     )
     model = FunctionModel("x", space, lambda v: {f"r{k}": v["held"] + k + v["nothing"] for k in range(4)})
-    hypotheses = FunctionHypotheses(model, {f"r{k}": (3.0, 1.0) for k in range(4)}, space, (effect("phi"),))
+    hypotheses = hypotheses_of(model, {f"r{k}": (3.0, 1.0) for k in range(4)}, space, (effect("phi"),))
     atoms = {a.name: a for a in hypotheses.atoms}
     assert list(atoms) == ["change of held", "change of nothing", *(f"offset of r{k}" for k in range(4))]
     assert all(a.signed for a in atoms.values()) and atoms["change of held"].plausible == 0.3
@@ -306,7 +326,7 @@ def test_fitted_parameters_may_be_off_for_one_group_of_responses():
         return {"freq_1": v["k"], "freq_2": 2 * v["k"], "damping_1": v["k"] + v["about"], "damping_2": v["about"]}
 
     targets = {"freq_1": (2.0, 1.0), "freq_2": (4.0, 1.0), "damping_1": (2.0, 1.0), "damping_2": (0.0, 1.0)}
-    hypotheses = FunctionHypotheses(FunctionModel("x", space, answer), targets, space, (effect("phi"),))
+    hypotheses = hypotheses_of(FunctionModel("x", space, answer), targets, space, (effect("phi"),))
     assert [a.name for a in hypotheses.atoms] == [
         "change of k in freq", "change of k in damping", "change of about in freq", "change of about in damping",
         "offset of freq", "scale of freq", "offset of damping", "scale of damping",
@@ -338,7 +358,7 @@ def test_damping_that_is_read_too_high_is_no_damper(seed):
     exact = twin.twin_responses(twin.draw(rng, ""))
     off = rng.uniform(0.003, 0.010)
     targets = twin.measure({n: v + off * n.startswith("damping") for n, v in exact.items()}, rng)
-    found = explain(FunctionHypotheses(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
+    found = explain(hypotheses_of(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
     assert found.verdict == "none_explains" and found.credible == ()
 
 
@@ -353,7 +373,7 @@ def bare_chain(seed, hidden, fault="", offset=(0.0, 0.0)):
     kind, off = fault.partition(" ")[0], rng.uniform(*offset) if fault else 0.0
     off_kind = {"damping": "damping", "frequency": "freq"}.get(kind)
     targets = twin.measure({n: v + off * (n.split("_")[0] == off_kind) for n, v in exact.items()}, rng)
-    return explain(FunctionHypotheses(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
+    return explain(hypotheses_of(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
 
 
 @pytest.mark.parametrize(
@@ -385,6 +405,6 @@ def test_a_changed_parameter_is_changed_for_effects_too():
 
     space = ParameterSpace((Parameter("x", 1.0, 0.0, 2.0), Parameter("held", 2.0, 0.0, 4.0, distribution="fixed")))
     model = FunctionModel("x", space, lambda v: {f"r{k}": 0.0 for k in range(4)})
-    hypotheses = FunctionHypotheses(model, {f"r{k}": (0.0, 1.0) for k in range(4)}, space, (effect("phi", pulled),))
+    hypotheses = hypotheses_of(model, {f"r{k}": (0.0, 1.0) for k in range(4)}, space, (effect("phi", pulled),))
     question = hypotheses.question(("change of held", "phi"))
     np.testing.assert_allclose(question.residual({"phi": 1.0, "change of held": 0.5}), -3.0)

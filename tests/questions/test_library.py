@@ -43,7 +43,7 @@ def test_a_small_model_needs_no_basis(study, results):
     assert hypotheses.variants.basis is None and bases(results) == []
     assert hypotheses.effects == study.candidates
     assert hypotheses.atoms == tuple(a.effect for a in local)
-    assert hypotheses.space is study.search_space and hypotheses.problem is study.problem
+    assert hypotheses.space is study.search_space and hypotheses.pair.problem is study.problem
 
 
 def test_local_changes_are_at_every_part_and_every_used_sensor(study, results):
@@ -125,7 +125,7 @@ def test_the_measurement_does_not_matter_to_the_basis(study, results, small_pays
     modal_hypotheses(study, results)
     again = Study.load(mast.write_study(tmp_path / "again", seed=7))
     other, _ = modal_hypotheses(again, results)
-    assert other.problem.measured is again.measured
+    assert other.pair.problem.measured is again.measured
     assert len(small_pays) == 1 and len(bases(results)) == 1
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError
 from calib.measurement.modal import Sensor
 from calib.missing.advice import advise
@@ -16,7 +17,7 @@ from calib.missing.score import scores
 from calib.missing.state import State, fitted
 from calib.problem import Problem
 from calib.questions import prospects as prospects_module
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModelHypotheses
 from calib.questions.library import modal_hypotheses
 from calib.questions.prospects import BENCH, MORE_MODES, modal_prospects
 from calib.results import Results
@@ -35,9 +36,9 @@ def world(mast, tmp_path_factory):
     study = Study.load(mast.write_study(folder / "mast"))
     hypotheses, _ = modal_hypotheses(study, Results.at(folder / "results", "mast"))
     used = study.measured.without(("B3x",), HELD)
-    clusters = {m: c for m, c in hypotheses.problem.mode_clusters.items() if m in used.names}
-    problem = replace(hypotheses.problem, measured=used, mode_clusters=clusters)
-    hypotheses = ModalHypotheses(problem, hypotheses.variants, hypotheses.space)
+    clusters = {m: c for m, c in hypotheses.pair.problem.mode_clusters.items() if m in used.names}
+    problem = replace(hypotheses.pair.problem, measured=used, mode_clusters=clusters)
+    hypotheses = ModelHypotheses(ModalResidual(problem), hypotheses.variants, hypotheses.space)
     question = hypotheses.question(())
     return study, hypotheses, fitted(question, (), question.space.values)
 
@@ -53,7 +54,7 @@ def prospects_of(hypotheses, state, withheld=None, scale=1.0, draws=1, certain=T
 def measured_again(hypotheses, state, extra=(), more_modes=(), scale=1.0, prior=None):
     """Scores' sizes in the problem where the fitted model itself has been measured, with more sensors or modes."""
     question = hypotheses.question(())
-    found, known = question.at(state.values), hypotheses.problem.measured
+    found, known = question.at(state.values), hypotheses.pair.problem.measured
     index = [int(j) for j in found.pairing.model_index] + list(more_modes)
     names = (*known.names, *(f"more {j}" for j in more_modes))
     sensors = (*known.sensors, *extra)
@@ -76,12 +77,12 @@ def measured_again(hypotheses, state, extra=(), more_modes=(), scale=1.0, prior=
         shape_std=scale * np.sqrt(np.mean(scatter.shape**2)) * np.maximum(np.abs(shapes), 1.0),
         damping_ratio=np.full(len(names), np.nan), damping_std=np.full(len(names), np.nan),
     )  # fmt: skip
-    problem = replace(hypotheses.problem, measured=measured)
-    floors = replace(hypotheses.floors, freq=0.0, shape=0.0)
+    problem = replace(hypotheses.pair.problem, measured=measured)
+    floors = replace(hypotheses.pair.floors, freq=0.0, shape=0.0)
     space = hypotheses.space
     for name, sd in (prior or {}).items():
         space = space.replace(name, prior_sd=sd)
-    other = ModalHypotheses(problem, hypotheses.variants, space, floors)
+    other = ModelHypotheses(ModalResidual(problem, floors), hypotheses.variants, space)
     asked = other.question(())
     there = State(
         (), asked, state.names, state.values, asked.residual(state.values), -asked.jacobian(state.values, state.names),
@@ -94,12 +95,14 @@ def measured_again(hypotheses, state, extra=(), more_modes=(), scale=1.0, prior=
 def test_repeats_that_lack_something_do_not_hinder_advice(world):
     """Counts of the repeats behind each value belong to what was measured and not to what is imagined."""
     _, hypotheses, _ = world
-    known = hypotheses.problem.measured
+    known = hypotheses.pair.problem.measured
     held = np.full(known.n_modes, 5)
     held[0] = 4
     shapes = np.full(known.shapes.shape, 5)
     told = replace(known, n_repeats=5, freq_count=held, damping_count=held, shape_count=shapes)
-    other = ModalHypotheses(replace(hypotheses.problem, measured=told), hypotheses.variants, hypotheses.space)
+    other = ModelHypotheses(
+        ModalResidual(replace(hypotheses.pair.problem, measured=told)), hypotheses.variants, hypotheses.space
+    )
     question = other.question(())
     found = prospects_of(other, fitted(question, (), question.space.values))
     assert found is not None and all(np.isfinite(sizes(found, o)).all() for o in found.options)
@@ -205,8 +208,8 @@ def test_a_larger_scatter_lowers_all_scores_alike_but_for_priors(world):
 
 def test_further_sensors_are_where_none_is_and_can_move(world):
     _, hypotheses, state = world
-    known = {s.name for s in hypotheses.problem.measured.sensors}
-    heights = {s.point[1] for s in hypotheses.problem.measured.sensors}
+    known = {s.name for s in hypotheses.pair.problem.measured.sensors}
+    heights = {s.point[1] for s in hypotheses.pair.problem.measured.sensors}
     found = [s for o in option_of(prospects_of(hypotheses, state), "sensor") for s in sensors_in(o)]
     assert found
     for s in found:
@@ -216,11 +219,13 @@ def test_further_sensors_are_where_none_is_and_can_move(world):
 
 def test_without_shapes_no_sensor_is_advised(world):
     _, hypotheses, _ = world
-    measured = hypotheses.problem.measured
+    measured = hypotheses.pair.problem.measured
     bare = replace(
         measured, sensors=(), shapes=np.zeros((0, measured.n_modes)), shape_std=np.zeros((0, measured.n_modes))
     )
-    other = ModalHypotheses(replace(hypotheses.problem, measured=bare), hypotheses.variants, hypotheses.space)
+    other = ModelHypotheses(
+        ModalResidual(replace(hypotheses.pair.problem, measured=bare)), hypotheses.variants, hypotheses.space
+    )
     question = other.question(())
     prospects = prospects_of(other, fitted(question, (), question.space.values))
     kinds = {o.kind for o in prospects.options}
@@ -315,8 +320,8 @@ def test_a_further_mode_that_leaves_the_window_at_some_points_brings_nothing_the
     modes, index = model_modes(hypotheses, state), hypotheses.question(()).at(state.values).pairing.model_index
     free = [j for j in range(modes.n_modes) if j not in index and modes.natural_freq[j] < 100.0]
     top = float(modes.natural_freq[free[0]]) * 1.0005
-    window = replace(hypotheses.problem, freq_window=(0.5, top))
-    narrow = ModalHypotheses(window, hypotheses.variants, hypotheses.space)
+    window = replace(hypotheses.pair.problem, freq_window=(0.5, top))
+    narrow = ModelHypotheses(ModalResidual(window), hypotheses.variants, hypotheses.space)
     prospects = prospects_of(narrow, state, draws=8, certain=False)
     (option,) = [o for o in option_of(prospects, "mode") if o.name.endswith(f"{modes.natural_freq[free[0]]:.3g} Hz")]
     gains = prospects.sizes(option) / prospects.sizes(None)
@@ -377,7 +382,7 @@ def test_the_odds_promised_for_twice_the_repeats_come_out(mast, tmp_path):
             damped_freq=(one.damped_freq + other.damped_freq) / 2, freq_std=one.freq_std / np.sqrt(2),
             shape_std=one.shape_std / np.sqrt(2),
         )  # fmt: skip
-        more = ModalHypotheses(replace(first.problem, measured=both), first.variants, first.space)
+        more = ModelHypotheses(ModalResidual(replace(first.pair.problem, measured=both)), first.variants, first.space)
         pair, after = pair_of(first), pair_of(more)
         question = first.question(())
         base = fitted(question, (), question.space.values)

@@ -11,7 +11,7 @@ from scipy import stats
 from calib.correlation.residual import ModalResidual
 from calib.correlation.scatter import USUAL, Floors, freedom_behind, scatter_of
 from calib.missing.state import fitted
-from calib.questions.hypotheses import ModalHypotheses
+from calib.questions.hypotheses import ModelHypotheses
 from calib.questions.verify import ERROR_COLUMNS, _scaled, errors_at, modal_errors, plain_errors
 from calib.structure.variants import Variants
 from calib.study import Study
@@ -39,7 +39,9 @@ def study(mast, tmp_path_factory):
 
 def calibrated(study, problem=None):
     """The state of a fit."""
-    hypotheses = ModalHypotheses(problem or study.problem, Variants(study.model, (), ()), study.search_space)
+    hypotheses = ModelHypotheses(
+        ModalResidual(problem or study.problem), Variants(study.model, (), ()), study.search_space
+    )
     question = hypotheses.question(())
     return fitted(question, (), question.space.values)
 
