@@ -2,6 +2,7 @@
 
 import ast
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import calib
@@ -44,6 +45,7 @@ FORBIDDEN = {
 }
 
 
+@cache  # every file is looked at by each test
 def imports(file: Path, run_only: bool = False) -> set[str]:
     """What a file imports; where asked for without what it imports for types only."""
     found = set()

@@ -54,9 +54,15 @@ def at_truth(study):
 
 
 @pytest.fixture(scope="module")
-def stages(study, before, at_truth):
+def compared(study, before, at_truth):
+    """Every stage against all that was measured."""
+    return all_stages(study, before, at_truth)
+
+
+@pytest.fixture(scope="module")
+def stages(study, compared):
     """Every measured mode, from stage to stage."""
-    return every_mode(study, all_stages(study, before, at_truth)).set_index("mode")
+    return every_mode(study, compared).set_index("mode")
 
 
 def shares(found, clusters, of):
@@ -145,9 +151,10 @@ def test_withheld_modes_are_told_before_and_after_but_enter_no_fit(study, before
     pd.testing.assert_series_equal(stages.loc[list(FITTED), "damped_freq_before"], used, check_names=False)
 
 
-def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, stages):
+def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, compared, stages):
     table, own = stages, study.model.modes({p.name: p.value for p in CAR + BOGIE}, 18)
-    pair = study.problem.compare(study.initial).pairing.model_index
+    paired = compared["initial"].pairing.model_index
+    pair = [paired[study.whole.names.index(mode)] for mode in FITTED]
     np.testing.assert_allclose(table.loc[list(FITTED), "damped_freq_initial"], own.damped_freq[pair], rtol=1e-9)
     # Softer primary springs lower the bogies' modes and the car's on them, as in the case study.
     bogies = [mode for mode in table.index if mode[1] == "B"]
@@ -181,7 +188,7 @@ def test_the_finer_mesh_differs_by_less_than_the_scatter(study, at_truth):
     assert np.abs(modes.damping_ratio[pair] / damping - 1).max() < 0.07
 
 
-CRITICAL = (21.0, 21.5, 22.0)
+CRITICAL = (21.5, 22.0)
 """Secondary dampers in kNs/m at which the load bolsters' pitching is nearly, and then more than critically damped."""
 
 
@@ -196,7 +203,7 @@ def test_a_mode_near_critical_damping_breaks_no_pair(study, before):
         np.testing.assert_array_equal(similar.argmax(axis=1)[:4], found.pairing.model_index[:4])
         assert similar[4, found.pairing.model_index[4]] > 0.8
         assert math.isfinite(objective_of(study)(study.problem.responses(found)))
-    assert 0.9 < most[0] < 0.96 < most[1] < 1 and most[-1] < 0.6  # beyond it the pair is gone
+    assert 0.96 < most[0] < 1 and most[1] < 0.6  # beyond it the pair is gone
 
 
 @pytest.mark.slow

@@ -176,10 +176,15 @@ class ModalProblem:
             out.update({f"{kind}_{name}": number for kind, number in zip(RESPONSES, numbers, strict=True)})
         return out
 
-    def compare(self, values: Mapping[str, float]) -> Comparison:
-        """Everything about model and measurement at named values; raises as `evaluate`."""
+    def compare(self, values: Mapping[str, float], solved: Modes | None = None) -> Comparison:
+        """Everything about model and measurement at named values; raises as `evaluate`.
+
+        Modes of the model that are ``solved`` at these values already, and as many as asked, are not solved again.
+        """
         complete = self.space.complete(values)
-        modes = self.model.modes(complete, self.mode_count)
+        modes = solved
+        if modes is None or modes.n_modes != self.mode_count:
+            modes = self.model.modes(complete, self.mode_count)
         if modes.n_modes < self.mode_count:
             raise EvaluationError(
                 f"the model {self.model.name} has only {modes.n_modes} vibration modes, {self.mode_count} were asked"

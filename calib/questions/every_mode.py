@@ -75,7 +75,8 @@ def _whole(study: Study, used: Comparison) -> Comparison:
     whole = study.whole_problem()
     if whole is None or not study.settings.withheld.modes:
         return used
-    return replace(whole, override={**whole.override, **_partners(used)}).compare(used.values)
+    solved = used.modes if used.model is whole.model else None
+    return replace(whole, override={**whole.override, **_partners(used)}).compare(used.values, solved)
 
 
 def _partners(used: Comparison) -> Mapping[str, int]:

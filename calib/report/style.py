@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib import font_manager
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -161,14 +162,27 @@ def save(figure: Figure, path: Path) -> Path:
 
     A dollar in a name is a dollar. Where no font has a character of a name, the picture says so.
     """
-    for text in figure.findobj(Text):
-        if isinstance(text, Text) and "$" in text.get_text() and not _POWER.fullmatch(text.get_text()):
+    for text in _texts(figure):
+        if "$" in text.get_text() and not _POWER.fullmatch(text.get_text()):
             text.set_parse_math(False)
     with replacing(path) as draft:
         if _lacks_glyphs(figure, draft):
             figure.text(0.995, 0.003, NO_GLYPH, ha="right", va="bottom", fontsize=6.5, color=GREY)
             _lacks_glyphs(figure, draft)
     return path
+
+
+def _texts(artist: Artist) -> Iterator[Text]:
+    """Every text below; of axes that are switched off only what stands in their panel.
+
+    To look for the ticks of an axis is to make them, which takes longer than to draw a three-dimensional panel.
+    """
+    if isinstance(artist, Text):
+        yield artist
+    hidden = isinstance(artist, Axes) and not artist.axison
+    for child in artist.get_children():
+        if not (hidden and isinstance(child, Axis)):
+            yield from _texts(child)
 
 
 def _lacks_glyphs(figure: Figure, draft: Path) -> bool:

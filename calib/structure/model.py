@@ -202,6 +202,11 @@ class StructuralModel(Analytic):
         return not self.damping.is_zero
 
     @property
+    def dissipates(self) -> bool:
+        """Whether its modes are damped at the adopted values, or would be with another parameter."""
+        return self.is_damped and super().dissipates
+
+    @property
     def fingerprint(self) -> str:
         """Hash over matrices and their coefficients; changes whenever an evaluation could."""
         digest = hashlib.sha256()

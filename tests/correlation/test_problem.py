@@ -32,6 +32,19 @@ def test_a_perfect_model_answers_with_the_truth(build, twin):
     assert problem.evaluate({})["natural_freq_M1"] != pytest.approx(found["natural_freq_M1"], rel=1e-3)
 
 
+def test_modes_that_are_solved_already_are_solved_again_only_where_more_are_asked(build, twin, monkeypatch):
+    model = build()
+    problem = ModalProblem(model, twin(model, TRUTH, order=(2, 0, 1, 4)), mode_count=6)
+    solved, found = model.modes(TRUTH, 6), problem.compare(TRUTH)
+    fewer, asked = model.modes(TRUTH, 5), []
+    modes = type(model).modes
+    monkeypatch.setattr(type(model), "modes", lambda *given: asked.append(given[2]) or modes(*given))
+    same, more = problem.compare(TRUTH, solved), problem.compare(TRUTH, fewer)
+    assert asked == [6] and same.modes is solved and more.modes.n_modes == 6
+    for one in (same, more):
+        assert one.comparison_table().equals(found.comparison_table())
+
+
 def test_a_reduced_model_answers_as_the_full_one(build, twin):
     model = build(n=20)
     measured = twin(model, TRUTH, order=(2, 0, 1, 4))

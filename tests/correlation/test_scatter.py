@@ -58,7 +58,7 @@ def test_few_repeats_beside_a_known_error_reject_as_often_as_the_level_says(tmp_
     assert np.mean(missed) < 0.02 and np.mean(alone) > 0.2
 
 
-@pytest.mark.parametrize(("repeats", "modes"), [(10, 60), (20, 12)])
+@pytest.mark.parametrize(("repeats", "modes"), [pytest.param(10, 60, marks=pytest.mark.slow), (20, 12)])
 def test_a_right_model_of_many_repeats_is_rejected_as_often_as_the_level_says(tmp_path, repeats, modes):
     """Each frequency keeps the deviation of its own repeats, however unlike those of the others it is."""
     path = tmp_path / "modes.csv"
@@ -83,7 +83,7 @@ def test_a_right_model_of_many_repeats_is_rejected_as_often_as_the_level_says(tm
         assert np.mean(np.array(known) < level) > 1.5 * level
 
 
-@pytest.mark.parametrize("held", [2, 3, 4])
+@pytest.mark.parametrize("held", [2, pytest.param(3, marks=pytest.mark.slow), 4])
 def test_a_mode_that_few_of_many_repeats_hold_is_off_by_its_deviation(tmp_path, held):
     """Mode m0 is in a few of twelve repeats: two or three tell next to nothing of its own scatter."""
     path, rng, off = tmp_path / "modes.csv", np.random.default_rng(0), []

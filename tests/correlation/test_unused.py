@@ -58,7 +58,7 @@ def test_noise_alone_gives_the_expected_error_and_uniform_chances(build, twin, d
     held = {"modes": ("M2", "M5"), "sensors": ("1x", "1y", "2x", "3y", "4x", "4y", "5x", "6x", "6y")}
     tables = []
     g = v = None
-    for seed in range(200):
+    for seed in range(100):
         model, data = measured(build, twin, damped, seed=seed)
         fitted, whole = split(model, data, held)
         residual = ModalResidual(fitted, NONE)
@@ -77,7 +77,7 @@ def test_noise_alone_gives_the_expected_error_and_uniform_chances(build, twin, d
         one = table[table["group"] == group]
         assert set(one["rows"]) == {rows} and set(one["freedom"]) == {freedom}
         assert np.sqrt(np.mean(one["rms"] ** 2)) == pytest.approx(np.sqrt(np.mean(one["expected"] ** 2)), rel=0.04)
-        assert np.mean(one["chi2"]) == pytest.approx(freedom, rel=4 * np.sqrt(2 / freedom / 200))
+        assert np.mean(one["chi2"]) == pytest.approx(freedom, rel=4 * np.sqrt(2 / freedom / 100))
         assert stats.kstest(one["p"], "uniform").pvalue > 0.005
         assert 0.01 <= np.mean(one["p"] < 0.05) <= 0.10
     # Few used sensors leave the factors uncertain: the noise of the withheld sensors alone would not explain the rms.

@@ -74,7 +74,9 @@ def test_an_empty_degree_of_freedom_is_named(bare):
 
 
 @pytest.mark.parametrize(("shape", "verbs"), [("[0, 2]", ["run"]), ("[0]", ["compare", "report"])])
-def test_a_mesh_without_elements_can_be_asked_everything(bare, capsys, shape, verbs):
+def test_a_mesh_without_elements_can_be_asked_everything(bare, capsys, request, shape, verbs):
+    if verbs == ["run"]:  # the figures of the other case are drawn to the last pixel
+        request.getfixturevalue("unrendered")
     folder = bare(f"shape = {shape}")
     for verb in verbs:
         assert cli.answer([verb, str(folder)]) == 0, capsys.readouterr().err

@@ -15,12 +15,15 @@ STUDIES = Path(__file__).resolve().parents[2] / "studies"
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
-    """The four-storey rig: asked here, and by the command, each into its own folder."""
+    """The four-storey rig: asked here, and by the command, each into its own folder; no figures are drawn."""
     root = tmp_path_factory.mktemp("rig")
     study = calib.Study.load(STUDIES / "four_storey_rig", root / "here", workers=1, quick=True)
-    answers = study.compare(), study.sensitivity(), study.calibrate()
-    for verb, *more in (("compare",), ("sensitivity", "--quick"), ("calibrate", "--quick")):
-        assert cli.answer([verb, str(STUDIES / "four_storey_rig"), "--results", str(root / "there"), *more]) == 0
+    there = ["--results", str(root / "there"), "--workers", "1"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.front.study.draw_all", lambda *given: [])
+        answers = study.compare(), study.sensitivity(), study.calibrate()
+        for verb, *more in (("compare",), ("sensitivity", "--quick"), ("calibrate", "--quick")):
+            assert cli.answer([verb, str(STUDIES / "four_storey_rig"), *there[: 4 if more else 2], *more]) == 0
     return study, answers, root
 
 
@@ -59,7 +62,8 @@ def test_the_problem_of_plain_responses_is_that_of_the_study():
     )
 
 
-def test_run_asks_everything_and_gives_the_study_to_go_on_with(tmp_path):
+def test_run_asks_everything_and_gives_the_study_to_go_on_with(tmp_path, monkeypatch):
+    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
     write_example(tmp_path / "mast")
     study = calib.Study.load(tmp_path / "mast", tmp_path / "results", workers=1, quick=True)
     last = study.run()

@@ -50,7 +50,7 @@ def test_clean_repeats_are_not_touched(count, is_complex):
             np.testing.assert_array_equal(getattr(robust, name), getattr(plain, name))
 
 
-@pytest.mark.parametrize("count", [3, 5, 10])
+@pytest.mark.parametrize("count", [3, pytest.param(5, marks=pytest.mark.slow), 10])
 @pytest.mark.parametrize("bad", [0, 2])
 @pytest.mark.parametrize(("factor", "gain"), [(-1.0, -1.0), (0.0, 0.0), (0.5, 0.5)])
 def test_a_channel_that_is_wrong_in_one_repeat(count, bad, factor, gain):
@@ -162,7 +162,7 @@ def test_what_three_repeats_cannot_decide_is_named_and_kept():
 
 
 @pytest.mark.parametrize("uneven", [0.0, 0.5])
-@pytest.mark.parametrize("count", [3, 5, 10])
+@pytest.mark.parametrize("count", [3, pytest.param(5, marks=pytest.mark.slow), 10])
 def test_clean_frequencies_are_rarely_named_and_more_rarely_left_out(count, uneven):
     rng, runs, named, left_out = np.random.default_rng(23), 200, 0, 0
     for k in range(runs):

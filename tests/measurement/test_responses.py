@@ -166,7 +166,7 @@ def test_ten_repeats_and_values_within_their_scatter_are_not_pooled(tmp_path):
     assert found.targets["b"][1] / found.targets["b"][0] == pytest.approx(found.targets["c"][1] / found.targets["c"][0])
 
 
-@pytest.mark.parametrize(("repeats", "count"), [(2, 8), (5, 20), (10, 40)])
+@pytest.mark.parametrize(("repeats", "count"), [(2, 8), pytest.param(5, 20, marks=pytest.mark.slow), (10, 40)])
 def test_a_right_model_is_rejected_as_often_as_the_level_says(tmp_path, repeats, count):
     """Drawn repeats of a known truth, which fits itself: the chance is that of the draws alone."""
     path, level, runs = tmp_path / "r.csv", 0.05, 300 if count < 40 else 100

@@ -12,6 +12,7 @@ from calib.effect import Effect
 from calib.errors import EvaluationError
 from calib.missing.explain import explain
 from calib.missing.findings import Findings
+from calib.missing.rules import RULES
 from calib.missing.state import State, fitted
 from calib.space import Parameter, ParameterSpace
 
@@ -232,3 +233,9 @@ def toy() -> Callable[..., Toy]:
         )
 
     return make
+
+
+@pytest.fixture
+def fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of the draws behind a chance: enough for a level of 1 %, and drawing takes longest over toys."""
+    monkeypatch.setattr("calib.missing.score.RULES", replace(RULES, draws=RULES.draws // 4))

@@ -9,6 +9,8 @@ import pytest
 from calib.errors import InputError
 from calib.missing.explain import Settings, explain
 
+pytestmark = pytest.mark.usefixtures("fewer_draws")
+
 
 def without(toy, *names):
     """The toy whose library lacks some effects although its answers can hold them."""
@@ -17,14 +19,14 @@ def without(toy, *names):
 
 def test_nothing_missing_is_seldom_taken_for_something(toy):
     """Two gates at 1 % each; what passes them still has to be named."""
-    found = Counter(f.verdict for f in toy(effects=8, atoms=20, signed=("E1", "E5")).explained({}, 60))
-    assert found["nothing_detectable"] >= 56
+    found = Counter(f.verdict for f in toy(effects=8, atoms=20, signed=("E1", "E5")).explained({}, 40))
+    assert found["nothing_detectable"] >= 37
     assert found["effect"] + found["indistinguishable"] + found["two_effects"] <= 1
 
 
 def test_nothing_missing_with_a_nuisance_parameter(toy):
-    found = Counter(f.verdict for f in toy(bump=True).explained({}, 40))
-    assert found["nothing_detectable"] >= 37
+    found = Counter(f.verdict for f in toy(bump=True).explained({}, 20))
+    assert found["nothing_detectable"] >= 18
 
 
 def test_nothing_found_ends_at_the_base_model(toy):
@@ -37,10 +39,10 @@ def test_nothing_found_ends_at_the_base_model(toy):
 
 def test_one_effect_is_named_and_measured(toy):
     """Parameters drawn from their prior are strained in one of 100 right models: such a name is withheld."""
-    found = toy(signed=("E1",)).explained({"E3": 1.0}, 40)
+    found = toy(signed=("E1",)).explained({"E3": 1.0}, 30)
     assert all(f.chosen.names == ("E3",) for f in found)
     right = [f for f in found if f.verdict == "effect"]
-    assert len(right) >= 36
+    assert len(right) >= 27
     for f in found:
         assert f.credible == (("E3",) if f.verdict == "effect" else ())
         assert f.verdict == "effect" or f.chosen.implausible or not f.chosen_check.passes(0.01)
@@ -109,9 +111,9 @@ def test_effects_of_one_fingerprint_are_one(toy):
 
 def test_weak_effects_that_look_alike_are_both_told(toy):
     toy = toy(effects=4).alike("E3", "E1", 0.9)
-    found = toy.explained({"E1": 0.9}, 30)
+    found = toy.explained({"E1": 0.9}, 20)
     named = [f for f in found if f.verdict in ("effect", "indistinguishable")]
-    assert len(named) >= 25
+    assert len(named) >= 17
     both = [f for f in named if f.verdict == "indistinguishable"]
     assert all(set(f.credible) == {"E1", "E3"} for f in both) and len(both) >= len(named) / 3
     assert np.mean(["E1" in f.credible for f in named]) >= 0.9
@@ -205,22 +207,22 @@ def test_a_local_change_that_fits_better_forbids_a_name(toy):
     """A named effect that is alike leaves nothing that could be seen, but the evidence is for the local change."""
     toy = toy().alike("A5", "E2", 0.9)
     rivals = 0
-    for f in toy.explained({"A5": 0.9}, 25):
+    for f in toy.explained({"A5": 0.9}, 12):
         if f.chosen is None or f.atom is None or len(f.chosen.effects) > 1:
             continue
         rival = f.atom.ln_evidence - np.log(len(toy.atoms)) + np.log(len(f.groups)) > f.singles[0].ln_evidence
         assert f.verdict != "effect" or not rival
         rivals += rival and f.chosen_check.passes(0.01) and not f.chosen.implausible
-    assert rivals >= 4
+    assert rivals >= 2
 
 
 def test_a_strength_beyond_what_was_thought_plausible_is_no_misfit(toy):
     """Thirty times the plausible size: what the prior says against it is nothing that a local change should explain."""
     toy = toy().alike("A5", "E2", 0.6)
-    usual, large = (toy.explained({"E2": strength}, 12) for strength in (1.2, 30.0))
+    usual, large = (toy.explained({"E2": strength}, 8) for strength in (1.2, 30.0))
     assert min(f.chosen.state.shift[f.chosen.state.names.index("E2")] for f in large) > 28
     assert [f.verdict for f in large] == [f.verdict for f in usual]
-    assert Counter(f.verdict for f in large)["effect"] >= 9 and all(f.chosen.names == ("E2",) for f in large)
+    assert Counter(f.verdict for f in large)["effect"] >= 6 and all(f.chosen.names == ("E2",) for f in large)
 
 
 def test_a_local_change_that_says_the_same_is_no_rival(toy):
@@ -236,7 +238,7 @@ def test_of_two_that_explain_about_as_well_the_believable_one_goes_first(toy):
     hidden = toy.columns["E0"] - 2.4 * toy.columns["P1"]
     toy = replace(toy, columns={**toy.columns, "hidden": hidden}).alike("E2", "hidden", 0.994)
     passed_over = 0
-    for f in toy.explained({"hidden": 0.7}, 25):
+    for f in toy.explained({"hidden": 0.7}, 15):
         near = [t for t in f.singles if t.ln_evidence > f.singles[0].ln_evidence - 3 and not t.implausible]
         if near and f.singles[0].implausible and f.verdict in ("effect", "indistinguishable"):
             assert f.chosen.names == near[0].names and f.singles[0].names[0] not in f.credible
@@ -248,11 +250,11 @@ def test_a_pair_that_another_equals_is_not_named(toy):
     """Beside the first effect two others explain the rest about as well: neither can be told."""
     toy = toy(effects=4).alike("E3", "E1", 0.95)
     equal = 0
-    for f in toy.explained({"E0": 1.4, "E1": 0.9}, 20):
+    for f in toy.explained({"E0": 1.4, "E1": 0.9}, 12):
         pairs = sorted((t for t in f.trials if len(t.effects) == 2 and not t.implausible), key=lambda t: -t.ln_evidence)
         if len(pairs) < 2:
             continue
         tied = pairs[0].ln_evidence - pairs[1].ln_evidence < 3
         assert not (tied and f.verdict == "two_effects")
         equal += tied and pairs[0].ln_evidence > f.singles[0].ln_evidence + 10
-    assert equal >= 3
+    assert equal >= 2

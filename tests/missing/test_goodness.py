@@ -143,7 +143,9 @@ def test_the_common_factor_of_the_scatter(toy, noise):
     assert np.std(found) < 0.06 * noise
 
 
-@pytest.mark.parametrize(("modes", "freedom"), [(5, 60), (8, 20), (10, 62)])
+@pytest.mark.parametrize(
+    ("modes", "freedom"), [(5, 60), *(pytest.param(*two, marks=pytest.mark.slow) for two in ((8, 20), (10, 62)))]
+)
 def test_modes_that_share_a_factor_seldom_look_different(modes, freedom):
     rng = np.random.default_rng(11)
     table = pd.DataFrame({"kind": "shape", "freedom": float(freedom), "chi2": np.nan}, index=range(modes))

@@ -116,7 +116,7 @@ def solved(found, designs, y, option, repeats=400):
 
 
 @pytest.mark.parametrize("option", [NEW, TWICE, BENCH])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3))])
 def test_the_promise_is_what_fits_to_old_and_new_data_give(option, seed):
     found, designs, y = rivals(seed)
     values, weights = solved(found, designs, y, option)

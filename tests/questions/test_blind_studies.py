@@ -13,8 +13,9 @@ from calib.results import Results
 
 ROOT = Path(__file__).resolve().parents[2]
 HIDDEN, NONE, OUTSIDE = "hidden_bogie", "hidden_bogie_none", "hidden_bogie_outside"
-# The blind test bench has quicker runs with nothing hidden and with what is in no library.
-EACH = [HIDDEN, *(pytest.param(name, marks=pytest.mark.slow) for name in (NONE, OUTSIDE))]
+EACH = [HIDDEN, NONE, OUTSIDE]
+# Smaller structures are asked the same every time (test_explain.py).
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +122,6 @@ def test_the_sentence_tells_what_the_tables_tell(explained, name):
 # -- nothing -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_missing(explained):
     summary, effects, errors = written(explained(NONE))
     assert summary["verdict"] == "nothing_detectable"
@@ -132,7 +132,6 @@ def test_nothing_is_named_where_nothing_is_missing(explained):
     assert errors["p"]["withheld_modes", "before"] > 0.01 and errors["p"]["withheld_sensors", "before"] > 0.01
 
 
-@pytest.mark.slow
 def test_what_could_have_been_seen_is_told_for_every_effect(explained):
     _, effects, _ = written(explained(NONE))
     assert len(effects) == 16 and effects["phi_min"].notna().all() and (effects["phi_min"] > 0).all()
@@ -143,7 +142,6 @@ def test_what_could_have_been_seen_is_told_for_every_effect(explained):
 # -- something that is in no library -----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_what_is_in_no_library_is_named_after_nothing(explained):
     summary, effects, _ = written(explained(OUTSIDE))
     assert summary["verdict"] in ("none_explains", "partial")
@@ -154,7 +152,6 @@ def test_what_is_in_no_library_is_named_after_nothing(explained):
     assert "a place to look at, not a cause" in summary["sentence"]
 
 
-@pytest.mark.slow
 def test_the_place_that_is_pointed_at_is_near_what_was_changed(explained):
     """Rods that are stiffer on the rear axle move the rear axle and its boxes."""
     folder = explained(OUTSIDE)
@@ -167,7 +164,6 @@ def test_the_place_that_is_pointed_at_is_near_what_was_changed(explained):
 # -- the next version of the model -------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_the_extended_model_predicts_withheld_sensors_better(explained, tmp_path, capsys, monkeypatch):
     """Explain, extend, calibrate by least squares, and the errors over both versions."""
     monkeypatch.chdir(tmp_path)

@@ -140,6 +140,7 @@ def test_no_candidates_have_no_largest_score():
 # -- the bogie ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_twin_without_noise_shows_nothing(twin_maker, with_basis, tmp_path):
     """Finer mesh, distributed masses and sensors off by up to 5 mm: scores of at most 1, whatever one looks for."""
     truth = json.loads((ROOT / "tests/truth/hidden_bogie_none.json").read_text("utf-8"))["parameters"]

@@ -128,9 +128,9 @@ def test_an_explanation_behind_the_ledger_takes_what_a_calibration_has_solved(ow
 
 def test_a_search_keeps_modes_that_least_squares_need_no_more(own, tmp_path):
     folder, calls = own
-    study = isolated(Study.load(folder))
+    study = Study.load(folder)
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
-        found = calibrate(study, Results.at(tmp_path / "results", study.name), ledger, 2, method="genetic")
+        found = calibrate(study, Results.at(tmp_path / "results", study.name), ledger, method="genetic")
         assert ledger.count(kept_under(study.problem)) == len(calls())
     assert found.best.judgement.misfit < 2e4
     twice = [point for point, count in calls().items() if count > 1]
@@ -204,7 +204,7 @@ def test_a_function_that_answers_by_chance_is_refused(own, tmp_path):
         folder / "model.py", "return cantilever.bends(v)",
         "import random; v['m_tip'] *= 1 + 0.01 * random.random()\n    return cantilever.bends(v)",
     )  # fmt: skip
-    study = isolated(Study.load(folder))
+    study = Study.load(folder)
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger, pytest.raises(InputError, match="deterministic"):
         calibrate(study, Results.at(tmp_path / "results", study.name), ledger)
 

@@ -14,6 +14,8 @@ from calib.missing.refits import DEFAULT
 from calib.missing.rules import RULES
 from calib.structure.basis import Basis
 
+# A mast and a chain are asked the same every time (test_explain.py), as are toys (tests/missing/test_explain.py).
+pytestmark = pytest.mark.slow
 BENCH = Path(__file__).resolve().parents[1] / "benchmarks"
 BEYOND = 40
 """Evaluations that the fit which is on its way when a budget ends may take, and those that a verdict needs."""
@@ -65,7 +67,7 @@ def no_wrong_name(row):
     assert row["evaluations"] <= parts * DEFAULT.budget + BEYOND
 
 
-@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [0, 1])
 def test_nothing_is_named_where_nothing_is(run, number):
     row = run("nothing", number)
     no_wrong_name(row)
@@ -76,10 +78,10 @@ def test_nothing_is_named_where_nothing_is(run, number):
     ("name", "number"),
     [
         ("weak_damper/M", 0),
-        pytest.param("crossbar_mass/M", 0, marks=pytest.mark.slow),
-        pytest.param("brake_unit/M", 2, marks=pytest.mark.slow),
-        pytest.param("brake_unit/L", 1, marks=pytest.mark.slow),  # the base model stands at other places
-        pytest.param("primary_uneven/L", 0, marks=pytest.mark.slow),
+        ("crossbar_mass/M", 0),
+        ("brake_unit/M", 2),
+        ("brake_unit/L", 1),  # the base model stands at other places
+        ("primary_uneven/L", 0),
     ],
 )
 def test_a_visible_effect_is_named_with_its_strength(run, name, number):
@@ -92,9 +94,7 @@ def test_a_visible_effect_is_named_with_its_strength(run, name, number):
     assert rms_after < 1.3 * expected and rms_after < 1.05 * rms_before
 
 
-@pytest.mark.parametrize(
-    "name", ["outside/heavy_rear/L", pytest.param("without/weak_damper/L", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", ["outside/heavy_rear/L", "without/weak_damper/L"])
 def test_what_is_in_no_library_is_not_named(run, name):
     """A design that no effect describes, and an effect that was taken out of the library."""
     row = run(name, 0)
@@ -103,7 +103,6 @@ def test_what_is_in_no_library_is_not_named(run, name):
     assert row["verdict"] in ("none_explains", "partial", "misfit_unlocated") and row["credible"] == []
 
 
-@pytest.mark.slow
 def test_a_scatter_stated_half_as_large_names_nothing(run):
     row = run("noise", 0)
     no_wrong_name(row)
@@ -122,7 +121,6 @@ def test_a_run_depends_on_its_number_alone(bench, world, run):
     assert row["strengths"] == {"weak_damper": one.values["weak_damper"]}
 
 
-@pytest.mark.slow
 def test_the_first_runs_of_the_plan_keep_the_required_rates(bench, world):
     """Too few runs to show a rate, enough to see that something broke."""
     runs = (

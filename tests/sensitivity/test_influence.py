@@ -40,7 +40,7 @@ def test_influence_of_a_free_monotone_parameter_is_the_size_of_its_spearman_valu
 
 def test_an_even_influence_of_a_whole_number_parameter_is_found_where_correlations_are_blind(draw):
     found = missed = 0
-    for seed in range(100):
+    for seed in range(50):
         points, responses = draw(seed, 150)
         responses = responses[["even"]]
         got = influence(points, responses)
@@ -49,14 +49,15 @@ def test_an_even_influence_of_a_whole_number_parameter_is_found_where_correlatio
         missed += (abs(rank.loc["place", "even"]) < noise_floor(150, 5)) and (
             abs(part.loc["place", "even"]) < partial_noise_floor(150, 5, 5)
         )
-    assert found == 100 and missed >= 95
+    assert found == 50 and missed >= 47
 
 
 @pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 def test_inert_parameters_bound_to_an_active_one_are_not_found(draw, noise):
     """Per response the promise is 5 % of the tables; steep, even and product responses included."""
     false, active, tied = {}, {}, 0
-    for seed in range(100):
+    tables = 100 if noise == 0 else 60
+    for seed in range(tables):
         points, responses = draw(seed, 150, noise=noise)
         for name in responses:  # each its own table, so that each has the whole 5 %
             got = influence(points, responses[[name]])
@@ -64,9 +65,9 @@ def test_inert_parameters_bound_to_an_active_one_are_not_found(draw, noise):
             false[name] = false.get(name, 0) + passed[["inert_mass", "nothing"]].any()
             active[name] = active.get(name, 0) + passed["place" if name == "even" else "mass"]
         tied += abs(spearman(points, responses[["steep"]]).loc["inert_mass", "steep"]) > noise_floor(150, 5)
-    assert tied == 100  # Spearman's value takes the inert one for active every time
-    assert max(false.values()) <= 10 and sum(false.values()) <= 0.05 * 500
-    assert min(active[n] for n in ("freq", "even", "valley", "steep")) >= (99 if noise == 0 else 85)
+    assert tied == tables  # Spearman's value takes the inert one for active every time
+    assert max(false.values()) <= 0.1 * tables and sum(false.values()) <= 0.05 * 5 * tables
+    assert min(active[n] for n in ("freq", "even", "valley", "steep")) >= (0.99 if noise == 0 else 0.85) * tables
 
 
 def test_floor_is_passed_by_chance_in_one_table_of_twenty():

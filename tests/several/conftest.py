@@ -123,14 +123,25 @@ def write_study(folder, text=STUDY):
 
 
 @pytest.fixture(scope="session")
-def frame(tmp_path_factory):
-    """The study, never changed, and everything asked of it through the command."""
+def run(tmp_path_factory):
+    """The study, never changed, everything asked of it through the command, and the folders whose figures it drew.
+
+    The figures themselves take four times as long as all the rest and are left out.
+    """
     from calib import cli
 
-    root = tmp_path_factory.mktemp("several")
+    root, drawn = tmp_path_factory.mktemp("several"), []
     study = write_study(root / "frame")
-    assert cli.answer(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
-    return study, root / "results"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.front.study.draw_all", lambda folder, *given: drawn.append(folder.name) or [])
+        assert cli.answer(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
+    return study, root / "results", drawn
+
+
+@pytest.fixture
+def frame(run):
+    """The study and its results."""
+    return run[:2]
 
 
 @pytest.fixture

@@ -1,11 +1,14 @@
 """A study with several tests: read, compared, fitted and explained together; what is wrong in it is told."""
 
+import shutil
+
 import pandas as pd
 import pytest
 
 import calib
 from calib import cli
 from calib.errors import InputError
+from calib.report.draw import draw_all
 from calib.several import JointStudy, load
 from calib.study import Study
 from calib.study_file import StudyFile
@@ -57,6 +60,29 @@ def test_each_test_has_its_own_answers_and_the_parameters_of_all(frame):
         assert own["verdict"] == "effect" and (results / f"frame.{test}/report.html").is_file()
 
 
+OF_ALL = {"parameters", "ranked_effects", "confounding", "errors_before_after"}
+"""Figures of what all tests say together."""
+
+
+def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp_path):
+    _, results, drawn = run
+    assert drawn == [f"{name}{end}" for name in ("frame_extended", "frame") for end in (".empty", ".loaded", "")]
+    together = shutil.copytree(results / "frame", tmp_path / "frame")
+    assert {path.stem for path in draw_all(together, "together", True)} >= OF_ALL
+
+
+@pytest.mark.slow
+def test_report_draws_what_every_folder_holds(frame, tmp_path):
+    study, results = shutil.copytree(frame[0], tmp_path / "frame"), shutil.copytree(frame[1], tmp_path / "results")
+    shutil.rmtree(results / "frame/frame_extended")
+    assert not [*results.rglob("*.png")]
+    assert cli.answer(["report", str(study), "--results", str(results)]) == 0
+    names = {end: {png.stem for png in results.glob(f"frame{end}/*.png")} for end in ("", ".empty", ".loaded")}
+    assert names[""] >= OF_ALL
+    of_one = {"model", "mode_shapes_before", "mode_shapes_after", "modes", "selection", "sensor_misfit", "added_errors"}
+    assert names[".empty"] == names[".loaded"] >= of_one | {"ranked_effects"}
+
+
 def test_errors_of_a_test_are_its_share_of_the_errors_of_all(frame):
     _, results = frame
     whole = pd.read_csv(results / "frame/errors.csv").set_index(["group", "stage"])
@@ -68,9 +94,7 @@ def test_errors_of_a_test_are_its_share_of_the_errors_of_all(frame):
         assert whole.loc[("fit", stage), "rms"] ** 2 * whole.loc[("fit", stage), "rows"] == pytest.approx(squares)
 
 
-def test_nothing_is_solved_twice_and_the_answer_stays(frame, tmp_path):
-    import shutil
-
+def test_nothing_is_solved_twice_and_the_answer_stays(frame, undrawn, tmp_path):
     study, results = frame
     again = shutil.copytree(results, tmp_path / "results")
     before = (again / "frame/parameters.csv").read_bytes()
@@ -81,8 +105,6 @@ def test_nothing_is_solved_twice_and_the_answer_stays(frame, tmp_path):
 
 
 def test_an_answer_is_stale_where_another_test_has_changed(frame, tmp_path):
-    import shutil
-
     study, results = frame
     own = shutil.copytree(study, tmp_path / "frame")
     again = shutil.copytree(results, tmp_path / "results")
@@ -162,7 +184,7 @@ def test_one_test_is_a_study_as_ever(own):
     assert Study.load(own).measured.fingerprint == one.measured.fingerprint
 
 
-def test_another_model_is_fitted_beside(own, tmp_path):
+def test_another_model_is_fitted_beside(own, undrawn, tmp_path):
     (own / "study.toml").write_text(STUDY.replace("[sensitivity]", f"{BENCH}\n[sensitivity]"))
     answer = calib.Study.load(own, tmp_path / "results", workers=1).calibrate("C1")
     assert set(answer.of.tests) == {"empty", "loaded", "bench"}

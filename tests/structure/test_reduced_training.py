@@ -28,9 +28,16 @@ def trained(ladder):
     return model, train_basis(model, model.space, 4, seed=1, freq_max=np.inf)
 
 
-@pytest.mark.parametrize("damped", [True, False])
-@pytest.mark.parametrize("grounded", [True, False])
-def test_a_trained_basis_keeps_its_tolerance_on_fresh_points(ladder, damped, grounded):
+@pytest.mark.parametrize(
+    ("grounded", "damped"),
+    [
+        (True, True),
+        (False, False),
+        pytest.param(True, False, marks=pytest.mark.slow),
+        pytest.param(False, True, marks=pytest.mark.slow),
+    ],
+)
+def test_a_trained_basis_keeps_its_tolerance_on_fresh_points(ladder, grounded, damped):
     model = ladder(200, damped=damped, grounded=grounded)
     basis = train_basis(model, model.space, 6, seed=3, tolerance=1e-5)
     reduced = ReducedModel(model, basis)
@@ -40,6 +47,7 @@ def test_a_trained_basis_keeps_its_tolerance_on_fresh_points(ladder, damped, gro
     assert basis.table()["indicator"].iloc[-1] <= 0.5e-5
 
 
+@pytest.mark.slow  # ladders are asked the same every time
 def test_the_bogie_on_both_of_its_spaces():
     """The quick form of tests/benchmarks/reduced_basis.py."""
     study = Study.load(ROOT / "studies" / "bogie")

@@ -143,12 +143,15 @@ class Library:
         Makes the modes at sensors that fingerprints are told by.
     mode_count : int
         Modes solved for them.
+    asked : tuple of str
+        Continuous parameters of the base model that columns are asked for; empty for all.
     """
 
     base: StructuralModel
     effects: Mapping[str, Effect]
     measured: Callable[[], MeasuredModes]
     mode_count: int
+    asked: tuple[str, ...] = ()
     _single: dict[str, StructuralModel] = field(init=False, default_factory=dict)
 
     @cached_property
@@ -206,17 +209,23 @@ class Library:
     def negative_directions(self, values: Mapping[str, float]) -> int:
         """How many directions K, C or M have in which they are negative beyond rounding (Sylvester's law of inertia).
 
-        Only matrices that the values change are looked at.
+        A matrix that is only added to keeps the directions of the one with all effects at 0, and is not factored.
         """
         found = 0
-        zero, size = self.together.matrices(self.values({})), self.together.n_dof
-        for matrix, before in zip(self.together.matrices(self.values(values)), zero, strict=True):
-            if abs(matrix - before).max() == 0:
-                continue
-            scale = sp.diags_array(1 / np.sqrt(np.maximum(abs(matrix).max(axis=0).toarray().ravel(), 1e-12)))
-            scaled = scale @ matrix @ scale + LEAST_PIVOT * sp.eye_array(size)
-            found += int(np.count_nonzero(symmetric_factor(sp.csc_array(scaled)).U.diagonal() < 0))
+        for matrix, before, still in zip(
+            self.together.matrices(self.values(values)), self._still, self._negative_still, strict=True
+        ):
+            change = sp.csr_array(matrix - before)
+            change.eliminate_zeros()
+            seen = np.unique(change.nonzero()[0])
+            size = np.linalg.eigvalsh(change[seen][:, seen].toarray()) if 0 < len(seen) < 500 else np.full(1, -np.inf)
+            added = len(seen) == 0 or size[0] >= -1e-12 * size[-1]
+            found += still if added else _negative(matrix)
         return found
+
+    @cached_property
+    def _negative_still(self) -> tuple[int, ...]:
+        return tuple(map(_negative, self._still))
 
     def solved(self, values: Mapping[str, float]) -> Modes:
         """Modes of the model with the one effect whose parameters are named."""
@@ -237,17 +246,26 @@ class Library:
         return self.measured()
 
     @cached_property
+    def _still(self) -> tuple[sp.csr_array, ...]:
+        """Matrices of the common model with all effects at 0."""
+        return tuple(self.together.matrices(self.values({})))
+
+    @cached_property
+    def _own(self) -> tuple[str, ...]:
+        """Parameters of the base model by which there are derivatives."""
+        return self.asked or tuple(p.name for p in self.base.space.parameters if not p.integer)
+
+    @cached_property
     def _slopes(self) -> tuple[tuple[str, ...], np.ndarray]:
-        """Derivatives by all continuous parameters of the base model and by every effect without a grid."""
+        """Derivatives by those parameters and by every effect without a grid."""
         effects = tuple(n for n, e in self.effects.items() if not e.grid)
         residual = self.residual(effects[0])
-        own = tuple(p.name for p in self.base.space.parameters if not p.integer)
-        return own + effects, residual.jacobian(dict.fromkeys(effects, 0.0), own + effects)
+        return self._own + effects, residual.jacobian(dict.fromkeys(effects, 0.0), self._own + effects)
 
     def columns(self, names: Sequence[str] | None = None) -> np.ndarray:
         """Derivatives by parameters of the base model over their prior widths, (n_rows, n_names); all by default."""
         known, slopes = self._slopes
-        own = [p.name for p in self.base.space.parameters if not p.integer] if names is None else list(names)
+        own = self._own if names is None else list(names)
         widths = [PRIOR.get(n[:2], 0.0) * self.base.space[n].value or 20.0 for n in own]
         return slopes[:, [known.index(n) for n in own]] * widths
 
@@ -259,6 +277,13 @@ class Library:
             yield slopes[:, known.index(name)] * effect.plausible
         for point in effect.grid:
             yield self.residual(name).residual(point)
+
+
+def _negative(matrix: sp.csr_array) -> int:
+    """Directions in which a matrix is negative beyond rounding."""
+    scale = sp.diags_array(1 / np.sqrt(np.maximum(abs(matrix).max(axis=0).toarray().ravel(), 1e-12)))
+    scaled = scale @ matrix @ scale + LEAST_PIVOT * sp.eye_array(matrix.shape[0])
+    return int(np.count_nonzero(symmetric_factor(sp.csc_array(scaled)).U.diagonal() < 0))
 
 
 def frequency_changes(

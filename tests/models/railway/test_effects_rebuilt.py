@@ -42,7 +42,12 @@ def test_every_effect_is_rebuilt():
     assert set(rebuilt.BOGIES) == set(EFFECTS)
 
 
-@pytest.mark.parametrize("name", list(EFFECTS))
+# The others are checked by hand (test_effects_alone.py) and against a finer mesh (test_effects.py) every time.
+QUICK = {"block_tilt", "crossbar_mass", "brake_unit", "damper_mount", "gear_case_offset"}
+EACH = [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in EFFECTS]
+
+
+@pytest.mark.parametrize("name", EACH)
 def test_the_strength_found_is_the_one_built_in(base, measure, plain, name):
     effect = EFFECTS[name]
     truth = dict(effect.grid[len(effect.grid) // 2]) if effect.grid else {name: effect.plausible}
@@ -55,7 +60,7 @@ def test_the_strength_found_is_the_one_built_in(base, measure, plain, name):
         assert found.values[p.name] == pytest.approx(truth[p.name], rel=0.02)
 
 
-@pytest.mark.parametrize("offset", [-600.0, 280.0])
+@pytest.mark.parametrize("offset", [-600.0, pytest.param(280.0, marks=pytest.mark.slow)])
 def test_a_gear_case_anywhere_on_its_axle_is_felt_there(base, measure, plain, offset):
     name = "gear_case_offset"
     changed = measure(rebuilt.BOGIES[name]({name: offset}))

@@ -27,7 +27,7 @@ def library(effect_checks, rigid_car, modes, vehicle_sensors):
     def measured():
         return effect_checks.noise_free(rigid_car, vehicle_sensors, modes, MEASURED)
 
-    return effect_checks.Library(rigid_car, EFFECTS, measured, SOLVED)
+    return effect_checks.Library(rigid_car, EFFECTS, measured, SOLVED, SELECTED)
 
 
 def test_names_are_unique_and_not_those_of_parameters(rigid_car):

@@ -31,7 +31,7 @@ def damaged_tables():
         sys.path.remove(str(BENCH))
 
 
-@pytest.mark.parametrize("trials", [50, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("trials", [20, pytest.param(400, marks=pytest.mark.slow)])
 def test_damaged_tables_are_read_or_refused(damaged_tables, everything, plain, unrendered, tmp_path, trials):
     studies = [(home.parent.parent / home.name, home) for home in (everything, plain)]
     studies[1] = (plain.parent.parent / "chain", plain)
@@ -56,7 +56,7 @@ def reads(tell, answers, name):
     return name in vars(answers)
 
 
-@pytest.mark.parametrize("trials", [8, pytest.param(48, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("trials", [4, pytest.param(48, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["record", "summary", "explanation"])
 def test_values_of_another_kind_are_told_or_refused(folder, name, trials):
     path = folder / f"{name}.json"
