@@ -54,7 +54,7 @@ _PLACES = {
     "read_modes": "measurement.read",
     "read_responses": "measurement.responses",
 }
-"""Where each name stands. It is imported when first asked for: a command that tells its version needs none."""
+"""Module of each public name. It is imported on first use: ``calib --version`` needs none."""
 
 __all__ = ["__version__", *_PLACES]
 

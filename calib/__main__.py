@@ -1,4 +1,4 @@
-"""``python -m calib`` and the entry point of the command; nothing heavy is imported before an interrupt can be told."""
+"""``python -m calib`` and the entry point of the command; interrupts are handled before anything heavy is imported."""
 
 from __future__ import annotations
 

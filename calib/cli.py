@@ -1,4 +1,4 @@
-"""The ``calib`` command: one verb a question."""
+"""The ``calib`` command: one subcommand per analysis."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ Quick = Annotated[
 ]
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", min=1, max=256, help="Worker processes [default: one a core where that pays]."),
+    typer.Option("--workers", min=1, max=256, help="Worker processes [default: one per core where that pays]."),
 ]
 CaseName = Annotated[
     str | None, typer.Option("--case", metavar="NAME", help="Only this case; its results go to a sub-folder.")
@@ -61,7 +61,7 @@ CaseName = Annotated[
 
 
 class SensitivityMethod(StrEnum):
-    """Ways to measure sensitivity."""
+    """Methods of sensitivity analysis."""
 
     ranks = "ranks"
     morris = "morris"
@@ -69,7 +69,7 @@ class SensitivityMethod(StrEnum):
 
 
 class CalibrationMethod(StrEnum):
-    """Ways to calibrate."""
+    """Methods of calibration."""
 
     genetic = "genetic"
     gauss_newton = "gauss-newton"
@@ -85,13 +85,13 @@ def new(folder: NewFolder) -> None:
 
 @app.command()
 def schema() -> None:
-    """Print the JSON schema of study.toml, by which editors complete and check its keys."""
+    """Print the JSON schema of study.toml, with which editors complete and check its keys."""
     typer.echo(json.dumps(settings_schema(), indent=1))
 
 
 @app.command()
 def compare(study: StudyPath, results: ResultsPath = RESULTS) -> None:
-    """Compare model and measurement, nothing fitted: how far apart, and where it fails."""
+    """Compare model and measurement without fitting: errors, MAC, and where the model fails."""
     _study(study, results).compare()
 
 
@@ -102,13 +102,13 @@ def sensitivity(
     workers: Workers = None,
     quick: Quick = False,
     method: Annotated[
-        SensitivityMethod, typer.Option("--method", help="How; morris and sobol vary inputs freely between limits.")
+        SensitivityMethod, typer.Option("--method", help="Method; morris and sobol vary inputs freely between limits.")
     ] = SensitivityMethod.ranks,
     ignore_constraints: Annotated[
-        bool, typer.Option("--ignore-constraints", help="Let morris and sobol leave constraints out of account.")
+        bool, typer.Option("--ignore-constraints", help="Let morris and sobol ignore the constraints.")
     ] = False,
 ) -> None:
-    """Find which parameters matter: Latin hypercube, rank correlations, influence, and a selection with reasons."""
+    """Find which parameters matter: Latin hypercube, rank correlations, variance shares, selection with reasons."""
     _study(study, results, workers, quick).sensitivity(method.value, ignore_constraints=ignore_constraints)
 
 
@@ -120,22 +120,22 @@ def calibrate(
     case: CaseName = None,
     quick: Quick = False,
     method: Annotated[
-        CalibrationMethod | None, typer.Option("--method", help="How [default: the study's choice].")
+        CalibrationMethod | None, typer.Option("--method", help="Method [default: that of the study].")
     ] = None,
 ) -> None:
-    """Search parameter values that fit, in several independent cases, and compare before with after.
+    """Fit the parameters in several independent cases, and compare the model before and after.
 
-    Interrupt it at any time: started again, it continues where it was and ends with the same result.
+    Interrupt it at any time: the same command resumes it and ends with the same result.
     """
     _study(study, results, workers, quick).calibrate(case, method=method.value if method else None)
 
 
 @app.command()
 def explain(study: StudyPath, results: ResultsPath = RESULTS) -> None:
-    """Find which physical effect the model lacks: a verdict, what supports it, and what to measure next.
+    """Find which physical effect the model lacks: a verdict, its evidence, and the recommended next measurement.
 
-    Calibrates by least squares, tests every effect of the study's library and every local change of the model, fits
-    the promising ones, and checks what is left.
+    Calibrates by least squares, tests every effect of the study's library and every local perturbation of the model,
+    fits the most promising ones, and tests the remaining misfit.
     """
     _study(study, results).explain()
 
@@ -143,13 +143,13 @@ def explain(study: StudyPath, results: ResultsPath = RESULTS) -> None:
 @app.command()
 def extend(
     study: StudyPath,
-    effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Of the study's library of effects.")],
+    effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Effects of the study's library.")],
     into: Annotated[
         Path, typer.Option("--into", metavar="FOLDER", callback=_possible, help="A folder that does not exist yet.")
     ],
     results: ResultsPath = RESULTS,
 ) -> None:
-    """Write a new study whose model has one effect more, or several; the old one stays as it is."""
+    """Write a new study whose model also has the named effects; this study stays as it is."""
     written = _study(study, results).extend(effects, into)
     place = "" if written.results == RESULTS else f" --results {shell_argument(written.results)}"
     terminal.say(f"Calibrate it with: calib calibrate {shell_argument(written.path)}{place}")
@@ -157,7 +157,7 @@ def extend(
 
 @app.command()
 def report(study: StudyPath, results: ResultsPath = RESULTS) -> None:
-    """Tell all earlier answers in report.html, one file that opens anywhere, and draw every figure anew.
+    """Write report.html, one file that opens anywhere, from the stored results, and redraw every figure.
 
     Nothing is computed, and no code of the study is run.
     """
@@ -166,10 +166,10 @@ def report(study: StudyPath, results: ResultsPath = RESULTS) -> None:
 
 @app.command()
 def run(study: StudyPath, results: ResultsPath = RESULTS, workers: Workers = None, quick: Quick = False) -> None:
-    """Ask everything: compare, sensitivity, calibrate, explain, add what is named; draw, and write report.html.
+    """Run every analysis: compare, sensitivity, calibrate, explain, add the named effects; draw, write report.html.
 
-    A study that names effects which its model may lack is explained. What is missing, if anything is named, is added:
-    the extended study is written among the results and calibrated too, and the errors before and after are told.
+    'explain' runs where the study has a library of effects. Effects that it names are added: the extended study is
+    written among the results and calibrated too, and the errors before and after are reported.
     """
     _study(study, results, workers, quick).run()
 
@@ -198,13 +198,13 @@ def main() -> None:
     """Entry point of the command."""
     interrupt.once()
     terminal.write_to_any_code_page()
-    sys.exit(answer(sys.argv[1:]))
+    sys.exit(execute(sys.argv[1:]))
 
 
-def answer(arguments: list[str]) -> int:
+def execute(arguments: list[str]) -> int:
     """Run one command line and return its exit code.
 
-    Bad input is one sentence and code 2, an interrupt 130; an unexpected failure leaves its traceback in a log, code 1.
+    Bad input gives one sentence and code 2, an interrupt code 130; an unexpected failure logs its traceback, code 1.
     """
     try:
         with noting_kept() as kept:

@@ -1,4 +1,4 @@
-"""What the command says meanwhile: short tables and sentences on the terminal, and bars."""
+"""Terminal output of the command: short tables, sentences and progress bars."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from typing import Any
 import pandas as pd
 
 from calib import progress, terminal
+from calib.analyses.added import WORDS, Added, by_group, to_add
+from calib.analyses.calibrate import Calibration
+from calib.analyses.case import CaseFound
+from calib.analyses.compare import ComparisonResult
+from calib.analyses.explanation_result import ExplanationResult
+from calib.analyses.extend import Extension
+from calib.analyses.joint_calibration import Fitted, JointCalibration
+from calib.analyses.record import assumptions_table, check_repeats
+from calib.analyses.sensitivity import Screening, Sensitivity
+from calib.analyses.versions import Versions
 from calib.front.listener import Doing, Listener, Sampled, Searched
-from calib.missing.findings import Findings
+from calib.missing.explanation import Explanation
 from calib.missing.verdict import rounded
-from calib.questions.added import WORDS, Added, by_group, to_add
-from calib.questions.calibrate import Calibration
-from calib.questions.case import CaseFound
-from calib.questions.compare import Answer
-from calib.questions.explanation import Explanation
-from calib.questions.extend import Extension
-from calib.questions.joint_calibration import Fitted, JointCalibration
-from calib.questions.record import assumptions_table, check_repeats
-from calib.questions.sensitivity import Screening, Sensitivity
-from calib.questions.versions import Versions
 from calib.results import Results
 from calib.study import Study
 from calib.study_file import StudyFile, shell_argument
 from calib.terminal import count, number, say, table, warn
 
 WORST_SHOWN = 8
-"""Rows of where a model fails, which the table beside it tells whole."""
+"""Rows shown of the largest residuals; the table in the results folder has all."""
 ASSUMPTIONS_SHOWN = 60
-"""Assumed values; a longer list, such as the vehicle's of 88, is better read in its file."""
+"""Assumed values shown; ``assumptions.csv`` has all."""
 
 
 class _Printing(Listener):
@@ -55,18 +55,18 @@ class _Printing(Listener):
     def other_state(self, rows: int) -> None:
         if rows:
             belong, they = ("belongs", "it is") if rows == 1 else ("belong", "they are")
-            rest = f"{belong} to another state of model or measurement; {they} kept and not used."
+            rest = f"{belong} to another state of model or measurement; {they} kept but not used."
             say(f"{count(rows, 'earlier evaluation')} {rest}")
 
-    def compared(self, study: Study, answer: Answer, folder: Results) -> None:
-        _tell_withheld(study)
+    def compared(self, study: Study, answer: ComparisonResult, folder: Results) -> None:
+        _tell_held_out(study)
         for note in study.measurement_notes:
             say(f"Measurement: {note}.")
         for sentence in check_repeats(study):
             warn(sentence)
         for hint in answer.hints:
             warn(hint)
-        for finding in answer.findings:
+        for finding in answer.sensor_findings:
             warn(f"Check this sensor: {finding.sentence}")
         _print_answer(answer)
         if answer.comparison is not None:
@@ -78,12 +78,12 @@ class _Printing(Listener):
             say(last)
             worst = answer.comparison.where_it_fails().head(WORST_SHOWN)
             rows = [
-                (r["kind"], r["what"], number(r["value"], 3), number(r["in_scatter"], 1), r["verdict"])
+                (r["kind"], r["what"], number(r["value"], 3), number(r["in_std"], 1), r["verdict"])
                 for r in worst.to_dict("records")
             ]
-            table(("kind", "what", "value", "in units of scatter", "verdict"), rows)
+            table(("kind", "what", "value", "in standard deviations", "verdict"), rows)
         else:
-            for sentence in answer.scatter:
+            for sentence in answer.std_notes:
                 say(sentence)
         assumed = assumptions_table(study)
         if len(assumed):
@@ -100,16 +100,16 @@ class _Printing(Listener):
         rows = [
             (
                 r["parameter"],
-                *(number(r[name], 2) for name in ("max_spearman", "max_partial", "max_influence")),
+                *(number(r[name], 2) for name in ("max_spearman", "max_partial", "max_variance_share")),
                 "yes" if r["selected"] else "no",
                 r["why"],
             )
             for r in answer.assessment.selection.to_dict("records")
         ]
-        table(("parameter", "Spearman", "partial", "influence", "selected", "why"), rows, left=("why",))
+        table(("parameter", "Spearman", "partial", "variance share", "selected", "why"), rows, left=("why",))
         say(selected)
         if study.model.space.constraints:
-            say("Constraints correlate the sampled parameters with each other; Spearman's values alone may mislead.")
+            say("Constraints correlate the sampled parameters; Spearman's coefficients alone may mislead.")
 
     def screened(self, answer: Screening, folder: Results) -> None:
         size = "mu_star" if answer.method == "morris" else "ST"
@@ -150,10 +150,10 @@ class _Printing(Listener):
                 say(sentence)
         if answer.retried:
             say(
-                f"Asked again, as by every command: {count(answer.retried, 'point')} at which a process had died, or "
-                "run out of memory or of time_limit."
+                f"Evaluated again: {count(answer.retried, 'point')} at which an earlier process died or ran out of "
+                "memory or time_limit."
             )
-        _print_suspects(best.judgement.suspects)
+        _print_suspects(best.statistics.suspects)
         say(f"\nAfter calibration (case {best.name}):")
         _print_answer(best.answer)
         for warning in best.answer.warnings:
@@ -164,20 +164,20 @@ class _Printing(Listener):
         if not math.isnan(after.mean_mac):
             allowed = "" if math.isnan(after.noise_mac) else f" (noise alone allows {after.noise_mac:.4f})"
             say(f"Mean MAC {before.mean_mac:.4f} -> {after.mean_mac:.4f}{allowed}.")
-        _tell_withheld(study)
-        if answer.modes is not None and study.settings.withheld.modes:
+        _tell_held_out(study)
+        if answer.modes is not None and study.settings.held_out.modes:
             _print_modes(answer.modes)
         if answer.responses is not None:
             _print_responses(answer.responses)
-        held = study.settings.withheld
+        held = study.settings.held_out
         if answer.errors is not None and (held.modes or held.sensors or held.responses):
-            say("Errors in units of the scatter:")
+            say("Errors in standard deviations:")
             table(("data", *_ERRORS), [(WORDS[r["group"]], *_errors(r)) for r in answer.errors.to_dict("records")])
         for sentence in answer.contradictions:
             warn(sentence)
 
-    def explained(self, study: StudyFile, answer: Explanation, folder: Results) -> None:
-        _tell_withheld(study)
+    def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
+        _tell_held_out(study)
         for note in answer.notes:
             warn(note)
         say(f"\n{answer.verdict}", style="bold")
@@ -187,38 +187,42 @@ class _Printing(Listener):
         rows = []
         for r in answer.effects.to_dict("records"):
             unit = "" if r["unit"] == "-" else f" {r['unit']}"
-            phi = f"{r['phi']:.3g} [{r['phi_low']:.3g}, {r['phi_high']:.3g}]{unit}" if r["refitted"] else ""
-            least = f"{rounded(r['phi_min'])}{unit}" if math.isfinite(r["phi_min"]) else ""
+            magnitude = (
+                f"{r['magnitude']:.3g} [{r['magnitude_low']:.3g}, {r['magnitude_high']:.3g}]{unit}"
+                if r["refitted"]
+                else ""
+            )
+            least = f"{rounded(r['magnitude_min'])}{unit}" if math.isfinite(r["magnitude_min"]) else ""
             least = ", ".join([*([least] if least else []), *([] if r["visible"] else ["not visible"])])
             remark = "credible" if r["credible"] else r["implausible"]
             numbers = (number(r["z"], 1), number(r["ln_bayes"], 1))
             if not r["refitted"] and numbers[1]:
                 numbers = numbers[0], f"{numbers[1]} (linear)"
-            rows.append((r["name"], *numbers, number(r["gamma"], 2), phi, least, remark))
-        heads = ("effect", "z", "ln Bayes", "gamma", "strength, 95 %", "smallest visible", "remark")
+            rows.append((r["name"], *numbers, number(r["unabsorbed"], 2), magnitude, least, remark))
+        heads = ("effect", "z", "ln Bayes", "unabsorbed", "magnitude, 95 %", "smallest visible", "remark")
         if rows:
             table(heads, rows, left=("remark",))
-        found = answer.findings
-        counts = len(answer.tables["atoms"]), len(answer.tables["tried"])
-        tests = (
-            f"{count(sum(len(g.names) for g in found.groups), 'effect')} and {count(counts[0], 'local change')} tested"
-        )
-        work = f"{count(counts[1], 'model')} fitted, {count(found.evaluations, 'model evaluation')}"
+        found = answer.explanation
+        effects = count(sum(len(g.names) for g in found.groups), "effect")
+        local = count(len(answer.tables["perturbations"]), "local perturbation")
+        tests = f"{effects} and {local} tested"
+        fits = count(len(answer.tables["candidate_fits"]), "model")
+        work = f"{fits} fitted, {count(found.evaluations, 'model evaluation')}"
         say(f"\n{tests}, {work}, {answer.seconds:.0f} s.")
         if rows:
             against = "ln Bayes is against the base model, for the plausible size of each effect"
-            say(f"z is a score and no probability; {against}.")
+            say(f"z is a score, not a probability; {against}.")
         if len(answer.errors):
             errors = [(str(r["group"]), str(r["stage"]), *_errors(r)) for r in answer.errors.to_dict("records")]
             name = "" if found.chosen is None else " and ".join(found.chosen.names)
             label = f" and after with {name}" if name else ""
             if (answer.errors["stage"] == "attempt").any():
                 label = f" and with {name}: best attempt, not believed"
-            say(f"\nErrors in units of the scatter, before{label}:")
+            say(f"\nErrors in standard deviations, before{label}:")
             table(("data", "stage", *_ERRORS), errors)
         terminal.tell_traces(f"explain {study.file}", answer.traces)
 
-    def may_add(self, study: StudyFile, found: Findings) -> None:
+    def may_add(self, study: StudyFile, found: Explanation) -> None:
         if named := to_add(found):
             them = "them" if len(named.names) > 1 else "it"
             say(f"Add {them} with: calib extend {shell_argument(study.file)} {' '.join(named.names)} --into FOLDER")
@@ -234,7 +238,7 @@ class _Printing(Listener):
             names = ", ".join(name for effect in effects for name in effect.names)
             say(f"Its model has {names} too; the study leaves the selection to 'calib sensitivity'.")
         if written.aside is not None:
-            say(f"The study that was there had been changed, and is kept as {written.aside}, without its answers.")
+            say(f"The study that was there had been changed, and is kept as {written.aside}, without its results.")
 
     def added(self, answer: Added, written: Extension, folder: Results) -> None:
         rows = [
@@ -243,11 +247,11 @@ class _Printing(Listener):
             for r in by_group(answer.errors).to_dict("records")
         ]  # fmt: skip
         if rows:
-            say("Both models calibrated alike; rms errors in units of the scatter:")
-            table(("data", "rows", "before", "after", "of a right model", "p before", "p after"), rows)
+            say("Both models calibrated in the same way; rms errors in standard deviations:")
+            table(("data", "rows", "before", "after", "of a correctly specified model", "p before", "p after"), rows)
         say(answer.sentence)
-        say(f"\nThe extended study, to be opened, moved or gone on with: {written.file.parent}")
-        say(f"Its own answers: {folder.path}")
+        say(f"\nThe extended study: {written.file.parent}")
+        say(f"Its results: {folder.path}")
 
     def versions(self, found: Versions) -> None:
         rows = [
@@ -261,8 +265,8 @@ class _Printing(Listener):
             for r in found.table.to_dict("records")
         ]
         if rows:
-            say("\nErrors in units of the scatter over the versions of the model:")
-            table(("study", "effects", "data", "rms", "of a right model"), rows, left=("effects", "data"))
+            say("\nErrors in standard deviations over the versions of the model:")
+            table(("study", "effects", "data", "rms", "of a correctly specified model"), rows, left=("effects", "data"))
         for note in found.notes:
             warn(note)
 
@@ -277,13 +281,13 @@ class _Printing(Listener):
         for sentence in outdated.values():
             warn(f"\n{sentence}")
         if report is not None:
-            say(f"\nThe whole story, in one file that opens offline: {report}")
+            say(f"\nThe report, one file that opens offline: {report}")
 
 
 PRINTING: Listener = _Printing()
-"""Prints what happens, with bars on a terminal."""
+"""Prints progress and results, with bars on a terminal."""
 
-_ERRORS = ("rows", "rms", "of a right model", "p")
+_ERRORS = ("rows", "rms", "of a correctly specified model", "p")
 
 
 def _tell_joint_calibration(answer: JointCalibration, folder: Results) -> None:
@@ -296,9 +300,9 @@ def _tell_joint_calibration(answer: JointCalibration, folder: Results) -> None:
         if one.errors is not None
         for r in one.errors.to_dict("records")
     ]
-    say("Errors in units of the scatter:")
+    say("Errors in standard deviations:")
     table(("test", "data", *_ERRORS), rows, left=("data",))
-    say(f"What all tests say is in {folder.path}, what each says by itself beside it.")
+    say(f"The joint results are in {folder.path}, those of each test beside it.")
 
 
 def _errors(row: Mapping[Any, Any]) -> tuple[str, ...]:
@@ -310,7 +314,7 @@ def _print_verdicts(verdicts: pd.DataFrame, best: CaseFound) -> None:
     rows = []
     for r in verdicts.to_dict("records"):
         spread = "" if pd.isna(r["spread"]) else f"{100 * r['spread']:.0f} %"
-        std = "–" if r["parameter"] in best.judgement.whole else "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
+        std = "–" if r["parameter"] in best.statistics.whole else "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
         unit = "" if r["unit"] == "-" else f" {r['unit']}"
         rows.append(
             (r["parameter"], f"{r['value']:.5g}{unit}", std, f"{100 * r['ratio']:.0f} %", spread, r["sentence"])
@@ -320,45 +324,45 @@ def _print_verdicts(verdicts: pd.DataFrame, best: CaseFound) -> None:
 
 
 def _print_points(answer: Calibration) -> None:
-    """Both criteria where searches and least squares ended, side by side."""
+    """Objective of the search and sum of squares, at the end of the searches and of least squares."""
     rows = [
         (r["case"], r["point"], *(f"{r[name]:.5g}" for name in ("objective", "sum_of_squares", "prior", "total")))
         for case in answer.cases
-        if case.search is not None and case.judgement.fit is not None
+        if case.search is not None and case.statistics.fit is not None
         for r in case.points.to_dict("records")
     ]
     if rows:
-        say("What the search makes small (objective) and what least squares do (total), where each of them ended:")
+        say("What the search minimises (objective) and what least squares minimises (total), at the end of each:")
         table(("case", "point", "objective", "sum of squares", "prior", "total"), rows, left=("point",))
 
 
 def _print_suspects(suspects: pd.DataFrame) -> None:
-    """Data without each of which everything fits."""
+    """Single data whose removal would make the model fit."""
     guilty = suspects[suspects["explains"].astype(bool)].head(WORST_SHOWN)
     if len(guilty):
         rows = [
             (r["what"], str(r["rows"]), number(r["chi2"], 1), f"{r['p']:.2g}", f"{r['p_fit_without']:.2g}")
             for r in guilty.to_dict("records")
         ]
-        say("\nWithout any one of these everything fits, to first order:")
+        say("\nThe model fits, to first order, if any one of these is left out:")
         table(("left out", "rows", "lowers the sum of squares by", "p", "p of the fit without"), rows)
 
 
-def _tell_withheld(study: StudyFile) -> None:
+def _tell_held_out(study: StudyFile) -> None:
     for part in study.parts:
-        held, of = part.settings.withheld, f" in test {part.test}" if part.test != study.test else ""
+        held, of = part.settings.held_out, f" in test {part.test}" if part.test != study.test else ""
         if held.modes or held.sensors:
             modes, sensors = (", ".join(names) or "none" for names in (held.modes, held.sensors))
-            say(f"Withheld{of}, never fitted: modes {modes}; sensors {sensors}.")
+            say(f"Held out{of}, never fitted: modes {modes}; sensors {sensors}.")
         if held.responses:
-            say(f"Withheld{of}, never fitted: {', '.join(held.responses)}.")
+            say(f"Held out{of}, never fitted: {', '.join(held.responses)}.")
 
 
 def _print_modes(modes: pd.DataFrame) -> None:
     stages = [stage for stage in ("initial", "before", "after") if f"error_{stage}" in modes]
     rows = [
         (
-            str(r["mode"]) + (" (withheld)" if r["withheld"] else ""),
+            str(r["mode"]) + (" (held out)" if r["held_out"] else ""),
             *(number(r[f"damped_freq_{stage}"], 3) for stage in ("measured", *stages)),
             *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in stages),
             *(number(r[f"mac_{stage}"], 3) for stage in stages),
@@ -373,7 +377,7 @@ def _print_modes(modes: pd.DataFrame) -> None:
 def _print_responses(responses: pd.DataFrame) -> None:
     rows = [
         (
-            str(r["response"]) + (" (withheld)" if r["withheld"] else ""),
+            str(r["response"]) + (" (held out)" if r["held_out"] else ""),
             *(f"{r[stage]:.6g}" for stage in ("measured", "before", "after")),
             *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in ("before", "after")),
         )
@@ -383,13 +387,13 @@ def _print_responses(responses: pd.DataFrame) -> None:
     table(("response", "measured", "before", "after", "error before", "error after"), rows)
 
 
-def _print_answer(answer: Answer) -> None:
+def _print_answer(answer: ComparisonResult) -> None:
     if answer.comparison is None:
-        plain = [
+        responses = [
             (r["response"], f"{r['measured']:.6g}", f"{r['model']:.6g}", f"{100 * r['error']:+.2f} %")
             for r in answer.table.to_dict("records")
         ]
-        table(("response", "measured", "model", "error"), plain)
+        table(("response", "measured", "model", "error"), responses)
         return
     rows = []
     for r in answer.table.to_dict("records"):

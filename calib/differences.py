@@ -1,4 +1,4 @@
-"""Derivatives of a vector by differences, for models that tell none."""
+"""Finite-difference derivatives of a vector, for models that give none."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def central_jacobian(
     values : mapping
     names : sequence of str
     step : float
-        Over the range between the limits.
+        Half the distance between the two points, as a share of the range between the limits.
     """
     complete = space.complete(dict(values))
     if not names:
@@ -40,13 +40,13 @@ def difference(
 ) -> np.ndarray:
     """Derivative of a vector along one parameter by a central difference within its limits, shape (n_rows,).
 
-    At a limit, or where one end fails, it is one-sided; so it is for an entry that is NaN at one end, and one that is
-    NaN at both has the derivative NaN. Whole-number and held parameters have the derivative 0.
+    It is one-sided at a limit, where one end fails, and for an entry that is NaN at one end; an entry that is NaN at
+    both ends has the derivative NaN. Integer and held parameters have the derivative 0.
 
     Raises
     ------
     EvaluationError
-        When the vector cannot be had on either side.
+        When the vector cannot be evaluated on either side.
     """
     middle, half = values[p.name], step * (p.upper - p.lower)
     if p.integer or half == 0:

@@ -1,4 +1,4 @@
-"""A physical effect that a model may lack: what it is, how strong it can be, and how it is added."""
+"""Effect: a physical effect that a model may lack, with its magnitude, nuisance parameters and construction."""
 
 from __future__ import annotations
 
@@ -18,42 +18,43 @@ class Effect:
     Attributes
     ----------
     name : str
-        Identifier used in tables, files and on the command line; also the name of its strength.
+        Identifier used in tables, files and on the command line; also the name of its magnitude.
     title : str
-        What an engineer calls it.
+        Common engineering name.
     lacks : str
         What the base model does instead, one sentence.
     look_for : str
         What to look for on the real structure, one sentence.
-    strength : Parameter
-        Named as the effect. Its ``prior_sd`` is what would be a large but plausible strength (the evidence depends on
-        it), its limits are physical. It may be negative only if its lower limit is. Its value, the base model's, is 0,
-        or a lower limit of next to nothing where the matrices have no derivative at 0.
+    magnitude : Parameter
+        Named as the effect. Its ``prior_sd`` is a large but plausible magnitude (the evidence depends on it), its
+        limits are physical. It may be negative only if its lower limit is. Its value is that of the base model: 0, or a
+        small lower limit where the matrices have no derivative at 0.
     build : callable
-        Takes the model and returns what is added: an `calib.structure.extend.Addition` for a structural model, the
-        function of the extended parameters for a model that is a function, of responses or of modes.
+        Takes the model and returns the addition: a `calib.structure.extend.Addition` for a structural model, the
+        function of the extended parameters for a function model, of responses or of modes.
     nuisance : tuple of Parameter
-        What else must be known once the strength is not 0, such as the frequency of a hung mass; physical limits.
+        Further parameters of an effect of nonzero magnitude, such as the frequency of a hung mass, with physical
+        limits.
     grid : tuple of mapping from str to float
-        Strength and nuisance parameters at which the effect's fingerprint is taken by difference; needed with nuisance
-        parameters, which have no meaning at strength 0 (Davies 1987). Without a grid the fingerprint is the
-        derivative at the base model.
+        Magnitude and nuisance parameters at which the effect's signature is taken by difference; required with nuisance
+        parameters, which have no meaning at magnitude 0 (Davies 1987). Without a grid the signature is the derivative
+        at the base model.
     part : str
-        What of the model the strength scales, as one more than it; empty for an effect that adds something.
+        Part of the model that is scaled by 1 + magnitude; empty for an added one.
     of_measurement : bool
-        Whether it is a fault of the measurement, and nothing that the model lacks.
+        Whether it is a measurement error, not an effect missing in the model.
 
     Raises
     ------
     InputError
-        When these do not fit together.
+        When the attributes are inconsistent.
     """
 
     name: str
     title: str
     lacks: str
     look_for: str
-    strength: Parameter
+    magnitude: Parameter
     build: Callable[[Any], Any]
     nuisance: tuple[Parameter, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ()
@@ -61,20 +62,20 @@ class Effect:
     of_measurement: bool = False
 
     def __post_init__(self) -> None:
-        place, p = f"effect {self.name}", self.strength
+        place, p = f"effect {self.name}", self.magnitude
         if p.name != self.name:
-            raise InputError(f"its strength is named {p.name!r}", place=place, remedy=f"name it {self.name!r}")
+            raise InputError(f"its magnitude is named {p.name!r}", place=place, remedy=f"name it {self.name!r}")
         if p.prior_sd is None:
-            raise InputError("no plausible size is given", place=place, remedy="give its strength a prior_sd")
+            raise InputError("no plausible size is given", place=place, remedy="give its magnitude a prior_sd")
         if not p.lower <= p.value <= p.upper or abs(p.value) > 0.01 * p.prior_sd or p.distribution == "fixed":
             raise InputError(
-                f"its strength of {p.value:g} {p.unit} is not that of the base model",
+                f"its magnitude of {p.value:g} {p.unit} is not that of the base model",
                 place=place,
                 remedy="give it the value 0 within its limits",
             )
         if self.nuisance and not self.grid:
             raise InputError(
-                "its nuisance parameters have no meaning at strength 0", place=place, remedy="give a grid of values"
+                "its nuisance parameters have no meaning at magnitude 0", place=place, remedy="give a grid of values"
             )
         names = {q.name for q in self.parameters}
         for point in self.grid:
@@ -83,30 +84,30 @@ class Effect:
                     f"its grid has a point {dict(point)}", place=place, remedy=f"give {', '.join(sorted(names))}"
                 )
             if point[p.name] == 0:
-                raise InputError("its grid has a point of strength 0", place=place, remedy="give it a strength")
+                raise InputError("its grid has a point of magnitude 0", place=place, remedy="give it a magnitude")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Strength first, then nuisance parameters."""
-        return (self.strength, *self.nuisance)
+        """Magnitude first, then nuisance parameters."""
+        return (self.magnitude, *self.nuisance)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
 
     @property
     def signed(self) -> bool:
-        """Whether the strength may be negative."""
-        return self.strength.lower < 0
+        """Whether the magnitude may be negative."""
+        return self.magnitude.lower < 0
 
     @property
     def plausible(self) -> float:
-        """A large but plausible strength, in its own unit."""
-        return self.strength.prior_width
+        """A large but plausible magnitude, in its own unit."""
+        return self.magnitude.prior_width
 
     def require_new(self, space: ParameterSpace, model: str) -> None:
-        """InputError when a model of that name and space has one of its parameters already."""
+        """InputError when a model of that name and space already has one of its parameters."""
         for p in self.parameters:
             if p.name in space:
                 raise InputError(

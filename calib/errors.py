@@ -1,4 +1,4 @@
-"""The two ways a question can fail that are nobody's bug: bad input, and a point that cannot be evaluated."""
+"""The two expected failures: bad input, and a point that cannot be evaluated."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _rebuild_input_error(kind: type[InputError], problem: str, place: str | None
 
 
 class ToleranceError(InputError):
-    """A reduced basis does not reach its tolerance; whoever asked may go on with the full model."""
+    """A reduced basis does not reach its tolerance; the caller may continue with the full model."""
 
 
 class EvaluationError(RuntimeError):
@@ -49,7 +49,7 @@ class EvaluationError(RuntimeError):
 
 
 def again(fault: EvaluationError, words: str | None = None) -> EvaluationError:
-    """The same failure with what was noted of it, in other words if given, without the places it has passed through."""
+    """A copy of the failure with its notes, reworded if ``words`` are given, and without its traceback."""
     out = EvaluationError(*fault.args) if words is None else EvaluationError(words)
     for note in getattr(fault, "__notes__", ()):
         out.add_note(note)

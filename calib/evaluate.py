@@ -20,11 +20,11 @@ from calib.threads import one_thread
 from calib.worker import Source
 
 Arrived = Callable[[Outcome], None]
-"""Told every outcome as soon as it is there, in whatever order that is."""
+"""Callback for every outcome as soon as it is available, in any order."""
 
 
 def unheard(outcome: Outcome) -> None:
-    """For outcomes that nobody waits for."""
+    """Callback that ignores outcomes."""
 
 
 class BatchEvaluator(Protocol):
@@ -32,19 +32,19 @@ class BatchEvaluator(Protocol):
 
     @property
     def isolated(self) -> bool:
-        """Whether points are evaluated in other processes: one that ends its process takes nothing with it."""
+        """Whether points are evaluated in other processes, so that a crash stays confined to its point."""
         ...
 
     def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
-        """Outcomes in the order of the points, each also told to ``arrived`` as soon as it is there."""
+        """Outcomes in the order of the points; ``arrived`` is called with each as soon as it is available."""
         ...
 
 
 class Evaluator:
     """Evaluates batches of points with one function, in this process or in several.
 
-    The answers do not depend on the number of workers: every point is a task of its own, answers come in the order
-    asked, and numerical libraries use one thread everywhere.
+    Results do not depend on the number of workers: every point is a task of its own, results are returned in the order
+    of the points, and numerical libraries use one thread everywhere.
 
     Parameters
     ----------
@@ -54,11 +54,11 @@ class Evaluator:
     workers : int
         1 evaluates in this process, unless ``isolated``.
     time_limit : float, optional
-        Seconds after which a point is given up and its process ended; such a failure is the machine's (another time it
-        may be less busy). Only worker processes can be ended: in this process nothing is limited.
+        Seconds after which a point is abandoned and its process killed. The failure counts as transient, since the
+        machine may be less busy another time. Only worker processes are limited, this process is not.
     isolated : bool
-        Whether one worker is a process of its own, too; several always are. Only there a point that kills its process
-        is survived.
+        Whether a single worker also runs in a process of its own, as several always do. Only then does the batch
+        survive a point that kills its process.
 
     Raises
     ------
@@ -68,7 +68,7 @@ class Evaluator:
 
     def __init__(self, source: Source, workers: int = 1, time_limit: float | None = None, isolated: bool = False):
         if workers < 1:
-            raise InputError(f"{workers} workers are asked", place="workers", remedy="ask for at least 1")
+            raise InputError(f"{workers} workers are requested", place="workers", remedy="request at least 1")
         if time_limit is not None and not 0 < time_limit < math.inf:
             raise InputError(
                 f"a point is allowed {time_limit:g} s", place="time limit", remedy="give a positive number, or none"
@@ -101,19 +101,19 @@ class Evaluator:
         points : sequence of mapping
             Named values.
         arrived : callable
-            Told every outcome as soon as it is there, so that a stop loses no more than what is under way.
+            Called with every outcome as soon as it is available, so that a stop loses only the points in progress.
 
         Returns
         -------
         list of Outcome
-            In the order given. When a worker process dies, the point that was under way has failed; of several, those
-            have that end a process alone, too. One that takes too long has failed, too.
+            In the order given. When a worker process dies, the point in progress has failed; of several points in
+            progress, those that also kill a process alone have failed. A point beyond the time limit has failed.
 
         Raises
         ------
         InputError
-            The set-up is wrong, or worker processes cannot be started. As with every exception that leaves here,
-            worker processes are ended at once.
+            The set-up is wrong, or worker processes cannot be started. On any exception the worker processes are
+            killed at once.
         """
         if not points:
             return []
@@ -121,7 +121,7 @@ class Evaluator:
             return self._serial(points, arrived)
         try:
             return self._parallel(points, arrived)
-        except BaseException:  # also the keyboard's: no process may stay behind
+        except BaseException:  # KeyboardInterrupt too: no process may stay behind
             self._stop(at_once=True)
             raise
 
@@ -147,7 +147,7 @@ class Evaluator:
         return [self._alone(v, arrived) if o is None else o for v, o in zip(points, outcomes, strict=True)]
 
     def _round(self, points: Sequence[Mapping[str, float]], outcomes: list[Outcome | None], arrived: Arrived) -> bool:
-        """Fill in the missing outcomes; True when a point took too long or ended its process, and others are left."""
+        """Fill in missing outcomes; True when a point took too long or killed its process and others are pending."""
         numbers: dict[Future[Outcome | Exception], int] = {}
         late: dict[int, float] = {}
 
@@ -164,7 +164,7 @@ class Evaluator:
             waiting -= done
             late = self._late() if waiting else {}
             if late:
-                self._stop(at_once=True)  # by which the others are over, too
+                self._stop(at_once=True)  # this also ends the other tasks
                 done, waiting = done | waiting, set()
             for future in sorted(done, key=numbers.__getitem__):
                 with contextlib.suppress(BrokenProcessPool, CancelledError):
@@ -177,9 +177,9 @@ class Evaluator:
         return bool(late)
 
     def _finished(self) -> set[Future[Outcome | Exception]]:
-        """Wait for a task to end, no longer than between two looks at what takes too long; all that have by then.
+        """Wait for a task to end, at most until the next check for late tasks; return all that have ended by then.
 
-        `concurrent.futures.wait` takes the locks of all tasks it waits for: an interrupt among them leaves one taken,
+        `concurrent.futures.wait` takes the locks of all tasks it waits for: an interrupt in between leaves one locked,
         and the pool never ends. This queue may be interrupted anywhere.
         """
         found = set()
@@ -195,7 +195,7 @@ class Evaluator:
         outcomes: Sequence[Outcome | None],
         known: Callable[[int, Outcome], None],
     ) -> dict[int, float]:
-        """Settle the points that were under way when a process ended; of several each is tried alone."""
+        """Settle the points that were in progress when a process died; of several, each is tried alone."""
         board = self._board
         seen = {} if board is None else {k: s for k, s in board.late(0.0).items() if outcomes[k] is None}
         if len(seen) == 1:
@@ -207,14 +207,14 @@ class Evaluator:
         return seen
 
     def _patience(self) -> float | None:
-        """Seconds between two looks at what takes too long."""
+        """Seconds between two checks for late tasks."""
         return None if self.time_limit is None else min(1.0, self.time_limit / 4)
 
     def _late(self) -> dict[int, float]:
         return {} if self._board is None or self.time_limit is None else self._board.late(self.time_limit)
 
     def _alone(self, values: Mapping[str, float], arrived: Arrived) -> Outcome:
-        """Evaluate one point with nothing else under way, so that a dying process is this point's doing."""
+        """Evaluate one point with nothing else in progress, so that a dying process is due to this point."""
         if self._pool is None:
             try:
                 self._submit(worker.ready, 0, {}).result()
@@ -261,12 +261,12 @@ class Evaluator:
 
 
 def failed(values: Mapping[str, float], error: str, seconds: float = 0.0, trace: str = "") -> Outcome:
-    """The outcome of a point that was not evaluated to its end."""
+    """The outcome of a point whose evaluation did not finish."""
     return Outcome({str(name): float(value) for name, value in values.items()}, "failed", {}, error, seconds, trace)
 
 
 def opened(answer: Outcome | Exception) -> Outcome:
-    """The outcome that a task has returned; raises the fault of the set-up that it has returned instead."""
+    """The outcome that a task returned; raises the exception that a wrong set-up returned instead."""
     if isinstance(answer, Exception):
         raise answer
     return answer

@@ -1,4 +1,4 @@
-"""Points evaluated by an executor that the user gives: threads, processes, or a cluster's client."""
+"""Batch evaluation by an executor that the user supplies: threads, processes, or a cluster's client."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ _Task = Future[Outcome | Exception]
 
 @dataclass(frozen=True)
 class Injected:
-    """An executor with what it supports; nothing by default, since `concurrent.futures` promises none of it.
+    """An executor and the guarantees it gives; none by default, as in `concurrent.futures`.
 
     Attributes
     ----------
     executor : concurrent.futures.Executor
-        It stays the giver's, who shuts it down.
+        The caller owns it and shuts it down.
     time_limit : float or None
-        Seconds after which it ends a task by itself, whose future then raises `TimeoutError`; None where it ends none.
+        Seconds after which it ends a task, whose future then raises `TimeoutError`; None where it ends none.
     isolated : bool
-        Whether a task that ends its process takes no other task with it, and the executor goes on.
+        Whether the executor and its other tasks survive a task that kills its process.
 
     Raises
     ------
     InputError
-        For what is no executor, and a limit that is not positive.
+        For an object that is not an executor, and for a limit that is not positive.
     """
 
     executor: Executor
@@ -72,25 +72,25 @@ class Injected:
 
     @staticmethod
     def of(given: Executor | Injected) -> Injected:
-        """What is given, a bare executor as one that supports nothing beyond `concurrent.futures`."""
+        """The argument itself; a bare executor is wrapped as one without further guarantees."""
         return given if isinstance(given, Injected) else Injected(given)
 
 
 class ExecutorEvaluator:
-    """Evaluates batches of points by an executor that is given; answers are those of `calib.evaluate.Evaluator`.
+    """Evaluates batches of points by a given executor; the results are those of `calib.evaluate.Evaluator`.
 
-    Every point is a task of its own and answers come in the order asked, in whatever order tasks end. Numerical
-    libraries use one thread: in this process until the batch is there, in others from their first task on. Threads
-    share their process: a function must not change what its other calls see, such as the working directory.
+    Every point is a task of its own, and results are returned in the order of the points. Numerical libraries use one
+    thread: in this process until the batch is done, in others from their first task on. Threads share their process:
+    a function must not change what its other calls see, such as the working directory.
 
     Parameters
     ----------
     source : callable
-        Builds the evaluation function, once in every process. It goes along with every task; an executor with other
+        Builds the evaluation function, once in every process. It is sent with every task; an executor with other
         processes must be able to pickle it.
     executor : concurrent.futures.Executor or Injected
     time_limit : float, optional
-        Seconds after which a point is to be given up.
+        Seconds after which a point is to be abandoned.
     isolated : bool
         Whether a point that kills its process must be survived.
 
@@ -109,7 +109,7 @@ class ExecutorEvaluator:
 
     @property
     def isolated(self) -> bool:
-        """Whether a point that ends its process takes nothing with it, as the executor states."""
+        """Whether the executor states that it survives a point that kills its process."""
         return self._injected.isolated
 
     def __enter__(self) -> ExecutorEvaluator:
@@ -119,15 +119,15 @@ class ExecutorEvaluator:
         self.close()
 
     def close(self) -> None:
-        """Let go of the function; the executor goes on."""
+        """Release the function; the executor stays open."""
         self._sent.forget()
 
     def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
-        """As `calib.evaluate.Evaluator.evaluate`; ``arrived`` is told in this thread.
+        """As `calib.evaluate.Evaluator.evaluate`; ``arrived`` is called in this thread.
 
-        A point whose worker died, that the executor refused, cancelled or lost has failed. InputError also for a set-up
-        that cannot be sent to other processes. With every exception that leaves here, tasks that wait are cancelled;
-        those under way cannot be ended.
+        A point whose worker died, or that the executor refused, cancelled or lost, has failed. InputError also for a
+        set-up that cannot be sent to other processes. On any exception waiting tasks are cancelled; running ones
+        cannot be ended.
         """
         outcomes: dict[int, Outcome] = {}
         numbers: dict[_Task, int] = {}
@@ -138,7 +138,7 @@ class ExecutorEvaluator:
             arrived(outcome)
 
         try:
-            # For threads of this process, which share both.
+            # Threads of this process share both.
             with one_thread(), directory_kept():
                 for k, values in enumerate(points):
                     try:
@@ -149,7 +149,7 @@ class ExecutorEvaluator:
                     numbers[future] = k
                     future.add_done_callback(ended.put)
                 for _ in range(len(numbers)):
-                    # Waiting by a queue, which an interrupt may hit anywhere; see `Evaluator`.
+                    # A queue, unlike `wait`, may be interrupted anywhere; see `Evaluator._finished`.
                     k = numbers[future := ended.get()]
                     try:
                         answer = future.result()
@@ -157,7 +157,7 @@ class ExecutorEvaluator:
                         known(k, self._lost(points[k], fault))
                     else:
                         known(k, opened(answer))
-        except BaseException:  # also the keyboard's
+        except BaseException:  # KeyboardInterrupt too
             for future in numbers:
                 with contextlib.suppress(Exception):
                     future.cancel()
@@ -165,7 +165,7 @@ class ExecutorEvaluator:
         return [outcomes[k] for k in range(len(points))]
 
     def _lost(self, values: Mapping[str, float], fault: BaseException) -> Outcome:
-        """The row of a point that the executor did not evaluate; InputError where its source cannot be sent at all."""
+        """The failed outcome of a point that was not evaluated; InputError where the source cannot be pickled."""
         limit = self._injected.time_limit
         if limit is not None and isinstance(fault, TimeoutError):
             return failed(values, f"{TOOK_TOO_LONG} {limit:g} s", limit)
@@ -181,7 +181,7 @@ class ExecutorEvaluator:
 
 
 def _cannot_be_sent(sent: worker.Sent) -> str:
-    """Why something cannot be pickled; empty where it can."""
+    """Why the source cannot be pickled; empty where it can."""
     try:
         pickle.dumps(sent)
     except Exception as fault:

@@ -1,4 +1,4 @@
-"""What a function is told by: its code, everything it holds (closure, defaults, options), and files it depends on."""
+"""Content hashes of functions (code, closure, defaults, options), of objects, and of files."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ import scipy.sparse as sp
 from calib.errors import InputError
 
 SKIPPED = ("__pycache__", "results", "site-packages", "node_modules")
-"""Folders in a study's that hold no source of its model; hidden ones hold none either."""
+"""Subfolders of a study that hold no source of its model; hidden ones hold none either."""
 
 
 def code_files(folder: Path) -> list[Path]:
-    """Every Python file of a study's folder and below it, sorted; those of another study that lies within are not."""
+    """Every Python file in a study's folder and below, sorted; studies nested within it are skipped."""
     found = []
     for here, below, names in os.walk(folder):
         below[:] = sorted(d for d in below if not _is_foreign(Path(here, d)))
@@ -47,10 +47,10 @@ def digest_of_files(files: Iterable[Path], folder: Path) -> str:
 
 
 def digest_of(*things: Any) -> str:
-    """Hash over the content of anything: numbers, tables, functions with what they hold, objects with their state.
+    """Hash over the content of any objects: numbers, arrays, functions, objects with their state.
 
-    It is the same in every process. Of a function count the file that holds it, its code, defaults and closure; of what
-    cannot be looked into, only the name of its kind.
+    It is the same in every process. A function is hashed by its source file, code, defaults and closure; an object
+    without accessible state by the name of its type alone.
     """
     digest = hashlib.sha256()
     for part in _Walk().parts(tuple(things)):
@@ -59,7 +59,7 @@ def digest_of(*things: Any) -> str:
 
 
 class _Walk:
-    """Goes through what a thing holds, once."""
+    """Walks through the contents of an object, visiting each part once."""
 
     def __init__(self) -> None:
         self._seen: dict[int, tuple[int, Any]] = {}  # kept alive, so that no number is given twice
@@ -120,7 +120,7 @@ class _Walk:
         if isinstance(thing, Path):
             yield str(thing).encode()
             return
-        if hasattr(thing, "__wrapped__"):  # a cache around a function is told by the function, not by what it has kept
+        if hasattr(thing, "__wrapped__"):  # a cached function counts by its code, not by its cache
             yield from self.parts(thing.__wrapped__)
             return
         state = getattr(thing, "__dict__", None)
@@ -134,7 +134,7 @@ class _Walk:
         yield from self.parts(state)
 
     def _file(self, holder: Any) -> bytes:
-        """Content of the file that holds a function or class; nothing where there is none, or it is no source."""
+        """Digest of the file that defines a function or class; empty where there is none."""
         try:
             path = Path(inspect.getfile(holder))
         except (TypeError, OSError):  # built-in or interactively defined
@@ -161,12 +161,12 @@ def _entries(matrix: Any) -> list[Any]:
 
 
 def _is_kept(kind: type, name: str) -> bool:
-    """Whether an attribute is what a cached property has kept: it follows from the others and may be there or not."""
+    """Whether an attribute is the value of a cached property: it follows from the others and may be absent."""
     return any(isinstance(vars(own).get(name), functools.cached_property) for own in kind.__mro__)
 
 
 def _name(kind: type) -> bytes:
-    # Files of Python that belong to no package have module names of their place, which is no matter.
+    # The module name of a file outside any package is derived from its path, which must not count.
     module = "" if kind.__module__.startswith("calib_study_") else kind.__module__
     return f"{module}.{kind.__qualname__}".encode()
 

@@ -1,4 +1,4 @@
-"""What a fit of a study asks: what was measured and is not withheld, against the model."""
+"""The forward problem of a study's fits: the model against the measured data that are not held out."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Targets = Mapping[str, tuple[float, float | None]]
 
 
 def measured_for(study: StudyFile, model: Model) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
-    """Everything that was measured, of the kind that the model answers."""
+    """Everything that was measured, of the kind that the model returns: modes or scalar responses."""
     given = study.settings.measurement
     if isinstance(model, FunctionModel) != bool(given.responses):
-        words = "plain responses (responses = '...')" if isinstance(model, FunctionModel) else "modes (files = [...])"
+        words = "scalar responses (responses = '...')" if isinstance(model, FunctionModel) else "modes (files = [...])"
         raise InputError(
             f"the model {model.name!r} is compared with measured {words}", place=study.place("measurement")
         )
@@ -32,38 +32,38 @@ def measured_for(study: StudyFile, model: Model) -> tuple[MeasuredModes | None, 
 def used_of(
     study: StudyFile, whole: MeasuredModes | None, whole_targets: Targets
 ) -> tuple[MeasuredModes | None, Targets]:
-    """What was measured and is not withheld."""
-    held = study.settings.withheld
+    """The measured data that are not held out."""
+    held = study.settings.held_out
     for key, names in held.model_dump().items():
         if names and (key == "responses") != (whole is None):
-            kind, own = ("plain responses", "responses") if whole is None else ("modes", "modes or sensors")
+            kind, own = ("scalar responses", "responses") if whole is None else ("modes", "modes or sensors")
             raise InputError(
-                f"{key} are withheld, but the study measures {kind}",
-                place=study.place("withheld", key),
-                remedy=f"name {own} under [withheld]",
+                f"{key} are held out, but the study measures {kind}",
+                place=study.place("held_out", key),
+                remedy=f"name {own} under [held_out]",
             )
     if whole is None:
         names = held.responses
         for name in names:
             if name not in whole_targets:
-                raise InputError(f"withheld response {name!r} was not measured", place=study.place("withheld"))
+                raise InputError(f"held-out response {name!r} was not measured", place=study.place("held_out"))
         targets = {name: target for name, target in whole_targets.items() if name not in names}
         if not targets:
             raise InputError(
-                "every measured response is withheld", place=study.place("withheld"), remedy="leave some to fit"
+                "every measured response is held out", place=study.place("held_out"), remedy="leave some to fit"
             )
         return None, targets
     try:
         used = whole.without(held.modes, held.sensors)
     except InputError as fault:
-        raise InputError(fault.problem, place=study.place("withheld"), remedy=fault.remedy) from None
+        raise InputError(fault.problem, place=study.place("held_out"), remedy=fault.remedy) from None
     if not used.n_modes:
-        raise InputError("every measured mode is withheld", place=study.place("withheld"), remedy="leave some to fit")
+        raise InputError("every measured mode is held out", place=study.place("held_out"), remedy="leave some to fit")
     if whole.has_shapes and not used.has_shapes:
         raise InputError(
-            "every sensor is withheld",
-            place=study.place("withheld", "sensors"),
-            remedy="leave some to tell the modes apart by",
+            "every sensor is held out",
+            place=study.place("held_out", "sensors"),
+            remedy="leave some by which modes are paired",
         )
     return used, {}
 
@@ -71,7 +71,7 @@ def used_of(
 def function_problem(
     study: StudyFile, model: FunctionModel, fingerprint: str, targets: Targets, measured: MeasuredResponses
 ) -> FunctionProblem:
-    """Plain responses that are used; repeats are as many as tell as much when pooled."""
+    """The problem over the scalar responses in use; ``repeats`` is the number equivalent to the pooled ones."""
     pooled = measured.pooled_repeats
     repeats = study.settings.measurement.repeats if pooled is None else pooled
     return FunctionProblem(model.space, model.function, targets, fingerprint, repeats, measured.shares)
@@ -80,7 +80,7 @@ def function_problem(
 def modal_problem(
     study: StudyFile, model: StructuralModel | ModalFunctionModel, measured: MeasuredModes, n_added: int
 ) -> ModalProblem:
-    """Modes that are used; the degrees of freedom that effects added bring as many modes more."""
+    """The problem over the modes in use; as many more modes are solved as effects add degrees of freedom."""
     pairing = study.settings.pairing
     default = usual_mode_count(measured, model.n_modes - n_added)
     count = pairing.mode_count if pairing.mode_count is not None else default
@@ -88,11 +88,11 @@ def modal_problem(
         raise InputError(
             f"mode_count is {count}, but {measured.n_modes} modes were measured",
             place=study.place("pairing", "mode_count"),
-            remedy="ask the model for at least as many, better for a few more",
+            remedy="solve at least as many, better a few more",
         )
     named = set(pairing.clusters) | set(pairing.override)
-    withheld = set(study.settings.withheld.modes)
-    for mode in sorted(named - set(measured.names) - withheld):
+    held_out = set(study.settings.held_out.modes)
+    for mode in sorted(named - set(measured.names) - held_out):
         raise InputError(
             f"mode {mode!r} was not measured",
             place=study.place("pairing"),
@@ -102,18 +102,18 @@ def modal_problem(
         return ModalProblem(
             model=model,
             measured=measured,
-            mode_clusters={m: c for m, c in pairing.clusters.items() if m not in withheld},
+            mode_clusters={m: c for m, c in pairing.clusters.items() if m not in held_out},
             mode_count=count + n_added,
             threshold=pairing.threshold,
             freq_window=pairing.freq_window,
-            override={m: k for m, k in pairing.override.items() if m not in withheld},
+            override={m: k for m, k in pairing.override.items() if m not in held_out},
         )
     except InputError as fault:
         raise misfit(study, fault) from None
 
 
 def misfit(study: StudyFile, fault: InputError) -> InputError:
-    """What does not fit between model and measurement, with its place in the study."""
+    """A mismatch of model and measurement, with its place in the study."""
     where = fault.place if fault.place and fault.place.startswith("sensor") else None
     place = f"{study.file}, {where}" if where else study.place("pairing")
     return InputError(fault.problem, place=place, remedy=fault.remedy)

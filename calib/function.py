@@ -1,4 +1,4 @@
-"""Models without matrices: any function from named parameters to named responses."""
+"""Function models: any function from named parameters to named responses."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class FunctionModel:
 
     @property
     def fingerprint(self) -> str:
-        """Hash over the function: the file that holds it, its code, and all that it holds (closure, defaults)."""
+        """Hash over the function: its file, its code and the objects it holds (closure, defaults)."""
         return digest_of(self.name, self.function)[:16]
 
 
@@ -51,16 +51,16 @@ F = TypeVar("F", bound=FunctionModel | ModalFunctionModel)
 
 
 def extend_function(model: F, effects: Sequence[Effect]) -> F:
-    """The model with effects, their strengths and nuisance parameters after its own parameters.
+    """The model with effects, their magnitudes and nuisance parameters after its own parameters.
 
-    What an effect builds from a model that is a function is a function of all values, its own included, which answers
-    as the model's does; None when that function knows the effect's parameters itself (optional ones, absent from the
-    base model's space). Effects are built one upon the other.
+    An effect on a function model builds a function of all values, its own included, that returns the same as the
+    model's; None when the model's function accepts the effect's parameters itself (optional ones, absent from the base
+    model's space). Each effect is built on the result of the previous one.
 
     Raises
     ------
     InputError
-        When an effect is in the model already, or builds no function.
+        When an effect is in the model already, or does not build a function.
     """
     for effect in effects:
         effect.require_new(model.space, model.name)

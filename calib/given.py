@@ -1,4 +1,4 @@
-"""What a user gives, checked at the door: names, numbers, and objects of a kind."""
+"""Validation of user arguments: names, numbers, paths, and objects of given types."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _Kind = TypeVar("_Kind")
 
 
 def names(given: Any, place: str) -> tuple[str, ...]:
-    """Several names; InputError for a single string, which would be taken letter by letter."""
+    """A sequence of names; InputError for a single string, which would be split into letters."""
     remedy = 'give a list of names, such as ["a", "b"]'
     if isinstance(given, str | bytes | Mapping) or not isinstance(given, Iterable):
         raise InputError(f"it is {_told(given)}", place=place, remedy=remedy)
     found = tuple(given)
     for name in found:
         if not isinstance(name, str):
-            raise InputError(f"it holds {_told(name)}, which is no name", place=place, remedy=remedy)
+            raise InputError(f"it holds {_told(name)}, which is not a name", place=place, remedy=remedy)
     return tuple(str(name) for name in found)
 
 
@@ -44,43 +44,43 @@ def numbers(given: Any, place: str) -> np.ndarray:
     except ValueError:  # rows of different lengths
         found = np.array(None)
     if found.dtype.kind not in "biufc":
-        raise InputError("it holds what is no number", place=place, remedy="give an array of numbers")
+        raise InputError("it holds an entry that is not a number", place=place, remedy="give an array of numbers")
     return found
 
 
 def whole(given: Any, least: int, place: str) -> int:
-    """A whole number; InputError for another or one below ``least``."""
+    """An integer of at least ``least``; InputError for anything else."""
     found = number(given, place)
     if not (found >= least and found == found // 1 and found < float("inf")):
-        raise InputError(f"it is {_told(given)}", place=place, remedy=f"give a whole number from {least}")
+        raise InputError(f"it is {_told(given)}", place=place, remedy=f"give an integer from {least}")
     return int(found)
 
 
 def path(given: Any, place: str) -> Path:
-    """A path; InputError for what is none."""
+    """A path; InputError for anything else."""
     if not isinstance(given, str | PathLike):
         raise InputError(f"it is {_told(given)}", place=place, remedy="give a path")
     return Path(given)
 
 
 def by_name(given: Any, place: str) -> dict[str, Any]:
-    """Anything by name, from a mapping or a pandas Series; InputError for what is neither."""
+    """Values by name, from a mapping or a pandas Series; InputError for anything else."""
     if not isinstance(given, Mapping | pd.Series):
         raise InputError(f"it is {_told(given)}", place=place, remedy='give values by name, such as {"a": 1.0}')
     found = dict(given)
     for name in found:
         if not isinstance(name, str):
-            raise InputError(f"it holds {_told(name)}, which is no name", place=place, remedy="give names as text")
+            raise InputError(f"it holds {_told(name)}, which is not a name", place=place, remedy="give names as text")
     return found
 
 
 def values(given: Any, place: str) -> dict[str, float]:
-    """Numbers by name; InputError for what is neither."""
+    """Numbers by name; InputError for anything else."""
     return {name: number(value, f"{place}, {name}") for name, value in by_name(given, place).items()}
 
 
 def objects(given: Any, kinds: type[_Kind] | tuple[type[_Kind], ...], place: str) -> tuple[_Kind, ...]:
-    """One object or several of some kinds, as a tuple; InputError for anything else."""
+    """One object or several of the given types, as a tuple; InputError for anything else."""
     if isinstance(given, kinds):
         return (given,)
     wanted = " or ".join(k.__name__ for k in (kinds if isinstance(kinds, tuple) else (kinds,)))
@@ -94,7 +94,7 @@ def objects(given: Any, kinds: type[_Kind] | tuple[type[_Kind], ...], place: str
 
 
 def _told(given: Any) -> str:
-    """A wrong value with its type, in one line."""
+    """A wrong value or its type, on one line."""
     if given is None:
         return "None"
     if isinstance(given, type):

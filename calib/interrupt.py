@@ -1,7 +1,8 @@
-"""The keyboard's interrupt, once: a hand that presses twice must not break into the leaving it has asked for.
+"""Ctrl-C, handled exactly once.
 
-And once for certain: what Python raises for it is lost where compiled code asks a Python function and clears whatever
-that raises (NumPy does while it makes an array of strings), and the command would go on as if nobody had pressed.
+A second press must not disturb the shutdown that the first one has started. Nor may the first be lost: Python's
+KeyboardInterrupt vanishes where compiled code calls a Python function and discards its exception (NumPy does while it
+builds an array of strings), and the command would go on.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from collections.abc import Iterator
 from types import FrameType
 
 CODE = 130
-"""Exit code of an interrupted command, as shells have it."""
+"""Exit code of an interrupted command, as in shells."""
 WORDS = "interrupted; the same command again completes it"
 PATIENCE = 5.0
-"""Seconds a command has for leaving; an interrupt after them ends the process where it stands."""
+"""Seconds a command has to shut down; an interrupt after them ends the process at once."""
 LOOK = 0.1
-"""Seconds between two looks at whether an interrupt that was raised is still on its way."""
+"""Seconds between two checks of whether the raised interrupt is still being handled."""
 
 
 class _Press:
-    """What becomes of an interrupt between its coming and the answer to it."""
+    """State of an interrupt, from its arrival to the end of the command."""
 
     def __init__(self) -> None:
         self.begin()
@@ -51,7 +52,7 @@ class _Press:
             return
         if signal.getsignal(signal.SIGALRM) is signal.SIG_DFL:
             signal.signal(signal.SIGALRM, self.look)
-        if signal.getsignal(signal.SIGALRM) == self.look:  # and not the alarm of somebody's model
+        if signal.getsignal(signal.SIGALRM) == self.look:  # not the alarm of a user's model
             self.watching = True
             signal.setitimer(signal.ITIMER_REAL, LOOK, LOOK)
 
@@ -69,11 +70,11 @@ _press = _Press()
 
 
 def once() -> None:
-    """From here to `answered` the first interrupt raises KeyboardInterrupt, and later ones are the same.
+    """From here to `answered` the first interrupt raises KeyboardInterrupt, and later ones are ignored.
 
-    It is raised again where something has swallowed it: that is, where neither it nor anything raised because of it is
-    being handled. A leaving that takes longer than `PATIENCE` is ended by the next interrupt; worker processes end with
-    this one. Where interrupts are already handled in another way, or ignored, nothing changes.
+    It is raised again where something has swallowed it, that is, where neither it nor an exception raised because of it
+    is being handled. If the shutdown takes longer than `PATIENCE`, the next interrupt ends the process; worker
+    processes end with it. Where interrupts are already handled in another way, or ignored, nothing changes.
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
@@ -83,9 +84,9 @@ def once() -> None:
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
-    """Something that must not be left half done: an interrupt that comes meanwhile is raised at its end.
+    """Defer an interrupt to the end of a block that must not be left half done.
 
-    Blocking the signal is not enough, because another thread of the process may take it.
+    Blocking the signal is not enough, because another thread of the process may receive it.
     """
     _press.held = True
     try:
@@ -98,12 +99,12 @@ def held() -> Iterator[None]:
 
 
 def answered() -> None:
-    """The command is over, in whichever way: nothing is raised any more while the process ends."""
+    """The command is over: no interrupt is raised any more while the process ends."""
     _press.answer()
 
 
 def _lost() -> bool:
-    """Whether nothing that is being handled at this moment comes from an interrupt."""
+    """Whether no exception being handled at this moment comes from an interrupt."""
     error, seen = sys.exc_info()[1], set()
     while error is not None and id(error) not in seen:
         if isinstance(error, KeyboardInterrupt):

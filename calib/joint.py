@@ -1,4 +1,4 @@
-"""Several problems as one: what has one name is one parameter."""
+"""Joint problem: several problems over one space, where parameters of the same name are shared."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import pandas as pd
 
+from calib.degrees_of_freedom import behind
 from calib.errors import EvaluationError, InputError, again
-from calib.freedom import behind
 from calib.problem import Counts
 from calib.space import Parameter, ParameterSpace
 
-_Answer = TypeVar("_Answer")
+_Result = TypeVar("_Result")
 
 
 class JointRow(NamedTuple):
-    """What one entry of a joint residual compares.
+    """Label of one row of a joint residual.
 
     Attributes
     ----------
     test : str
-        Name of the problem it is of.
+        Name of its problem.
     mode, kind, sensor : str
-        As there; mode and sensor with the test's name before them, since several tests may use one name.
+        As in that problem; mode and sensor are prefixed with the test's name, since tests may share names.
     """
 
     test: str
@@ -38,11 +38,11 @@ class JointRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JointRows:
-    """Rows of several tests, one below the other, with the test's name before modes and sensors.
+    """Rows of several tests, stacked, with modes and sensors prefixed by the test's name.
 
     Attributes
     ----------
-    parts : mapping from str to whatever has rows
+    parts : mapping from str to object with rows
         By name of the test; such as `calib.problem.Problem` or `calib.missing.hypotheses.Hypotheses`.
     """
 
@@ -50,7 +50,7 @@ class JointRows:
 
     @cached_property
     def rows(self) -> tuple[JointRow, ...]:
-        """What every entry of the residual compares, length n_rows."""
+        """Labels of the rows, length n_rows."""
         return tuple(
             JointRow(test, of_test(test, row.mode), row.kind, of_test(test, row.sensor))
             for test, problem in self.parts.items()
@@ -59,12 +59,12 @@ class JointRows:
 
     @property
     def relative_std(self) -> np.ndarray:
-        """Standard deviation of every row over its value, (n_rows,)."""
+        """Relative standard deviation of every row, (n_rows,)."""
         return np.concatenate([problem.relative_std for problem in self.parts.values()])
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
-        """Real numbers by (mode, kind) that the residuals fit themselves; they are no degrees of freedom."""
+        """Real numbers that the residuals fit themselves, by (mode, kind); they reduce the degrees of freedom."""
         return {
             (of_test(test, mode), kind): number
             for test, problem in self.parts.items()
@@ -72,12 +72,12 @@ class JointRows:
         }
 
     @cached_property
-    def scatter_freedom(self) -> Mapping[str, float]:
+    def std_dof(self) -> Mapping[str, float]:
         """Degrees of freedom behind the standard deviations of each kind of row, over all tests; see `behind`."""
         return {
             kind: behind(
                 {test: float(sum(row.kind == kind for row in p.rows)) for test, p in self.parts.items()},
-                {test: p.scatter_freedom.get(kind, math.inf) for test, p in self.parts.items()},
+                {test: p.std_dof.get(kind, math.inf) for test, p in self.parts.items()},
             )
             for kind in dict.fromkeys(row.kind for row in self.rows)
         }
@@ -85,14 +85,14 @@ class JointRows:
 
 @dataclass(frozen=True, eq=False)
 class JointProblem(JointRows):
-    """Problems that share parameters by name, asked as one: their residuals one below the other.
+    """Problems that share parameters by name, as one problem with stacked residuals.
 
     Attributes
     ----------
     parts : mapping from str to Problem
-        By name of the test; for fits alone whatever has a space, a residual and its derivative.
+        By name of the test; a fit needs only a space, a residual and its derivative.
     known : mapping from str to collection of str
-        What else the residual of a test can be differentiated by, such as effects that its model lacks.
+        Further names by which the residual of a test can be differentiated, such as effects that its model lacks.
     space : ParameterSpace
         See `joined`.
     """
@@ -105,28 +105,28 @@ class JointProblem(JointRows):
 
     @property
     def counts(self) -> Counts:
-        """Points that were asked of all tests together."""
+        """Points requested from all tests together."""
         own = {id(p.counts): p.counts for p in self.parts.values()}.values()
         return Counts(sum(c.solved for c in own), sum(c.reused for c in own), sum(c.failed for c in own))
 
     def responses(self, values: Mapping[str, float]) -> dict[str, float]:
         """Named responses of all tests; EvaluationError where a model cannot be solved."""
-        found = {test: self._asked(test, p.responses, values) for test, p in self.parts.items()}
+        found = {test: self._evaluated(test, p.responses, values) for test, p in self.parts.items()}
         return {of_test(test, name): value for test, own in found.items() for name, value in own.items()}
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual, (n_rows,); EvaluationError where a model cannot be solved."""
-        return np.concatenate([self._asked(test, p.residual, values) for test, p in self.parts.items()])
+        return np.concatenate([self._evaluated(test, p.residual, values) for test, p in self.parts.items()])
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Derivative of the residual per one of each parameter's own unit, (n_rows, n_params).
+        """Derivative of the residual per unit of each parameter, (n_rows, n_params).
 
         It is 0 in the rows of a test without that parameter.
         """
         blocks = []
         for test, problem in self.parts.items():
             own = [name for name in names if name in problem.space or name in self.known.get(test, ())]
-            blocks.append(spread(self._asked(test, problem.jacobian, values, own), own, names))
+            blocks.append(spread(self._evaluated(test, problem.jacobian, values, own), own, names))
         return np.vstack(blocks)
 
     def frequencies(
@@ -137,28 +137,28 @@ class JointProblem(JointRows):
         blocks: list[tuple[np.ndarray, np.ndarray]] = []
         for test, problem in self.parts.items():
             own = [name for name in names if name in problem.space]
-            found, freq, slope = self._asked(test, problem.frequencies, values, own)
+            found, freq, slope = self._evaluated(test, problem.frequencies, values, own)
             labels += [of_test(test, label) for label in found]
             blocks.append((freq, spread(slope, own, names)))
         return tuple(labels), np.concatenate([f for f, _ in blocks]), np.vstack([s for _, s in blocks])
 
     def own(self, test: str, values: Mapping[str, float]) -> dict[str, float]:
-        """What one test takes of the values of all."""
+        """Values of the parameters of one test."""
         return {name: value for name, value in values.items() if name in self.parts[test].space}
 
-    def _asked(self, test: str, ask: Callable[..., _Answer], values: Mapping[str, float], *more: Any) -> _Answer:
-        """What one test answers at the joint values; where it fails, the error names it."""
+    def _evaluated(self, test: str, method: Callable[..., _Result], values: Mapping[str, float], *more: Any) -> _Result:
+        """Result of one test at the joint values; an error names the test."""
         try:
-            return ask(self.own(test, self.space.complete(values)), *more)
+            return method(self.own(test, self.space.complete(values)), *more)
         except EvaluationError as fault:
             raise again(fault, of_test(test, str(fault))) from fault
 
 
 def joined(spaces: Mapping[str, ParameterSpace]) -> ParameterSpace:
-    """One space of several: what has one name is one parameter, free where any of them leaves it free.
+    """Union of several spaces: parameters of the same name are shared, free where any space leaves them free.
 
-    Limits are those that all spaces keep in which it is free. Value, prior and description are those of the first such
-    space; constraints hold together.
+    Limits are the intersection over the spaces in which a parameter is free. Value, prior and description come from the
+    first such space; all constraints hold.
 
     Parameters
     ----------
@@ -168,8 +168,8 @@ def joined(spaces: Mapping[str, ParameterSpace]) -> ParameterSpace:
     Raises
     ------
     InputError
-        Without a space; where spaces that share a name disagree on its unit, on whether it is a whole number or on a
-        fixed value, or have no value in common.
+        Without a space, or where parameters of the same name differ in unit, type (integer) or fixed value, or have no
+        value in common.
     """
     if not spaces:
         raise InputError("no problem is given", place="joint problem", remedy="give at least one")
@@ -179,19 +179,19 @@ def joined(spaces: Mapping[str, ParameterSpace]) -> ParameterSpace:
     return ParameterSpace(tuple(shared), tuple(constraints))
 
 
-def _one(alike: Mapping[str, Parameter]) -> Parameter:
-    """The one parameter that several tests have."""
-    free = {test: p for test, p in alike.items() if p.distribution != "fixed"}
-    (first, kept), *others = alike.items()
+def _one(shared: Mapping[str, Parameter]) -> Parameter:
+    """The shared parameter of several tests."""
+    free = {test: p for test, p in shared.items() if p.distribution != "fixed"}
+    (first, kept), *others = shared.items()
     for test, p in others:
-        for told, one, other in (
+        for attribute, one, other in (
             ("unit", kept.unit, p.unit),
-            ("whole number", kept.integer, p.integer),
+            ("integer", kept.integer, p.integer),
             ("fixed value", *((None, None) if free else (kept.value, p.value))),
         ):
             if one != other:
                 raise InputError(
-                    f"{kept.name} has {told} {one} in {first} and {other} in {test}", place="joint problem",
+                    f"{kept.name} has {attribute} {one} in {first} and {other} in {test}", place="joint problem",
                     remedy="give it in the same way, or another name in one of them",
                 )  # fmt: skip
     if not free:
@@ -208,28 +208,28 @@ def _one(alike: Mapping[str, Parameter]) -> Parameter:
 
 
 def spread(slope: np.ndarray, own: Sequence[str], names: Sequence[str]) -> np.ndarray:
-    """Columns of some parameters among those of all, 0 for the others."""
+    """Columns for some parameters expanded to all parameters, 0 for the others."""
     out = np.zeros((len(slope), len(names)))
     out[:, [list(names).index(name) for name in own]] = slope
     return out
 
 
 TEST = "test"
-"""Column of tables that have the rows of several tests."""
+"""Column of stacked tables that names the test."""
 
 
 def stacked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Tables of several tests below each other, with a column `TEST`."""
+    """Stacked tables of several tests, with a column `TEST`."""
     return pd.concat([table.assign(**{TEST: test}) for test, table in tables.items()], ignore_index=True)
 
 
 def said(words: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
-    """Sentences on tests, each after the name of its test where there are several."""
+    """Sentences on tests, prefixed with the name of the test where there are several."""
     if len(words) == 1:
         return tuple(*words.values())
     return tuple(of_test(test, sentence) for test, sentences in words.items() for sentence in sentences)
 
 
 def of_test(test: str, what: str) -> str:
-    """A mode, sensor or sentence of one test, told beside those of others; nothing stays nothing."""
+    """A mode, sensor or sentence, prefixed with its test's name; an empty one stays empty."""
     return f"{test}: {what}" if what else ""

@@ -1,7 +1,7 @@
-"""Every evaluation ever made, and which search asked for it when, in one SQLite file.
+"""Every evaluation and the history of every search, in one SQLite file.
 
-Rows of evaluations are only ever added. A search needs no checkpoint: started again with the same seed it asks the same
-questions, and the ledger answers those that were asked before.
+Evaluations are append-only. A search needs no checkpoint: started again with the same seed it requests the same points,
+and the ledger returns those that were evaluated before.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _BUSY_SECONDS = 30.0
 _COMPANIONS = 2**17
 """Bytes below which a disk counts as full."""
 _AT_ONCE = 500
-"""Keys a query; SQLite limits the number of variables of a statement."""
+"""Keys per query; SQLite limits the number of variables in a statement."""
 
 _SCHEMA = (
     """CREATE TABLE evaluation (
@@ -64,7 +64,7 @@ _SCHEMA = (
     f"PRAGMA user_version = {_VERSION}",
 )
 
-# Ledgers made before there were vectors get the table when they are opened.
+# Not part of the schema: a ledger without this table gets it when it is opened.
 _VECTORS = """CREATE TABLE IF NOT EXISTS vector (
     fingerprint TEXT NOT NULL,
     key TEXT NOT NULL,
@@ -98,7 +98,7 @@ class Ledger:
     ----------
     path : Path
     retried : int
-        Points asked again since it was opened, because a process died there, or ran out of memory or time.
+        Points evaluated again since it was opened, because a process had died there or run out of memory or time.
     """
 
     def __init__(self, path: Path, database: sqlite3.Connection):
@@ -150,7 +150,7 @@ class Ledger:
 
     @staticmethod
     def in_memory() -> Ledger:
-        """A ledger without a file, which ends when it is closed."""
+        """A ledger without a file, lost when it is closed."""
         ledger = Ledger(Path(":memory:"), sqlite3.connect(":memory:", isolation_level=None))
         ledger._prepare()
         return ledger
@@ -192,7 +192,7 @@ class Ledger:
     # -- evaluations ---------------------------------------------------------------------------------------------------
 
     def lookup(self, fingerprint: str, keys: Iterable[str]) -> dict[str, Outcome]:
-        """What is known of the points with these keys; of several attempts the last one."""
+        """Stored outcomes by key; of several attempts the last one."""
         wanted = list(dict.fromkeys(keys))
         found: dict[str, Outcome] = {}
         with _explaining(self.path):
@@ -212,8 +212,8 @@ class Ledger:
     def append(self, fingerprint: str, outcomes: Sequence[Outcome]) -> None:
         """Add evaluations in one transaction.
 
-        A point that is known already is left as it is, unless its last attempt failed by the fault of the machine: then
-        the new outcome becomes its next attempt.
+        A stored point is left as it is, unless its last attempt failed transiently (see `Outcome.transient`): then the
+        new outcome becomes its next attempt.
         """
         created = datetime.now(UTC).isoformat(timespec="milliseconds")
         with self._transaction():
@@ -246,13 +246,13 @@ class Ledger:
     def evaluate(
         self, fingerprint: str, points: Sequence[Mapping[str, float]], evaluator: BatchEvaluator
     ) -> list[Outcome]:
-        """Outcomes of a batch in the order of the points; what is not known is evaluated as one batch.
+        """Outcomes of a batch in the order of the points; those not stored are evaluated as one batch.
 
-        Each outcome is added as soon as it is there: a stop, however rude, loses no more than what is under way.
+        Each outcome is stored as soon as it is available: even a killed process loses only the points in progress.
 
-        A failure is not tried again, with one exception: where a worker process died or memory ran out, the point is
-        tried once more each time the ledger is opened, if worker processes are used (in this process such a point could
-        take everything down with it).
+        A failed point is not tried again, with one exception: where a worker process died, or memory or time ran out,
+        the point is tried once each time the ledger is opened, provided that worker processes are used (in this
+        process such a point could end the command).
         """
         keys = [key_of(values) for values in points]
         known = self.lookup(fingerprint, keys)
@@ -267,9 +267,9 @@ class Ledger:
         return [known[key] for key in keys]
 
     def stored(self, fingerprint: str) -> Outcome | None:
-        """One of the points that were evaluated without failure; None without any.
+        """One successfully evaluated point; None without any.
 
-        Which one is drawn, with their number as the seed: it depends on what is stored and not on when.
+        It is drawn with the number of such points as the seed, so that the choice depends on the content alone.
         """
         with _explaining(self.path):
             rows = self._database.execute(
@@ -300,7 +300,7 @@ class Ledger:
         return [found[key] for (key,) in rows if found[key].status == "failed"]
 
     def count(self, fingerprint: str) -> int:
-        """Number of points evaluated with this state of model and measurement."""
+        """Number of points evaluated in this state of model and measurement."""
         return self._number("SELECT COUNT(DISTINCT key) FROM evaluation WHERE fingerprint = ?", fingerprint)
 
     def other_fingerprints(self, *current: str) -> int:
@@ -310,7 +310,7 @@ class Ledger:
     # -- vectors -------------------------------------------------------------------------------------------------------
 
     def vectors(self, fingerprint: str, key: str, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """What is kept of these vectors at one point: its residual, say, and derivatives of that."""
+        """Stored vectors of one point by name, such as its residual and the columns of its Jacobian."""
         found: dict[str, np.ndarray] = {}
         with _explaining(self.path):
             for part in _parts(list(names)):
@@ -326,7 +326,7 @@ class Ledger:
         return found
 
     def keep_vectors(self, fingerprint: str, key: str, vectors: Mapping[str, np.ndarray]) -> None:
-        """Add vectors of one point, each (n,), in one transaction; one that is kept already stays."""
+        """Add vectors of one point, each (n,), in one transaction; one that is already stored stays."""
         with self._transaction():
             self._database.executemany(
                 "INSERT OR IGNORE INTO vector (fingerprint, key, name, numbers) VALUES (?, ?, ?, ?)",
@@ -336,14 +336,14 @@ class Ledger:
     # -- history -------------------------------------------------------------------------------------------------------
 
     def record(self, run: str, fingerprint: str, generation: int, asked: Sequence[Asked]) -> None:
-        """Write down one generation of a search.
+        """Record one generation of a search.
 
-        A point that was evaluated is ``reused`` if this run asked for it earlier, or another run did before this run's
-        first generation was recorded; else it is ``solved``. That depends on questions alone, not on what the ledger
-        happens to hold, so a run that was killed and started again writes the same history as one that was not.
+        An evaluated point is ``reused`` if this run requested it earlier, or another run did before this run's first
+        generation was recorded; else it is ``solved``. That depends on the requests alone, not on the content of the
+        ledger, so a run that was killed and started again records the same history as one that was not.
 
-        The history of a run always tells one search. A generation that is recorded already is left alone if the new one
-        says the same; if not (a failure of the machine was mended, say), it and all later ones are replaced.
+        The history of a run is always that of one search. A recorded generation stays if the new one is equal; if not
+        (after a transient failure, say), it and all later ones are replaced.
         """
         with self._transaction():
             recorded = self._database.execute(
@@ -351,8 +351,8 @@ class Ledger:
                 (run, generation),
             ).fetchall()
             if recorded:
-                told = [(k, s if s in ("infeasible", "failed") else "ok", m) for k, s, m in recorded]
-                if told == [(a.key, a.status, _nullable(a.misfit)) for a in asked]:
+                stored = [(k, s if s in ("infeasible", "failed") else "ok", m) for k, s, m in recorded]
+                if stored == [(a.key, a.status, _nullable(a.misfit)) for a in asked]:
                     return
                 self._database.execute("DELETE FROM history WHERE run = ? AND generation >= ?", (run, generation))
             earlier = self._asked_earlier(run, fingerprint, [a.key for a in asked])
@@ -381,7 +381,7 @@ class Ledger:
         return found
 
     def history(self, run: str) -> pd.DataFrame:
-        """What a run asked: ``generation, individual, key, status, misfit``, sorted by the first two."""
+        """Points requested by a run: ``generation, individual, key, status, misfit``, sorted by the first two."""
         columns = ["generation", "individual", "key", "status", "misfit"]
         with _explaining(self.path):
             rows = self._database.execute(
@@ -411,7 +411,7 @@ class Ledger:
 
 
 def _use_write_ahead_log(database: sqlite3.Connection, busy_seconds: float) -> None:
-    """Let readers and one writer work at once; SQLite does not wait here for another process that does the same."""
+    """Let readers and one writer work at once; SQLite does not wait for another process that sets the same mode."""
     until = time.monotonic() + busy_seconds
     while True:
         try:

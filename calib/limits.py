@@ -1,4 +1,4 @@
-"""The parameter spaces of a study: what its file changes, adds and selects of the model's own parameters."""
+"""The parameter spaces of a study: the model's parameters with the values, limits and selection of its file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from calib.settings import StudySettings
 from calib.space import LinearConstraint, ParameterSpace
 
 Place = Callable[..., str]
-"""Tells file and line of a key of the study, such as ``place("parameters", "K_block")``."""
+"""File and line of a key of the study, such as ``place("parameters", "K_block")``."""
 
 
 def sensitivity_space(
@@ -21,8 +21,8 @@ def sensitivity_space(
 ) -> ParameterSpace:
     """The model's space with the study's values, limits and constraints; InputError with its place for any fault.
 
-    ``adopted`` are the values that another study has found for parameters that this one holds; ``elsewhere`` are those
-    that models of other tests have: what is said of them is said to these.
+    ``adopted`` are values of parameters that this study holds at the result of another one; ``elsewhere`` are
+    parameters of the models of other tests: their keys are ignored here.
     """
     lacking = set(elsewhere) - set(space.names)
     space = _holding(space, settings, place, adopted, lacking)
@@ -66,13 +66,13 @@ def sensitivity_space(
 
 
 UNIT_FACTOR = 100.0
-"""Factor between the study's value and the model's own from which on units are doubted."""
+"""Ratio of the study's value to the model's own from which a wrong unit is suspected."""
 
 
 def parameter_hints(space: ParameterSpace, settings: StudySettings) -> tuple[str, ...]:
-    """Sentences for values and limits of the study that lie a hundred times or more beyond the model's own.
+    """Warnings of values and limits that differ from the model's own by `UNIT_FACTOR` or more.
 
-    The largest of value and limits is compared with the largest of the model's, and both must be other than zero;
+    The largest magnitude given is compared with the largest of the model's value and limits; both must be non-zero.
     ``space`` is the model's own.
     """
     out = []
@@ -132,11 +132,11 @@ def search_space(
     selection: tuple[str, ...] | None = None,
     elsewhere: Collection[str] = (),
 ) -> ParameterSpace:
-    """The selected parameters within the limits of the search, every other one fixed at its adopted value.
+    """The selected parameters within the limits of the search, every other one fixed at its nominal value.
 
-    The selection is the study's own, or the one given when the study leaves it to the sensitivity analysis; until then,
-    and without one, every free parameter counts as selected. ``elsewhere`` are those that other tests leave free: what
-    is said of them is said to these.
+    The selection is that of the study, or ``selection`` where the study leaves it to the sensitivity analysis; without
+    either, every free parameter is selected. ``elsewhere`` are parameters that other tests leave free: their keys are
+    ignored here.
     """
     if settings.selection is None:
         names = space.free_names

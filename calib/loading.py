@@ -1,4 +1,4 @@
-"""What a study names as ``"module:function"``: its model and the library of effects that the model may lack."""
+"""Loads what a study names as ``"module:function"``: its model and the library of effects that it may lack."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from calib.structure.soundness import require_sound
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
 Place = Callable[..., str]
-"""Tells file and line of a key of the study, such as ``place("model")``."""
+"""File and line of a key of the study, such as ``place("model")``."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """The code that one study names; every file of it is run once.
+    """The code that a study names; each of its files is run once.
 
     Attributes
     ----------
@@ -86,8 +86,8 @@ class Sources:
         Raises
         ------
         InputError
-            When the library cannot be loaded, is no tuple of effects, or two of its parameters, or one of them and one
-            of the model without effects, share a name.
+            When the library cannot be loaded or is not a tuple of effects, or when two of its parameters, or one of
+            them and one of the base model, share a name.
         """
         if self.settings.effects is None:
             return ()
@@ -118,7 +118,7 @@ class Sources:
         return library
 
     def included(self, library: Sequence[Effect]) -> tuple[Effect, ...]:
-        """The effects that the study's model has, in the order the study names them."""
+        """The effects in the study's model, in the order of ``with_effects``."""
         names, place = self.settings.with_effects, self.place("with_effects")
         if names and self.settings.effects is None:
             raise InputError(
@@ -130,7 +130,7 @@ class Sources:
         return tuple(pick(library, name, place) for name in names)
 
     def _call(self, key: str, function: str, options: Mapping[str, Any]) -> Any:
-        """What the function named under a key returns."""
+        """Result of the function that is named under a key."""
         where, _, name = function.rpartition(":")
         place = self.place(key)
         build = getattr(self._module(key, where), name, None)
@@ -145,7 +145,7 @@ class Sources:
         except InputError:
             raise
         except (Exception, SystemExit) as fault:
-            # The function is the user's own: its mistakes are input, told without our traceback.
+            # The function is the user's own: its errors are bad input, reported without our traceback.
             raise InputError(f"{name} failed with {told(fault)}", place=place) from fault
 
     def _module(self, key: str, where: str) -> ModuleType:
@@ -179,7 +179,7 @@ class Sources:
 
 
 def _mismatch(build: Callable[..., Any], options: Mapping[str, Any]) -> TypeError | None:
-    """Why a function cannot take these options; None where it can, or, being built-in, does not tell."""
+    """Why a function cannot take these options; None where it can, or where its signature is unknown (built-ins)."""
     try:
         signature = inspect.signature(build)
     except (TypeError, ValueError):
@@ -204,7 +204,7 @@ def module_of(path: Path) -> ModuleType:
 
 
 class _FromSource(importlib.machinery.SourceFileLoader):
-    """Compiles anew what it runs: kept bytecode is told from its source by second and size, which an edit may keep."""
+    """Always compiles the source: cached bytecode is matched by second and size, which an edit may leave unchanged."""
 
     def get_code(self, fullname: str) -> CodeType:
         """Code of the file as it is now."""
@@ -245,7 +245,7 @@ def with_effects(base: Model, effects: Sequence[Effect], place: str) -> Model:
 def fingerprint_of(
     base: FunctionModel | ModalFunctionModel, effects: Sequence[Effect], extended: FunctionModel | ModalFunctionModel
 ) -> str:
-    """Hash over a function and the effects added to it, with all they hold; without effects that of the function."""
+    """Hash over a function and the effects added to it; without effects that of the function."""
     if not effects:
         return base.fingerprint
     names, builds = [effect.name for effect in effects], [effect.build for effect in effects]

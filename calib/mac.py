@@ -1,4 +1,4 @@
-"""Modal assurance criteria of real and complex shapes, with sensors missing and noise known."""
+"""Modal assurance criteria of real and complex shapes, with missing sensors and known noise."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _COLLINEAR = 1e-12
 def mac(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Modal assurance criterion ``|x^H y|^2 / ((x^H x)(y^H y))`` of every pair of columns.
 
-    Where a measured column is real up to one common phase (a real-mode identification), a complex model column is
-    first turned to its most real phase, which maximises ``sum_s Re(y_s)^2``, and its real part is compared: such a
-    measurement says nothing about phases, so the model is not blamed for having them. Turning alone would change
-    nothing, since the Hermitian form ignores a common phase. A complex measured column is compared with the model
-    column as it is.
+    Where a measured column is real up to one common phase (a real-mode identification), a complex model column is first
+    rotated to its most real phase, which maximises ``sum_s Re(y_s)^2``, and its real part is compared: such a
+    measurement carries no phase information, so that phases of the model are not penalised. The rotation alone has no
+    effect, since the Hermitian form ignores a common phase. A complex measured column is compared with the model column
+    as it is.
 
     Parameters
     ----------
     x : ndarray (n_sensors, n_x)
-        Measured shapes, real or complex; NaN marks a sensor not measured, left out for each pair of columns alone.
+        Measured shapes, real or complex; NaN marks a sensor not measured, omitted for each pair of columns separately.
     y : ndarray (n_sensors, n_y)
         Model shapes, likewise.
 
@@ -53,7 +53,7 @@ def mac(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def macx(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """MACX ``(|x^H y| + |x^T y|)^2 / ((x^H x + |x^T x|)(y^H y + |y^T y|))`` of every pair of columns.
 
-    An extra that no pairing here uses: it equals the MAC of real shapes, and 1 for a shape and its conjugate.
+    Not used for pairing here. It equals the MAC for real shapes, and 1 for a shape and its conjugate.
 
     Parameters
     ----------
@@ -76,10 +76,10 @@ def macx(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def comac(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Coordinate MAC of every sensor over paired columns, shape (n_sensors,).
 
-    Each pair of columns is scaled to unit norm over the sensors measured in it and brought to one phase, so that every
-    mode weighs the same. Then ``max(0, Re sum_m conj(x_sm) y_sm)^2 / (sum_m |x_sm|^2 sum_m |y_sm|^2)``. The original
-    (Lieven and Ewins 1988) sums absolute values, which cannot see a sensor mounted the wrong way round; after the
-    alignment the signs mean something, and such a sensor gives 0 here.
+    Each pair of columns is scaled to unit norm over its measured sensors and phase-aligned, so that every mode has the
+    same weight. Then ``max(0, Re sum_m conj(x_sm) y_sm)^2 / (sum_m |x_sm|^2 sum_m |y_sm|^2)``. The original (Lieven and
+    Ewins 1988) sums absolute values, which cannot detect a sensor mounted with the wrong sign; after the alignment
+    signs are meaningful, and such a sensor gives 0 here.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def align(reference: np.ndarray, shape: np.ndarray) -> complex:
 
 
 def most_real(shape: np.ndarray) -> np.ndarray:
-    """A shape turned to the common phase that makes its real part largest, shape (n,), complex; NaN stay NaN."""
+    """A shape rotated to the phase that maximises its real part, shape (n,), complex; NaN stay NaN."""
     return shape * np.exp(-0.5j * np.angle(np.nansum(np.asarray(shape, dtype=complex) ** 2)))
 
 
@@ -147,7 +147,7 @@ def is_real(shapes: np.ndarray) -> np.ndarray:
 
 
 def noise_mac(shapes: np.ndarray, std: np.ndarray) -> np.ndarray:
-    """MAC that a perfect model reaches on average, from the measurement's noise alone.
+    """Expected MAC of a correctly specified model, given the measurement noise.
 
     With a measured shape ``x = phi + e`` and the exact one ``phi``, ``1 - MAC = |e_p|^2/|x|^2`` exactly, e_p being the
     part of the noise perpendicular to phi. Independent noise of standard deviation s_k in real and imaginary part gives
@@ -164,7 +164,7 @@ def noise_mac(shapes: np.ndarray, std: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray (n_modes,)
-        NaN where the scatter of a measured sensor is unknown or nothing was measured.
+        NaN where the standard deviation of a measured sensor is unknown or nothing was measured.
     """
     columns = _columns(shapes, "measured shapes")
     known = ~np.isnan(columns)
@@ -226,12 +226,12 @@ def _columns(shapes: np.ndarray, label: str) -> np.ndarray:
 
 
 def _scaled(shapes: np.ndarray, label: str) -> np.ndarray:
-    """Columns with a largest modulus of 1, which no criterion here sees and which keeps squares from underflow."""
+    """Columns scaled to a largest modulus of 1, which changes no criterion and prevents underflow of squares."""
     columns = _columns(shapes, label)
     size = np.max(np.where(np.isnan(columns), 0.0, np.abs(columns)), axis=0, initial=0.0)
     return columns / np.where(size > 0, size, 1.0)
 
 
 def _ratio(top: np.ndarray, bottom: np.ndarray) -> np.ndarray:
-    """Quotient, 0 where there is nothing to divide by, and never above 1 by rounding."""
+    """Quotient, 0 where the divisor is 0, and limited to 1 against rounding error."""
     return np.minimum(np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0), 1.0)

@@ -1,4 +1,4 @@
-"""Named values in JSON that calib has written itself, read strictly: every value is of its kind, or is refused."""
+"""Strict reader of JSON files that calib has written: a value of the wrong type is refused."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from calib.errors import InputError
 from calib.table import shortened
 
 ANY = None
-"""Instead of a name: every name that is not listed."""
+"""Key that stands for every name that is not listed."""
 _WORDS = {str: "text", float: "a number", bool: "true or false"}
 
 
 def read_json(
-    path: Path, kinds: Mapping[Any, Any], required: Sequence[str] = (), remedy: str = "ask the question again"
+    path: Path, kinds: Mapping[Any, Any], required: Sequence[str] = (), remedy: str = "run the analysis again"
 ) -> dict[str, Any]:
-    """Read named values and check the kinds of those that are listed; others are left as they are.
+    """Read named values and check the types of those that are listed; others are left as they are.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Modules beside a study's model: what stands in its folder can be imported by the code that stands there."""
+"""Import of modules from a study's folder by the code in that folder."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from types import ModuleType
 
 
 class Neighbours(importlib.abc.MetaPathFinder):
-    """Finds modules in the folders of the study that was entered last, after everything that is installed.
+    """Finds modules in the folders of the last entered study; installed packages take precedence.
 
-    A file is run once a study, whether the study names it or other code of the study imports it. Modules of another
-    study are forgotten, so that equal names in two studies are two modules.
+    A file is run once per study, whether the study names it or other code of the study imports it. Modules of the
+    previous study are dropped, so that equal names in two studies are two modules.
     """
 
     def __init__(self, run: Callable[[Path], ModuleType]):
@@ -25,7 +25,7 @@ class Neighbours(importlib.abc.MetaPathFinder):
         self._modules: dict[Path, ModuleType] = {}
 
     def enter(self, folders: Sequence[Path]) -> None:
-        """From here to the next call modules are found in these folders, and run anew."""
+        """Search these folders until the next call; modules are loaded afresh."""
         if self not in sys.meta_path:
             sys.meta_path.append(self)
         within = tuple(f"{name}." for name in self._names)
@@ -45,7 +45,7 @@ class Neighbours(importlib.abc.MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """As the import system asks."""
+        """Part of the import protocol."""
         if path is not None or "." in fullname:
             return None
         for folder in self._folders:
@@ -72,7 +72,7 @@ class Neighbours(importlib.abc.MetaPathFinder):
 
 
 class _Known(importlib.abc.Loader):
-    """Gives the module of a file that may have been run under another name."""
+    """Returns the module of a file that may already have been loaded under another name."""
 
     def __init__(self, neighbours: Neighbours, file: Path):
         self.neighbours, self.file = neighbours, file

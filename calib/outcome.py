@@ -1,4 +1,4 @@
-"""What comes of one evaluated point; a failure is told and ends nothing."""
+"""Outcome of one evaluated point; a failure is recorded and does not end the batch."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Outcome:
     seconds : float
         Time of the evaluation; ignored by comparisons.
     trace : str
-        Traceback of what went wrong in a user's code, where that was just now; ignored by comparisons, and not kept.
+        Traceback of an exception in a user's code; ignored by comparisons, and not stored.
     """
 
     values: dict[str, float]
@@ -50,17 +50,17 @@ class Outcome:
 
     @property
     def transient(self) -> bool:
-        """Whether the failure is one of the machine, so that another try may succeed."""
+        """Whether the machine may be the cause of the failure, so that another try may succeed."""
         return self.error == OUT_OF_MEMORY or self.error.startswith((WORKER_DIED, TOOK_TOO_LONG))
 
 
 def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
-    """Evaluate one point; whatever goes wrong there is told in the outcome.
+    """Evaluate one point; any failure of the function is recorded in the outcome.
 
     Parameters
     ----------
     function : callable
-        Named values to named responses. NaN is a response that is not available, an infinite one is a failure.
+        Named values to named responses. NaN marks a response that is not available, an infinite one is a failure.
     values : mapping
 
     Raises
@@ -99,7 +99,7 @@ def key_of(values: Mapping[str, float]) -> str:
 
 
 def answered(function: Function, values: Mapping[str, float]) -> dict[str, float]:
-    """Named responses of a function that may be the user's own; EvaluationError for whatever goes wrong in it."""
+    """Named responses of a function that may be the user's own; EvaluationError for any failure in it."""
     outcome = attempt(function, values)
     if outcome.status == "failed":
         raise failure(outcome)
@@ -115,18 +115,18 @@ def failure(outcome: Outcome) -> EvaluationError:
 
 
 def as_cause(fault: EvaluationError) -> EvaluationError | None:
-    """A failure as the cause of what is told of it, where it has a traceback of the user's code to log."""
+    """A failure to chain as the cause, if it carries a traceback of the user's code to log; else None."""
     return fault if getattr(fault, "__notes__", ()) else None
 
 
 def told(fault: BaseException) -> str:
-    """An exception in one line, with file and line of the user's code where it came up."""
+    """An exception on one line, with file and line of the user's code that raised it."""
     words, place = f"{type(fault).__name__}: {fault}", _place_of(fault)
     return _one_line(words) + (f" ({place})" if place else "")
 
 
 def _place_of(fault: BaseException) -> str:
-    if isinstance(fault, SyntaxError):  # which tells its place by itself
+    if isinstance(fault, SyntaxError):  # its message has the place
         return ""
     frames = traceback.extract_tb(fault.__traceback__)
     own = [frame for frame in frames if not frame.filename.startswith(("<", *_NOT_THE_USERS))]
@@ -138,15 +138,15 @@ _NOT_THE_USERS = (
     *(sysconfig.get_path(kind) + os.sep for kind in ("stdlib", "purelib", "platlib")),
 )
 _TRACE = 10_000
-"""Characters of a traceback that are passed on; its end tells most."""
+"""Characters of a traceback that are kept, from its end."""
 
 
 @contextlib.contextmanager
 def directory_kept() -> Iterator[None]:
-    """A model may leave for another directory, where nothing relative would be found."""
+    """Restore the working directory afterwards: a model may change it, which would break relative paths."""
     try:
         before = os.getcwd()
-    except OSError:  # somebody removed it
+    except OSError:  # it was removed
         yield
         return
     try:

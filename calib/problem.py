@@ -1,4 +1,4 @@
-"""Problem: what tests say about models, as rows of one residual over one parameter space."""
+"""Problem: a model and its test as one residual over a parameter space, with solved points cached."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from calib.outcome import Outcome, failure, key_of
 from calib.space import ParameterSpace
 
 REMEMBERED = 8
-"""Solved points kept with their solutions, so that a derivative does not solve them again."""
+"""Number of cached solutions, so that a derivative does not solve its point again."""
 
 
 class Label(Protocol):
-    """What one row of the residual compares."""
+    """Label of one row of the residual."""
 
     @property
     def mode(self) -> str:
-        """Measured mode; empty for a plain response."""
+        """Measured mode; empty for a scalar response."""
         ...
 
     @property
@@ -32,7 +32,7 @@ class Label(Protocol):
 
     @property
     def sensor(self) -> str:
-        """Sensor of a shape or name of a plain response, else empty."""
+        """Sensor of a shape or name of a scalar response, else empty."""
         ...
 
 
@@ -41,47 +41,47 @@ class Labelled(Protocol):
 
     @property
     def rows(self) -> Sequence[Label]:
-        """What every entry of the residual compares, length n_rows."""
+        """Labels of the rows, length n_rows."""
         ...
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
-        """Real numbers by (mode, kind) that the residual fits itself, such as the scale of a shape; no freedom."""
+        """Real numbers that the residual fits itself, such as the scale of a shape, by (mode, kind)."""
         ...
 
     @property
-    def scatter_freedom(self) -> Mapping[str, float]:
+    def std_dof(self) -> Mapping[str, float]:
         """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
         ...
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Labels of some rows with what stands behind them; see `Labelled`.
+    """Labels of rows with their fitted factors and degrees of freedom; see `Labelled`.
 
     Attributes
     ----------
     rows : sequence of Label
     fitted_factors : mapping from (mode, kind) to int
-    scatter_freedom : mapping from kind to float
-        Infinite for a kind left out.
+    std_dof : mapping from kind to float
+        Infinite for a missing kind.
     """
 
     rows: Sequence[Label]
     fitted_factors: Mapping[tuple[str, str], int] = field(default_factory=dict)
-    scatter_freedom: Mapping[str, float] = field(default_factory=dict)
+    std_dof: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, whole: Labelled, kept: Iterable[int]) -> Rows:
-        """Some of them, by their number."""
-        return cls([whole.rows[k] for k in kept], whole.fitted_factors, whole.scatter_freedom)
+        """Selected rows, by index."""
+        return cls([whole.rows[k] for k in kept], whole.fitted_factors, whole.std_dof)
 
 
 class Pair(Labelled, Protocol):
-    """A model and a test of it: what a solution of the one says about the other.
+    """A model and a test of it: solution, responses, residual and derivatives.
 
-    Such as `calib.correlation.residual.ModalResidual` and `calib.correlation.response_residual.ResponseResidual`. What
-    a solution is only the pair knows.
+    Such as `calib.correlation.residual.ModalResidual` and `calib.correlation.response_residual.ResponseResidual`. The
+    type of a solution is private to the pair.
     """
 
     @property
@@ -91,7 +91,7 @@ class Pair(Labelled, Protocol):
 
     @property
     def relative_std(self) -> np.ndarray:
-        """Standard deviation of every row over its value, (n_rows,)."""
+        """Relative standard deviation of every row, (n_rows,)."""
         ...
 
     @property
@@ -101,16 +101,16 @@ class Pair(Labelled, Protocol):
 
     @property
     def problem(self) -> Any:
-        """What is solved; its ``fingerprint`` changes whenever the responses at the same values could."""
+        """The problem solved; its ``fingerprint`` changes whenever the responses at the same values could."""
         ...
 
     @property
     def told_by_responses(self) -> bool:
-        """Whether responses tell the solution, so that residuals and derivatives need not be kept beside them."""
+        """Whether the solution can be restored from its responses, so that residuals need not be stored."""
         ...
 
     def solve(self, values: Mapping[str, float]) -> Any:
-        """The solution at all parameters; EvaluationError where there is none."""
+        """The solution at values of all parameters; EvaluationError where the model fails."""
         ...
 
     def responses(self, solution: Any) -> dict[str, float]:
@@ -118,7 +118,7 @@ class Pair(Labelled, Protocol):
         ...
 
     def restored(self, responses: Mapping[str, float]) -> Any:
-        """A solution from its responses; None where they do not tell it."""
+        """The solution from its responses; None where it cannot be restored."""
         ...
 
     def of(self, solution: Any) -> np.ndarray:
@@ -126,9 +126,9 @@ class Pair(Labelled, Protocol):
         ...
 
     def slope(self, values: Mapping[str, float], names: Sequence[str], at: Callable[..., Any]) -> np.ndarray:
-        """Derivative of the residual per one of each parameter's own unit, (n_rows, n_params).
+        """Derivative of the residual per unit of each parameter, (n_rows, n_params).
 
-        ``at`` gives the solution at named values.
+        ``at`` returns the solution at named values.
         """
         ...
 
@@ -143,7 +143,7 @@ P = TypeVar("P", bound=Pair)
 
 
 class Store(Protocol):
-    """What keeps solved points from one run to the next, such as `calib.ledger.Ledger`."""
+    """Persistent store of solved points, such as `calib.ledger.Ledger`."""
 
     def lookup(self, fingerprint: str, keys: Iterable[str]) -> Mapping[str, Outcome]:
         """Known outcomes by key."""
@@ -164,9 +164,9 @@ class Store(Protocol):
 
 @dataclass(eq=False)
 class Counts:
-    """Points that were asked: those the model was solved at, those already known, and those without an answer.
+    """Number of points requested: solved, already known, and failed.
 
-    A derivative asks for points too: by differences each of their ends, of modes the point itself.
+    A derivative requests points too: both ends of a difference, or the point itself for analytic derivatives.
     """
 
     solved: int = 0
@@ -181,23 +181,22 @@ class Counts:
 
 @dataclass(frozen=True, eq=False)
 class Problem(Generic[P]):
-    """A pair of a model and a test over a parameter space: responses, residual, Jacobian, and which row is what.
+    """A pair of a model and a test over a parameter space: responses, residual, Jacobian and row labels.
 
-    A point is solved once as long as it is remembered, and one that could not be solved is not tried again. With a
-    store that holds from one run to the next, and residuals and derivatives are kept too where responses do not tell
-    them.
+    A point is solved once while it is cached, and a failed point is not tried again. With a store this also holds
+    between runs, and residuals and derivatives are stored too where responses do not determine them.
 
     Attributes
     ----------
     pair : Pair
     space : ParameterSpace
-        Free are the parameters that a fit moves. It may have fewer parameters than the pair's, which then takes its own
+        Its free parameters are those that a fit changes. Parameters of the pair that it lacks keep their nominal
         values.
     store : Store or None
     remembered : int
-        Solutions kept.
+        Number of cached solutions.
     counts : Counts
-        Of the points that are asked; may be shared by several problems.
+        Of the requested points; may be shared by several problems.
     """
 
     pair: P
@@ -215,30 +214,30 @@ class Problem(Generic[P]):
 
     @property
     def rows(self) -> Sequence[Label]:
-        """What every entry of the residual compares, length n_rows."""
+        """Labels of the rows, length n_rows."""
         return self.pair.rows
 
     @property
     def relative_std(self) -> np.ndarray:
-        """Standard deviation of every row over its value, (n_rows,)."""
+        """Relative standard deviation of every row, (n_rows,)."""
         return self.pair.relative_std
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
-        """Real numbers by (mode, kind) that the residual fits itself; they are no degrees of freedom."""
+        """Real numbers that the residual fits itself, by (mode, kind); they reduce the degrees of freedom."""
         return self.pair.fitted_factors
 
     @property
-    def scatter_freedom(self) -> Mapping[str, float]:
+    def std_dof(self) -> Mapping[str, float]:
         """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
-        return self.pair.scatter_freedom
+        return self.pair.std_dof
 
     def responses(self, values: Mapping[str, float]) -> dict[str, float]:
         """Named responses; EvaluationError where the model cannot be solved."""
         return self.pair.responses(self.at(values))
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """Whitened residual, (n_rows,); EvaluationError where the model cannot be solved, or could not be."""
+        """Whitened residual, (n_rows,); EvaluationError where the model cannot be solved or has failed before."""
         complete = self.pair.space.complete(dict(values))
         if self.store is None or self.pair.told_by_responses:
             return self.pair.of(self.at(complete))
@@ -252,7 +251,7 @@ class Problem(Generic[P]):
         return known[""]
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Derivative of the residual per one of each parameter's own unit, (n_rows, n_params)."""
+        """Derivative of the residual per unit of each parameter, (n_rows, n_params)."""
         complete = self.pair.space.complete(dict(values))
         if self.store is None or self.pair.told_by_responses:
             return self.pair.slope(complete, names, self.at)
@@ -277,7 +276,7 @@ class Problem(Generic[P]):
         return self.pair.frequencies(self.pair.space.complete(dict(values)), names, self.at)
 
     def at(self, values: Mapping[str, float]) -> Any:
-        """The pair's solution at named values; EvaluationError where there is none."""
+        """The pair's solution at named values; EvaluationError where the model fails."""
         complete = self.pair.space.complete(dict(values))
         key = key_of(complete)
         if key in self._solved:
@@ -295,7 +294,7 @@ class Problem(Generic[P]):
         return found
 
     def _found(self, key: str, values: dict[str, float]) -> Any:
-        """The solution as it is stored, or a new one."""
+        """The stored solution, or a new one."""
         if key in self._failed:
             raise again(self._failed[key])
         found = self._restored(key)
@@ -307,7 +306,7 @@ class Problem(Generic[P]):
         return found
 
     def _restored(self, key: str) -> Any:
-        """The solution from what is stored; None where it must be solved."""
+        """The solution from the store; None where the point must be solved."""
         known = None if self.store is None else self.store.lookup(self.pair.problem.fingerprint, [key]).get(key)
         if known is None or known.transient:
             return None

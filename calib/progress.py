@@ -1,4 +1,4 @@
-"""Bars on the error stream while something takes long; nothing when it is no terminal."""
+"""Progress bars on the error stream; none when it is not a terminal."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def samples() -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def search() -> Iterator[Callable[[str, int, int, float], None]]:
-    """One bar a case with generation, best misfit and time left."""
+    """One bar per case with generation, best misfit and time left."""
     columns = (TextColumn("generation {task.completed:.0f}/{task.total:.0f}"), TextColumn("best {task.fields[best]}"))
     with _bar(*columns) as bar:
         tasks: dict[str, TaskID] = {}
@@ -43,7 +43,7 @@ def search() -> Iterator[Callable[[str, int, int, float], None]]:
 
 @contextmanager
 def told() -> Iterator[Callable[[str], None]]:
-    """What is being done at the moment."""
+    """A line that names the current step."""
     with Progress(
         TextColumn("{task.description}"),
         TimeElapsedColumn(),

@@ -1,4 +1,4 @@
-"""The folder that holds a study's tables and figures; every file appears whole or not at all."""
+"""The folder of a study's tables and figures; every file is written atomically."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ import pandas as pd
 
 from calib import written
 from calib.errors import InputError
+from calib.renamed import RECORD, TABLES
 from calib.table import guarded_table
 
 _REMEDY = "choose another place with --results DIR, or free the folder"
@@ -27,20 +28,20 @@ OWNER = "owner.json"
 """Names the study that a folder of results belongs to."""
 _DRAFTS = re.compile(rf"^\.(probe-.*|calib-extend-.*|.+\.\d+){re.escape(written.DRAFT)}$")
 _ABANDONED = 600.0
-"""Seconds after which nobody is writing a draft any more."""
+"""Seconds after which a draft counts as abandoned."""
 
 
 @dataclass(frozen=True)
 class Results:
     """One folder of results.
 
-    What is written takes the place of what calib wrote there before; anything else is kept, see `calib.written`.
+    A new file replaces the one that calib wrote there before; any other file is kept, see `calib.written`.
 
     Attributes
     ----------
     path : Path
     of : (Path, Path) or None
-        Folder of all results of a study and the study's file, which the first thing that is written lets it belong to.
+        Folder of all results of a study and the study's file, which becomes its owner with the first file written.
     """
 
     path: Path
@@ -50,7 +51,7 @@ class Results:
     def at(root: Path, study_name: str, part: str = "") -> Results:
         """Open (and make) ``root/study_name/part``.
 
-        InputError when it cannot be written, holds a study, or holds files and no log of what calib has written.
+        InputError when it cannot be written, holds a study, or holds files without the log of what calib has written.
         """
         home = root / study_name
         for path in (home, home / part) if part else (home,):
@@ -68,7 +69,7 @@ class Results:
         return Results(path)
 
     def claim(self) -> None:
-        """Let the folder be calib's and, where it is known, the study's; InputError when it cannot be written."""
+        """Record the study as the owner of the folder, where it is known; InputError when it cannot be written."""
         if self.of is not None and not owner(self.of[0]):
             home, own = self.of[0].resolve(), self.of[1].resolve()
             leading = Path(os.path.relpath(own, home)).as_posix() if own.drive == home.drive else ""
@@ -78,6 +79,7 @@ class Results:
         """InputError when the folder, or one that holds it, belongs to another study."""
         if owner(self.path.resolve().parent):
             raise InputError("it lies within the results of a study", place=self.path, remedy=_MOVE)
+        self._refuse_old_names()
         if not self.belongs_to(study_file):
             raise InputError(
                 f"these are results of another study, {owner(self.path)[0]}",
@@ -85,10 +87,27 @@ class Results:
                 remedy=f"choose another place with --results DIR; if that study has moved, write its path into {OWNER}",
             )
 
-    def belongs_to(self, study_file: Path) -> bool:
-        """Whether the folder is that study's; one that names no study is anybody's.
+    def _refuse_old_names(self) -> None:
+        """InputError for tables and keys of the record under a former name."""
+        record = self.path / "record.json"
+        try:
+            keys = json.loads(record.read_text(encoding="utf-8")) if record.is_file() else {}
+        except (OSError, ValueError, RecursionError):
+            keys = {}
+        for names, there, place in (
+            (RECORD, keys if isinstance(keys, dict) else {}, record),
+            (TABLES, {name for name in TABLES if self.has(name)}, self.path),
+        ):
+            for old in sorted(set(names) & set(there)):
+                raise InputError(
+                    f"{old!r} is called {names[old]!r} now: an older version of calib wrote them", place=place,
+                    remedy="move the folder away and run the study again",
+                )  # fmt: skip
 
-        A study that is written among the results of another is one, whichever part of them it lies in.
+    def belongs_to(self, study_file: Path) -> bool:
+        """Whether the folder belongs to that study; a folder without an owner belongs to any.
+
+        A study written among the results of another keeps its identity in whichever of their subfolders it lies.
         """
         known = owner(self.path)
         return not known or _one_place(study_file.resolve()) in map(_one_place, known)
@@ -106,13 +125,13 @@ class Results:
         return (self.path / name).exists()
 
     def remove(self, *names: str) -> None:
-        """Delete results that would no longer be true; InputError when one cannot be deleted."""
+        """Delete outdated results; InputError when one cannot be deleted."""
         for name in names:
             try:
                 written.remove(self.path / name)
             except OSError as fault:
                 raise InputError(
-                    f"it is no longer true and cannot be deleted ({fault.strerror})",
+                    f"it is outdated and cannot be deleted ({fault.strerror})",
                     place=self.path / name,
                     remedy=_REMEDY,
                 ) from None
@@ -129,27 +148,27 @@ class Results:
 
 
 def owner(folder: Path) -> tuple[Path, ...]:
-    """Study files that a folder of results may belong to: where it was, and in the same place beside it.
+    """Study files that a folder of results may belong to: at the recorded path, and at the recorded relative path.
 
-    The second finds a study that was moved together with its results. Nothing where the folder names none.
+    The second finds a study that was moved together with its results. Empty where the folder has no owner.
     """
     try:
-        told = json.loads((folder / OWNER).read_text("utf-8"))
-        study, leading = str(told["study"]), str(told["from_here"])
+        stored = json.loads((folder / OWNER).read_text("utf-8"))
+        study, leading = str(stored["study"]), str(stored["from_here"])
     except (FileNotFoundError, NotADirectoryError):
         return ()
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(
-            "it does not tell whose results these are", place=folder / OWNER, remedy="move the folder away"
+            "it does not name the study of these results", place=folder / OWNER, remedy="move the folder away"
         ) from None
     return (Path(study), *([(folder.resolve() / leading).resolve()] if leading else []))
 
 
 def _one_place(study_file: Path) -> Path:
-    """Where a study that was written into a part of another's results, such as a quick look's, lies in the whole."""
+    """Canonical path of a study that was written into a subfolder of another's results, such as ``quick/``."""
     folder = study_file.parent
     part, home = folder.parent, folder.parent.parent
-    # Unlike `Path.is_file`, this does not raise where a folder may not be read: such a study is another one.
+    # Unlike `Path.is_file`, this does not raise where a folder may not be read: that is then another study.
     if not os.path.isfile(part / OWNER) and os.path.isfile(home / OWNER):
         return home / folder.name / study_file.name
     return study_file
@@ -161,7 +180,7 @@ def _refuse_foreign(folder: Path) -> None:
         raise InputError("results would be written over the files of a study", place=folder, remedy=_MOVE)
     try:
         there = [p.name for p in sorted(folder.iterdir()) if not p.name.startswith(".") and not p.is_dir()]
-    except OSError:  # there is no such folder, or none that can be read
+    except OSError:  # no such folder, or no permission to read it
         return
     if there and written.LOG not in there:
         raise InputError(
@@ -173,7 +192,7 @@ def _refuse_foreign(folder: Path) -> None:
 
 
 def _clear_drafts(folder: Path) -> None:
-    """Delete what killed processes left half-written; a process at work needs no draft for that long."""
+    """Delete drafts that killed processes left behind; a running process needs none for that long."""
     for draft in filter(lambda path: _DRAFTS.match(path.name), folder.glob(f".*{written.DRAFT}")):
         with contextlib.suppress(OSError):
             if time.time() - draft.stat().st_mtime > _ABANDONED:
@@ -181,7 +200,7 @@ def _clear_drafts(folder: Path) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers as Python's own, those that are not finite as None."""
+    """Values as plain Python types, with None for numbers that are not finite."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Points of a parameter space that keep its constraints."""
+"""Latin hypercube samples of a parameter space under its constraints."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from calib.space import ParameterSpace
 
 _BATCH_MAX = 50_000
 _FEWEST = 1e-4
-"""Smallest acceptance worth continuing with."""
+"""Smallest acceptance rate with which sampling continues."""
 _TRIES = 100_000
-"""Candidates drawn before the acceptance is judged."""
+"""Candidates drawn before the acceptance rate is checked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,16 +36,16 @@ class Sample:
 
     @property
     def acceptance(self) -> float:
-        """Part of the candidates that kept the constraints."""
+        """Share of the candidates that kept the constraints."""
         return self.accepted / self.asked
 
 
 def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, batch: int | None = None) -> Sample:
-    """Draw points by Latin hypercube, keeping those that meet the space's constraints.
+    """Draw points by Latin hypercube and keep those that meet the space's constraints.
 
     Without constraints the points are one Latin hypercube (McKay, Beckman and Conover 1979). With constraints, whole
-    hypercubes are drawn until enough points are accepted; what is left is uniform over the admissible region but no
-    longer a Latin hypercube, and its parameters are correlated. Whole-number parameters take each value with equal
+    hypercubes are drawn until enough points are accepted; the sample is uniform over the admissible region but no
+    longer a Latin hypercube, and its parameters are correlated. Integer parameters take each value with equal
     probability.
 
     Parameters
@@ -56,7 +56,7 @@ def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, b
     seed : int or numpy.random.Generator
         Same seed, same points.
     batch : int, optional
-        Candidates of the first hypercube; as many as points wanted by default.
+        Candidates of the first hypercube; ``count`` by default.
 
     Returns
     -------
@@ -65,14 +65,14 @@ def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, b
     Raises
     ------
     InputError
-        When nothing is free, or the constraints accept fewer than 1 candidate in 10,000.
+        When no parameter is free, or the constraints accept fewer than 1 candidate in 10,000.
     """
     if count < 1:
-        raise InputError(f"{count} points are asked", place="sample", remedy="ask for at least 1")
+        raise InputError(f"{count} points are requested", place="sample", remedy="request at least 1")
     if not space.free:
         raise InputError("no parameter is free", place="sample", remedy="select at least one parameter")
     space.require_feasible()
-    from scipy.stats import qmc  # slow to import, and not every command draws
+    from scipy.stats import qmc  # slow to import, and not every command samples
 
     engine = qmc.LatinHypercube(len(space.free), rng=np.random.default_rng(seed))
     kept: list[np.ndarray] = []

@@ -1,4 +1,4 @@
-"""What may stand in ``study.toml``: every key with its type, default and check."""
+"""Every key of ``study.toml`` with its type, default and validation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LONGEST_NAME = 255
 
 
 def possible_path(text: str) -> str:
-    """A path that an operating system can be asked for; ValueError for any other."""
+    """A path that file systems accept; ValueError for any other."""
     if "\0" in text:
         raise ValueError("a path cannot hold a zero character")
     longest = max((len(part.encode("utf-8", "replace")) for part in re.split(r"[/\\]", text)), default=0)
@@ -47,10 +47,10 @@ class _Section(BaseModel):
 class MeasurementSettings(_Section):
     """``[measurement]``: files, relative to the study's folder.
 
-    ``pooling`` says whether mean and scatter go without what disagrees with the other repeats at a strict level
-    (``"robust"``), or whether it is only named (``"plain"``).
-    ``accuracy`` is what is claimed beside the repeatability: a share such as ``"1 %"`` of every value, or by kind
-    (``freq``, ``damping``, ``shape``; of plain responses by name or kind), shares or numbers in the value's own unit.
+    ``pooling`` tells whether mean and standard deviation exclude outliers among the repeats (``"robust"``), or whether
+    these are only reported (``"plain"``).
+    ``accuracy`` is the claimed accuracy beside the repeatability: a share such as ``"1 %"`` of every value, or by kind
+    (``freq``, ``damping``, ``shape``; for scalar responses by name or kind) a share or a number in the value's unit.
     """
 
     files: tuple[PathText, ...] = ()
@@ -81,12 +81,12 @@ class MeasurementSettings(_Section):
     @model_validator(mode="after")
     def _one_kind(self) -> MeasurementSettings:
         if bool(self.files) == bool(self.responses) and self.model_fields_set:
-            raise ValueError("name either measured modes (files = [...]) or plain responses (responses = '...')")
+            raise ValueError("name either measured modes (files = [...]) or scalar responses (responses = '...')")
         return self
 
 
-class WithheldSettings(_Section):
-    """``[withheld]``: measured modes and sensors, or plain responses, that no fit ever sees."""
+class HeldOutSettings(_Section):
+    """``[held_out]``: measured modes and sensors, or scalar responses, that no fit uses."""
 
     modes: tuple[str, ...] = ()
     sensors: tuple[str, ...] = ()
@@ -94,7 +94,7 @@ class WithheldSettings(_Section):
 
 
 class PairingSettings(_Section):
-    """``[pairing]``: how measured and model modes find each other."""
+    """``[pairing]``: how measured and model modes are paired."""
 
     mode_count: int | None = Field(default=None, ge=1, le=1_000_000)
     threshold: Share = 0.3
@@ -111,26 +111,26 @@ class PairingSettings(_Section):
 
 
 class TestSettings(MeasurementSettings):
-    """``[[tests]]``: what the real thing did under one condition; files as under ``[measurement]``.
+    """``[[tests]]``: measurements under one condition; files as under ``[measurement]``.
 
     Attributes
     ----------
     name : str
-        Told with everything that is of this test; its own tables and figures go to ``<study>.<name>``.
+        Label of this test's results; its tables and figures go to ``<study>.<name>``.
     set : dict
-        Parameters that hold for this test only, each in its own unit.
-    withheld : WithheldSettings
-        What no fit sees.
+        Parameter values of this test only, each in its own unit.
+    held_out : HeldOutSettings
+        Data that no fit uses.
     pairing : PairingSettings
     model, model_options, effects
-        Another model for this test, other options of the model, and what another model may lack.
+        Another model for this test, other options of the model, and the library of effects of another model.
     """
 
     __test__ = False  # no test of pytest's
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
     set: dict[str, float] = {}
-    withheld: WithheldSettings = WithheldSettings()
+    held_out: HeldOutSettings = HeldOutSettings()
     pairing: PairingSettings = PairingSettings()
     model: PathText | None = Field(default=None, pattern=FUNCTION)
     model_options: dict[str, Any] | None = None
@@ -148,7 +148,7 @@ class ParameterSettings(_Section):
 
 
 class AdoptedSettings(_Section):
-    """``[adopted]``: parameters that another study has found; here they are held at its values.
+    """``[adopted]``: parameters that are held at the fitted values of another study.
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ class CaseSettings(_Section):
 
 
 class ReductionSettings(_Section):
-    """``[reduction]``: search on a reduced basis of the model; what is reported is always solved at full order."""
+    """``[reduction]``: search on a reduced basis of the model; reported results are always solved at full order."""
 
     use: bool = True
     tolerance: float = Field(default=1e-5, gt=0, lt=0.1)
@@ -195,12 +195,12 @@ class ReductionSettings(_Section):
 class CalibrationSettings(_Section):
     """``[calibration]``.
 
-    ``begin_at`` names values of parameters from which least squares begins too, beside where a search ended;
-    ``polish`` tells whether least squares follow a search at all.
+    ``begin_at`` is a further start of least squares, besides the end of each search; ``refine`` tells whether least
+    squares follow a search at all.
     """
 
     method: Literal["genetic", "gauss-newton"] = "genetic"
-    polish: bool = True
+    refine: bool = True
     starts: int = Field(default=6, ge=1, le=10_000)
     time_limit: float = Field(default=3600.0, gt=0, le=1e7)
     weight_freq: float = Field(default=1.0, ge=0, le=1e12)
@@ -230,15 +230,15 @@ class ExplainSettings(_Section):
     Attributes
     ----------
     alpha : float
-        Chance of calling something missing when nothing is.
+        False-alarm rate: the probability of reporting a missing effect when there is none.
     refits : int
-        Most promising effects that are calibrated with the whole model.
+        Number of most promising effects that are calibrated with the whole model.
     merge : float
-        Correlation from which on effects count as one, unless the signal at hand tells them apart.
+        Correlation of signatures from which effects count as collinear, unless the data discriminate between them.
     finer_options : dict
-        Model options of a finer discretisation.
-    draws : int
-        Points of the posterior over which the advice on what to measure next is averaged.
+        Model options of a finer mesh.
+    samples : int
+        Posterior samples over which the recommended next measurement is averaged.
     seed : int
     """
 
@@ -246,18 +246,18 @@ class ExplainSettings(_Section):
     refits: int = Field(default=6, ge=1, le=10_000)
     merge: float = Field(default=0.98, gt=0, le=1)
     finer_options: dict[str, Any] = {}
-    draws: int = Field(default=10, ge=1, le=100_000)
+    samples: int = Field(default=10, ge=1, le=100_000)
     seed: Seed = 1
 
 
 class StudySettings(_Section):
     """The whole file.
 
-    ``base`` is another study, of which everything is taken that this file does not say anew (tables key by key, lists
-    whole); paths in it are relative to its own folder. Of several places of it the first that is there counts.
-    ``depends_on`` names files, relative to the study's folder, that the model reads: input of a solver, tables. What
-    was measured stands under ``[measurement]``, or test by test under ``[[tests]]``. Without a ``selection`` every free
-    parameter is fitted.
+    ``base`` is another study whose keys hold where this file does not override them (tables key by key, lists as a
+    whole); its paths are relative to its own folder. Of several given places the first that exists counts.
+    ``depends_on`` names files, relative to the study's folder, that the model reads, such as a solver's input. The
+    measurement is described under ``[measurement]``, or test by test under ``[[tests]]``. Without a ``selection`` every
+    free parameter is fitted.
     """
 
     title: str
@@ -269,7 +269,7 @@ class StudySettings(_Section):
     base: PathText | tuple[PathText, ...] | None = None
     measurement: MeasurementSettings = MeasurementSettings()
     tests: tuple[TestSettings, ...] = ()
-    withheld: WithheldSettings = WithheldSettings()
+    held_out: HeldOutSettings = HeldOutSettings()
     pairing: PairingSettings = PairingSettings()
     adopted: AdoptedSettings | None = None
     parameters: dict[str, ParameterSettings] = {}
@@ -294,8 +294,8 @@ class StudySettings(_Section):
         own = bool(self.measurement.files or self.measurement.responses)
         if own == bool(self.tests):
             raise ValueError("name what was measured, either under [measurement] or test by test under [[tests]]")
-        if self.tests and (self.withheld != WithheldSettings() or self.pairing != PairingSettings()):
-            raise ValueError("with [[tests]], withheld and pairing belong to a test: [tests.withheld], [tests.pairing]")
+        if self.tests and (self.held_out != HeldOutSettings() or self.pairing != PairingSettings()):
+            raise ValueError("with [[tests]], held-out and pairing belong to a test: [tests.held_out], [tests.pairing]")
         return self
 
     @property
@@ -305,13 +305,13 @@ class StudySettings(_Section):
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """What builds models and effects, as the file names it."""
+        """Functions that build models and effects, as named in the file."""
         named = (self.model, self.effects, *(f for test in self.tests for f in (test.model, test.effects)))
         return tuple(dict.fromkeys(name for name in named if name))
 
     @property
     def mentioned(self) -> tuple[tuple[tuple[str, ...], str], ...]:
-        """Every parameter that the file says something of, with the key under which it does."""
+        """Every parameter that the file mentions, with its key."""
         selected = self.selection if isinstance(self.selection, tuple) else ()
         adopted = () if self.adopted is None else self.adopted.parameters
         return (
@@ -323,7 +323,7 @@ class StudySettings(_Section):
         )
 
     def of_test(self, name: str) -> StudySettings:
-        """The settings of a study with one of the tests alone, what it sets held; InputError for an unknown name."""
+        """Settings of a study with one test alone, its ``set`` values fixed; InputError for an unknown name."""
         known = {test.name: test for test in self.tests}
         if name not in known:
             raise InputError(f"there is no test {name!r}", remedy=f"the tests are {', '.join(known)}")
@@ -339,7 +339,7 @@ class StudySettings(_Section):
             "title": title,
             "tests": (),
             "measurement": MeasurementSettings(**own),
-            "withheld": test.withheld,
+            "held_out": test.held_out,
             "pairing": test.pairing,
             "parameters": {**self.parameters, **held},
             **other,
@@ -349,7 +349,7 @@ class StudySettings(_Section):
 
 
 def schema() -> dict[str, Any]:
-    """JSON schema of ``study.toml``, by which editors complete and check its keys."""
+    """JSON schema of ``study.toml``, with which editors complete and check its keys."""
     keys = StudySettings.model_json_schema()
     needed = keys.pop("required")
     either = [{"required": needed}, {"required": ["base"]}]

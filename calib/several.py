@@ -36,8 +36,8 @@ class JointStudy(StudyFile):
         path: str | Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE
     ) -> JointStudy:
         """Read a study folder (or its TOML file) with everything it names; see `calib.study.Study.load`."""
-        told = StudyFile.read(path_of(path, "study"))
-        studies = tuple(Study.load(told.file, adopted, adopted_sd, test.name) for test in told.settings.tests)
+        file = StudyFile.read(path_of(path, "study"))
+        studies = tuple(Study.load(file.file, adopted, adopted_sd, test.name) for test in file.settings.tests)
         for study in studies:
             for name in study.condition:
                 if name not in study.model.space:
@@ -45,40 +45,40 @@ class JointStudy(StudyFile):
                         f"the model of test {study.test} has no parameter {name!r}", place=study.place("set", name),
                         remedy="correct its name",
                     )  # fmt: skip
-        for keys, name in told.settings.mentioned:
+        for keys, name in file.settings.mentioned:
             if not any(name in study.model.space for study in studies):
                 raise InputError(
-                    f"no model has a parameter {name!r}", place=told.place(*keys), remedy="correct its name"
+                    f"no model has a parameter {name!r}", place=file.place(*keys), remedy="correct its name"
                 )
             if keys == ("selection",) and not any(name in study.search_space.free_names for study in studies):
                 raise InputError(
-                    f"parameter {name!r} is fixed in every test and cannot be selected", place=told.place(*keys),
+                    f"parameter {name!r} is fixed in every test and cannot be selected", place=file.place(*keys),
                     remedy="leave it out",
                 )  # fmt: skip
-        return JointStudy(told.name, told.file, told.settings, studies)
+        return JointStudy(file.name, file.file, file.settings, studies)
 
     def each(self, change: Callable[[Study], Study]) -> JointStudy:
-        """The same with a change of every test's study."""
+        """A copy with ``change`` applied to the study of every test."""
         return replace(self, studies=tuple(map(change, self.studies)))
 
     @cached_property
     def search_space(self) -> ParameterSpace:
-        """All parameters that no test's condition holds; free are those that a fit moves."""
+        """All parameters except those that a test's condition sets; free are those that a fit moves."""
         return joined({s.test: s.search_space.without(s.condition) for s in self.studies})
 
     @property
     def adopted(self) -> Mapping[str, float]:
-        """Taken over from an earlier study."""
+        """Values adopted from an earlier study."""
         return {name: value for study in self.studies for name, value in study.adopted.items()}
 
     @property
     def held_sd(self) -> dict[str, float]:
-        """Standard deviations of the held parameters that are known with a scatter only."""
+        """Standard deviations of the held parameters whose values are uncertain."""
         return {name: sd for study in self.studies for name, sd in study.held_sd.items()}
 
     @property
     def library(self) -> tuple[Effect, ...]:
-        """Every effect that the models may lack or have."""
+        """Every effect of the libraries, whether in a model or not."""
         return tuple({e.name: e for study in self.studies for e in study.library}.values())
 
     @property

@@ -42,18 +42,18 @@ SI_FACTORS: Mapping[str, float] = {
     "rad": 1.0,
     "s": 1.0,
 }
-"""Factor that turns a value in the named unit into SI."""
+"""Factor from the named unit to SI."""
 
 Distribution = Literal["uniform", "fixed"]
 MOST = 1e100
-"""Size of a value or limit; squares of larger ones overflow."""
+"""Largest absolute value of a value or limit; squares of larger ones overflow."""
 FINEST_PRIOR = 1e-9
 """Least prior standard deviation over a parameter's range or value, and the inverse of the largest: beyond, sums of
 squares lose every digit of the data or of the prior."""
 
 
 AT_LIMIT = 0.01
-"""Distance to a limit, over the range, below which a value sits on it."""
+"""Distance to a limit, over the range, below which a value is on it."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Parameter:
     name : str
         Identifier used in tables and files.
     value : float
-        Adopted (initial) value, in ``unit``.
+        Nominal (initial) value, in ``unit``.
     lower, upper : float
         Limits, in ``unit``.
     unit : str
@@ -73,13 +73,13 @@ class Parameter:
     distribution : {"uniform", "fixed"}
         A fixed parameter is never sampled or searched.
     integer : bool
-        Takes whole numbers only.
+        Takes integers only.
     prior_sd : float or None
         Prior standard deviation in ``unit``; default ``(upper - lower)/sqrt(12)``, that of the uniform distribution.
     description, symbol, source : str
-        What it is, the symbol used in the literature, and where its numbers come from.
+        Description, symbol in the literature, and source of the numbers.
     assumed : str
-        Names what of it is an engineering assumption and not published; empty when nothing is.
+        States what is an engineering assumption, not published data; empty when nothing is.
     """
 
     name: str
@@ -131,7 +131,7 @@ class Parameter:
                     remedy=f"give a positive number from {least:g} to {most:g} {self.unit}",
                 )
         if self.integer and any(v != round(v) for v in (self.value, self.lower, self.upper)):
-            raise InputError("a whole-number parameter has a fractional value or limit", place=place)
+            raise InputError("an integer parameter has a fractional value or limit", place=place)
 
     @property
     def si_factor(self) -> float:
@@ -139,7 +139,7 @@ class Parameter:
         return SI_FACTORS[self.unit]
 
     def limit_at(self, value: float) -> Literal["lower", "upper"] | None:
-        """The limit that a value sits on, within `AT_LIMIT` of the range; None between the limits."""
+        """The limit that a value is on, within `AT_LIMIT` of the range; None between the limits."""
         ratio = (value - self.lower) / (self.upper - self.lower)
         if ratio > 1 - AT_LIMIT:
             return "upper"
@@ -191,10 +191,10 @@ class ParameterSpace:
     parameters: tuple[Parameter, ...]
     constraints: tuple[LinearConstraint, ...] = ()
     _by_name: Mapping[str, Parameter] = field(init=False, repr=False, compare=False)
-    # What every point needs of every parameter, at hand: hundreds of parameters are completed thousands of times.
-    _adopted: Mapping[str, float] = field(init=False, repr=False, compare=False)
+    # Cached per parameter: hundreds of parameters are completed thousands of times.
+    _nominal: Mapping[str, float] = field(init=False, repr=False, compare=False)
     _factors: Mapping[str, float] = field(init=False, repr=False, compare=False)
-    _whole: tuple[str, ...] = field(init=False, repr=False, compare=False)
+    _integers: tuple[str, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", objects(self.parameters, Parameter, "parameter space"))
@@ -202,9 +202,9 @@ class ParameterSpace:
         if len(by_name) != len(self.parameters):
             raise InputError("two parameters share a name", place="parameter space")
         object.__setattr__(self, "_by_name", by_name)
-        object.__setattr__(self, "_adopted", {p.name: float(p.value) for p in self.parameters})
+        object.__setattr__(self, "_nominal", {p.name: float(p.value) for p in self.parameters})
         object.__setattr__(self, "_factors", {p.name: p.si_factor for p in self.parameters})
-        object.__setattr__(self, "_whole", tuple(p.name for p in self.parameters if p.integer))
+        object.__setattr__(self, "_integers", tuple(p.name for p in self.parameters if p.integer))
         for constraint in self.constraints:
             for name, _ in constraint.coefficients:
                 self._require(name, f"constraint {constraint.name}")
@@ -230,7 +230,7 @@ class ParameterSpace:
 
     @property
     def values(self) -> dict[str, float]:
-        """Adopted value of every parameter, each in its own unit."""
+        """Nominal value of every parameter, each in its own unit."""
         return {p.name: p.value for p in self.parameters}
 
     @property
@@ -255,11 +255,11 @@ class ParameterSpace:
 
     @property
     def integer(self) -> np.ndarray:
-        """Which free parameters take whole numbers only, shape (n_free,), bool."""
+        """Which free parameters take integers only, shape (n_free,), bool."""
         return np.array([p.integer for p in self.free], dtype=bool)
 
     def frame(self) -> pd.DataFrame:
-        """One row a parameter: value, limits, unit, distribution, prior width, description and source."""
+        """One row per parameter: value, limits, unit, distribution, prior width, description and source."""
         return pd.DataFrame(
             [
                 {
@@ -303,7 +303,7 @@ class ParameterSpace:
         return space
 
     def without(self, values: Mapping[str, float]) -> ParameterSpace:
-        """Same space less the named parameters, which constraints take at the given values."""
+        """Same space without the named parameters, fixed at the given values in the constraints."""
         if not values:
             return self
         self.complete(values)
@@ -316,7 +316,7 @@ class ParameterSpace:
         return ParameterSpace(tuple(p for p in self.parameters if p.name not in values), tuple(kept))
 
     def keep(self, names: Iterable[str]) -> ParameterSpace:
-        """Same space with every parameter outside ``names`` fixed at its adopted value."""
+        """Same space with every parameter outside ``names`` fixed at its nominal value."""
         kept = tuple(names)
         for name in kept:
             if self[name].distribution == "fixed":
@@ -335,29 +335,29 @@ class ParameterSpace:
         Parameters
         ----------
         x : ndarray (n_free,) or mapping
-            Values of the free parameters, or any named values; what is left out takes its adopted value.
+            Values of the free parameters, or any named values; missing ones take their nominal value.
         """
         given = (
             dict(zip(self.free_names, np.asarray(x, dtype=float).tolist(), strict=True))
             if isinstance(x, np.ndarray)
             else x
         )
-        if not given.keys() <= self._adopted.keys():
+        if not given.keys() <= self._nominal.keys():
             for name in given:
                 self._require(name, "parameter values")
         try:
-            values = {name: float(given.get(name, value)) for name, value in self._adopted.items()}
+            values = {name: float(given.get(name, value)) for name, value in self._nominal.items()}
         except (TypeError, ValueError):
-            values = {name: number(given.get(name, value), f"value of {name}") for name, value in self._adopted.items()}
+            values = {name: number(given.get(name, value), f"value of {name}") for name, value in self._nominal.items()}
         if not all(map(math.isfinite, values.values())):
             name, value = next((n, v) for n, v in values.items() if not math.isfinite(v))
             raise InputError(f"value of {name!r} is {value}", place="parameter values")
-        for name in self._whole:
+        for name in self._integers:
             values[name] = float(round(values[name]))
         return values
 
     def from_unit(self, unit: np.ndarray) -> np.ndarray:
-        """Points of the unit cube brought to the limits; whole numbers own equal parts of the unit interval.
+        """Points of the unit cube scaled to the limits; integers have equal parts of the unit interval.
 
         Parameters
         ----------
@@ -369,18 +369,18 @@ class ParameterSpace:
             Each column in its parameter's own unit.
         """
         lower, upper = self.lower, self.upper
-        whole = np.minimum(lower + np.floor(unit * (upper - lower + 1.0)), upper)
-        return np.where(self.integer, whole, lower + unit * (upper - lower))
+        integers = np.minimum(lower + np.floor(unit * (upper - lower + 1.0)), upper)
+        return np.where(self.integer, integers, lower + unit * (upper - lower))
 
     def si(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Values in SI; the one place where parameter units are converted."""
+        """Values in SI; the only place where parameter units are converted."""
         if not values.keys() <= self._factors.keys():
             for name in values:
                 self._require(name, "parameter values")
         return {name: value * self._factors[name] for name, value in values.items()}
 
     def _constraint_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coefficients over the free parameters (n_con, n_free), and limits less what the fixed ones add (n_con,)."""
+        """Coefficients of the free parameters (n_con, n_free), and limits less the fixed part (n_con,)."""
         names = self.free_names
         rows = np.zeros((len(self.constraints), len(names)))
         low, high = np.empty(len(self.constraints)), np.empty(len(self.constraints))
@@ -395,7 +395,7 @@ class ParameterSpace:
         return rows, low, high
 
     def violation(self, points: np.ndarray) -> np.ndarray:
-        """How far each point breaks each constraint, 0 where it is kept.
+        """Violation of each constraint at each point, 0 where it is satisfied.
 
         Parameters
         ----------
@@ -411,7 +411,7 @@ class ParameterSpace:
         return np.maximum(0.0, np.maximum(low - sums, sums - high))
 
     def feasible(self, points: np.ndarray) -> np.ndarray:
-        """Which points keep limits and constraints, shape (n,), bool; rounding is forgiven to 1e-9 of the range."""
+        """Which points satisfy limits and constraints, shape (n,), bool, with a tolerance of 1e-9 of the range."""
         points = np.atleast_2d(points)
         slack = 1e-9 * (self.upper - self.lower)
         inside = np.all((points >= self.lower - slack) & (points <= self.upper + slack), axis=1)
@@ -421,7 +421,7 @@ class ParameterSpace:
         return inside & np.all(self.violation(points) <= 1e-9 * scale, axis=1)
 
     def require_feasible(self) -> None:
-        """Raise InputError when no point of the space keeps all constraints (a linear programme decides)."""
+        """Raise InputError when no point of the space satisfies all constraints (by linear programming)."""
         rows, low, high = self._constraint_rows()
         if not len(rows):
             return
@@ -433,14 +433,14 @@ class ParameterSpace:
         upper, lower = np.isfinite(high), np.isfinite(low)
         matrix = np.vstack([rows[upper], -rows[lower]])
         bound = np.concatenate([high[upper], -low[lower]])
-        answer = linprog(
+        solution = linprog(
             np.zeros(rows.shape[1]),
             A_ub=matrix,
             b_ub=bound,
             bounds=list(zip(self.lower, self.upper, strict=True)),
             method="highs",
         )
-        if answer.status == 2:
+        if solution.status == 2:
             names = ", ".join(c.name for c in self.constraints)
             raise InputError(
                 f"no point within the limits keeps the constraints ({names})",

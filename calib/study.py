@@ -1,4 +1,4 @@
-"""A study: one model, one measurement and the questions asked of them, read from ``study.toml``."""
+"""A study: one model, one measurement and the settings of their analyses, read from ``study.toml``."""
 
 from __future__ import annotations
 
@@ -31,38 +31,38 @@ _NONE: Mapping[str, float] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Study(StudyFile):
-    """Model and measurement of one study, checked, with what is withheld already left out.
+    """Model and measurement of one study, checked, with held-out data removed.
 
     Attributes
     ----------
     model : StructuralModel, ModalFunctionModel or FunctionModel
         With the study's effects, parameter values, limits and constraints.
     measured : MeasuredModes or None
-        None for a model without modes.
+        Modes in use; None for a model without modes.
     targets : mapping from response name to (value, standard deviation or None)
-        Measured plain responses; empty for a model with modes.
+        Measured scalar responses in use; empty for a model with modes.
     problem : ModalProblem or FunctionProblem
         Named parameters in, named responses out.
     sensitivity_space, search_space : ParameterSpace
         All free parameters within their limits; the selected ones within the limits of the search.
     whole : MeasuredModes or None
-        The measurement with nothing withheld. For verification only: never given to a fit.
+        The measurement with held-out data. For verification only: never given to a fit.
     whole_targets : mapping from response name to (value, standard deviation or None)
-        Likewise for plain responses.
+        Likewise for scalar responses.
     library : tuple of Effect
-        Every effect that the study knows, in its model or not.
+        Every effect of the study's library, in its model or not.
     adopted, adopted_sd : mapping from parameter name to value
-        Taken over from an earlier study, and the standard deviations of those that this one holds.
+        Values adopted from an earlier study, and the standard deviations of those that this one holds.
     initial : mapping from parameter name to value
-        All values before any calibration, those taken over as the model itself has them.
+        All values before any calibration; adopted parameters have the model's own value.
     hints : tuple of str
-        Values that look like other units than the model's parameters are in.
+        Warnings of values that may be in another unit than the model's parameter.
     responses : MeasuredResponses or None
-        The plain responses with nothing withheld and the repeats behind them; None for a model with modes.
+        All scalar responses, held-out ones included, and their repeats; None for a model with modes.
     read_files : mapping from path to digest
         Named files and all code as they were when the study was read; see `file_digests`.
     library_digest : str
-        Of what builds the effects, with all it holds and the files it stands in, wherever these are.
+        Hash over the functions that build the effects and their source files.
     """
 
     model: Model
@@ -84,20 +84,20 @@ class Study(StudyFile):
 
     @property
     def studies(self) -> tuple[Study, ...]:
-        """Every test as a study of its own: it is the only one; see `calib.several.JointStudy`."""
+        """The study itself, its only test; see `calib.several.JointStudy`."""
         return (self,)
 
     def each(self, change: Callable[[Study], Study]) -> Study:
-        """The same with a change of every test's study."""
+        """A copy with ``change`` applied, as for every test of a `calib.several.JointStudy`."""
         return change(self)
 
     @property
     def held_sd(self) -> dict[str, float]:
-        """Standard deviations of the held parameters that are known with a scatter only."""
+        """Standard deviations of the held parameters whose values are uncertain."""
         return {name: sd for name, sd in self.adopted_sd.items() if sd > 0}
 
     def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
-        """Everything that was measured, as it was read when the study was."""
+        """Everything that was measured, as it was when the study was read."""
         return self.whole, self.responses
 
     @property
@@ -108,17 +108,17 @@ class Study(StudyFile):
 
     @property
     def measurement_notes(self) -> tuple[str, ...]:
-        """What a reader of the measurement must know."""
+        """Notes on how the measurement was read."""
         given = self.whole or self.responses
         return () if given is None else given.notes
 
     @property
     def repeats(self) -> int | None:
-        """Repeats behind the measured values; None where a study of plain responses does not tell."""
+        """Repeats behind the measured values; None where a study of scalar responses does not state them."""
         if self.whole is not None:
             return self.whole.n_repeats
-        told = None if self.responses is None else self.responses.repeats
-        return self.settings.measurement.repeats if told is None else told
+        counted = None if self.responses is None else self.responses.repeats
+        return self.settings.measurement.repeats if counted is None else counted
 
     @property
     def included(self) -> tuple[Effect, ...]:
@@ -132,14 +132,14 @@ class Study(StudyFile):
         return tuple(effect for effect in self.library if effect.name not in self.settings.with_effects)
 
     def whole_problem(self) -> ModalProblem | None:
-        """The modal problem over everything measured, what is withheld included; None for plain responses.
+        """The modal problem over everything measured, held-out data included; None for scalar responses.
 
-        For verification only: never given to a fit. As many more model modes are solved as the withheld modes need.
+        For verification only: never given to a fit. More model modes are solved, as the held-out modes need.
 
         Raises
         ------
         InputError
-            When a withheld sensor has no place on the model, or a withheld mode an impossible pair.
+            When a held-out sensor has no place on the model, or a held-out mode an impossible pair.
         """
         problem, whole, pairing = self.problem, self.whole, self.settings.pairing
         if not isinstance(problem, ModalProblem) or whole is None:
@@ -162,7 +162,7 @@ class Study(StudyFile):
         return None if finer is None else extend(finer, self.included)
 
     def selecting(self, names: tuple[str, ...]) -> Study:
-        """The same study whose search is over the named parameters; only for one that leaves it to the sensitivity."""
+        """The same study with the named parameters selected, for a selection left to the sensitivity analysis."""
         elsewhere = names if self.test else ()
         space = search_space(self.sensitivity_space, self.settings, self.place, names, elsewhere)
         return replace(self, search_space=space)
@@ -173,69 +173,69 @@ class Study(StudyFile):
     ) -> Study:
         """Read a study folder (or its TOML file) with everything it names; InputError for anything wrong in it.
 
-        ``adopted`` are values that an earlier study has found, where this one takes some over, and ``adopted_sd`` their
-        standard deviations as far as they are known; see `calib.questions.phases`. Of several tests ``test`` is read;
-        all of them together are a `calib.several.JointStudy`.
+        ``adopted`` are fitted values of an earlier study, where this one adopts some, and ``adopted_sd`` their standard
+        deviations as far as they are known; see `calib.analyses.staged`. Of several tests ``test`` is read; all of them
+        together are a `calib.several.JointStudy`.
         """
-        told = StudyFile.read(path_of(path, "study"), test)
-        if told.settings.several:
-            names = ", ".join(one.name for one in told.settings.tests)
-            raise InputError(f"it has several tests, {names}", place=told.file, remedy="name one of them")
-        read = told.file_digests  # before the code runs: what changes from here on is not what was read
-        return _study(told, read, adopted, adopted_sd)
+        file = StudyFile.read(path_of(path, "study"), test)
+        if file.settings.several:
+            names = ", ".join(one.name for one in file.settings.tests)
+            raise InputError(f"it has several tests, {names}", place=file.file, remedy="name one of them")
+        read = file.file_digests  # before the code runs: later changes of the files are not part of this state
+        return _study(file, read, adopted, adopted_sd)
 
 
 def _study(
-    told: StudyFile, read: Mapping[str, str], adopted: Mapping[str, float], adopted_sd: Mapping[str, float]
+    file: StudyFile, read: Mapping[str, str], adopted: Mapping[str, float], adopted_sd: Mapping[str, float]
 ) -> Study:
-    """All that a study's file names, checked; see `Study.load`."""
-    sources = Sources(told.settings, told.folder, told.place)
+    """Load and check everything that a study's file names; see `Study.load`."""
+    sources = Sources(file.settings, file.folder, file.place)
     base = sources.model()
     library = sources.library(base)
-    digest = digest_of([(e.name, e.build) for e in library])[:16]  # before any is asked, which may fill its caches
+    digest = digest_of([(e.name, e.build) for e in library])[:16]  # before any effect is built, which may fill caches
     included = sources.included(library)
-    model = with_effects(base, included, told.place("with_effects"))
-    elsewhere = {name for _, name in told.settings.mentioned} if told.test else ()
-    space = sensitivity_space(model.space, told.settings, told.place, adopted, elsewhere)
-    hints = parameter_hints(model.space, told.settings)
-    taken = told.settings.adopted.parameters if told.settings.adopted else ()
+    model = with_effects(base, included, file.place("with_effects"))
+    elsewhere = {name for _, name in file.settings.mentioned} if file.test else ()
+    space = sensitivity_space(model.space, file.settings, file.place, adopted, elsewhere)
+    hints = parameter_hints(model.space, file.settings)
+    taken = file.settings.adopted.parameters if file.settings.adopted else ()
     initial = {**space.values, **{name: model.space[name].value for name in taken if name in model.space}}
     model = replace(model, space=space)
-    for name in told.settings.depends_on:
-        told.path(name, "depends_on")
-    whole, responses = measured_for(told, model)
+    for name in file.settings.depends_on:
+        file.path(name, "depends_on")
+    whole, responses = measured_for(file, model)
     whole_targets = {} if responses is None else responses.targets
-    measured, targets = used_of(told, whole, whole_targets)
+    measured, targets = used_of(file, whole, whole_targets)
     problem: ForwardProblem
     if isinstance(model, FunctionModel):
         assert isinstance(base, FunctionModel) and responses is not None
-        mark = _fingerprint(told, fingerprint_of(base, included, model))
-        problem = function_problem(told, model, mark, targets, responses)
+        mark = _fingerprint(file, fingerprint_of(base, included, model))
+        problem = function_problem(file, model, mark, targets, responses)
     else:
         assert measured is not None and not isinstance(base, FunctionModel)
         if isinstance(model, ModalFunctionModel):
             assert isinstance(base, ModalFunctionModel)
-            model = replace(model, identity=_fingerprint(told, fingerprint_of(base, included, model)))
-        problem = modal_problem(told, model, measured, model.n_modes - base.n_modes)
-    selected = search_space(space, told.settings, told.place, elsewhere=elsewhere)
-    if not told.settings.calibration.weight_freq + told.settings.calibration.weight_mac > 0:
-        raise InputError("both weights are zero", place=told.place("calibration"), remedy="give one of them weight")
+            model = replace(model, identity=_fingerprint(file, fingerprint_of(base, included, model)))
+        problem = modal_problem(file, model, measured, model.n_modes - base.n_modes)
+    selected = search_space(space, file.settings, file.place, elsewhere=elsewhere)
+    if not file.settings.calibration.weight_freq + file.settings.calibration.weight_mac > 0:
+        raise InputError("both weights are zero", place=file.place("calibration"), remedy="give one of them weight")
     return Study(
-        told.name, told.file, told.settings, model, measured, targets, problem, space, selected,
+        file.name, file.file, file.settings, model, measured, targets, problem, space, selected,
         whole, whole_targets, library, dict(adopted), {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial,
-        hints, responses, read, digest, part=told.part,
+        hints, responses, read, digest, part=file.part,
     )  # fmt: skip
 
 
-def _fingerprint(told: StudyFile, function: str) -> str:
-    """That of a function, its options, all code in the study's folder, and the files that it depends on."""
-    files = [*told.code_files, *(told.path(name, "depends_on") for name in told.settings.depends_on)]
-    return digest_of(function, told.settings.model_options, digest_of_files(files, told.folder))[:16]
+def _fingerprint(file: StudyFile, function: str) -> str:
+    """Hash over a function, its options, all code in the study's folder, and the files that it depends on."""
+    files = [*file.code_files, *(file.path(name, "depends_on") for name in file.settings.depends_on)]
+    return digest_of(function, file.settings.model_options, digest_of_files(files, file.folder))[:16]
 
 
 @dataclass(frozen=True)
 class EvaluationSource:
-    """Builds a study's evaluation function anew in another process.
+    """Builds a study's evaluation function in another process.
 
     Attributes
     ----------
@@ -246,9 +246,9 @@ class EvaluationSource:
     basis : str
         File of a reduced basis to work on; empty for full order.
     adopted : tuple of (parameter name, value)
-        Taken over from an earlier study.
+        Adopted from an earlier study.
     test : str
-        Of several, the one that is asked.
+        Name of the test, if there are several.
     """
 
     path: str
@@ -259,7 +259,7 @@ class EvaluationSource:
 
     @classmethod
     def of(cls, study: Study, problem: ForwardProblem, basis: Path | None = None) -> EvaluationSource:
-        """That of a problem of the study, which may be reduced to a basis in a file."""
+        """The source of a problem of the study, which may be reduced to a basis in a file."""
         file = "" if basis is None else str(basis.resolve())
         return cls(str(study.file.resolve()), problem.fingerprint, file, tuple(study.adopted.items()), study.test)
 
@@ -271,19 +271,19 @@ class EvaluationSource:
             problem = problem.reduced(Basis.load(Path(self.basis)))
         if problem.fingerprint != self.fingerprint:
             raise InputError(
-                "the study or its model changed while it was running, or the model holds something that is another one "
-                "each time it is built (a temporary folder, a time stamp)",
+                "the study or its model changed while it was running, or the model holds something that differs each "
+                "time it is built (a temporary folder, a time stamp)",
                 place=self.path,
-                remedy="start the command again, or make inside the function what is new for every call",
+                remedy="start the command again, or create such things inside the function",
             )
         return problem.evaluate if isinstance(study.model, StructuralModel) else _Extendable(study).evaluate
 
 
 @dataclass(frozen=True, eq=False)
 class _Extendable:
-    """The function of a study with those effects of its library whose parameters are among the values.
+    """The function of a study, extended by those effects of its library whose parameters are among the values.
 
-    A function of modes tells their numbers, see `calib.structure.modal_answer.numbers_of`.
+    A function of modes returns them as numbers, see `calib.structure.modal_result.numbers_of`.
     """
 
     study: Study
@@ -292,7 +292,7 @@ class _Extendable:
     )
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
-        """As `FunctionProblem.evaluate`; effects are built one upon the other in the order of the values."""
+        """As `FunctionProblem.evaluate`; effects are added in the order of the values."""
         owner = {name: effect for effect in self.study.candidates for name in effect.names}
         effects = {owner[name].name: owner[name] for name in values if name in owner}
         key = tuple(effects)

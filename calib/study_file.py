@@ -1,4 +1,4 @@
-"""What a study's file says, without running any code that it names."""
+"""The settings and paths of a study's file, read without running any code that it names."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Part:
     Attributes
     ----------
     index : int
-        Its place in the file, from 0.
+        Position in the file, from 0.
     given : TestSettings
     several : bool
-        Whether there are others beside it.
+        Whether the study has other tests.
     """
 
     index: int
@@ -39,16 +39,16 @@ class Part:
 
 @dataclass(frozen=True)
 class StudyFile:
-    """What a study's file says, read and checked without running any code that it names.
+    """A study's file, read and checked without running any code that it names.
 
     Attributes
     ----------
     name : str
-        Name of the study's folder, of one of several tests with that of the test.
+        Name of the study's folder; for one of several tests followed by that of the test.
     file : Path
         Its ``study.toml``.
     settings : StudySettings
-        Of one test those of a study with that test alone.
+        For one test those of a study with that test alone.
     part : Part or None
         Which of the tests under ``[[tests]]`` it is; None for a study with ``[measurement]``, and for all tests
         together.
@@ -81,7 +81,7 @@ class StudyFile:
 
     @property
     def condition(self) -> dict[str, float]:
-        """Parameters that hold for this test only, each in its own unit."""
+        """Parameter values of this test only, each in its own unit."""
         return {} if self.part is None else dict(self.part.given.set)
 
     @property
@@ -93,7 +93,7 @@ class StudyFile:
 
     @property
     def synthetic(self) -> bool:
-        """Whether the measurement, or some of it, was made by a computer."""
+        """Whether the measurement, or some of it, is synthetic."""
         measured = self.settings.tests or (self.settings.measurement,)
         return any(one.synthetic for one in measured)
 
@@ -103,7 +103,7 @@ class StudyFile:
         return self.file.resolve().parent
 
     def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
-        """Everything that one test has measured: modes, or plain responses; InputError where it cannot be read."""
+        """All measured modes or scalar responses of one test; InputError where they cannot be read."""
         given = self.settings.measurement
         if given.responses:
             responses = read_responses(self.path(given.responses, "measurement", "responses"), given.pooling)
@@ -126,7 +126,7 @@ class StudyFile:
         return replace(measured, accuracy=Accuracy.of(given.accuracy)), None
 
     def place(self, *keys: int | str) -> str:
-        """File and, where it can be told, line of a key."""
+        """File and, where it can be found, line of a key."""
         layers = read_layers(self.file)
         if self.part is not None:
             own = keys[1:] if keys[:1] == ("measurement",) else keys
@@ -150,7 +150,7 @@ class StudyFile:
 
     @property
     def named_files(self) -> Mapping[str, Path]:
-        """Every file that the study names, by the path it writes, without links."""
+        """Every file that the study names, by the path as written; links resolved."""
         given, folder = self.settings, self.folder
         code = [where for f in given.functions if (where := f.rpartition(":")[0]).endswith(".py")]
         files = list(code)
@@ -161,7 +161,7 @@ class StudyFile:
 
     @property
     def code_files(self) -> list[Path]:
-        """All code in the study's folder, and what lies beside a file with code that it names elsewhere."""
+        """All code in the study's folder, and in the folders of code files that it names elsewhere."""
         given, folder = self.settings, self.folder
         files = code_files(folder)
         for named in given.functions:
@@ -172,9 +172,9 @@ class StudyFile:
 
     @property
     def file_digests(self) -> Mapping[str, str]:
-        """Digests of the named files and of all code as they are now; one that is gone has none.
+        """Digests of the named files and of all code as they are now; a missing file has none.
 
-        Named files are told by the path that the study writes, others by that from its folder.
+        Keys are the path as written in the study for named files, else the path relative to its folder.
         """
         folder, named = self.folder, self.named_files
         others = {Path(os.path.relpath(p, folder)).as_posix(): p for p in self.code_files if p not in named.values()}
@@ -183,7 +183,7 @@ class StudyFile:
 
 
 def _digest_of_file(path: Path) -> str:
-    """Of its content; empty for one that cannot be read."""
+    """Digest of a file's content; empty where it cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     except OSError:
@@ -191,10 +191,10 @@ def _digest_of_file(path: Path) -> str:
 
 
 def study_file(path: Path) -> Path:
-    """The TOML file of a study that is named by its folder or by that file."""
+    """The TOML file of a study, given its folder or that file."""
     return path if path.suffix == ".toml" else path / "study.toml"
 
 
 def shell_argument(path: Path) -> str:
-    """A study or another path as an argument to type: a study by its folder, quoted where a shell needs it."""
+    """A path as a shell argument, quoted where needed; a study's file is given by its folder."""
     return shlex.quote(str(path.parent if path.name == "study.toml" else path))

@@ -1,4 +1,4 @@
-"""The text of a study file and of those it builds on: read, merged, checked, and every complaint with its line."""
+"""The text of a study file and of its bases: read, merged and validated; every error names its line."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from calib.errors import InputError
+from calib.renamed import KEYS
 from calib.settings import StudySettings
 
 
@@ -30,14 +31,14 @@ def read_settings(file: Path) -> StudySettings:
 
 @dataclass(frozen=True)
 class Layer:
-    """One file of a study, and what stands in it.
+    """One file of a study, and its keys.
 
     Attributes
     ----------
     file : Path
     text : str
     data : dict
-        Its keys; paths lead to the same places from the folder of the study that builds on it.
+        Its keys; paths are converted to be relative to the folder of the study that builds on it.
     """
 
     file: Path
@@ -69,7 +70,7 @@ def read_layers(file: Path) -> tuple[Layer, ...]:
 
 
 def base_of(file: Path, base: str | Sequence[str]) -> Path | None:
-    """The file of the study that another one builds on, the first that is there; None without one."""
+    """The file of the study that another one builds on, the first that exists; None without one."""
     for one in (base,) if isinstance(base, str) else base:
         path = file.resolve().parent / one
         path = path if path.suffix == ".toml" else path / "study.toml"
@@ -79,7 +80,7 @@ def base_of(file: Path, base: str | Sequence[str]) -> Path | None:
 
 
 def place_of(layers: Sequence[Layer], *keys: int | str) -> str:
-    """File and, where it can be told, line of a key: in the first file that has it."""
+    """File and, where it can be found, line of a key, in the first file that has it."""
     for layer in layers:
         if line := line_of(layer.text, keys):
             return f"{layer.file}, line {line}"
@@ -87,11 +88,11 @@ def place_of(layers: Sequence[Layer], *keys: int | str) -> str:
 
 
 def _merged(layers: Sequence[Layer]) -> dict[str, Any]:
-    """All keys, each as the first file says it; tables are merged key by key."""
+    """All keys, each from the first file that has it; tables are merged key by key."""
     out: dict[str, Any] = {}
     for layer in reversed(layers):
         own = layer.data if layer is layers[0] else {k: v for k, v in layer.data.items() if k != "base"}
-        if "tests" in own:  # what was measured is told in one way: that of the file above
+        if "tests" in own:  # measurements are described in one way: that of the file above
             out.pop("measurement", None)
         if "measurement" in own:
             out.pop("tests", None)
@@ -105,7 +106,7 @@ def _over(upper: Mapping[str, Any], lower: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
-    """The same keys with every path leading from another folder."""
+    """The same keys with every path relative to another folder."""
     if own == folder:
         return data
 
@@ -163,7 +164,7 @@ def _layer(file: Path) -> Layer:
 
 
 def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
-    """The first complaint in one sentence, with its line; an unknown key comes first, which may be the missing one."""
+    """The first error in one sentence, with its line; unknown keys come first: one may be the missing key misspelt."""
     first = min(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
     keys = tuple(first["loc"])
     label = ".".join(str(k) for k in keys) or "the file"
@@ -173,6 +174,9 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
     given = given if len(given) < 60 else given[:57] + "..."
     if kind == "extra_forbidden":
         known = _known_keys(keys[:-1])
+        now = KEYS.get(str(keys[-1]))
+        if now in known:
+            return InputError(f"the key {label!r} is called {now!r} now", place=place, remedy=f"write {now}")
         near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.5)
         return InputError(
             f"unknown key {label!r}" + (f" (did you mean {near[0]!r}?)" if near else ""),
@@ -207,7 +211,7 @@ def _section_of(annotation: Any) -> Any:
 
 
 def line_of(text: str, keys: tuple[int | str, ...]) -> int | None:
-    """Line (from 1) that most likely holds a key of a TOML text; None when it cannot be told."""
+    """Line (from 1) that most likely holds a key of a TOML text; None when it cannot be found."""
     names = [str(k) for k in keys if not isinstance(k, int)]
     index = next((k for k in keys if isinstance(k, int)), None)
     lines = text.splitlines()

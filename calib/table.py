@@ -1,8 +1,8 @@
-"""Tables in CSV, read strictly: whatever is damaged or in doubt is refused with its file, line and column.
+"""Strict reader of CSV tables: anything damaged or ambiguous is refused with its file, line and column.
 
 Spreadsheets may have written them: with a byte-order mark, with semicolons or tabs between the entries, with decimal
-commas where the separator is no comma, and with ``WAHR`` or ``VRAI`` for true. A text that a spreadsheet would run as a
-formula stands behind an apostrophe in the file (OWASP, "CSV injection") and without it everywhere else.
+commas where the separator is not a comma, and with ``WAHR`` or ``VRAI`` for true. A text that a spreadsheet would run
+as a formula is prefixed by an apostrophe in the file (OWASP, "CSV injection") and without it everywhere else.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from pathlib import Path
 import pandas as pd
 
 from calib.errors import InputError
+from calib.renamed import old_column
 
 SEPARATORS = (",", ";", "\t")
 FLAGS: Mapping[str, bool] = {
     **dict.fromkeys(("true", "1", "wahr", "vrai", "vero", "verdadero", "verdadeiro", "waar", "sant", "sand"), True),
     **dict.fromkeys(("false", "0", "falsch", "faux", "falso", "onwaar", "falskt", "falsk"), False),
 }
-"""What stands for true and false, in small letters; spreadsheets translate it."""
-AGAIN = "run the study again to write it anew"
+"""Spellings of true and false, in lower case; spreadsheets translate them."""
+AGAIN = "run the study again to rewrite it"
 """Remedy for a damaged table that calib has written itself."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -47,7 +48,7 @@ class Row:
     line : int
         Counted from 1.
     cells : mapping from column to text
-        Stripped; columns that the file does not have are absent.
+        Stripped; columns missing from the file are absent.
     comma : bool
         Whether numbers are written with a decimal comma.
     """
@@ -82,12 +83,10 @@ class Row:
         return self.number(column) if self.cells.get(column) else math.nan
 
     def node(self) -> int:
-        """The node label, a whole number from 0."""
+        """The node label, an integer from 0."""
         text = self.text("node")
         if not _INTEGER.fullmatch(text):
-            raise self.error(
-                "node", f"{shortened(text)} is not a node label", "write a whole number, 10 digits or less"
-            )
+            raise self.error("node", f"{shortened(text)} is not a node label", "write an integer, 10 digits or less")
         return int(text)
 
 
@@ -127,7 +126,7 @@ def read_table(
     unique: str | Sequence[str] = (),
     may_be_empty: bool = False,
 ) -> pd.DataFrame:
-    """Read a table that calib has written and check the columns that are asked for; other columns are left out.
+    """Read a table that calib has written and check the requested columns; others are dropped.
 
     Parameters
     ----------
@@ -147,7 +146,7 @@ def read_table(
     unique : str or sequence of str
         Column, or columns together, in which no entry may occur twice.
     may_be_empty : bool
-        Whether a table without rows is right.
+        Whether a table without rows is valid.
 
     Raises
     ------
@@ -195,7 +194,7 @@ def read_table(
 
 
 def number_of(text: str, comma: bool = False) -> float | None:
-    """The number that a text is, perhaps infinite; None for anything else, such as ``1_000``, ``0x1`` or ``nan``."""
+    """The number in a text, possibly infinite; None for anything else, such as ``1_000``, ``0x1`` or ``nan``."""
     if comma:
         if not (_COMMA_NUMBER.fullmatch(text) or (_NUMBER.fullmatch(text) and "." not in text)):
             return float(text) if _INFINITE.fullmatch(text) else None
@@ -212,7 +211,7 @@ def shortened(text: str) -> str:
 
 
 def guarded(text: str) -> str:
-    """A text as it stands in a table: on one line, and behind an apostrophe where a spreadsheet would run it."""
+    """A text as written to a table: on one line, prefixed by an apostrophe where a spreadsheet would run it."""
     line = _BREAKS.sub(" ", text)
     return f"'{line}" if _RUN.match(line) and number_of(line) is None else line
 
@@ -238,7 +237,7 @@ def guarded_table(table: pd.DataFrame) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Header and cells of a file, the lines they stand on, and whether its numbers have decimal commas."""
+    """Header and cells of a file, their line numbers, and whether its numbers have decimal commas."""
 
     path: Path
     header: list[str]
@@ -249,7 +248,7 @@ class _Sheet:
 
 
 def _read(path: Path, required: Sequence[str], comments: bool, remedy: str | None = None) -> _Sheet:
-    """Split a file into cells; every line has one a column, and every required column is there once."""
+    """Split a file into cells; every line has one per column, and every required column occurs once."""
     lines = _lines(path)
     separator, header, top = None, None, 0
     cells: list[list[str]] = []
@@ -310,7 +309,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _separator(line: str, required: Sequence[str]) -> str:
-    """What stands between the names of a header: that by which most of the required ones are found."""
+    """Separator of a header: the one that finds most of the required names."""
 
     def found(separator: str) -> int:
         return sum(name in [cell.strip().strip('"') for cell in line.split(separator)] for name in required)
@@ -327,7 +326,7 @@ def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:
         found = next(csv.reader([line], strict=True, skipinitialspace=True, delimiter=separator))
     except (csv.Error, StopIteration) as err:
         raise InputError(
-            f"its entries cannot be told apart ({err})", place=f"{path}, line {number}", remedy="check its quotes"
+            f"its entries cannot be separated ({err})", place=f"{path}, line {number}", remedy="check its quotes"
         ) from None
     return [unguarded(cell.strip()) for cell in found]
 
@@ -346,6 +345,11 @@ def _check_header(path: Path, line: int, header: list[str], required: Sequence[s
             raise InputError(f"column {name[:60]!r} appears twice", place=place, remedy="remove one")
     for name in required:
         if name not in header:
+            old = old_column(name, header)
+            if old is not None:
+                raise InputError(
+                    f"the column {old!r} is called {name!r} now", place=place, remedy=remedy or "rename it"
+                )
             raise InputError(f"column {name!r} is missing", place=place, remedy=remedy or "add it")
 
 

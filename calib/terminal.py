@@ -18,7 +18,7 @@ from calib.errors import InputError
 from calib.version import __version__
 
 WIDTH = 120
-"""Columns of output that goes to no terminal."""
+"""Columns of output that does not go to a terminal."""
 
 _out = Console(highlight=False, markup=False, soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
 ERR = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
@@ -28,7 +28,7 @@ _PLAIN = str.maketrans({"\u2212": "-", "\u2013": "-", "\u2014": "-", "\u2192": "
 
 
 def _in_code_page(fault: UnicodeError) -> tuple[str, int]:
-    """What stands for characters that a stream cannot write: a plain one of the same meaning, or a question mark."""
+    """Replacement of characters that a stream cannot encode: an ASCII equivalent, or a question mark."""
     if not isinstance(fault, UnicodeEncodeError):
         raise fault
     text = fault.object[fault.start : fault.end].translate(_PLAIN)
@@ -36,7 +36,7 @@ def _in_code_page(fault: UnicodeError) -> tuple[str, int]:
 
 
 def write_to_any_code_page() -> None:
-    """Let output go to a terminal or file of any code page; no character ends a command."""
+    """Make output safe for a terminal or file of any code page: no character may end a command."""
     codecs.register_error("calib", _in_code_page)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower().replace("-", "") != "utf8":
@@ -59,28 +59,28 @@ def complain(text: str) -> None:
 
 
 def complain_of_input(fault: InputError, arguments: list[str]) -> None:
-    """One line for what the user has to mend; the traceback of a fault in his own code goes to the log."""
+    """One line on bad input; the traceback of an exception in the user's own code goes to the log."""
     text = str(fault)
     log = None if fault.__cause__ is None else _log(" ".join(arguments), traceback.format_exc())
     complain(text if log is None else f"{text.rstrip('.')}; the traceback is in {log}.")
 
 
 def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:
-    """One line for what should not happen; its traceback goes to a log in the current directory."""
+    """One line on an unexpected failure; its traceback goes to a log in the current directory."""
     log = _log(" ".join(arguments), traceback.format_exc())
     if log is not None:
         complain(f"unexpected {type(fault).__name__}: {fault}; the details are in {log}")
 
 
 def tell_traces(asked: str, traces: Sequence[str]) -> None:
-    """Put tracebacks of a user's code, without which an answer was found, into the log, and tell where they are."""
+    """Log the tracebacks of a user's code that did not stop the analysis, and say where they are."""
     log = _log(asked, "\n".join(traces)) if traces else None
     if log is not None:
         say(f"The traceback is in {log}.")
 
 
 def _log(asked: str, trace: str) -> Path | None:
-    """Put a traceback into a log in the current directory; where it cannot be, tell it."""
+    """Append a traceback to the log in the current directory; print it where that is impossible."""
     log = Path.cwd() / "calib-error.log"
     stamp = datetime.now(UTC).isoformat(timespec="seconds")
     text = f"{stamp} calib {__version__}: {asked}\n{trace}\n"
@@ -100,17 +100,17 @@ def tell_kept(paths: Sequence[Path]) -> None:
 
 
 def count(number: int, thing: str) -> str:
-    """Something in its number."""
+    """A number of things, singular or plural."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def number(value: float, digits: int) -> str:
-    """A number with so many decimals; empty for NaN."""
+    """A number with the given number of decimals; empty for NaN."""
     return "" if pd.isna(value) else f"{value:.{digits}f}"
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[str] = ()) -> None:
-    """A table whose first column, and those named, are set left."""
+    """Print a table; the first column and those in ``left`` are left-aligned."""
     out = Table(box=None, pad_edge=False, header_style="bold")
     for k, name in enumerate(heads):
         out.add_column(name, justify="left" if k == 0 or name in left else "right", no_wrap=False, overflow="fold")

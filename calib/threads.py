@@ -1,4 +1,4 @@
-"""One thread for the numerical libraries while small matrices are computed with."""
+"""Limits numerical libraries to one thread, which suits small matrices."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 
 
 def one_thread() -> threadpool_limits:
-    """Context in which numerical libraries use one thread: sums depend on their number, and small products wait."""
+    """Context in which numerical libraries use one thread: rounding depends on their number, and more are slower."""
     return _libraries(len(sys.modules)).limit(limits=1)
 
 
 @lru_cache(maxsize=1)
 def _libraries(modules: int) -> ThreadpoolController:
-    """What is loaded along with so many modules: the search takes longer than a small model's evaluation."""
+    """Loaded libraries, cached by the number of modules: finding them takes longer than evaluating a small model."""
     return ThreadpoolController()

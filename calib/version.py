@@ -1,3 +1,3 @@
-"""Version of calib, as `pyproject.toml` tells it too."""
+"""Version of calib; that of `pyproject.toml` must be equal."""
 
 __version__ = "0.1.0"

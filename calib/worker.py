@@ -1,4 +1,4 @@
-"""What works on points: a worker process of the own pool and how its parent sees it, or wherever an executor works."""
+"""Tasks of worker processes: of calib's own pool, with the board that its parent watches, and of a given executor."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _THREAD_VARIABLES = (
 
 @contextlib.contextmanager
 def environment(script: bool = True) -> Iterator[None]:
-    """What new processes inherit: one thread for numerical libraries, and deafness to the keyboard's interrupt.
+    """Environment that new processes inherit: one thread for numerical libraries, and Ctrl-C blocked.
 
-    ``script`` tells whether they need what stands in the script that is run. Others do not run it: it may be one
-    without a guarded main part, which would begin again in every process.
+    ``script`` tells whether they need definitions of the running script. If not, they do not import it: without a
+    guarded main part it would run again in every process.
     """
     with contextlib.nullcontext() if script else _without_script():
         yield from _inherited()
@@ -63,15 +63,15 @@ def _inherited() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _without_script() -> Iterator[None]:
-    """The main module without the places from which `multiprocessing` would run it again."""
-    told: dict[str, Any] = vars(sys.modules["__main__"])
-    kept = {name: value for name, value in told.items() if name in ("__file__", "__spec__")}
+    """Hide the path of the main module, from which `multiprocessing` would run it again."""
+    main: dict[str, Any] = vars(sys.modules["__main__"])
+    kept = {name: value for name, value in main.items() if name in ("__file__", "__spec__")}
     try:
-        told.pop("__file__", None)
-        told["__spec__"] = None
+        main.pop("__file__", None)
+        main["__spec__"] = None
         yield
     finally:
-        told.update(kept)
+        main.update(kept)
 
 
 def built(source: Source) -> Function:
@@ -82,17 +82,17 @@ def built(source: Source) -> Function:
         raise
     except Exception as fault:
         # An exception of the user's own class may not survive the way back.
-        told = RuntimeError(f"the model cannot be built in a worker: {type(fault).__name__}: {fault}")
-        told.add_note(traceback.format_exc())
-        raise told from None
+        failure = RuntimeError(f"the model cannot be built in a worker: {type(fault).__name__}: {fault}")
+        failure.add_note(traceback.format_exc())
+        raise failure from None
 
 
 class Board:
-    """Shared memory in which every worker process notes what it is working on and since when."""
+    """Shared memory in which every worker process notes its current point and start time."""
 
     def __init__(self, context: SpawnContext, workers: int):
         self._places = context.Value("i", 0)
-        self._notes = context.Array("d", 2 * workers, lock=False)  # pairs of number and start; nothing under way: 0
+        self._notes = context.Array("d", 2 * workers, lock=False)  # pairs of number and start; idle: 0
 
     def take_place(self) -> int:
         """A place of its own for a worker process."""
@@ -110,14 +110,14 @@ class Board:
         self._notes[2 * place + 1] = 0.0
 
     def late(self, limit: float) -> dict[int, float]:
-        """Points under way for longer than the limit, with how long."""
+        """Points in progress for longer than the limit, with their elapsed time in seconds."""
         now = time.monotonic()
         pairs = list(zip(self._notes[::2], self._notes[1::2], strict=True))
         return {int(number): now - start for number, start in pairs if start and now - start > limit}
 
 
 class _Worker:
-    """What a worker process keeps between tasks."""
+    """State of a worker process between tasks."""
 
     function: Function | None = None
     fault: Exception | None = None
@@ -127,7 +127,7 @@ class _Worker:
 
 
 def start(source: Source, board: Board) -> None:
-    """Make this process ready for tasks; a model that cannot be built is told by every task."""
+    """Initialize a worker process; a model that cannot be built is reported by every task."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     try:
@@ -139,7 +139,7 @@ def start(source: Source, board: Board) -> None:
 
 
 def _leave_with_parent() -> None:
-    """End this process when its parent is gone: it would otherwise wait for tasks for ever."""
+    """End this process when its parent is gone; otherwise it would wait for tasks for ever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -165,11 +165,11 @@ def work(number: int, values: Mapping[str, float]) -> Outcome | Exception:
         _Worker.board.clear(_Worker.place)
 
 
-# -- wherever an executor works ----------------------------------------------------------------------------------------
+# -- tasks of a given executor -----------------------------------------------------------------------------------------
 
 
 class Sent:
-    """A source on its way to wherever an executor works; in each process there its function is built once."""
+    """A source that is sent with every task of an executor; each process builds its function once."""
 
     def __init__(self, source: Source):
         self.source = source
@@ -177,17 +177,17 @@ class Sent:
         self.home = _process()
 
     def function(self) -> Function:
-        """The function of the source, as `built`; another process than where it was sent from then keeps to one thread.
+        """The function of the source, see `built`; in any process but the sender's, libraries then use one thread.
 
-        In its own process `calib.executor.ExecutorEvaluator` sets that, and puts it back: the number of threads belongs
-        to the process, and of several tasks at once each would put back what it found.
+        In the sender's process `calib.executor.ExecutorEvaluator` sets and restores the number of threads: it belongs
+        to the process, and concurrent tasks would each restore a different value.
         """
         with _Built.lock:
             if self.name not in _Built.functions:
                 function = built(self.source)
                 if _process() != self.home:
                     _Built.limits = threadpool_limits(1)
-                # Of OpenMP every thread has a number of its own.
+                # OpenMP has a separate limit in every thread.
                 _Built.openmp = ThreadpoolController().select(user_api="openmp")
                 while len(_Built.functions) >= _KEPT:
                     del _Built.functions[next(iter(_Built.functions))]
@@ -195,7 +195,7 @@ class Sent:
             return _Built.functions[self.name]
 
     def forget(self) -> None:
-        """Let go of the function in this process."""
+        """Release the function in this process."""
         with _Built.lock:
             _Built.functions.pop(self.name, None)
 
@@ -205,7 +205,7 @@ _KEPT = 4
 
 
 class _Built:
-    """What this process has built of what was sent."""
+    """Functions that this process has built from sent sources."""
 
     lock = threading.Lock()
     functions: dict[str, Function] = {}  # noqa: RUF012

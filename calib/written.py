@@ -1,7 +1,7 @@
-"""What calib has written, told by content: nothing else is ever replaced or deleted.
+"""Log of the files that calib has written, by content hash: no other file is ever replaced or deleted.
 
-A folder that calib writes to holds `LOG`, one line a content that was written there, as ``sha256sum`` writes them. A
-file of another content belongs to somebody else, or somebody has changed it: it is kept under another name.
+A folder that calib writes to holds `LOG`, with one line per file written, in the format of ``sha256sum``. A file whose
+content is not logged was made or changed by someone else: it is kept under another name.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from pathlib import Path
 
 LOG = "written.sha256"
 DRAFT = ".part"
-"""End of the name of every file or folder that is being written."""
+"""Suffix of every file or folder that is being written."""
 KEPT = "_kept"
-"""Ends the name, before the suffix, of a file that was in the way and that calib did not write."""
+"""Added to the stem of a file that was in the way and that calib did not write."""
 
 _LINE = re.compile(r"^([0-9a-f]{64})  (.+)$")
 _noting: ContextVar[list[Path] | None] = ContextVar("noting", default=None)
@@ -27,10 +27,10 @@ _noting: ContextVar[list[Path] | None] = ContextVar("noting", default=None)
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name to write to, which takes the place of ``path`` when all is written.
+    """Yield a temporary path, which replaces ``path`` once it is written.
 
     A stop in between leaves the old file or none. A file at ``path`` that calib did not write, or that was changed
-    since, keeps its content under a name that ends in `KEPT`. OSError when it cannot be written.
+    since, is kept under a name that ends in `KEPT`. OSError when it cannot be written.
     """
     draft = path.with_name(f".{path.name}.{os.getpid()}{DRAFT}")
     try:
@@ -45,7 +45,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """As `replacing`, for a file that the user has asked for by its name: none is kept or noted."""
+    """As `replacing`, for a file that the user has named: nothing is kept or logged."""
     draft = path.with_name(f".{path.name}.{os.getpid()}{DRAFT}")
     try:
         yield draft
@@ -56,7 +56,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def remove(path: Path) -> None:
-    """Delete a file that calib has written; one that it has not is kept under another name. OSError when impossible."""
+    """Delete a file that calib has written; any other is kept under another name. OSError when impossible."""
     _keep(path)
     path.unlink(missing_ok=True)
 
@@ -68,7 +68,7 @@ def is_own(path: Path) -> bool:
 
 @contextlib.contextmanager
 def noting_kept() -> Iterator[list[Path]]:
-    """Give a list that fills with the new names of files that were in the way, as long as it is open."""
+    """Yield a list that collects the new names of files that were in the way."""
     noted: list[Path] = []
     before = _noting.set(noted)
     try:
@@ -78,17 +78,17 @@ def noting_kept() -> Iterator[list[Path]]:
 
 
 def note_folder(path: Path, name: str) -> None:
-    """Remember a folder with all that is in it as written by calib, under a name beside it."""
+    """Log a folder with its present content as written by calib, under the given name in the folder above."""
     _add(path.parent, _digest_of_folder(path), f"{name}/")
 
 
 def is_own_folder(path: Path) -> bool:
-    """Whether calib has written that folder with all that is in it now, and noted it under its name."""
+    """Whether calib has written that folder with its present content, and logged it under its name."""
     return not path.is_symlink() and (_digest_of_folder(path), f"{path.name}/") in _noted(path.parent)
 
 
 def free_name(path: Path, end: str) -> Path:
-    """A path beside ``path`` whose name has that end more, and a number where others have it; nothing is there."""
+    """An unused path beside ``path``: its name with ``end`` appended, and a number where that is taken."""
     stem, suffix = (path.name, "") if path.is_dir() else (path.stem, path.suffix)
     names = (path.with_name(f"{stem}{end}{number if number > 1 else ''}{suffix}") for number in count(1))
     return next(name for name in names if not os.path.lexists(name))
@@ -102,7 +102,7 @@ def _keep(path: Path) -> None:
 
 
 def _add(folder: Path, digest: str, name: str) -> None:
-    """Add a line to the log; one that an earlier stop has torn is ended first."""
+    """Add a line to the log, after completing one that an earlier stop left unfinished."""
     if (digest, name) in _noted(folder):
         return
     log = folder / LOG
@@ -126,7 +126,7 @@ def _digest(path: Path) -> str:
 
 
 def _digest_of_folder(folder: Path) -> str:
-    """Hash over the names and contents of all files below, apart from what Python caches there."""
+    """Hash over the names and contents of all files below, without Python's caches."""
     files = sorted(p for p in folder.rglob("*") if p.is_file() and "__pycache__" not in p.relative_to(folder).parts)
-    told = "".join(f"{_digest(p)}  {p.relative_to(folder).as_posix()}\n" for p in files)
-    return hashlib.sha256(told.encode("utf-8", errors="surrogateescape")).hexdigest()
+    lines = "".join(f"{_digest(p)}  {p.relative_to(folder).as_posix()}\n" for p in files)
+    return hashlib.sha256(lines.encode("utf-8", errors="surrogateescape")).hexdigest()

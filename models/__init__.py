@@ -1,1 +1,1 @@
-"""The structures: each function here returns a `calib.structure.model.StructuralModel`."""
+"""Models of structures; most functions here return a `calib.structure.model.StructuralModel`."""

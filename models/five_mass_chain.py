@@ -1,7 +1,6 @@
-"""Five masses in a chain as a plain function: from stiffness, mass and damping to what a modal test reports.
+"""Five masses in a chain as a function: from stiffness, mass and damping to the scalar responses of a modal test.
 
-It holds no `StructuralModel`: it stands for anything that is only a function of named numbers, such as an external
-solver.
+It is not a `StructuralModel`: it stands for any function of named numbers, such as an external solver.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ MASS = 2.0
 DAMPING = 8.0
 """Ns/m of the damper beside each spring."""
 REFERENCE = (5, 2, 1, 4, 3)
-"""For each mode the mass that its shape is divided by: the one that moves most when all springs are equal."""
+"""Mass by whose displacement the shape of each mode is divided: the one that moves most when all springs are equal."""
 HUNG_DAMPING = 0.01
-"""Damping ratio of a hung mass by itself."""
+"""Damping ratio of a hung mass on its spring."""
 
 
 def five_mass_chain() -> FunctionModel:
     """Chain of five masses on the ground, a spring and a damper below each (spring 1 on the ground).
 
-    Spring stiffnesses are factors of `STIFFNESS`, one factor scales all dampers; masses and single dampers are held at
-    what was weighed and bought. Responses: see `chain_responses`.
+    Spring stiffnesses are factors of `STIFFNESS`, one factor scales all dampers; masses and single dampers are fixed at
+    weighed and data-sheet values. Responses: see `chain_responses`.
     """
     numbers = range(1, MASSES + 1)
     springs = [
@@ -57,7 +56,7 @@ def chain_responses(values: Mapping[str, float]) -> dict[str, float]:
     Parameters
     ----------
     values : mapping
-        Parameters of `five_mass_chain`, and any of those of `chain_effects`, which count as 0 when absent.
+        Parameters of `five_mass_chain`, and any of those of `chain_effects` (0 when absent).
 
     Returns
     -------
@@ -94,10 +93,10 @@ def chain_responses(values: Mapping[str, float]) -> dict[str, float]:
     return responses(*_modes(stiffness, damping, mass))
 
 
-def responses(roots: np.ndarray, shapes: np.ndarray) -> dict[str, float]:
-    """Named responses from the roots (5,), rad/s, and complex shapes at the five masses (5, 5), modes as columns."""
-    out = {f"freq_{j + 1}": float(abs(root)) / (2 * np.pi) for j, root in enumerate(roots)}
-    out |= {f"damping_{j + 1}": float(-root.real / abs(root)) for j, root in enumerate(roots)}
+def responses(eigenvalues: np.ndarray, shapes: np.ndarray) -> dict[str, float]:
+    """Named responses from eigenvalues (5,), rad/s, and complex shapes at the five masses (5, 5), modes as columns."""
+    out = {f"freq_{j + 1}": float(abs(value)) / (2 * np.pi) for j, value in enumerate(eigenvalues)}
+    out |= {f"damping_{j + 1}": float(-value.real / abs(value)) for j, value in enumerate(eigenvalues)}
     for j, reference in enumerate(REFERENCE):
         ratio = (shapes[:, j] / shapes[reference - 1, j]).real
         out |= {f"shape_{j + 1}_{i + 1}": float(ratio[i]) for i in range(MASSES) if i + 1 != reference}
@@ -113,7 +112,7 @@ def _connect(matrix: np.ndarray, size: float, a: int, b: int) -> None:
 
 
 def _modes(stiffness: np.ndarray, damping: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Roots and shapes of the five modes of the chain, lowest first; the mode of a hung mass is left out."""
+    """Eigenvalues and shapes of the five modes of the chain, lowest first, without the mode of a hung mass."""
     n = len(mass)
     inverse = np.linalg.inv(mass)
     state = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
@@ -130,11 +129,11 @@ def _modes(stiffness: np.ndarray, damping: np.ndarray, mass: np.ndarray) -> tupl
     return roots[upper], shapes[:MASSES]
 
 
-# -- what the chain may lack -------------------------------------------------------------------------------------------
+# -- effects -----------------------------------------------------------------------------------------------------------
 
 
 def chain_effects() -> tuple[Effect, ...]:
-    """Effects that `five_mass_chain` leaves out; its function knows their parameters itself.
+    """Effects that `five_mass_chain` leaves out; `chain_responses` reads their parameters itself.
 
     Plausible sizes are engineering estimates: 5 % of a spring or a mass, 10 % of the flexibility of spring 1, 30 % of a
     damper, a brake of a sixteenth of a damper.
@@ -156,7 +155,7 @@ def chain_effects() -> tuple[Effect, ...]:
             "hung_mass_5", "Something swings on mass 5", "Everything on mass 5 moves with it.",
             "Anything loose or on a soft mount on mass 5.", 0.5, "kg", 0.1,
             nuisance=(
-                Parameter("hung_freq", 9.0, 6.0, 12.0, "Hz", prior_sd=1.5, description="its frequency by itself"),
+                Parameter("hung_freq", 9.0, 6.0, 12.0, "Hz", prior_sd=1.5, description="its natural frequency"),
             ),
             grid=[{"hung_mass_5": 0.05, "hung_freq": f} for f in (6.5, 7.5, 8.5, 9.5, 10.5, 11.5)],
         ),
@@ -185,8 +184,8 @@ def _effect(
     nuisance: tuple[Parameter, ...] = (),
     grid: Sequence[Mapping[str, float]] = (),
 ) -> Effect:
-    strength = Parameter(name, 0.0, 0.0, upper, unit, prior_sd=plausible)
-    return Effect(name, title, lacks, look_for, strength, _known, nuisance, tuple(grid))
+    magnitude = Parameter(name, 0.0, 0.0, upper, unit, prior_sd=plausible)
+    return Effect(name, title, lacks, look_for, magnitude, _known, nuisance, tuple(grid))
 
 
 def _known(model: FunctionModel) -> None:

@@ -1,15 +1,15 @@
-"""Makes the synthetic measurements of blind studies: what is drawn, how it is measured, and what makes a study.
+"""Synthetic measurements of the blind studies: random true values, hidden effects, and simulated tests.
 
-A specimen says what is measured: its fitted model, a finer mesh of the same structure, the library of effects and
-designs outside of it. Parameters are drawn about their adopted values with half their prior standard deviations; a seed
-draws which effects are hidden and how strong: 0.5 to 1.5 times their plausible size, either sign where both are
-possible. Noise and displaced sensors are those of ``studies/bogie``.
+A specimen holds the fitted model, a finer mesh of the same structure, the library of effects and designs outside of it.
+True parameters are normal about their nominal values with half their prior standard deviations. A seed decides which
+effects are hidden and their magnitude: 0.5 to 1.5 times their plausible size, of either sign where both are possible.
+Noise and displaced sensors are those of ``studies/bogie``.
 
-Seeds are tried in turn; the first is taken that lets all modes be told apart and whose effects are visible. Visible is
-what the parameters cannot absorb of an effect: the length of the change that it makes to the used data, in units of
-their scatter and projected off all parameters (the root of the decrease of the sum of squares to be expected, Rao
-1948). It has to be 8 to 20 for an effect of the library, with frequencies changed by more than 1 % and shapes by a MAC
-below 0.98, and 8 at least for one that is not. No seed is chosen by what any search makes of it.
+Seeds are tried in turn; the first one is taken for which all modes can be identified and all effects are visible. The
+visibility of an effect is the length of its signature that the parameters cannot absorb: the change of the used data in
+standard deviations, with all parameters projected out (the root of the expected decrease of the sum of squares, Rao
+1948). It must be 8 to 20 for an effect of the library, with frequencies changed by more than 1 % and shapes by a MAC
+below 0.98, and at least 8 for an effect outside the library. No result of a search enters the choice of the seed.
 """
 
 from __future__ import annotations
@@ -43,32 +43,32 @@ from calib.study_text import read_settings
 twin = module_of(Path(__file__).resolve().parent / "bogie" / "make_twin.py")
 
 SPREAD = 0.5
-STRENGTHS = (0.5, 1.5)
+MAGNITUDES = (0.5, 1.5)
 INSIDE = 0.9
 LEAST_MAC = 0.6
 VISIBLE = (8.0, 20.0)
 LEAST_FREQ_CHANGE, LARGEST_MAC = 0.01, 0.98
 MEASURABLE = 0.65
-"""A mode that is damped more than that would hardly be identified in a test."""
+"""Largest damping ratio of a mode that a test would identify."""
 NEARLY = 1.2
-"""What the fitted mesh tells may be off by this factor."""
+"""Factor by which the criteria are relaxed on the fitted mesh."""
 MORE = 4
-"""Modes of a twin solved beyond those that are named: others may come between."""
+"""Modes of a twin solved in addition to the named ones, since others may lie between."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One sort of blind study.
+    """One kind of blind study.
 
     Attributes
     ----------
     first_seed : int
     count : int
-        Effects hidden.
+        Number of hidden effects.
     inside : bool
-        From the library, else from the designs outside of it.
+        Whether they are from the library, else from the designs outside of it.
     noise : float
-        True scatter over that which the repeats show.
+        True standard deviation of the mean over that which the repeats show.
     """
 
     first_seed: int
@@ -79,12 +79,12 @@ class Kind:
 
 @dataclass(frozen=True, eq=False)
 class Specimen:
-    """What a family of blind studies measures.
+    """Structure measured by a family of blind studies.
 
     Attributes
     ----------
     file : Path
-        A ``study.toml`` with the priors, the limits and what is withheld.
+        A ``study.toml`` with the priors, the limits and the held-out data.
     base, fine : StructuralModel
         The fitted mesh and the twin's.
     library, outside : tuple of Effect
@@ -92,9 +92,9 @@ class Specimen:
     layout : tuple of Sensor
         Nominal places.
     nominal : ndarray (n_sensors, n_modes)
-        Shapes of the modes at the adopted values, by which modes are named.
+        Shapes of the modes at the nominal values, by which modes are identified.
     positions : tuple of int
-        Whole-number parameters are drawn anywhere within these.
+        Range of the true integer parameters.
     """
 
     file: Path
@@ -109,7 +109,7 @@ class Specimen:
 
     @cached_property
     def settings(self) -> StudySettings:
-        """Of its studies."""
+        """Settings of its studies."""
         return read_settings(self.file)
 
     @cached_property
@@ -120,11 +120,11 @@ class Specimen:
 
     @property
     def space(self) -> ParameterSpace:
-        """Free are the parameters of the search."""
+        """Parameters; those of the search are free."""
         return self.model.space
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Free parameters about their adopted values, whole numbers anywhere within `positions`."""
+        """True values: free parameters about their nominal values, integers anywhere within `positions`."""
         truth = self.space.values
         for p in self.space.free:
             truth[p.name] = (
@@ -135,7 +135,7 @@ class Specimen:
     def identified(
         self, modes: Modes, shapes: np.ndarray, least: float = LEAST_MAC
     ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
-        """The modes that can be told apart by the nominal shapes: names, modes in that order, shapes at sensors."""
+        """The modes that the nominal shapes identify: names, modes in that order, shapes at sensors."""
         similar = mac(self.nominal, shapes)
         row, column = linear_sum_assignment(-similar)
         found = [
@@ -147,30 +147,30 @@ class Specimen:
     def solved(
         self, effects: Sequence[Effect], values: Mapping[str, float], rng: np.random.Generator | None = None
     ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
-        """The twin's modes with some effects, as `identified`; sensors sit off their places where ``rng`` is given."""
+        """The twin's modes with some effects, as `identified`; with ``rng`` the sensors are displaced."""
         model = extend(self.fine, effects) if effects else self.fine
         return self.seen(model, model.n_dof - self.fine.n_dof, values, rng)
 
     def seen(
         self, model: ModalModel, added: int, values: Mapping[str, float], rng: np.random.Generator | None = None
     ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
-        """The same of any model of the twin, with so many degrees of freedom added."""
+        """The same for any model of the twin, with a number of degrees of freedom added."""
         layout = self.layout if rng is None else twin.moved(self.layout, rng)
         rows = model.sensor_rows(layout)
         modes = model.modes(values, len(self.modes) + MORE + added)
         return self.identified(modes, rows @ modes.shapes)
 
-    def problem(self, whole: MeasuredModes, withheld: bool = True) -> ModalProblem:
-        """The question of a blind study asked of what was measured, without what it withholds."""
-        held, pairing = self.settings.withheld, self.settings.pairing
+    def problem(self, whole: MeasuredModes, held_out: bool = True) -> ModalProblem:
+        """Problem of the base model and the measured modes, without the held-out data where ``held_out`` is set."""
+        held, pairing = self.settings.held_out, self.settings.pairing
         known = [mode for mode in held.modes if mode in whole.names]
-        used = whole.without(known, held.sensors) if withheld else whole
+        used = whole.without(known, held.sensors) if held_out else whole
         clusters = {mode: names for mode, names in pairing.clusters.items() if mode in used.names}
         assert pairing.mode_count is not None
         return ModalProblem(self.model, used, clusters, pairing.mode_count, freq_window=pairing.freq_window)
 
     def noiseless(self, names: tuple[str, ...], modes: Modes, shapes: np.ndarray) -> MeasuredModes:
-        """Modes as they are, with the scatter that a test will show."""
+        """Noise-free modes with the standard deviations of the test."""
         return MeasuredModes(
             names, modes.natural_freq, modes.damped_freq, twin.STD_FREQ * modes.natural_freq, modes.damping_ratio,
             twin.STD_DAMPING * modes.damping_ratio, self.layout, shapes / np.abs(shapes).max(axis=0),
@@ -179,14 +179,14 @@ class Specimen:
 
 
 def draw_effect(effect: Effect, factor: float, rng: np.random.Generator) -> dict[str, float]:
-    """Strength of an effect at a multiple of its plausible size, and its nuisance parameters.
+    """Magnitude of an effect at a multiple of its plausible size, and its nuisance parameters.
 
-    It stays off its limits, where every fit of it would be called implausible.
+    It stays off its limits, where any fit would be classified as implausible.
     """
-    p = effect.strength
+    p = effect.magnitude
     sign = (1.0 if rng.random() < 0.5 else -1.0) if effect.signed and p.upper > 0 else 1.0 if p.upper > 0 else -1.0
-    strength = min(max(sign * factor * effect.plausible, INSIDE * p.lower), INSIDE * p.upper)
-    return {p.name: strength} | {q.name: _about(q, rng) for q in effect.nuisance}
+    magnitude = min(max(sign * factor * effect.plausible, INSIDE * p.lower), INSIDE * p.upper)
+    return {p.name: magnitude} | {q.name: _about(q, rng) for q in effect.nuisance}
 
 
 def _about(p: Parameter, rng: np.random.Generator) -> float:
@@ -194,7 +194,10 @@ def _about(p: Parameter, rng: np.random.Generator) -> float:
 
 
 def set_up_errors(modes: Modes, shapes: np.ndarray, noise: float, rng: np.random.Generator) -> tuple[Modes, np.ndarray]:
-    """Errors that all repeats share, so that the true scatter of the mean is ``noise`` times what repeats show."""
+    """Add errors that all repeats share; nothing where ``noise`` is at most 1.
+
+    The true standard deviation of the mean is then ``noise`` times the one that the repeats show.
+    """
     if noise <= 1:
         return modes, shapes
     size = np.sqrt(noise**2 - 1)
@@ -208,7 +211,7 @@ def set_up_errors(modes: Modes, shapes: np.ndarray, noise: float, rng: np.random
 def visible(
     problem: ModalProblem, space: ParameterSpace, effects: Sequence[Effect], values: Mapping[str, float]
 ) -> float:
-    """Length of the change of the data by some effects together, projected off what the free parameters absorb.
+    """Length of the joint signature of some effects with the free parameters projected out.
 
     Parameters
     ----------
@@ -217,7 +220,7 @@ def visible(
     space : ParameterSpace
     effects : sequence of Effect
     values : mapping
-        True parameters, strengths and nuisance parameters.
+        True parameters, magnitudes and nuisance parameters.
     """
     base = problem.model
     assert isinstance(base, StructuralModel)
@@ -235,14 +238,14 @@ def change_seen(
     change = without.residual(own) - extended.residual(values)
     wide = np.vstack(
         [without.jacobian(own, names) * [space[n].prior_width for n in names], np.eye(len(names))]
-    )  # prior knowledge is data too
+    )  # the prior counts as data
     direction = np.concatenate([change, np.zeros(len(names))])
     basis = la.qr(wide, mode="economic")[0]
     return float(np.linalg.norm(direction - basis @ (basis.T @ direction)))
 
 
 def make(specimen: Specimen, kinds: Mapping[str, Kind], title: str, what: str) -> None:
-    """Draw a truth, measure the twin five times, write truth and repeats, all as the command line says."""
+    """Draw true values, measure the twin five times, write truth and repeats; arguments from the command line."""
     arguments = argparse.ArgumentParser(description=what)
     arguments.add_argument("kind", choices=tuple(kinds))
     arguments.add_argument("truth", type=Path, help="where the hidden values are written")
@@ -264,7 +267,7 @@ def make(specimen: Specimen, kinds: Mapping[str, Kind], title: str, what: str) -
         "seed": seed,
         "kind": given.kind,
         "effects": [effect.name for effect in chosen],
-        "strengths": {name: values[name] for effect in chosen for name in effect.names},
+        "magnitudes": {name: values[name] for effect in chosen for name in effect.names},
         "visible": size,
         "noise": kind.noise,
         "parameters": {name: values[name] for name in specimen.space.names},
@@ -280,7 +283,7 @@ Drawn = tuple[tuple[Effect, ...], dict[str, float], list[float], Modes, np.ndarr
 
 
 def _tried(specimen: Specimen, kind: Kind, rng: np.random.Generator) -> Drawn | None:
-    """One draw: effects, all values, how visible each effect is, modes, shapes; None where it makes no study."""
+    """One draw: effects, all values, visibility of each effect, modes, shapes; None where a criterion is not met."""
     designs = specimen.library if kind.inside else specimen.outside
     values = specimen.draw(rng)
     chosen: tuple[Effect, ...] = ()
@@ -288,15 +291,15 @@ def _tried(specimen: Specimen, kind: Kind, rng: np.random.Generator) -> Drawn | 
         one = designs[int(rng.integers(len(designs)))]
         chosen += (one,) if one not in chosen else ()
     for effect in chosen:
-        values |= draw_effect(effect, float(rng.uniform(*STRENGTHS)), rng)
-    # The finer mesh decides; the fitted one spares solving it for every seed.
-    if _shown(replace(specimen, fine=specimen.base), kind, chosen, values, None, NEARLY) is None:
+        values |= draw_effect(effect, float(rng.uniform(*MAGNITUDES)), rng)
+    # The finer mesh decides; the fitted one screens the seeds at less cost.
+    if _checked(replace(specimen, fine=specimen.base), kind, chosen, values, None, NEARLY) is None:
         return None
-    found = _shown(specimen, kind, chosen, values, rng, 1.0)
+    found = _checked(specimen, kind, chosen, values, rng, 1.0)
     return None if found is None else (chosen, values, *found)
 
 
-def _shown(
+def _checked(
     specimen: Specimen,
     kind: Kind,
     chosen: Sequence[Effect],
@@ -304,7 +307,7 @@ def _shown(
     rng: np.random.Generator | None,
     slack: float,
 ) -> tuple[list[float], Modes, np.ndarray] | None:
-    """How visible each effect is, modes and shapes; None where they make no study, all limits widened by a factor."""
+    """Visibility of each effect, modes and shapes; None where a criterion, relaxed by ``slack``, is not met."""
     names, modes, shapes = specimen.solved(chosen, values, rng)
     if names != specimen.modes or modes.damping_ratio.max() > slack * MEASURABLE:
         return None

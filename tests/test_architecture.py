@@ -1,4 +1,4 @@
-"""The arrows of ARCHITECTURE.md: which part may import which."""
+"""The dependencies of ARCHITECTURE.md: which part may import which."""
 
 import ast
 import tomllib
@@ -11,8 +11,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
-    {"errors", "interrupt", "written", "neighbours", "version", "threads"},
-    {"given", "mac", "freedom", "outcome", "table", "fingerprint"},
+    {"errors", "interrupt", "written", "neighbours", "version", "threads", "renamed"},
+    {"given", "mac", "degrees_of_freedom", "outcome", "table", "fingerprint"},
     {"space"},
     {"effect", "differences", "measurement", "sampling", "worker", "named_values"},
     {"structure"},
@@ -26,7 +26,7 @@ RANKS = (
     {"several"},
     {"sensitivity", "inference"},
     {"missing"},
-    {"questions"},
+    {"analyses"},
     {"report"},
     {"terminal"},
     {"progress", "example", "front"},
@@ -35,7 +35,7 @@ RANKS = (
     {"__main__"},
 )
 RANK = {name: k for k, names in enumerate(RANKS) for name in names}
-# Apart from ranks: searches know neither finite elements nor files, pictures know tables only.
+# Apart from ranks: searches know neither finite elements nor files, figures know tables only.
 FORBIDDEN = {
     "inference": {"structure", "measurement", "correlation", "study", "settings"},
     "sensitivity": {"structure", "measurement", "correlation", "study", "settings"},
@@ -74,14 +74,14 @@ def test_every_part_has_a_rank():
     assert {part for part, _ in parts()} - {"__init__", "template"} <= set(RANK)
 
 
-def test_arrows_point_down():
+def test_imports_point_down():
     for part, file in parts():
         if part != "__init__":
             for other in used_parts(file) - {part}:
                 assert RANK[other] < RANK[part], f"{file.name} ({part}) imports {other}"
 
 
-def test_forbidden_arrows():
+def test_forbidden_imports():
     for part, file in parts():
         crossed = used_parts(file) & FORBIDDEN.get(part, set())
         assert not crossed, f"{file} imports {crossed}"
@@ -98,7 +98,7 @@ def test_the_method_knows_no_structure_and_models_no_study():
                 assert head[1] in ("structure", "space", "errors", "function", "effect"), f"{file} imports {name}"
 
 
-def test_only_pictures_and_pages_import_what_draws_them():
+def test_only_the_report_imports_plotting_libraries():
     for part, file in parts():
         if part != "report":
             assert not {name.split(".")[0] for name in imports(file, run_only=True)} & {

@@ -1,4 +1,4 @@
-"""Derivatives by differences against closed forms, at limits and where the model fails."""
+"""Finite-difference derivatives against closed forms, at limits and where the model fails."""
 
 import math
 
@@ -23,7 +23,7 @@ def responses(function, targets, space):
     return ResponseResidual(FunctionProblem(space, function, targets, ""))
 
 
-def test_plain_responses():
+def test_scalar_responses():
     space = box(2)
 
     def answer(values):
@@ -62,7 +62,7 @@ def test_differences_stay_inside_the_limits():
 
 
 def cubic(lower=-math.inf, upper=math.inf):
-    """``(p0^3, 2 p0 + n)``, which cannot be had outside limits of its own."""
+    """``(p0^3, 2 p0 + n)``, which cannot be evaluated outside limits of its own."""
 
     def answer(values):
         x = values["p0"]
@@ -101,7 +101,7 @@ def test_a_difference_that_cannot_be_had_on_either_side_is_said():
         along(cubic(upper=0.0), at=0.0)
 
 
-def test_whole_and_held_parameters_have_no_derivative():
+def test_integer_and_held_parameters_have_no_derivative():
     values = {"p0": 2.0, "n": 4.0}
     held = Parameter("p0", 2.0, 2.0, 2.0, distribution="fixed")
     for p in (WHOLE, held):

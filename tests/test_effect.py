@@ -1,4 +1,4 @@
-"""What an effect must be, and how it is added to a plain function."""
+"""Validation of effects, and their addition to function models."""
 
 from dataclasses import replace
 
@@ -11,52 +11,52 @@ from calib.space import LinearConstraint, Parameter, ParameterSpace
 
 
 def effect(name="gap", lower=0.0, value=0.0, prior_sd=0.5, build=lambda model: None, **more):
-    strength = Parameter(more.pop("called", name), value, lower, 4.0, "mm", prior_sd=prior_sd, **more.pop("how", {}))
-    return Effect(name, "a gap", "no gap", "wear", strength, build, **more)
+    magnitude = Parameter(more.pop("called", name), value, lower, 4.0, "mm", prior_sd=prior_sd, **more.pop("how", {}))
+    return Effect(name, "a gap", "no gap", "wear", magnitude, build, **more)
 
 
 FREQ = Parameter("gap_freq", 5.0, 2.0, 9.0, "Hz")
 
 
-def test_what_follows_from_the_strength():
+def test_what_follows_from_the_magnitude():
     one, other = effect(), effect(lower=-1.0, nuisance=(FREQ,), grid=({"gap": 1.0, "gap_freq": 4.0},))
     assert not one.signed and other.signed
     assert one.plausible == 0.5
     assert one.names == ("gap",) and other.names == ("gap", "gap_freq")
-    assert other.parameters == (other.strength, FREQ)
+    assert other.parameters == (other.magnitude, FREQ)
 
 
-def test_a_strength_that_has_no_derivative_at_0_starts_at_next_to_nothing():
-    assert effect(lower=1e-6, value=1e-6).strength.value == 1e-6
+def test_a_magnitude_without_a_derivative_at_0_starts_at_a_small_limit():
+    assert effect(lower=1e-6, value=1e-6).magnitude.value == 1e-6
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"called": "slack"}, "its strength is named 'slack'"),
+        ({"called": "slack"}, "its magnitude is named 'slack'"),
         ({"prior_sd": None}, "no plausible size"),
-        ({"value": 0.1}, "its strength of 0.1 mm is not that of the base model"),
+        ({"value": 0.1}, "its magnitude of 0.1 mm is not that of the base model"),
         ({"lower": 0.5, "value": 0.0}, "is not that of the base model"),
         ({"how": {"distribution": "fixed"}}, "is not that of the base model"),
-        ({"nuisance": (FREQ,)}, "no meaning at strength 0"),
+        ({"nuisance": (FREQ,)}, "no meaning at magnitude 0"),
         ({"grid": ({"gap_freq": 1.0},)}, "its grid has a point"),
         ({"grid": ({"gap": float("nan")},)}, "its grid has a point"),
         ({"nuisance": (FREQ,), "grid": ({"gap": 1.0},)}, "its grid has a point"),
         ({"nuisance": (FREQ,), "grid": ({"gap": 1.0, "gap_freq": 3.0, "other": 1.0},)}, "its grid has a point"),
     ],
 )
-def test_what_does_not_fit_together_is_said(options, words):
+def test_inconsistent_attributes_are_refused(options, words):
     with pytest.raises(InputError, match=words) as caught:
         effect(**options)
     assert "effect gap" in str(caught.value)
 
 
-def test_a_grid_point_without_strength_is_no_point():
+def test_a_grid_point_without_magnitude_is_refused():
     with pytest.raises(InputError, match="its grid has a point"):
         effect(grid=({"gap": 0.0}, {"gap": 1.0}))
 
 
-# -- plain functions ---------------------------------------------------------------------------------------------------
+# -- function models ---------------------------------------------------------------------------------------------------
 
 
 def line(values):
@@ -89,7 +89,7 @@ def test_an_effect_is_a_function_of_all_values(model):
     assert wider.space.constraints == model.space.constraints and wider.name == model.name
 
 
-def test_effects_are_built_one_upon_the_other(model):
+def test_each_effect_is_built_on_the_previous_one(model):
     both = extend_function(model, [effect(build=bending), effect("twice", build=doubling)])
     assert both.function({"slope": 1.0, "offset": 0.25, "gap": 3.0, "twice": 1.0}) == {"y": 22.0, "z": 0.5}
     other = extend_function(model, [effect("twice", build=doubling), effect(build=bending)])
@@ -97,18 +97,18 @@ def test_effects_are_built_one_upon_the_other(model):
     assert extend_function(model, []) is model
 
 
-def test_a_function_may_know_its_effect_itself(model):
+def test_a_function_may_accept_the_parameters_of_its_effect(model):
     wider = extend_function(model, [effect("known")])
     assert wider.function is line and wider.space.names[-1] == "known"
     assert wider.function({"slope": 1.0, "offset": 0.25, "known": 1.0})["z"] == 1.25
 
 
-def test_nuisance_parameters_come_along(model):
+def test_nuisance_parameters_are_added(model):
     hung = effect(nuisance=(FREQ,), grid=({"gap": 1.0, "gap_freq": 4.0},))
     assert extend_function(model, [hung, effect("twice")]).space.names[2:] == ("gap", "gap_freq", "twice")
 
 
-def test_what_cannot_be_added_is_said(model):
+def test_an_effect_that_cannot_be_added_is_refused(model):
     with pytest.raises(InputError, match="has 'gap' already"):
         extend_function(model, [effect(), effect()])
     with pytest.raises(InputError, match="has 'slope' already"):

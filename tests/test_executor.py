@@ -1,4 +1,4 @@
-"""Executors that are given: the same table as without one, failures as rows, and no promise that is not kept."""
+"""Given executors: the same table as without one, failures as rows, and unsupported settings refused."""
 
 import os
 import pickle

@@ -1,4 +1,4 @@
-"""What the keyboard's interrupt does, the first time and again."""
+"""Effect of Ctrl-C, the first time and again."""
 
 import os
 import signal
@@ -53,7 +53,7 @@ def handled():
     signal.signal(signal.SIGINT, before)
 
 
-def test_asking_twice_is_asking_once(handled):
+def test_installing_the_handler_twice_is_installing_it_once(handled):
     handled(signal.default_int_handler)
     interrupt.once()
     first = signal.getsignal(signal.SIGINT)

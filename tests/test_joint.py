@@ -1,4 +1,4 @@
-"""Several tests of models with parameters in common: closed forms, conditions, and what is refused."""
+"""Several tests of models with parameters in common: closed forms, conditions, and refused input."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
 from calib.inference.identify import posterior
-from calib.inference.whole_numbers import fit_mixed
+from calib.inference.integers import fit_mixed
 from calib.joint import JointProblem, joined
 from calib.problem import Problem
 from calib.space import LinearConstraint, Parameter, ParameterSpace
@@ -90,8 +90,8 @@ def test_the_order_of_tests_does_not_matter():
     assert one.responses({"a": 1.0}) == other.responses({"a": 1.0})
 
 
-def test_two_conditions_tell_what_one_cannot():
-    """One frequency tells k/m alone; with a known load a second one tells both."""
+def test_two_conditions_identify_what_one_cannot():
+    """One frequency determines k/m only; with a known load a second one determines both."""
     empty, loaded = resonance(), resonance(25.0)
     joint = JointProblem({"empty": empty, "loaded": loaded})
     found = fit(joint, joint.space, {}, Prior.none())
@@ -101,17 +101,17 @@ def test_two_conditions_tell_what_one_cannot():
     assert joint.responses(TRUTH)["loaded: f"] == pytest.approx(joint.responses(TRUTH)["empty: f"] * np.sqrt(10 / 35))
 
 
-# -- what is told ------------------------------------------------------------------------------------------------------
+# -- rows, counts and errors -------------------------------------------------------------------------------------------
 
 
-def test_scatter_of_several_tests_is_as_well_known_as_all_of_them_together():
+def test_degrees_of_freedom_behind_the_standard_deviation_are_those_of_all_tests():
     p, q = (linear(("a",), n, n)[2] for n in (4, 12))
     given = [replace(x, pair=replace(x.pair, problem=replace(x.pair.problem, repeats=r))) for x, r in ((p, 3), (q, 5))]
-    each = [dict(x.scatter_freedom)["r"] for x in given]
+    each = [dict(x.std_dof)["r"] for x in given]
     assert each == [8.0, 48.0]
     joint = JointProblem({"p": given[0], "q": given[1]})
-    assert joint.scatter_freedom["r"] == pytest.approx(16**2 / (4**2 / 8 + 12**2 / 48))
-    assert JointProblem({"p": p, "q": q}).scatter_freedom["r"] >= 1e9
+    assert joint.std_dof["r"] == pytest.approx(16**2 / (4**2 / 8 + 12**2 / 48))
+    assert JointProblem({"p": p, "q": q}).std_dof["r"] >= 1e9
 
 
 def test_counts_are_those_of_all_tests_once():
@@ -136,7 +136,7 @@ def test_a_failure_names_its_test():
 # -- one space ---------------------------------------------------------------------------------------------------------
 
 
-def test_limits_constraints_and_freedom_are_joined():
+def test_limits_constraints_and_free_parameters_are_joined():
     limit = LinearConstraint("sum", (("a", 1.0), ("b", 1.0)), 0.0, 9.0)
     one = ParameterSpace((parameter("a", 2.0, 0.0, 6.0), parameter("b", distribution="fixed")), (limit,))
     other = ParameterSpace((parameter("b", 6.0, 1.0, 8.0, prior_sd=0.5), parameter("a", 9.0, 3.0, 20.0)), (limit,))
@@ -156,7 +156,7 @@ def test_limits_constraints_and_freedom_are_joined():
         (parameter("a", 2.0, distribution="fixed"), parameter("a", 3.0, distribution="fixed")),
     ],
 )
-def test_what_cannot_be_one_parameter_is_refused(one, other):
+def test_inconsistent_shared_parameters_are_refused(one, other):
     with pytest.raises(InputError) as told:
         joined({"rig": ParameterSpace((one,)), "track": ParameterSpace((other,))})
     assert all(word in str(told.value) for word in ("a", "rig", "track"))

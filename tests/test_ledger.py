@@ -29,7 +29,7 @@ def ok(**values):
 
 
 class Counting:
-    """An evaluator that counts, and answers some points as told."""
+    """An evaluator that counts, and returns given outcomes for some points."""
 
     def __init__(self, isolated=False, **answers):
         self.isolated, self.answers, self.batches = isolated, answers, []
@@ -82,7 +82,7 @@ def test_states_of_the_model_do_not_mix(ledger):
 
 
 def test_what_is_asked_again_is_counted_from_the_opening(tmp_path):
-    """A point that killed its process costs its time once a command; a failure of its own never again."""
+    """A point that killed its process is evaluated once per command; one that failed by itself never again."""
     dead, wrong = (Outcome({"x": x}, "failed", {}, why, 0.1) for x, why in ((1.0, WORKER_DIED), (2.0, "no root")))
     batch = [{"x": x} for x in (1.0, 2.0, 3.0, 1.0)]
     for command, (asked, retried) in enumerate((([1.0, 2.0, 3.0], 0), ([1.0], 1), ([1.0], 1))):
@@ -111,7 +111,7 @@ def test_many_points_at_once(ledger):
     assert len(evaluator.batches) == 1 and ledger.count("f") == 1201
 
 
-def test_the_first_answer_stays(ledger):
+def test_the_first_outcome_stays(ledger):
     ledger.append("f", [ok(x=1.0)])
     ledger.append("f", [replace(ok(x=1.0), responses={"y": 9.0})])
     assert ledger.lookup("f", [key_of({"x": 1.0})])[key_of({"x": 1.0})].responses == {"y": 1.0}
@@ -121,7 +121,7 @@ def test_the_first_answer_stays(ledger):
                 other.execute(statement)
 
 
-def test_failures_are_final_unless_the_machine_failed(tmp_path):
+def test_failures_are_final_unless_transient(tmp_path):
     def failed(x, error):
         return Outcome({"x": x}, "failed", {}, error)
 
@@ -153,7 +153,7 @@ def statuses(ledger, run):
     return ledger.history(run)["status"].tolist()
 
 
-def test_reused_means_asked_before(ledger):
+def test_reused_means_requested_before(ledger):
     ledger.append("f", [ok(x=1.0)])  # known, such as from a batch whose generation was not recorded: not reused
     ledger.record("A", "f", 1, [Asked("k1", "ok", 1.0), Asked("k2", "ok", 2.0), Asked("k1", "ok", 1.0)])
     ledger.record("A", "f", 2, [Asked("k2", "ok", 2.0), Asked("k3", "infeasible"), Asked("k4", "failed")])

@@ -1,4 +1,4 @@
-"""Code of a study is run as it stands in its file."""
+"""Code of a study is always compiled from its file."""
 
 import os
 import sys

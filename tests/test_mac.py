@@ -26,8 +26,8 @@ def test_mac_is_the_squared_cosine_and_ignores_scale_and_phase(seed):
     for i in range(3):
         for j in range(4):
             assert found[i, j] == pytest.approx(direct(x[:, i], y[:, j]), abs=1e-12)
-    turned = mac(x * [2e-150, 3j, -1e150 + 1j], y * np.exp(1j * np.arange(4)))
-    np.testing.assert_allclose(turned, found, atol=1e-12)
+    scaled = mac(x * [2e-150, 3j, -1e150 + 1j], y * np.exp(1j * np.arange(4)))
+    np.testing.assert_allclose(scaled, found, atol=1e-12)
     np.testing.assert_allclose(np.diag(mac(x, x)), 1.0)
 
 
@@ -58,14 +58,14 @@ def test_a_real_measurement_meets_the_most_real_part_of_a_complex_shape(seed, an
     angles = np.linspace(0, np.pi, 20_001)
     for j in range(2):
         energy = np.sum(np.real(np.exp(1j * angles)[:, None] * y[:, j]) ** 2, axis=1)
-        part = np.real(np.exp(1j * angles[np.argmax(energy)]) * y[:, j])  # by trial, not by formula
+        part = np.real(np.exp(1j * angles[np.argmax(energy)]) * y[:, j])  # by search, not by formula
         for i in range(2):
             assert mac(x, y)[i, j] == pytest.approx(direct(x[:, i], part), abs=2e-3)
     # Neither the phase of the model nor a common phase of the measurement matters.
     np.testing.assert_allclose(mac(x * np.exp(1j * angle), y * np.exp(2j * angle)), mac(x, y), atol=1e-9)
 
 
-def test_alignment_lifts_the_blame_for_phases_that_were_not_measured():
+def test_alignment_does_not_penalise_phases_that_were_not_measured():
     y = np.array([[1.0 + 0.2j], [-0.8 + 0.3j], [0.5 - 0.4j]])
     measured = most_real(y[:, 0]).real[:, None]
     assert mac(measured, y)[0, 0] == pytest.approx(1.0)
@@ -99,7 +99,7 @@ def test_comac_ignores_scale_and_phase_of_every_mode(seed):
     assert np.all((comac(x, y) >= 0) & (comac(x, y) <= 1))
 
 
-def test_comac_points_at_the_sensor_that_is_turned_or_exchanged():
+def test_comac_points_at_the_sensor_that_is_inverted_or_exchanged():
     x = random_shapes(2, n=12, m=5)
     y = x.copy()
     y[4] *= -1
@@ -160,10 +160,10 @@ def test_noise_mac_is_the_mean_mac_of_a_perfect_model(n, kind):
     assert predicted.mean() == pytest.approx(loss.mean(), rel=0.04)
 
 
-def test_noise_mac_is_unknown_where_scatter_is():
+def test_noise_mac_is_unknown_where_standard_deviation_is():
     shapes = random_shapes(1)
     std = np.full(shapes.shape, 0.01)
     std[0, 0] = np.nan
-    shapes[0, 1], std[0, 1] = np.nan, np.nan  # not measured there, so its scatter is not needed
+    shapes[0, 1], std[0, 1] = np.nan, np.nan  # not measured there, so its standard deviation is not needed
     shapes[:, 2] = np.nan
     assert np.isfinite(noise_mac(shapes, std)).tolist() == [False, True, False]

@@ -1,4 +1,4 @@
-"""What an error tells to write in ``study.toml`` can be written there."""
+"""Keys of ``study.toml`` that remedies of errors name exist."""
 
 import ast
 import re
@@ -55,7 +55,7 @@ def named(text):
 
 
 def test_what_names_a_key_is_seen():
-    assert named("leave it out with withheld_sensors") == {"withheld_sensors"}
+    assert named("leave it out with held_out_sensors") == {"held_out_sensors"}
     assert named("set use = false under [reduction], or name it in 'selection'") == {"use", "reduction", "selection"}
 
 

@@ -1,4 +1,4 @@
-"""The folder of results: what cannot be done there is said in one sentence."""
+"""The results folder: failures are reported in one sentence."""
 
 import pytest
 

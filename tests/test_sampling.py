@@ -27,7 +27,7 @@ def test_without_constraints_every_stratum_of_every_parameter_is_met_once():
         assert sorted(strata) == list(range(50))
 
 
-def test_whole_numbers_have_equal_shares_up_to_the_ends():
+def test_integers_have_equal_shares_up_to_the_ends():
     values, counts = np.unique(sample(SPACE, 500, seed=2).points[:, 2], return_counts=True)
     assert values.tolist() == [-2, -1, 0, 1, 2] and counts.tolist() == [100] * 5
 

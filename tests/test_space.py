@@ -36,14 +36,14 @@ def test_points_outside_limits_are_not_feasible():
     assert not space().feasible(np.array([[399.0, 20.0, 5.0]]))[0]
 
 
-def test_keep_freezes_the_rest_at_adopted_values():
+def test_keep_fixes_the_rest_at_nominal_values():
     kept = space().keep(["m"])
     assert kept.free_names == ("m",)
     assert kept.complete(np.array([30.0])) == {"k": 500.0, "m": 30.0, "n": 5.0, "g": 9.0}
     assert space().free_names == ("k", "m", "n")  # the original is untouched
 
 
-def test_complete_rounds_whole_numbers_and_rejects_strangers():
+def test_complete_rounds_integers_and_rejects_unknown_names():
     assert space().complete({"n": 4.6})["n"] == 5.0
     with pytest.raises(InputError, match="unknown parameter 'q'"):
         space().complete({"q": 1.0})

@@ -1,4 +1,4 @@
-"""What makes earlier evaluations of a function stale, and models that answer differently than they did."""
+"""Changes that make stored evaluations of a function outdated, and models that are not reproducible."""
 
 import os
 from pathlib import Path
@@ -52,7 +52,7 @@ samples = 8
 [calibration]
 population = 6
 generations = 3
-polish = false
+refine = false
 cases = [{ name = "A1", seed = 1 }]
 """
 
@@ -187,7 +187,7 @@ READING = "lambda values: {'y': values['a'] ** float(open(FILE).read()), 'z': va
 
 def told(capsys, *arguments):
     capsys.readouterr()
-    assert cli.answer(list(arguments)) == 2
+    assert cli.execute(list(arguments)) == 2
     return capsys.readouterr().err
 
 
@@ -196,13 +196,13 @@ def test_a_model_that_reads_what_nobody_declared_is_told(powers, capsys, monkeyp
     monkeypatch.setenv("CALIB_TEST_DECK", str(tmp_path / "hidden.inp"))
     (tmp_path / "hidden.inp").write_text("1.0")
     powers(READING, HIDDEN)
-    assert cli.answer([*verb[:1], "powers", *verb[1:], "--workers", "1"]) == 0
-    assert cli.answer([*verb[:1], "powers", *verb[1:], "--workers", "1"]) == 0
+    assert cli.execute([*verb[:1], "powers", *verb[1:], "--workers", "1"]) == 0
+    assert cli.execute([*verb[:1], "powers", *verb[1:], "--workers", "1"]) == 0
     (tmp_path / "hidden.inp").write_text("1.7")
     said = told(capsys, *verb[:1], "powers", *verb[1:], "--workers", "1")
     assert "'y'" in said and "depends_on" in said
     (tmp_path / "hidden.inp").write_text("1.0")
-    assert cli.answer([*verb[:1], "powers", *verb[1:], "--workers", "1"]) == 0
+    assert cli.execute([*verb[:1], "powers", *verb[1:], "--workers", "1"]) == 0
 
 
 @pytest.mark.parametrize("verb", ["sensitivity", "calibrate"])
@@ -212,6 +212,6 @@ def test_a_model_that_is_not_deterministic_is_told_at_its_first_run(powers, caps
 
 
 def test_a_slow_model_that_is_not_deterministic_is_told_when_its_best_point_is_asked_anew(powers, capsys, monkeypatch):
-    monkeypatch.setattr("calib.questions.stored.CHEAP", 0.0)
+    monkeypatch.setattr("calib.analyses.stored.CHEAP", 0.0)
     powers("lambda values: {'y': values['a'] + DRAW.random(), 'z': values['b']}", "DRAW = np.random.default_rng(1)")
     assert "not deterministic" in told(capsys, "calibrate", "powers", "--workers", "1")

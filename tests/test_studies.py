@@ -1,4 +1,4 @@
-"""Every study of the repository is a test, and none of them sees what its measurement was made from."""
+"""Every study of the repository is a test, and none of them reads the truth behind its measurement."""
 
 import json
 import os
@@ -23,9 +23,9 @@ def summary(folder: Path) -> dict:
 
 
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_four_frequencies_of_the_measured_rig_are_met_within_their_scatter(undrawn, tmp_path, quick):
+def test_four_frequencies_of_the_measured_rig_are_met_within_their_standard_deviation(undrawn, tmp_path, quick):
     question = ["calibrate", str(ROOT / "studies/four_storey_rig"), "--results", str(tmp_path), "--workers", "1"]
-    assert cli.answer([*question, *(["--quick"] if quick else [])]) == 0
+    assert cli.execute([*question, *(["--quick"] if quick else [])]) == 0
     folder = tmp_path / "four_storey_rig" / ("quick" if quick else "")
     table = pd.read_csv(folder / "comparison_after.csv")
     scatter_of_the_mean = np.array([0.032, 0.115, 0.169, 0.228]) / 10
@@ -38,7 +38,7 @@ def test_four_frequencies_of_the_measured_rig_are_met_within_their_scatter(undra
 
 @pytest.mark.slow
 def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path, capsys):
-    assert cli.answer(["calibrate", str(ROOT / "studies/four_storey_rig_wide"), "--results", str(tmp_path)]) == 0
+    assert cli.execute(["calibrate", str(ROOT / "studies/four_storey_rig_wide"), "--results", str(tmp_path)]) == 0
     assert "not unique" in capsys.readouterr().out
     results = summary(tmp_path / "four_storey_rig_wide")
     met = [c for c, r in results["cases"].items() if r["mean_freq_error_after"] < 1e-5]
@@ -52,11 +52,13 @@ def test_the_bogies_initial_error_is_near_that_of_the_case_study():
     study = Study.load(ROOT / "studies/bogie")
     comparison = study.problem.compare(study.model.space.values)
     assert len(comparison.pairing.paired) == 8
-    assert 0.09 < np.abs(comparison.freq_error).mean() < 0.12  # 10.6 % there; the scatter of the test adds to it
+    assert (
+        0.09 < np.abs(comparison.freq_error).mean() < 0.12
+    )  # 10.6 % there; the standard deviation of the test adds to it
     assert TRUTH["initial_mean_freq_error"] == pytest.approx(0.106, abs=0.003)
 
 
-def test_the_twin_scatters_as_stated():
+def test_the_twin_varies_as_stated():
     """Five repeats of eight modes against the noise-free twin: their means lie within the stated deviations."""
     measured = Study.load(ROOT / "studies/bogie").measured
     freq = np.array([TRUTH["natural_freq"][m] for m in measured.names])
@@ -73,7 +75,7 @@ def test_the_twin_scatters_as_stated():
     assert 0.022 < np.sqrt((measured.shape_std**2).mean()) < 0.028
 
 
-def test_nothing_that_answers_names_the_truth():
+def test_no_analysing_code_names_the_truth():
     told = ("tests/", "truth/", "bogie.json", "vehicle.json", "truth.json")
     for folder in ("calib", "models", "studies"):
         files = [f for f in (ROOT / folder).rglob("*") if f.suffix in (".py", ".toml", ".txt", ".csv")]
@@ -93,7 +95,7 @@ sys.addaudithook(refuse)
 from calib import cli
 assert cli.__file__.startswith(sys.argv[1].removesuffix("studies/bogie")), cli.__file__
 for question in (["compare"], ["calibrate", "--quick", "--case", "GB1", "--workers", "1"]):
-    code = cli.answer([question[0], sys.argv[1], "--results", sys.argv[2], *question[1:]])
+    code = cli.execute([question[0], sys.argv[1], "--results", sys.argv[2], *question[1:]])
     if code:
         raise SystemExit(code)
 """
@@ -101,7 +103,7 @@ for question in (["compare"], ["calibrate", "--quick", "--case", "GB1", "--worke
 
 @pytest.mark.slow
 def test_without_the_truth_every_result_is_the_same(tmp_path):
-    """The same questions asked of a copy that has no tests folder give the same bytes."""
+    """The same analyses in a copy without the tests folder give the same bytes."""
     tables = {}
     for name, source in (("here", ROOT), ("copy", tmp_path / "copy")):
         if name == "copy":
@@ -122,7 +124,7 @@ def test_without_the_truth_every_result_is_the_same(tmp_path):
 
 def test_unknown_masses_are_reported_as_not_separable(undrawn, tmp_path, capsys):
     question = ["calibrate", str(ROOT / "studies/four_storey_rig_masses"), "--results", str(tmp_path)]
-    assert cli.answer([*question, "--method", "gauss-newton"]) == 0
+    assert cli.execute([*question, "--method", "gauss-newton"]) == 0
     said = capsys.readouterr().out
     assert "0 of 8 parameters are identified" in said and "see ratios only" in said
     folder = tmp_path / "four_storey_rig_masses/gauss-newton"
@@ -136,7 +138,7 @@ def test_unknown_masses_are_reported_as_not_separable(undrawn, tmp_path, capsys)
 @pytest.mark.whole
 def test_the_bogie_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
     """GB1-GB4 whole, four times 7,500 individuals, and least squares after each."""
-    assert cli.answer(["run", str(ROOT / "studies/bogie"), "--results", str(tmp_path)]) == 0
+    assert cli.execute(["run", str(ROOT / "studies/bogie"), "--results", str(tmp_path)]) == 0
     results = summary(tmp_path / "bogie")
     assert results["evaluations"] == 4 * 7500 and set(results["cases"]) == {"GB1", "GB2", "GB3", "GB4"}
     assert 0.09 < results["mean_freq_error_before"] < 0.12
@@ -156,7 +158,7 @@ def test_the_bogie_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
 @pytest.mark.slow
 def test_least_squares_alone_find_the_bogie_from_several_starts(tmp_path):
     question = ["calibrate", str(ROOT / "studies/bogie"), "--results", str(tmp_path), "--case", "GB1"]
-    assert cli.answer([*question, "--method", "gauss-newton"]) == 0
+    assert cli.execute([*question, "--method", "gauss-newton"]) == 0
     table = pd.read_csv(tmp_path / "bogie/case_GB1-gauss-newton/parameters.csv")
     identified = table[table["identified"] == True]  # noqa: E712
     assert len(identified) >= 4

@@ -56,7 +56,7 @@ def test_a_copied_folder_works_anywhere(tmp_path, monkeypatch):
     assert copy.problem.fingerprint == Study.load(BOGIE).problem.fingerprint
 
 
-def test_withheld_modes_and_sensors_never_reach_the_problem(example):
+def test_held_out_modes_and_sensors_never_reach_the_problem(example):
     whole = Study.load(example)
     edited(example, ("modes = []\nsensors = []  ", 'modes = ["B2x"]\nsensors = ["4x"]  '))
     part = Study.load(example)
@@ -76,7 +76,7 @@ def test_a_study_edited_while_it_runs_is_refused(example):
 
 
 BAD = [
-    ("unknown key", ("[withheld]", "[withheld]\nmodez = []"), "unknown key 'withheld.modez'", "modes, sensors"),
+    ("unknown key", ("[held_out]", "[held_out]\nmodez = []"), "unknown key 'held_out.modez'", "modes, sensors"),
     ("key misspelt", ("selection = ", "selektion = "), "unknown key 'selektion'", "'selection'"),
     ("section misspelt", ("[measurement]", "[messurement]"), "unknown key 'messurement'", "'measurement'"),
     ("too many samples", ("samples = 200", "samples = 100000000000"), "sensitivity.samples", "1000000"),
@@ -111,7 +111,7 @@ BAD = [
     ("too few modes", ("mode_count = 6", "mode_count = 2"), "mode_count is 2", "4 modes were measured"),
     ("unknown cluster", ('B2z = ["mast.z"]', 'B2z = ["mast.q"]'), "mast.q", "mast.x, mast.z"),
     ("unknown mode", ('B2z = ["mast.z"]', 'B9z = ["mast.z"]'), "'B9z'", "B1x"),
-    ("unknown withheld", ("modes = []", 'modes = ["Q"]'), "'Q'", "B1x"),
+    ("unknown held_out", ("modes = []", 'modes = ["Q"]'), "'Q'", "B1x"),
     ("window reversed", ("freq_window = [0.5, 100.0]", "freq_window = [100.0, 0.5]"), "freq_window", "Hz"),
     ("twin cases", ('"A2", seed = 2', '"A1", seed = 2'), "two cases are named 'A1'", ""),
     ("no cases", ('{ name = "A1", seed = 1 },\n    { name = "A2", seed = 2 },', ""), "calibration.cases", ""),
@@ -125,7 +125,7 @@ BAD = [
     ("wrong type", ("population = 30", 'population = "many"'), "calibration.population", "many"),
     ("both weights zero", ("weight_freq = 1.0", "weight_freq = 0.0"), "weights", ""),
     ("std without repeats", ('std_of = "mean"', 'std_of = "repeat"'), "repeats", ""),
-    ("broken toml", ("[withheld]", "[withheld"), "not valid TOML", "line"),
+    ("broken toml", ("[held_out]", "[held_out"), "not valid TOML", "line"),
     (
         "infeasible",
         (
@@ -139,7 +139,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("change", "words", "more"), [b[1:] for b in BAD], ids=[b[0] for b in BAD])
-def test_bad_studies_are_told_in_one_sentence_with_their_place(example, change, words, more):
+def test_bad_studies_are_refused_in_one_sentence_with_their_place(example, change, words, more):
     changes = [change] + ([("weight_mac = 1.0", "weight_mac = 0.0")] if "weight_freq" in change[0] else [])
     said = complaint(edited(example, *changes))
     assert words in said and more in said
@@ -155,7 +155,7 @@ def test_complaints_name_the_line(example):
     assert re.search(rf"line {number}\b", complaint(example))
 
 
-def test_a_missing_study_is_told(tmp_path):
+def test_a_missing_study_is_refused(tmp_path):
     assert "no such study file" in complaint(tmp_path)
 
 
@@ -188,7 +188,7 @@ def test_every_file_of_a_study_is_read_at_once(example):
     assert "shapes.csv" in complaint(example)
 
 
-def test_plain_functions_are_models_too(tmp_path):
+def test_functions_are_models_too(tmp_path):
     (tmp_path / "model.py").write_text(
         "from calib.function import FunctionModel\n"
         "from calib.space import Parameter, ParameterSpace\n"

@@ -1,4 +1,4 @@
-"""Studies that know which effects their model may lack, and studies whose model has some of them."""
+"""Studies with a library of effects, and studies whose model has some of them."""
 
 import os
 import re
@@ -155,7 +155,7 @@ def test_a_library_alone_changes_no_answer_and_no_fingerprint(rig, sums):
 
 def test_explain_has_the_documented_defaults():
     explain = Study.load(RIG).settings.explain
-    documented = {"alpha": 0.01, "refits": 6, "merge": 0.98, "finer_options": {}, "draws": 10, "seed": 1}
+    documented = {"alpha": 0.01, "refits": 6, "merge": 0.98, "finer_options": {}, "samples": 10, "seed": 1}
     assert explain.model_dump() == documented
 
 
@@ -274,7 +274,7 @@ def test_worker_processes_have_the_effects_too(rig, sums):
         assert outcome.responses == pytest.approx(study.problem.evaluate(point), rel=1e-12, nan_ok=True)
 
 
-# -- what is withheld, for verification --------------------------------------------------------------------------------
+# -- held-out data, for verification -----------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -304,7 +304,7 @@ def test_the_whole_problem_solves_as_many_modes_as_it_needs(mast):
     assert (study.problem.mode_count, study.whole_problem().mode_count) == (4, 8)
 
 
-def test_choices_for_withheld_modes_hold_in_the_whole_problem_only(mast):
+def test_choices_for_held_out_modes_hold_in_the_whole_problem_only(mast):
     changed(mast, "modes = []", 'modes = ["B2x"]')
     changed(mast, "override = {}", "override = { B2x = 4 }")
     study = Study.load(mast)
@@ -315,25 +315,25 @@ def test_choices_for_withheld_modes_hold_in_the_whole_problem_only(mast):
         Study.load(mast).whole_problem()
 
 
-def test_plain_responses_keep_their_withheld_targets(sums):
+def test_scalar_responses_keep_their_held_out_targets(sums):
     with (sums / "study.toml").open("a") as file:
-        file.write('[withheld]\nresponses = ["p"]\n')
+        file.write('[held_out]\nresponses = ["p"]\n')
     study = Study.load(sums)
     assert set(study.targets) == set(study.problem.targets) == {"s"} and study.whole_problem() is None
     assert study.whole_targets == {"s": (3.0, 0.01), "p": (1.0, None)} and study.whole is None
 
 
-def test_withholding_everything_is_refused(mast, sums):
+def test_holding_everything_out_is_refused(mast, sums):
     sensors = ", ".join(f'"{node}{axis}"' for node in range(1, 5) for axis in "xz")
     changed(mast, "sensors = []  ", f"sensors = [{sensors}]  ")
     said = complaint(mast)
-    assert "every sensor is withheld" in said and "line " in said
+    assert "every sensor is held out" in said and "line " in said
     changed(mast, f"sensors = [{sensors}]", "sensors = []")
     changed(mast, "modes = []", 'modes = ["B1x", "B1z", "B2x", "B2z"]')
-    assert "every measured mode is withheld" in complaint(mast)
+    assert "every measured mode is held out" in complaint(mast)
     with (sums / "study.toml").open("a") as file:
-        file.write('[withheld]\nresponses = ["p", "s"]\n')
-    assert "every measured response is withheld" in complaint(sums)
+        file.write('[held_out]\nresponses = ["p", "s"]\n')
+    assert "every measured response is held out" in complaint(sums)
 
 
 # -- complaints --------------------------------------------------------------------------------------------------------

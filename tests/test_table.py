@@ -1,4 +1,4 @@
-"""One strict reader for every table: what is read is what was meant, and all else is refused by line."""
+"""The strict reader of tables: anything ambiguous is refused with its line."""
 
 import numpy as np
 import pandas as pd

@@ -1,4 +1,4 @@
-"""Numerical libraries compute on one thread where that is asked for, and on as many as before afterwards."""
+"""Numerical libraries use one thread within the context, and as many as before afterwards."""
 
 from threadpoolctl import threadpool_info, threadpool_limits
 

@@ -1,4 +1,4 @@
-"""The second phase of the case study: the whole vehicle on the bogies that the first phase has found."""
+"""The second stage of the case study: the whole vehicle on the bogies calibrated in the first stage."""
 
 import json
 import math
@@ -13,13 +13,13 @@ import pandas as pd
 import pytest
 
 from calib import cli
+from calib.analyses.case import objective_of
+from calib.analyses.every_mode import all_stages, every_mode
 from calib.evaluate import Evaluator
 from calib.inference.cases import Case, run_case
 from calib.inference.genetic import GeneticSettings
 from calib.ledger import Ledger
 from calib.mac import mac
-from calib.questions.case import objective_of
-from calib.questions.every_mode import all_stages, every_mode
 from calib.sampling import sample
 from calib.structure.training import train_basis
 from calib.study import Study
@@ -38,7 +38,7 @@ GENETIC = GeneticSettings(population=8, generations=3)
 
 @pytest.fixture(scope="module")
 def study():
-    """As if the first phase had found the very truth."""
+    """The study with the true values adopted from the first stage."""
     return Study.load(ROOT / "studies/vehicle", {name: BOGIE_TRUTH[name] for name in ADOPTED})
 
 
@@ -66,7 +66,7 @@ def stages(study, compared):
 
 
 def shares(found, clusters, of):
-    """Part of the strain energy of some model modes in some clusters."""
+    """Share of the strain energy of some model modes in some clusters."""
     return found.model.energy_shares(found.values, found.modes.shapes[:, of], clusters).sum(axis=0)
 
 
@@ -93,7 +93,7 @@ def test_initial_error_is_as_stated(before):
     assert np.abs(before.freq_error).mean() == pytest.approx(TRUTH["initial_mean_freq_error"], abs=0.01)
 
 
-def test_the_twin_scatters_as_stated(study):
+def test_the_twin_varies_as_stated(study):
     """Five repeats of twelve modes against the noise-free twin: their means lie within the stated deviations."""
     measured = study.whole
     freq = np.array([TRUTH["natural_freq"][m] for m in measured.names])
@@ -141,11 +141,11 @@ def test_seats_within_reach_change_no_pair(study):
         np.testing.assert_array_equal(found.pairing.model_index, usual.pairing.model_index)
 
 
-def test_withheld_modes_are_told_before_and_after_but_enter_no_fit(study, before, stages):
+def test_held_out_modes_are_told_before_and_after_but_enter_no_fit(study, before, stages):
     assert stages.index.tolist() == list(TRUTH["natural_freq"])
-    assert stages["withheld"].to_dict() == {mode: mode not in FITTED for mode in stages.index}
+    assert stages["held_out"].to_dict() == {mode: mode not in FITTED for mode in stages.index}
     assert study.problem.measured.names == FITTED
-    # A scatter of 7 % in a damping ratio of 0.5 is one of 2 % in the damped frequency.
+    # A standard deviation of 7 % in a damping ratio of 0.5 is one of 2 % in the damped frequency.
     assert stages["error_after"].abs().max() < 0.06 and stages["mac_after"].min() > 0.95
     used = before.comparison_table().set_index("mode")["damped_freq_model"]
     pd.testing.assert_series_equal(stages.loc[list(FITTED), "damped_freq_before"], used, check_names=False)
@@ -163,18 +163,18 @@ def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, c
     assert table.loc[list(FITTED), "error_initial"].abs().mean() > table.loc[list(FITTED), "error_before"].abs().mean()
 
 
-def test_the_table_of_every_mode_can_be_a_study_without_withheld_modes(study, before):
-    none = replace(study, settings=study.settings.model_copy(update={"withheld": type(study.settings.withheld)()}))
+def test_the_table_of_every_mode_can_be_a_study_without_held_out_modes(study, before):
+    none = replace(study, settings=study.settings.model_copy(update={"held_out": type(study.settings.held_out)()}))
     stages = all_stages(none, before, before)
     assert stages["before"] is before
     table = every_mode(none, stages)
-    assert table["mode"].tolist() == list(FITTED) and not table["withheld"].any()
+    assert table["mode"].tolist() == list(FITTED) and not table["held_out"].any()
     np.testing.assert_array_equal(table["damped_freq_before"], table["damped_freq_after"])
 
 
 @pytest.mark.slow
-def test_the_finer_mesh_differs_by_less_than_the_scatter(study, at_truth):
-    """What the discretisation alone does to the modes that enter, in units of the measurement's scatter."""
+def test_the_finer_mesh_differs_by_less_than_the_standard_deviation(study, at_truth):
+    """Discretisation error of the modes in use, in standard deviations."""
     fine = vehicle(refine=2)
     modes = fine.modes(TRUTH["parameters"], 18)
     shapes = fine.sensor_rows(study.measured.sensors) @ modes.shapes
@@ -199,7 +199,7 @@ def test_a_mode_near_critical_damping_breaks_no_pair(study, before):
         most.append(float(found.modes.damping_ratio.max()))
         assert len(found.pairing.paired) == 5
         similar = mac(before.sensor_shapes, found.sensor_shapes)[before.pairing.model_index]
-        # With dampers as weak as these 5C shares its shape with 1B_in: both are the bending of the car.
+        # With such weak dampers 5C and 1B_in have the same shape: both are the bending of the car.
         np.testing.assert_array_equal(similar.argmax(axis=1)[:4], found.pairing.model_index[:4])
         assert similar[4, found.pairing.model_index[4]] > 0.8
         assert math.isfinite(objective_of(study)(study.problem.responses(found)))
@@ -234,13 +234,13 @@ def refuse(event, args):
         raise SystemExit(f"the truth was opened: {args[0]}")
 sys.addaudithook(refuse)
 from calib import cli
-raise SystemExit(cli.answer(["run", sys.argv[1], "--results", sys.argv[2], "--quick"]))
+raise SystemExit(cli.execute(["run", sys.argv[1], "--results", sys.argv[2], "--quick"]))
 """
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
-    """Both phases in quick mode, where nobody may open what the measurements were made from."""
+    """Both stages in quick mode, with the truth behind the measurements unreadable."""
     root = tmp_path_factory.mktemp("quick")
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(
@@ -273,7 +273,7 @@ def test_the_study_runs_whole_in_quick_mode_after_its_first_phase(quick):
 @pytest.mark.whole
 def test_the_vehicle_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
     """GC1-GC4 whole on what GB1-GB4 found; about ten minutes on two cores."""
-    assert cli.answer(["calibrate", str(ROOT / "studies/vehicle"), "--results", str(tmp_path)]) == 0
+    assert cli.execute(["calibrate", str(ROOT / "studies/vehicle"), "--results", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "vehicle/summary.json").read_text("utf-8"))
     assert results["evaluations"] == 4 * 7500
     assert results["mean_freq_error_after"] <= 0.02 and results["mean_freq_error_before"] > 0.10

@@ -1,1 +1,1 @@
-"""How far model and measurement are apart: MAC, CoMAC, strain energy, pairing and where-it-fails tables."""
+"""Correlation of model and measurement: MAC, CoMAC, pairing, residuals and comparison tables."""

@@ -1,4 +1,4 @@
-"""Model against measurement at one point: tables of frequencies, MAC, CoMAC, shapes, and where it fails."""
+"""Comparison of model and measurement at one point: frequencies, MAC, CoMAC, shapes, ranked deviations."""
 
 from __future__ import annotations
 
@@ -13,28 +13,33 @@ import pandas as pd
 from scipy import special
 
 from calib.correlation.pairing import Pairing
-from calib.correlation.scatter import Scatter, freedom_behind, known_scatter
+from calib.correlation.standard_deviations import StandardDeviations, dof_behind, known_std
 from calib.mac import align, comac, is_real, noise_mac
 from calib.measurement.modal import MeasuredModes
 from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
 
 LEVEL = 0.95
-"""A single comparison with a perfect model stays within its scatter with this probability."""
+"""Probability that a correctly specified model passes a single comparison."""
 
 FAR_ERROR = 0.3
-"""Frequency error of a pair that is worth a warning, as a fraction."""
+"""Frequency error of a pair that raises a warning, as a fraction."""
 
 _MOTION = ["u", "v", "w"]
 
 _Row = tuple[str, str, float, float, str]
 
-BEYOND, WITHIN, UNKNOWN, UNPAIRED = "beyond scatter", "within scatter", "scatter unknown", "not paired"
+BEYOND, WITHIN, UNKNOWN, UNPAIRED = (
+    "beyond measurement uncertainty",
+    "within measurement uncertainty",
+    "standard deviation unknown",
+    "not paired",
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Modes of a model beside measured ones, paired.
+    """Modes of a model, paired with measured modes.
 
     Attributes
     ----------
@@ -61,14 +66,14 @@ class Comparison:
     sensor_shapes: np.ndarray
 
     @cached_property
-    def scatter(self) -> Scatter:
-        """Standard deviations that everything here is told in, those of the residual; NaN where unknown."""
-        return known_scatter(self.measured)
+    def std(self) -> StandardDeviations:
+        """Standard deviations that scale all deviations here, those of the residual; NaN where unknown."""
+        return known_std(self.measured)
 
     # -- arrays over the measured modes ------------------------------------------------------------------------------
 
     def paired(self, column: np.ndarray) -> np.ndarray:
-        """A quantity of the model modes (n_model,) brought to the measured modes (n_measured,), NaN where unpaired."""
+        """A quantity of the model modes (n_model,) by measured mode (n_measured,), NaN where unpaired."""
         index = self.pairing.model_index
         return np.where(index >= 0, np.asarray(column)[index], np.nan)
 
@@ -79,25 +84,25 @@ class Comparison:
 
     @property
     def far(self) -> tuple[str, ...]:
-        """Measured modes whose frequency error is beyond `FAR_ERROR`: wrong pairs, wrong units or a poor model."""
+        """Measured modes with a frequency error above `FAR_ERROR`: wrong pairs, wrong units or a poor model."""
         return tuple(self._names(np.flatnonzero(np.abs(np.nan_to_num(self.freq_error)) > FAR_ERROR)))
 
     @property
     def lost(self) -> tuple[str, ...]:
-        """Measured modes whose model mode, followed without shapes, has left those that are solved."""
+        """Measured modes without shapes whose tracked model mode has left the solved modes."""
         return tuple(self.measured.names[i] for i in self.pairing.lost)
 
     @property
     def crossings(self) -> tuple[tuple[str, str], ...]:
-        """Paired measured modes that are neighbours in ascending frequency, and whose model modes are not in order."""
+        """Paired measured modes adjacent in ascending frequency whose model modes are in reverse order."""
         names, index = self.measured.names, self.pairing.model_index
         return tuple((names[i], names[k]) for i, k in pairwise(self._ascending()) if index[i] > index[k])
 
     @property
     def shifts(self) -> tuple[tuple[int, str, int], ...]:
-        """Where the number of the model mode leaves that of the measured mode, both counted from 1 in ascending order.
+        """Changes in the offset between model and measured mode numbers, both counted from 1 in ascending order.
 
-        Number and name of the measured mode and number of its model mode, for the first pair of every new difference.
+        Number and name of the measured mode and number of its model mode, for the first pair with each new offset.
         """
         freq, index = self.measured.natural_freq, self.pairing.model_index
         rank = {int(i): k for k, i in enumerate(np.argsort(freq, kind="stable"), start=1)}
@@ -116,9 +121,9 @@ class Comparison:
 
     @property
     def factors(self) -> np.ndarray:
-        """Complex factor that lays each paired model shape over the measured one, (n_measured,); NaN where unpaired.
+        """Complex factor that scales each paired model shape to the measured one, (n_measured,); NaN where unpaired.
 
-        Least squares over the measured sensors; without any, the largest translation of the model becomes 1.
+        Least squares over the measured sensors; without shapes, the largest translation of the model becomes 1.
         """
         out = np.full(self.measured.n_modes, complex(np.nan, np.nan))
         for i in self.pairing.paired:
@@ -139,16 +144,16 @@ class Comparison:
         return out
 
     def noise_mac(self) -> np.ndarray:
-        """MAC that a perfect model would reach from the scatter alone, (n_measured,); NaN where unknown."""
-        return noise_mac(self.measured.shapes, self.scatter.shape)
+        """Expected MAC of a correctly specified model given the noise, (n_measured,); NaN where unknown."""
+        return noise_mac(self.measured.shapes, self.std.shape)
 
     # -- tables ------------------------------------------------------------------------------------------------------
 
     def comparison_table(self) -> pd.DataFrame:
-        """One row a measured mode: frequencies in Hz, damping ratios, MAC and EMAC; NaN where unpaired.
+        """One row per measured mode: frequencies in Hz, damping ratios, MAC and EMAC; NaN where unpaired.
 
-        ``model_mode`` is the number of the paired model mode, from 1, and missing where there is none; ``freq_error``
-        is (natural model - natural measured)/natural measured, a signed fraction.
+        ``model_mode`` is the number of the paired model mode, from 1, missing where there is none; ``freq_error`` is
+        (natural model - natural measured)/natural measured, a signed fraction.
         """
         return pd.DataFrame(
             {
@@ -175,14 +180,14 @@ class Comparison:
         return table
 
     def comac_table(self) -> pd.DataFrame:
-        """CoMAC of every sensor over the paired modes, worst first, with its place in metres."""
+        """CoMAC of every sensor over the paired modes, worst first, with its coordinates in metres."""
         pairs = self.pairing.paired
         value = comac(self.measured.shapes[:, pairs], self.sensor_shapes[:, self.pairing.model_index[pairs]])
         table = self._sensor_columns().assign(comac=value)
         return table.sort_values("comac", kind="stable", ignore_index=True)
 
     def shapes_table(self) -> pd.DataFrame:
-        """One row a mode and sensor: measured shape and the model's, scaled and phase-aligned to it."""
+        """One row per mode and sensor: measured shape and the model's, scaled and phase-aligned to it."""
         aligned, sensors = self.aligned_shapes, self._sensor_columns()
         parts = []
         for i, name in enumerate(self.measured.names):
@@ -197,7 +202,7 @@ class Comparison:
         return pd.concat(parts, ignore_index=True)
 
     def deflection_table(self) -> pd.DataFrame:
-        """One row a paired mode and point of the mesh: its motion, to be drawn over the measured shape.
+        """One row per paired mode and point of the mesh: its motion, for plotting over the measured shape.
 
         ``u, v, w`` are the real part of the paired model shape in the scale and phase of `shapes_table`; ``point`` is
         its number in the mesh, from 0.
@@ -228,34 +233,35 @@ class Comparison:
     # -- where it fails ----------------------------------------------------------------------------------------------
 
     def where_it_fails(self) -> pd.DataFrame:
-        """Every comparison in units of the scatter, worst first.
+        """Every comparison in standard deviations, worst first.
 
-        One standard deviation is that of the residual of a fit, see `calib.correlation.scatter.scatter_of`: of the mean
-        over the repeats, pooled where they are few, with the errors that no number of repeats removes.
+        The standard deviations are those of the residual of a fit, see `calib.correlation.standard_deviations.std_for`:
+        of the mean over the repeats, pooled where they are few, with systematic errors added.
 
-        Columns ``kind, what, value, in_scatter, verdict``. Unpaired modes lead, comparisons of unknown scatter end the
-        table. What ``value`` and ``in_scatter`` are for each kind:
+        Columns ``kind, what, value, in_std, verdict``. Unpaired modes come first, comparisons of unknown standard
+        deviation last. ``value`` and ``in_std`` for each kind:
 
-        - frequency: signed frequency error; the size of ln(model/measured) over the relative standard deviation.
-        - damping: logarithm of model over measured ratio; its size over the relative standard deviation. Left out for
-          an undamped model.
-        - shape: MAC; square root of 1 - MAC over what the noise alone would give.
-        - sensor: CoMAC; root mean square over the paired modes of the residual after alignment, over its own scatter.
+        - frequency: signed frequency error; ``|ln(model/measured)|`` over the relative standard deviation.
+        - damping: ``ln(model/measured)`` of the damping ratio; its absolute value over the relative standard deviation.
+          Omitted for an undamped model.
+        - shape: MAC; square root of 1 - MAC over its expectation from the noise.
+        - sensor: CoMAC; root mean square over the paired modes of the residual after alignment, over its own standard
+        deviation.
 
-        A perfect model gives about 1 everywhere. The verdict compares with the 95 % quantile of that number (square
-        root of an F variate whose degrees of freedom are those of the comparison and of the repeats behind its
-        scatter), so about one comparison in twenty lies beyond by chance.
+        A correctly specified model gives about 1 everywhere. The verdict compares ``in_std`` with its 95 % quantile
+        (square root of an F variate with the degrees of freedom of the comparison and of the repeats behind its
+        standard deviation), so about one comparison in twenty exceeds it by chance.
         """
         rows = self._unpaired_rows() + self._frequency_rows() + self._damping_rows()
         if self.measured.has_shapes:
             rows += self._shape_rows() + self._sensor_rows()
-        table = pd.DataFrame(rows, columns=["kind", "what", "value", "in_scatter", "verdict"])
-        rank = np.where(table["verdict"] == UNPAIRED, np.inf, table["in_scatter"])
+        table = pd.DataFrame(rows, columns=["kind", "what", "value", "in_std", "verdict"])
+        rank = np.where(table["verdict"] == UNPAIRED, np.inf, table["in_std"])
         order = np.lexsort((np.arange(len(table)), table["verdict"] != UNPAIRED, -rank))
         return table.iloc[order].reset_index(drop=True)
 
     def sentence(self) -> str:
-        """What `where_it_fails` says, in plain words."""
+        """Summary of `where_it_fails` in words."""
         table = self.where_it_fails()
         lost = table.loc[table["verdict"] == UNPAIRED, "what"].tolist()
         n = self.measured.n_modes
@@ -266,33 +272,34 @@ class Comparison:
         both = np.isfinite(allowed) & np.isfinite(found)
         if both.any():
             mean, limit = found[both].mean(), allowed[both].mean()
-            words.append(f"The mean MAC is {mean:.3f} where noise alone allows {limit:.3f}.")
-        judged = table[table["verdict"].isin([BEYOND, WITHIN])]
-        if judged.empty:
-            words.append("The scatter of the measurement is unknown, so nothing can be judged against it.")
+            words.append(f"The mean MAC is {mean:.3f}; noise alone limits it to {limit:.3f}.")
+        tested = table[table["verdict"].isin([BEYOND, WITHIN])]
+        if tested.empty:
+            words.append("The standard deviation of the measurement is unknown, so deviations cannot be tested.")
             return " ".join(words)
-        count = int((judged["verdict"] == BEYOND).sum())
-        chance = (1 - LEVEL) * len(judged)
-        words.append(f"{count} of {len(judged)} comparisons lie beyond their scatter, {chance:.1f} would by chance.")
-        worst = judged.iloc[0]
-        size = f"{worst['in_scatter']:.1f} times its scatter"
+        count = int((tested["verdict"] == BEYOND).sum())
+        chance = (1 - LEVEL) * len(tested)
+        words.append(
+            f"{count} of {len(tested)} comparisons exceed their measurement uncertainty; "
+            f"{chance:.1f} are expected by chance."
+        )
+        worst = tested.iloc[0]
+        size = f"{worst['in_std']:.1f} times its standard deviation"
         words.append(f"The worst is the {worst['kind']} of {worst['what']}, {size}.")
         return " ".join(words)
 
     def _limit(self, kind: str, dof: np.ndarray | float) -> np.ndarray:
-        """Largest number in units of scatter that a perfect model gives with probability `LEVEL`."""
+        """Quantile `LEVEL` of ``in_std`` for a correctly specified model."""
         dof = np.maximum(dof, 1e-9)
-        behind = freedom_behind(self.measured, "shape" if kind == "sensor" else kind, dof)
+        behind = dof_behind(self.measured, "shape" if kind == "sensor" else kind, dof)
         return np.sqrt(special.fdtri(dof, np.minimum(behind, 1e9), LEVEL))
 
     def _rows(
-        self, kind: str, what: list[str], value: np.ndarray, in_scatter: np.ndarray, dof: np.ndarray | float = 1.0
+        self, kind: str, what: list[str], value: np.ndarray, in_std: np.ndarray, dof: np.ndarray | float = 1.0
     ) -> list[_Row]:
-        limit = np.broadcast_to(self._limit(kind, dof), in_scatter.shape)
-        verdicts = np.where(np.isnan(in_scatter), UNKNOWN, np.where(in_scatter > limit, BEYOND, WITHIN))
-        return [
-            (kind, w, float(v), float(s), str(t)) for w, v, s, t in zip(what, value, in_scatter, verdicts, strict=True)
-        ]
+        limit = np.broadcast_to(self._limit(kind, dof), in_std.shape)
+        verdicts = np.where(np.isnan(in_std), UNKNOWN, np.where(in_std > limit, BEYOND, WITHIN))
+        return [(kind, w, float(v), float(s), str(t)) for w, v, s, t in zip(what, value, in_std, verdicts, strict=True)]
 
     def _names(self, which: np.ndarray) -> list[str]:
         return [self.measured.names[i] for i in which]
@@ -305,35 +312,36 @@ class Comparison:
         i = self.pairing.paired
         error = self.freq_error[i]
         size = np.abs(np.log1p(error))
-        return self._rows("frequency", self._names(i), error, _over(size, self.scatter.freq[i]))
+        return self._rows("frequency", self._names(i), error, _over(size, self.std.freq[i]))
 
     def _damping_rows(self) -> list[_Row]:
         i = self.pairing.paired
-        i = i[self.measured.damping_ratio[i] > 0]  # NaN is unknown, 0 a convention of undamped files
+        i = i[self.measured.damping_ratio[i] > 0]  # NaN is unknown, 0 marks an undamped file
         if not len(i) or not np.any(self.modes.damping_ratio):
             return []
         measured, model = self.measured.damping_ratio[i], self.paired(self.modes.damping_ratio)[i]
         error = np.log(np.maximum(model, 0.0) / measured, out=np.full(len(i), -np.inf), where=model > 0)
-        return self._rows("damping", self._names(i), error, _over(np.abs(error), self.scatter.damping[i]))
+        return self._rows("damping", self._names(i), error, _over(np.abs(error), self.std.damping[i]))
 
     def _shape_rows(self) -> list[_Row]:
         i = self.pairing.paired
-        shapes, std = self.measured.shapes[:, i], self.scatter.shape[:, i]
+        shapes, std = self.measured.shapes[:, i], self.std.shape[:, i]
         variance = np.where(np.isnan(shapes), 0.0, std**2)
         with np.errstate(invalid="ignore", divide="ignore"):
-            alike = np.sum(variance, axis=0) ** 2 / np.sum(variance**2, axis=0)  # sensors that share the noise evenly
-        dof = np.where(is_real(shapes), 1.0, 2.0) * (alike - 1.0)
+            # Effective number of sensors, weighted by noise variance.
+            effective = np.sum(variance, axis=0) ** 2 / np.sum(variance**2, axis=0)
+        dof = np.where(is_real(shapes), 1.0, 2.0) * (effective - 1.0)
         found = np.sqrt(_over(1.0 - self.pairing.mac[i], 1.0 - self.noise_mac()[i]))
         return self._rows("shape", self._names(i), self.pairing.mac[i], found, np.nan_to_num(dof, nan=1.0))
 
     def _sensor_rows(self) -> list[_Row]:
         i = self.pairing.paired
-        shapes, model, std = self.measured.shapes[:, i], self.aligned_shapes[:, i], self.scatter.shape[:, i]
+        shapes, model, std = self.measured.shapes[:, i], self.aligned_shapes[:, i], self.std.shape[:, i]
         real = is_real(shapes)
         turn = np.exp(-0.5j * np.angle(np.nansum(shapes**2, axis=0)))
         residual = (shapes - model) * np.where(real, turn, 1.0)
         power = np.where(real, residual.real**2, np.abs(residual) ** 2)
-        # The alignment follows the noise of a sensor in proportion to that sensor's share of the shape.
+        # The alignment absorbs the noise of a sensor in proportion to that sensor's share of the shape.
         known = np.where(np.isnan(shapes), np.nan, np.abs(model) ** 2)
         total = np.nansum(known, axis=0)
         share = _over(known, np.broadcast_to(total, known.shape))

@@ -1,4 +1,4 @@
-"""The MAC weighted with the place of a mode's strain energy."""
+"""Energy-weighted MAC."""
 
 from __future__ import annotations
 

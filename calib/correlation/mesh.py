@@ -1,4 +1,4 @@
-"""Tables of a model's mesh, for pictures of its modes."""
+"""Tables of a model's mesh, for figures of its modes."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from calib.structure.geometry import Mesh
 
 
 def points_table(mesh: Mesh) -> pd.DataFrame:
-    """Return the points of a mesh whose place is known, numbered from 0 among all: columns ``point, x, y, z`` (m)."""
+    """Return the points of a mesh with known coordinates, numbered from 0 among all: columns ``point, x, y, z`` (m)."""
     return pd.DataFrame(mesh.points, columns=["x", "y", "z"]).rename_axis("point").reset_index()[_placed(mesh)]
 
 
 def elements_table(mesh: Mesh) -> pd.DataFrame:
     """Return lines and faces between the points: columns ``group, a, b, c, d``; a line has no ``c`` and ``d``.
 
-    Lines whose group has faces are left out: they are edges that the faces tell already. So is what ends at a point
-    whose place is unknown.
+    Lines whose group has faces are left out, as edges of these faces, and so are elements with a point of unknown
+    coordinates.
     """
     shells = set(mesh.face_groups)
     alone = np.array([group not in shells for group in mesh.groups], dtype=bool)
@@ -31,5 +31,5 @@ def elements_table(mesh: Mesh) -> pd.DataFrame:
 
 
 def _placed(mesh: Mesh) -> np.ndarray:
-    """Which points have a place, (n_nodes,), bool."""
+    """Which points have coordinates, (n_nodes,), bool."""
     return np.isfinite(mesh.points).all(axis=1)

@@ -1,4 +1,4 @@
-"""Pairing without shapes: frequencies laid beside each other in ascending order, with gaps on either side."""
+"""Pairing without shapes: alignment of two frequency lists in ascending order, with gaps on either side."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from typing import NamedTuple
 import numpy as np
 
 SCALES = (0.02, 0.05, 0.1, 0.2)
-"""Mean absolute deviations of ln frequency from the common ratio that are tried for a model."""
+"""Candidate mean absolute deviations of ln frequency from the common ratio."""
 COMMON = 0.15
-"""Mean absolute ln of the ratio common to all modes."""
+"""Mean absolute ln of the common ratio (prior scale)."""
 COMMON_MOST = 8.0
-"""Largest cost of the common ratio: a model in other units is off by any factor, the same for all modes."""
+"""Largest cost of the common ratio: a model in other units is off by an arbitrary common factor."""
 SKIP_MEASURED = 6.0
 """Cost of a measured mode without a partner, as a negative logarithm of its probability."""
 SKIP_MODEL, SKIP_MODEL_MORE = 3.0, 0.25
-"""Cost of model modes that were not measured: of the first of a run, and of each further one."""
+"""Cost of unmeasured model modes: of the first of a run, and of each further one."""
 NEAR_ZERO = 5.0
-"""Model modes below the lowest measured one by more than this factor are rigid-body modes, or as good as such."""
+"""Model modes below the lowest measured one by more than this factor count as rigid-body modes."""
 
 _STEP = 0.002
 """Resolution of the common ratio."""
 
 
 class Costs(NamedTuple):
-    """What all modes of a model have in common: mean ln(model/measured) and the scale of deviations from it."""
+    """Common ratio of all modes: mean ln(model/measured) and the scale of deviations from it."""
 
     common: float
     scale: float
@@ -50,20 +50,20 @@ class Alignment:
 def align_in_order(freq_measured: np.ndarray, freq_model: np.ndarray, costs: Costs | None = None) -> Alignment:
     """Pair two lists of frequencies so that the order is kept and the total cost is least.
 
-    With d = ln(model/measured), a pair costs ``ln(2 b) + |d - c|/b``, a measured mode left over `SKIP_MEASURED`, a run
-    of model modes left out below or between the pairs `SKIP_MODEL` and `SKIP_MODEL_MORE` for each further one; model
+    With d = ln(model/measured), a pair costs ``ln(2 b) + |d - c|/b``, an unpaired measured mode `SKIP_MEASURED`, a run
+    of unpaired model modes below or between the pairs `SKIP_MODEL` and `SKIP_MODEL_MORE` for each further one; model
     modes above the last pair, and those near 0 Hz (see `NEAR_ZERO`), cost nothing. These are negative logarithms of
-    probabilities: Laplace deviations of mean size b from a ratio c that all modes share, which costs ``|c|/0.15``.
-    The least sum over b (of `SCALES`) and c is found with the pairs, by dynamic programming with affine gap costs
-    (Gotoh 1982). A model that is 10 % too stiff as a whole is therefore not shifted by one mode, and one mode that was
-    missed shifts no other.
+    probabilities: Laplace deviations of mean size b from a common ratio c, which costs ``|c|/0.15``. The sum is
+    minimised over b (in `SCALES`), c and the pairs, by dynamic programming with affine gap costs (Gotoh 1982). A model
+    that is too stiff by 10 % overall is therefore not shifted by one mode, and one unmeasured mode does not shift the
+    others.
 
     Parameters
     ----------
     freq_measured, freq_model : ndarray (n_measured,), (n_model,)
         Hz, in any order.
     costs : Costs, optional
-        Known from elsewhere; found when left out.
+        Known from another alignment; default estimated.
     """
     rows, columns = np.argsort(freq_measured, kind="stable"), np.argsort(freq_model, kind="stable")
     partners = np.full(len(rows), -1)
@@ -86,7 +86,7 @@ def align_in_order(freq_measured: np.ndarray, freq_model: np.ndarray, costs: Cos
 class _Grid:
     """The dynamic program, for several common ratios and scales at once (last axis, n_tried).
 
-    ``leading`` (n_model + 1, n_tried) is the cost of leaving out the first j model modes.
+    ``leading`` (n_model + 1, n_tried) is the cost of skipping the first j model modes.
     """
 
     d: np.ndarray
@@ -108,30 +108,30 @@ class _Grid:
     def _row(
         self, i: int, before: list[np.ndarray], gap_before: list[np.ndarray]
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Least costs after i measured and j model modes, ending otherwise or in a run of model modes left out."""
+        """Least costs after i measured and j model modes, ending otherwise or in a run of skipped model modes."""
         never = np.full(len(self.common), np.inf)
-        plain, gap = [np.minimum(before[0], gap_before[0]) + SKIP_MEASURED], [never]
+        closed, gap = [np.minimum(before[0], gap_before[0]) + SKIP_MEASURED], [never]
         for j in range(self.d.shape[1]):
             paired = np.minimum(before[j], gap_before[j]) + self._pair(i, j)
             skipped = np.minimum(before[j + 1], gap_before[j + 1]) + SKIP_MEASURED
-            plain.append(np.minimum(paired, skipped))
-            gap.append(np.minimum(plain[j] + SKIP_MODEL, gap[j] + SKIP_MODEL_MORE))
-        return plain, gap
+            closed.append(np.minimum(paired, skipped))
+            gap.append(np.minimum(closed[j] + SKIP_MODEL, gap[j] + SKIP_MODEL_MORE))
+        return closed, gap
 
     def _start(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
         never = np.full(len(self.common), np.inf)
-        plain = [np.zeros(len(self.common)), *[never] * self.d.shape[1]]
-        return plain, [never, *self.leading[1:]]
+        closed = [np.zeros(len(self.common)), *[never] * self.d.shape[1]]
+        return closed, [never, *self.leading[1:]]
 
     def least(self) -> np.ndarray:
-        """Least total cost of each that is tried, (n_tried,)."""
-        plain, gap = self._start()
+        """Least total cost of each candidate, (n_tried,)."""
+        closed, gap = self._start()
         for i in range(len(self.d)):
-            plain, gap = self._row(i, plain, gap)
-        return np.min(plain, axis=0) + np.minimum(np.abs(self.common) / COMMON, COMMON_MOST)
+            closed, gap = self._row(i, closed, gap)
+        return np.min(closed, axis=0) + np.minimum(np.abs(self.common) / COMMON, COMMON_MOST)
 
     def pairs(self) -> list[tuple[int, int]]:
-        """Pairs of the one that is tried."""
+        """Pairs of the single candidate."""
         rows = [self._start()]
         for i in range(len(self.d)):
             rows.append(self._row(i, *rows[-1]))
@@ -139,9 +139,9 @@ class _Grid:
         i, j = len(self.d), int(np.argmin([float(cost[0]) for cost in rows[-1][0]]))
         in_gap = False
         while i > 0:
-            plain, gap = rows[i]
+            closed, gap = rows[i]
             if in_gap:
-                in_gap = bool(gap[j - 1][0] + SKIP_MODEL_MORE < plain[j - 1][0] + SKIP_MODEL)
+                in_gap = bool(gap[j - 1][0] + SKIP_MODEL_MORE < closed[j - 1][0] + SKIP_MODEL)
                 j -= 1
                 continue
             before, gap_before = rows[i - 1]
@@ -149,7 +149,7 @@ class _Grid:
             if j > 0:
                 paired = float((np.minimum(before[j - 1], gap_before[j - 1]) + self._pair(i - 1, j - 1))[0])
             i -= 1
-            if paired <= float(plain[j][0]):
+            if paired <= float(closed[j][0]):
                 j -= 1
                 out.append((i, j))
             in_gap = bool(gap_before[j][0] < before[j][0])

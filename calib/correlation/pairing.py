@@ -1,4 +1,4 @@
-"""Which model mode belongs to which measured mode."""
+"""Pairing of measured and model modes, by shape or by order."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calib.correlation.order import Costs, align_in_order
 from calib.errors import InputError
 
 NEAR, FAR, AGREE = 2.0, 10.0, 1.3
-"""Factors between the frequencies of a pair: up to the first it is as good as any, from the second on it is none."""
+"""Frequency ratios of a pair: full weight up to the first, none from the second on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +27,10 @@ class Pairing:
     mac, emac : ndarray (n_measured,)
         Of the pair; NaN for an unpaired mode or without shapes.
     margin : ndarray (n_measured,)
-        EMAC of the pair minus the best EMAC of that measured mode with any other model mode; small or negative marks a
-        pairing in doubt. NaN for an unpaired mode or without shapes.
+        EMAC of the pair minus the best EMAC of that measured mode with any other model mode; a small or negative one
+        marks an uncertain pair. NaN for an unpaired mode or without shapes.
     lost : tuple of int
-        Indices of measured modes whose model mode was followed, without shapes, until it had no successor.
+        Indices of measured modes without shapes whose tracked model mode lost its successor.
     """
 
     model_index: np.ndarray
@@ -62,9 +62,9 @@ def pair_by_shape(
 ) -> Pairing:
     """Pair modes one to one so that the sum of their EMAC, weighted by frequency, is largest.
 
-    Pairs below the threshold, and model modes without strain energy (EMAC 0), are forbidden beforehand and so cannot
-    take a partner away from another mode. With few sensors a mode may look like one of a far higher frequency (spatial
-    aliasing): see `frequency_weight`, which forbids such a pair or lets a nearer one win.
+    Pairs below the threshold, and model modes without strain energy (EMAC 0), are excluded first, so that they cannot
+    take a partner from another mode. With few sensors a mode may resemble one of a much higher frequency (spatial
+    aliasing): `frequency_weight` excludes such a pair or favours a nearer one.
 
     Parameters
     ----------
@@ -74,11 +74,11 @@ def pair_by_shape(
     threshold : float
         Smallest EMAC of a pair.
     candidates : ndarray (n_model,), bool, optional
-        Which model modes may be paired, other than by the user's choice; default all.
+        Model modes available for pairing, apart from the user's choice; default all.
     override : mapping from str to int, optional
         The user's choice: measured mode to model mode, counted from 1. Set first, whatever its EMAC.
     log_ratio : ndarray (n_measured, n_model), optional
-        ln(model/measured) of the natural frequencies; without it frequencies count for nothing.
+        ln(model/measured) of the natural frequencies; default: frequencies are ignored.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def pair_by_shape(
     columns = np.array([j for j in np.flatnonzero(offered) if j not in forced.values()], dtype=int)
     block = emac[np.ix_(rows, columns)]
     allowed = (block >= threshold) & (block > 0)
-    # A forbidden pair is worth nothing, so the best full assignment is the best partial one with such pairs dropped.
+    # An excluded pair has weight 0, so dropping such pairs from the best full assignment gives the best partial one.
     best = linear_sum_assignment(np.where(allowed, block, 0.0), maximize=True)
     if log_ratio is not None:
         ratio = log_ratio[np.ix_(rows, columns)]
@@ -106,10 +106,10 @@ def pair_by_shape(
     index[rows[best[0][kept]]] = columns[best[1][kept]]
     pair_mac, pair_emac, margin = (np.full(n_measured, np.nan) for _ in range(3))
     for i in np.flatnonzero(index >= 0).tolist():
-        rivals = offered.copy()
-        rivals[index[i]] = False
+        competing = offered.copy()
+        competing[index[i]] = False
         pair_mac[i], pair_emac[i] = mac[i, index[i]], emac[i, index[i]]
-        margin[i] = pair_emac[i] - np.max(emac[i, rivals], initial=0.0)
+        margin[i] = pair_emac[i] - np.max(emac[i, competing], initial=0.0)
     return Pairing(index, pair_mac, pair_emac, margin)
 
 
@@ -125,8 +125,8 @@ def pair_by_order(
 ) -> tuple[Pairing, Costs]:
     """Pair modes by ascending frequency, for a measurement without shapes.
 
-    Gaps on both sides are allowed, see `calib.correlation.order.align_in_order`; still, nothing but frequencies tells
-    which mode is which. MAC, EMAC and margin are NaN.
+    Gaps on both sides are allowed, see `calib.correlation.order.align_in_order`; only frequencies identify the modes.
+    MAC, EMAC and margin are NaN.
 
     Parameters
     ----------
@@ -135,12 +135,11 @@ def pair_by_order(
     names : sequence of str
         Names of the measured modes.
     window : (low, high), optional
-        Model modes outside, in Hz, are no candidates.
+        Model modes outside, in Hz, are not candidates.
     override : mapping from str to int, optional
         The user's choice, as in `pair_by_shape`; the others follow in order.
     followed : mapping from int to int, optional
-        Measured to model modes, both from 0 (-1 for none), that are known from elsewhere; they rank behind the user's
-        choice.
+        Measured to model modes, both from 0 (-1 for none), known by mode tracking; the user's choice has precedence.
     costs : Costs, optional
         As in `align_in_order`.
     """
@@ -173,9 +172,8 @@ def frequency_weight(log_ratio: np.ndarray, of_pairs: np.ndarray) -> np.ndarray:
     log_ratio : ndarray
         ln(model/measured).
     of_pairs : ndarray (n_pairs,)
-        That of the pairs which shapes alone would make. Where more than half of at least three agree within `AGREE` on
-        a factor beyond `NEAR`, frequencies are in other units or the whole model is far off, and factors count from
-        there.
+        Those of the pairs found by shape alone. Where more than half of at least three agree within `AGREE` on a factor
+        beyond `NEAR`, units differ or the whole model is far off, and ratios are taken relative to that factor.
     """
     common = float(np.median(of_pairs)) if len(of_pairs) >= 3 else 0.0
     agreeing = np.sum(np.abs(of_pairs - common) <= math.log(AGREE))

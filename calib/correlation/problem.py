@@ -1,4 +1,4 @@
-"""The question a search asks: named parameter values in, named responses out."""
+"""Evaluation of a model against a measurement: named parameter values in, named responses out."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.compare import Comparison
 from calib.correlation.energy import emac
-from calib.correlation.follow import Point, follow
+from calib.correlation.mode_tracking import Point, follow
 from calib.correlation.order import Costs
 from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
-from calib.correlation.responses import response_freedom
+from calib.correlation.responses import response_dof
 from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel
 from calib.mac import mac
@@ -29,28 +29,28 @@ from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel
 
 RESPONSES = ("natural_freq", "damped_freq", "damping_ratio", "mac", "emac", "margin")
-"""Responses of every measured mode; the name of one is such as ``mac_1B``."""
+"""Responses of every measured mode, named like ``mac_1B``."""
 
 _DEFINITION = "modal responses 2"
-"""Part of the fingerprint; to be counted up whenever the same modes would give other responses."""
+"""Part of the fingerprint; increment it whenever the same modes would give other responses."""
 
 _LEAST_FREQ = 1e-12
-"""Model frequencies below this, in Hz, count as this, so that their logarithm stays finite."""
+"""Lower bound of model frequencies in Hz, which keeps their logarithm finite."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModalProblem:
-    """How the modes of a model answer a modal measurement.
+    """A model with modes against a modal measurement: pairing, comparison and responses.
 
     Attributes
     ----------
     model : ModalModel
     measured : MeasuredModes
     mode_clusters : mapping from str to tuple of str
-        The model's clusters that carry the sensors of each measured mode; a mode left out takes all strain energy, so
-        that its EMAC is its MAC.
+        The model's clusters that carry the sensors of each measured mode; a missing mode takes all strain energy, so
+        that its EMAC equals its MAC.
     mode_count : int
-        Number of model modes solved and offered to the pairing.
+        Number of model modes solved and available for pairing.
     threshold : float
         Smallest EMAC of a pair.
     freq_window : (low, high) or None
@@ -58,18 +58,18 @@ class ModalProblem:
     override : mapping from str to int
         The user's choice of pairs: measured mode to model mode, counted from 1.
     reference : mapping from str to float
-        Values at which modes without measured shapes are paired by the order of their frequencies; elsewhere the
-        model's modes are followed from there. Parameters left out take their adopted value.
+        Values at which modes without measured shapes are paired by the order of their frequencies; at other values the
+        modes are tracked from there. Missing parameters take their nominal value.
     base : ModalProblem or None
-        The same question asked of the model without effects that are added to it, all of strength next to 0 at the
-        reference: its pairs without shapes are taken over there, since an added motion that nothing couples is no mode
-        of the structure, however well its frequency fits. A choice of pairs that both have in common is one of modes of
-        the base, and taken over like its other pairs.
+        The same problem for the base model, without the added effects, whose magnitudes are almost 0 at the reference.
+        There its pairs without shapes are inherited, since an uncoupled added motion is not a mode of the structure,
+        however well its frequency fits. Pairs chosen in both problems refer to modes of the base model and are
+        inherited like its other pairs.
 
     Raises
     ------
     InputError
-        When a name, number or window does not fit model and measurement, or a sensor has no place on the model.
+        When a name, number or window does not fit model and measurement, or a sensor cannot be located on the model.
     """
 
     model: ModalModel
@@ -137,9 +137,9 @@ class ModalProblem:
         return digest.hexdigest()[:16]
 
     def with_model(self, model: ModalModel, added: int | None = None) -> ModalProblem:
-        """The same question asked of another model.
+        """The same problem with another model.
 
-        ``added`` is how many modes more that has because of effects on this one, which then is its `base`; None for
+        ``added`` is the number of modes added by effects on this model, whose problem becomes the `base`; None for
         another form of this model.
         """
         if added is None:
@@ -147,13 +147,13 @@ class ModalProblem:
         return replace(self, model=model, mode_count=self.mode_count + added, base=self)
 
     def reduced(self, basis: Basis) -> ModalProblem:
-        """The same question asked of the model on a reduced basis; InputError when the basis is of another model."""
+        """The same problem with a reduced model; InputError when the basis belongs to another model."""
         if not isinstance(self.model, StructuralModel):
             raise InputError("the model is reduced already", place=self.model.name)
         return replace(self, model=ReducedModel(self.model, basis))
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Flat responses at named values, measured mode by measured mode.
+        """Flat responses at named values, ordered by measured mode.
 
         Frequencies in Hz. NaN for an unpaired mode, and for MAC, EMAC and margin without measured shapes.
 
@@ -165,7 +165,7 @@ class ModalProblem:
         return self.responses(self.compare(values))
 
     def responses(self, found: Comparison) -> dict[str, float]:
-        """Flat responses of a comparison already made."""
+        """Flat responses of an existing comparison."""
         pairing, modes = found.pairing, found.modes
         out = {}
         for i, name in enumerate(self.measured.names):
@@ -177,9 +177,9 @@ class ModalProblem:
         return out
 
     def compare(self, values: Mapping[str, float], solved: Modes | None = None) -> Comparison:
-        """Everything about model and measurement at named values; raises as `evaluate`.
+        """Comparison of model and measurement at named values; raises like `evaluate`.
 
-        Modes of the model that are ``solved`` at these values already, and as many as asked, are not solved again.
+        Modes already ``solved`` at these values are reused where they are enough.
         """
         complete = self.space.complete(values)
         modes = solved
@@ -187,7 +187,8 @@ class ModalProblem:
             modes = self.model.modes(complete, self.mode_count)
         if modes.n_modes < self.mode_count:
             raise EvaluationError(
-                f"the model {self.model.name} has only {modes.n_modes} vibration modes, {self.mode_count} were asked"
+                f"the model {self.model.name} has only {modes.n_modes} vibration modes, "
+                f"{self.mode_count} were requested"
             )
         sensor_shapes = self.sensor_rows @ modes.shapes
         if self.measured.has_shapes:
@@ -207,7 +208,7 @@ class ModalProblem:
         modes: Modes,
         threshold: float | None = None,
     ) -> tuple[Pairing, np.ndarray, np.ndarray]:
-        """Partners of measured shapes among modes of the model.
+        """Pairs of measured shapes and model modes.
 
         Parameters
         ----------
@@ -240,7 +241,7 @@ class ModalProblem:
         return pairing, mac_matrix, emac_matrix
 
     def _in_order(self, here: Point) -> Pairing:
-        """Pairs without shapes: those of the reference point, followed to here."""
+        """Pairs without shapes: those of the reference point, tracked to here."""
         if self._reference is None:
             return self._ordered(here.modes)[0]
         there, pairing, costs = self._reference
@@ -256,19 +257,19 @@ class ModalProblem:
 
     @cached_property
     def _base_reference(self) -> tuple[Point, Pairing, Costs] | None:
-        """That of `base`, where it answers the same measured modes."""
+        """The reference of `base`, where it has the same measured modes."""
         base = self.base
         return base._reference if base is not None and base.measured.names == self.measured.names else None
 
     @cached_property
     def _chosen(self) -> dict[str, int]:
-        """The user's choice of modes of this very model; what was chosen of `base` is one of the pairs taken over."""
-        taken = {} if self.base is None or self._base_reference is None else self.base.override
-        return {mode: number for mode, number in self.override.items() if taken.get(mode) != number}
+        """The user's choice of modes of this model; choices in `base` are among the inherited pairs."""
+        inherited = {} if self.base is None or self._base_reference is None else self.base.override
+        return {mode: number for mode, number in self.override.items() if inherited.get(mode) != number}
 
     @cached_property
     def _reference(self) -> tuple[Point, Pairing, Costs] | None:
-        """Where pairs without shapes are made; None where the model cannot be solved there."""
+        """Reference point of pairs without shapes; None where the model cannot be solved there."""
         values = self.space.complete({n: v for n, v in self.reference.items() if n in self.space.names})
         try:
             there = Point(values, self.model.modes(values, self.mode_count))
@@ -276,10 +277,10 @@ class ModalProblem:
             return None
         if there.modes.n_modes < self.mode_count:
             return None
-        taken = self._base_reference
-        if taken is None:
+        inherited = self._base_reference
+        if inherited is None:
             return (there, *self._ordered(there.modes))
-        (_, modes), pairing, costs = taken
+        (_, modes), pairing, costs = inherited
         index = pairing.model_index.copy()
         apart = np.abs(np.subtract.outer(modes.natural_freq[index[pairing.paired]], there.modes.natural_freq))
         index[pairing.paired] = linear_sum_assignment(apart)[1]
@@ -308,19 +309,19 @@ class ModalProblem:
         out = np.tile(np.where(strained, 1.0, 0.0), (self.measured.n_modes, 1))
         for i, mode in enumerate(self.measured.names):
             if mode in self.mode_clusters:
-                # In the order the clusters are named: sums of floating-point numbers depend on it.
+                # In the given order of clusters: floating-point sums depend on it.
                 out[i] = sum(shares[named.index(name)] for name in dict.fromkeys(self.mode_clusters[mode]))
         return out
 
 
 def usual_mode_count(measured: MeasuredModes, n_modes: int) -> int:
-    """Model modes solved where nothing else is asked: twice as many as were measured, as far as the model has them."""
+    """Default number of model modes: twice the measured ones, as far as the model has them."""
     return min(2 * measured.n_modes, n_modes)
 
 
 @dataclass(frozen=True, eq=False)
 class FunctionProblem:
-    """Anything else that maps named parameters to named responses: a tire, an external solver, a user's function.
+    """Targets for any function from named parameters to named responses: a tire, an external solver, user code.
 
     Attributes
     ----------
@@ -328,14 +329,14 @@ class FunctionProblem:
     function : callable
         Takes the values of all parameters by name, each in its own unit, and returns named responses.
     targets : mapping from str to (value, std or None)
-        Measured value of each response and the standard deviation of it, where known.
+        Measured value of each response and its standard deviation, where known.
     fingerprint : str
-        Given by whoever knows the function; to be changed whenever its answers could.
+        Of the function; it must change whenever its results could.
     repeats : float or None
-        Repeats behind the standard deviations, when those are pooled over the responses of each kind; None takes the
-        deviations for known.
+        Number of repeats behind the standard deviations, pooled over the responses of each kind; None for known
+        standard deviations.
     shares : mapping from str to float
-        Part of the variance of each target that these tell; 1 for one left out.
+        Part of the variance of each target that the repeats estimate; default 1.
     """
 
     space: ParameterSpace
@@ -359,31 +360,31 @@ class FunctionProblem:
                 )
 
     def with_model(self, model: FunctionModel) -> FunctionProblem:
-        """The same targets of another function."""
+        """The same targets for another function."""
         return replace(self, space=model.space, function=model.function)
 
     @property
-    def scatter_freedom(self) -> dict[str, float]:
+    def std_dof(self) -> dict[str, float]:
         """Degrees of freedom behind the standard deviations of each kind; infinite where they are known."""
-        return response_freedom(self.targets, self.repeats, self.shares)
+        return response_dof(self.targets, self.repeats, self.shares)
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Responses at named values; what is left out takes its adopted value.
+        """Responses at named values; missing parameters take their nominal value.
 
         Raises
         ------
         EvaluationError
-            When a target is missing from the answer or a response is not a finite number.
+            When a target is missing from the result or a response is not a finite number.
         """
-        answer = self.function(self.space.complete(values))
-        if not hasattr(answer, "keys"):
-            raise EvaluationError(f"the function gave {type(answer).__name__}, not responses by name")
-        missing = [name for name in self.targets if name not in answer]
+        result = self.function(self.space.complete(values))
+        if not hasattr(result, "keys"):
+            raise EvaluationError(f"the function gave {type(result).__name__}, not responses by name")
+        missing = [name for name in self.targets if name not in result]
         if missing:
-            given = ", ".join(answer) or "nothing"
+            given = ", ".join(result) or "nothing"
             raise EvaluationError(f"the function gave no {', '.join(missing)} (it gave {given})")
         out = {}
-        for name, value in answer.items():
+        for name, value in result.items():
             try:
                 out[name] = float(value)
             except (TypeError, ValueError) as fault:

@@ -1,4 +1,4 @@
-"""Model against measurement in units of the measurement's scatter, with derivatives."""
+"""Whitened residual of measured and model modes, with derivatives."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.correlation.compare import Comparison
 from calib.correlation.problem import ModalProblem
-from calib.correlation.scatter import USUAL, Floors, Scatter, freedom_behind, scatter_of
+from calib.correlation.standard_deviations import USUAL, Floors, StandardDeviations, dof_behind, std_for
 from calib.fingerprint import digest_of
 from calib.mac import is_real
 from calib.space import ParameterSpace
@@ -20,16 +20,16 @@ from calib.structure.derivatives import ModeDerivatives
 from calib.structure.modal_model import ModalModel
 
 _BESIDE = 1e-6
-"""How far from 0 a derivative by a parameter under a root is taken, over its limit.
+"""Offset from 0, over the limit, at which derivatives by a parameter under a square root are taken.
 
-Modes depend smoothly on the parameter itself: so near they have the slope they have at 0, within some 1e-6. Their
-derivative is a difference of terms that grow as 1/root, here a thousandfold, which leaves twelve digits of it.
+Modes depend smoothly on the parameter: so close to 0 their derivative equals that at 0 to about 1e-6. It is a
+difference of terms that grow with the inverse square root, here a thousandfold, which leaves twelve digits.
 """
 _LEAST_RATIO = 1e-6
-"""Damping ratios of the model below this count as this, so that their logarithm stays finite."""
+"""Lower bound of model damping ratios, which keeps their logarithm finite."""
 
 _DEFINITION = "modal residual 1"
-"""Part of the fingerprint; to be counted up whenever the same modes would give another residual or derivative."""
+"""Part of the fingerprint; increment it whenever the same modes would give another residual or derivative."""
 
 Kind = Literal["frequency", "damping", "shape"]
 
@@ -58,29 +58,29 @@ class Row(NamedTuple):
 class ModalResidual:
     """Whitened differences between measured and model modes.
 
-    Rows are (measured - model)/std, always the same ones and in the same order:
+    Rows are (measured - model)/std, always in the same number and order:
 
     - ``ln natural_freq`` of every measured mode, and ``ln damping_ratio`` where one above 0 was measured and the model
       has damping;
     - every measured entry of a shape, ``u - a v`` with the complex factor a of least squares (in whitened entries), in
-      real and imaginary part. A shape that is real up to a phase has real rows only: the model's is first turned to its
-      most real phase, as in the MAC.
+      real and imaginary part. A measured shape that is real up to a phase has real rows only: the model shape is first
+      rotated to its most real phase, as in the MAC.
 
     A measured mode without a partner counts as a difference of 1 in frequency and damping (100 %) and as MAC 0, so that
-    losing a pair can only raise the sum of squares. The pairing is renewed at every point; a search that accepts only
-    falling sums of squares cannot be misled by a change of it.
+    losing a pair can only raise the sum of squares. Modes are paired anew at every point; a search that accepts only
+    decreasing sums of squares is safe against changes of pairing.
 
     Attributes
     ----------
     problem : ModalProblem
     floors : Floors
     pool : bool or None
-        See `scatter_of`.
+        See `std_for`.
     use_damping, use_shapes : bool
-        False leaves those rows out.
+        False omits those rows.
     factor_sensors : tuple of str or None
-        Names of the sensors that the factors of shapes are fitted on; the others are then predicted. None for all.
-    scatter : Scatter
+        Names of the sensors on which the factors of shapes are fitted; the other sensors are predicted. None for all.
+    std : StandardDeviations
     rows : tuple of Row
         Length n_rows.
     """
@@ -91,13 +91,13 @@ class ModalResidual:
     use_damping: bool = True
     use_shapes: bool = True
     factor_sensors: tuple[str, ...] | None = None
-    scatter: Scatter = field(init=False, repr=False)
+    std: StandardDeviations = field(init=False, repr=False)
     rows: tuple[Row, ...] = field(init=False, repr=False)
     _damped: tuple[int, ...] = field(init=False, repr=False)
     _parts: tuple[tuple[int, str], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "scatter", scatter_of(self.problem.measured, self.floors, self.pool))
+        object.__setattr__(self, "std", std_for(self.problem.measured, self.floors, self.pool))
         object.__setattr__(self, "_damped", self._damping_modes())
         object.__setattr__(self, "_parts", self._shape_parts())
         object.__setattr__(self, "rows", self._rows())
@@ -118,7 +118,7 @@ class ModalResidual:
         return tuple(np.flatnonzero(self.problem.measured.damping_ratio > 0).tolist())
 
     def _shape_parts(self) -> tuple[tuple[int, str], ...]:
-        """Measured modes and parts of their shapes, in the order of the rows; one sensor alone says nothing."""
+        """Measured modes and parts of their shapes, in row order; a single sensor carries no information."""
         shapes = self.problem.measured.shapes
         if not self.use_shapes or not self.problem.measured.has_shapes:
             return ()
@@ -132,9 +132,9 @@ class ModalResidual:
     @property
     def fingerprint(self) -> str:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
-        scatter = (self.scatter.freq, self.scatter.damping, self.scatter.shape)
-        told = (self.rows, self._damped, self._parts, self.factor_sensors)
-        return digest_of(_DEFINITION, self.problem.fingerprint, scatter, told)[:16]
+        std = (self.std.freq, self.std.damping, self.std.shape)
+        layout = (self.rows, self._damped, self._parts, self.factor_sensors)
+        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout)[:16]
 
     @property
     def kinds(self) -> np.ndarray:
@@ -143,10 +143,10 @@ class ModalResidual:
 
     @property
     def relative_std(self) -> np.ndarray:
-        """Standard deviation of every row, (n_rows,): of frequencies and damping over the value, of shapes as it is."""
+        """Standard deviation of every row, (n_rows,): relative for frequencies and damping, as given for shapes."""
         shapes = self.problem.measured.shapes
-        blocks = [self.scatter.freq, self.scatter.damping[list(self._damped)]]
-        blocks += [self.scatter.shape[np.isfinite(shapes[:, i]), i] for i, _ in self._parts]
+        blocks = [self.std.freq, self.std.damping[list(self._damped)]]
+        blocks += [self.std.shape[np.isfinite(shapes[:, i]), i] for i, _ in self._parts]
         return np.concatenate(blocks)
 
     @property
@@ -156,12 +156,12 @@ class ModalResidual:
 
     @property
     def n_fitted_factors(self) -> int:
-        """Real numbers fitted to scale and turn the model's shapes; they are no degrees of freedom of the residual."""
+        """Real numbers fitted to the scale and phase of model shapes, which reduce the degrees of freedom."""
         return len(self._parts)
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
-        """The same by mode and kind."""
+        """Fitted factors by mode and kind."""
         counts: dict[tuple[str, str], int] = {}
         for i, _ in self._parts:
             block = (self.problem.measured.names[i], "shape")
@@ -169,15 +169,15 @@ class ModalResidual:
         return counts
 
     @property
-    def scatter_freedom(self) -> dict[str, float]:
-        """Degrees of freedom behind the scatter of each kind of row; infinite where it is known."""
+    def std_dof(self) -> dict[str, float]:
+        """Degrees of freedom behind the standard deviation of each kind of row; infinite where it is known."""
         counts = Counter(self.kinds.tolist())
         counts["shape"] -= self.n_fitted_factors
         own, floors, pool = self.problem.measured, self.floors, self.pool
-        return {k: float(freedom_behind(own, k, n, floors, pool)) for k, n in counts.items() if n > 0}
+        return {k: float(dof_behind(own, k, n, floors, pool)) for k, n in counts.items() if n > 0}
 
     def n_fitted_factors_of(self, modes: Collection[str]) -> int:
-        """The same for some measured modes."""
+        """Number of fitted factors of some measured modes."""
         return sum(self.problem.measured.names[i] in modes for i, _ in self._parts)
 
     # -- at named values -----------------------------------------------------------------------------------------------
@@ -193,11 +193,11 @@ class ModalResidual:
         return False
 
     def with_model(self, model: ModalModel, added: int | None = None) -> ModalResidual:
-        """The same measurement against another model; see `ModalProblem.with_model`."""
+        """The same measurement with another model; see `ModalProblem.with_model`."""
         return replace(self, problem=self.problem.with_model(model, added))
 
     def solve(self, values: Mapping[str, float]) -> Comparison:
-        """Model against measurement at named values; EvaluationError when the model cannot be solved there."""
+        """Comparison at named values; EvaluationError when the model cannot be solved there."""
         return self.problem.compare(values)
 
     def responses(self, solution: Comparison) -> dict[str, float]:
@@ -209,7 +209,7 @@ class ModalResidual:
         return frozenset(self.problem.measured.names[i] for i in solution.pairing.unpaired_measured)
 
     def restored(self, responses: Mapping[str, float]) -> None:
-        """None: responses do not tell the modes."""
+        """None: modes cannot be restored from responses."""
         return
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
@@ -217,10 +217,10 @@ class ModalResidual:
         return self.of(self.solve(values))
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Derivative of the residual, per one of each parameter's own unit, shape (n_rows, n_params).
+        """Derivative of the residual, per unit of each parameter, shape (n_rows, n_params).
 
         Shape rows hold ``-a (I - v v^H/v^H v) dv/std``: the part of the derivative along v, which is proportional to
-        the residual and orthogonal to it, is left out (Kaufman 1975), so that it counts as no information. The gradient
+        the residual and orthogonal to it, is left out (Kaufman 1975), so that it carries no information. The gradient
         of the sum of squares is exact. Rows of unpaired modes, and shape rows of modes without a derivative (see
         `calib.structure.derivatives`), are 0.
         """
@@ -229,7 +229,7 @@ class ModalResidual:
     def slope(
         self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison]
     ) -> np.ndarray:
-        """The same with solutions from ``at``."""
+        """The Jacobian with solutions from ``at``."""
         found = at(self.regular(values, names))
         return self.slope_of(found, names, self.derivatives(found, names, at))
 
@@ -243,16 +243,16 @@ class ModalResidual:
         values : mapping
         names : sequence of str
         at : callable
-            Gives the comparison at named values.
+            Returns the comparison at named values.
 
         Returns
         -------
         labels : tuple of str
-            Name of the measured mode, or ``model 7`` for a model mode without one.
+            Name of the measured mode, or ``model 7`` for an unpaired model mode.
         freq : ndarray (n_modes,)
             Natural frequencies of the model, Hz.
         jacobian : ndarray (n_modes, n_params)
-            Of ``ln natural_freq``, per one of each parameter's own unit.
+            Of ``ln natural_freq``, per unit of each parameter.
         """
         found = at(self.regular(values, names))
         freq, index = found.modes.natural_freq, found.pairing.model_index
@@ -262,9 +262,9 @@ class ModalResidual:
         return labels, freq, (slopes.natural_freq / freq).T
 
     def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
-        """Where derivatives by the named parameters are taken: beside 0 for one that stands under a root.
+        """Point at which derivatives by the named parameters are taken: offset from 0 for one under a square root.
 
-        Modes have a derivative there, which the matrices have not.
+        At 0 the modes have a derivative, but the matrices do not.
         """
         model, out = self.problem.model, self.problem.space.complete(values)
         for name in names:
@@ -281,7 +281,7 @@ class ModalResidual:
     ) -> ModeDerivatives:
         """Derivatives of the paired modes, in the order of the measured modes, with shapes at the sensors.
 
-        ``at`` gives comparisons at other values, for a model whose derivatives are differences; by default they are
+        ``at`` returns comparisons at other values, for a model whose derivatives are differences; by default they are
         solved.
         """
         chosen = found.pairing.model_index[found.pairing.paired]
@@ -304,16 +304,15 @@ class ModalResidual:
     # -- from a comparison ---------------------------------------------------------------------------------------------
 
     def of(self, found: Comparison) -> np.ndarray:
-        """Whitened residual of a comparison already made, shape (n_rows,)."""
-        measured, scatter = self.problem.measured, self.scatter
+        """Whitened residual of an existing comparison, shape (n_rows,)."""
+        measured, std = self.problem.measured, self.std
         freq = found.paired(found.modes.natural_freq)
         ratio = np.maximum(found.paired(found.modes.damping_ratio), _LEAST_RATIO)
         damped = list(self._damped)
         with np.errstate(invalid="ignore"):
             blocks = [
-                np.nan_to_num(np.log(measured.natural_freq / freq), nan=1.0) / scatter.freq,
-                np.nan_to_num(np.log(measured.damping_ratio[damped] / ratio[damped]), nan=1.0)
-                / scatter.damping[damped],
+                np.nan_to_num(np.log(measured.natural_freq / freq), nan=1.0) / std.freq,
+                np.nan_to_num(np.log(measured.damping_ratio[damped] / ratio[damped]), nan=1.0) / std.damping[damped],
             ]
         fitted: dict[int, _FittedShape] = {}
         for i, part in self._parts:
@@ -323,20 +322,20 @@ class ModalResidual:
         return np.concatenate(blocks)
 
     def slope_of(self, found: Comparison, names: Sequence[str], slopes: ModeDerivatives) -> np.ndarray:
-        """Derivative of the residual of a comparison already made; ``slopes`` as from `derivatives`."""
-        scatter, n = self.scatter, len(names)
+        """Derivative of the residual of an existing comparison; ``slopes`` as from `derivatives`."""
+        std, n = self.std, len(names)
         place = {int(i): k for k, i in enumerate(found.pairing.paired)}
         zero = np.zeros(n)
         blocks = []
         for i in range(self.problem.measured.n_modes):
             k = place.get(i)
             freq = zero if k is None else slopes.natural_freq[:, k] / found.modes.natural_freq[self._partner(found, i)]
-            blocks.append(-freq[None] / scatter.freq[i])
+            blocks.append(-freq[None] / std.freq[i])
         for i in self._damped:
             k = place.get(i)
             ratio = 0.0 if k is None else float(found.modes.damping_ratio[self._partner(found, i)])
             known = k is not None and ratio > _LEAST_RATIO
-            blocks.append(-(slopes.damping_ratio[:, k] / ratio if known else zero)[None] / scatter.damping[i])
+            blocks.append(-(slopes.damping_ratio[:, k] / ratio if known else zero)[None] / std.damping[i])
         turned: dict[int, np.ndarray] = {}
         for i, part in self._parts:
             k = place.get(i)
@@ -348,12 +347,12 @@ class ModalResidual:
         return np.vstack(blocks)
 
     def factor_spread(self, found: Comparison) -> np.ndarray:
-        """Change of the residual by one standard deviation of every fitted factor, (n_rows, n_fitted_factors).
+        """Sensitivity of the residual to one standard deviation of every fitted factor, (n_rows, n_fitted_factors).
 
-        The noise n of the sensors that a factor was fitted on moves it by ``v^H n/v^H v`` (whitened entries), in real
-        and imaginary part by ``1/|v|`` each, and so the prediction of all other sensors. It is independent of what that
-        noise does to the parameters, whose derivative is orthogonal to v. Rows of the fitted-on sensors are 0: their
-        own noise is in the residual.
+        The noise n of the sensors used to fit a factor changes it by ``v^H n/v^H v`` (whitened entries), with standard
+        deviation ``1/|v|`` in real and imaginary part each, and with it the predictions at all other sensors. This is
+        independent of the effect of the noise on the parameters, whose derivative is orthogonal to v. Rows of the
+        sensors used are 0: their noise is in the residual.
         """
         blocks = [np.zeros((int(np.sum(self.kinds != "shape")), self.n_fitted_factors))]
         for k, (i, part) in enumerate(self._parts):
@@ -372,7 +371,7 @@ class ModalResidual:
     def _fit(self, found: Comparison, i: int) -> _FittedShape:
         measured, j = self.problem.measured, self._partner(found, i)
         known = np.isfinite(measured.shapes[:, i])
-        target, std = measured.shapes[known, i], self.scatter.shape[known, i]
+        target, std = measured.shapes[known, i], self.std.shape[known, i]
         shape = found.sensor_shapes[known, j] if j >= 0 else np.zeros(len(target))
         on = np.ones(len(target), dtype=bool)
         if self.factor_sensors is not None:
@@ -382,10 +381,10 @@ class ModalResidual:
 
 @dataclass(frozen=True, eq=False)
 class _FittedShape:
-    """One model shape laid over a measured one.
+    """One model shape fitted to a measured one.
 
-    ``on`` marks the entries that factor and phase are fitted on, ``power`` is the square of the whitened shape there,
-    ``turn`` the phase factor of a real comparison.
+    ``on`` marks the entries used to fit factor and phase, ``power`` is the square of the whitened shape there, ``turn``
+    the phase factor of a real comparison.
     """
 
     residual: np.ndarray
@@ -414,7 +413,7 @@ class _FittedShape:
         return cls(u - factor * v, v, factor, power, std, known, on, turn, raw)
 
     def slope(self, shapes: np.ndarray) -> np.ndarray:
-        """Projected derivative of the residual, (n_known, n_params), from the shapes' at all sensors."""
+        """Projected derivative of the residual, (n_known, n_params), from that of the shapes at all sensors."""
         if not self.power > 0:
             return np.zeros((len(self.residual), shapes.shape[1]))
         change, on = shapes[self.known], self.on

@@ -1,4 +1,4 @@
-"""Plain responses against a measurement in units of its scatter, with derivatives by differences."""
+"""Whitened residual of scalar responses, with derivatives by differences."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from calib.outcome import answered
 from calib.space import ParameterSpace
 
 UNKNOWN_STD = 0.01
-"""Standard deviation where none is known, over the size of the value."""
+"""Assumed standard deviation where none is known, relative to the value."""
 
 _DEFINITION = "response residual 1"
-"""Part of the fingerprint; to be counted up whenever the same responses would give another residual or derivative."""
+"""Part of the fingerprint; increment it whenever the same responses would give another residual or derivative."""
 
 
 def response_std(targets: Mapping[str, tuple[float, float | None]]) -> np.ndarray:
-    """Standard deviation of every target, (n_rows,); the assumed share where none is known."""
+    """Standard deviation of every target, (n_rows,); the assumed relative one where none is known."""
     return np.array([std or UNKNOWN_STD * abs(value) for value, std in targets.values()])
 
 
 @dataclass(frozen=True, eq=False)
 class ResponseResidual:
-    """Whitened differences between measured and computed plain responses.
+    """Whitened differences between measured and computed scalar responses.
 
     Rows are (measured - model)/std of every target, in their order.
 
@@ -39,7 +39,7 @@ class ResponseResidual:
     problem : FunctionProblem
         Differences stay within the limits of its space and are one-sided at them.
     step : float
-        Half a difference, over the range between the limits.
+        Half step of a difference, over the range between the limits.
 
     Raises
     ------
@@ -64,12 +64,12 @@ class ResponseResidual:
 
     @property
     def rows(self) -> tuple[ResponseRow, ...]:
-        """What every entry compares, length n_rows."""
+        """Labels of the rows, length n_rows."""
         return response_rows(self.problem.targets)
 
     @property
     def relative_std(self) -> np.ndarray:
-        """Standard deviation of every row over the size of its value, (n_rows,); infinite for a value of 0."""
+        """Relative standard deviation of every row, (n_rows,); infinite for a value of 0."""
         values, std = np.array([value for value, _ in self.problem.targets.values()]), self.std
         return np.divide(std, np.abs(values), out=np.full(len(std), np.inf), where=values != 0)
 
@@ -80,27 +80,27 @@ class ResponseResidual:
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
-        """None: no response has a free factor."""
+        """Empty: no response has a fitted factor."""
         return {}
 
     @property
-    def scatter_freedom(self) -> Mapping[str, float]:
-        """Degrees of freedom behind the scatter of each kind of row; infinite where it is known."""
-        return self.problem.scatter_freedom
+    def std_dof(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the standard deviation of each kind of row; infinite where it is known."""
+        return self.problem.std_dof
 
     @property
     def fingerprint(self) -> str:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
-        told = (list(self.problem.targets.items()), self.step)
-        return digest_of(_DEFINITION, self.problem.fingerprint, told)[:16]
+        content = (list(self.problem.targets.items()), self.step)
+        return digest_of(_DEFINITION, self.problem.fingerprint, content)[:16]
 
     def with_model(self, model: FunctionModel, added: int | None = None) -> ResponseResidual:
-        """The same measured responses against another model; ``added`` is of modes."""
+        """The same measured responses with another model; ``added`` concerns modes and is ignored."""
         return replace(self, problem=self.problem.with_model(model))
 
-    def of(self, answer: Mapping[str, float]) -> np.ndarray:
+    def of(self, solution: Mapping[str, float]) -> np.ndarray:
         """Whitened residual of responses already computed; EvaluationError for one that is missing or not finite."""
-        model = np.array([float(answer.get(name, np.nan)) for name in self.problem.targets])
+        model = np.array([float(solution.get(name, np.nan)) for name in self.problem.targets])
         if not np.isfinite(model).all():
             worst = int(np.argmin(np.isfinite(model)))
             raise EvaluationError(f"the response {list(self.problem.targets)[worst]!r} is {model[worst]}")
@@ -112,27 +112,27 @@ class ResponseResidual:
         return True
 
     def solve(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Responses at named values; EvaluationError where the function, which may be the user's own, gives none."""
+        """Responses at named values; EvaluationError where the function, possibly user code, fails."""
         return answered(self.problem.evaluate, values)
 
     def responses(self, solution: Mapping[str, float]) -> dict[str, float]:
-        """They are the solution."""
+        """Named responses, which are the solution itself."""
         return dict(solution)
 
     def restored(self, responses: Mapping[str, float]) -> dict[str, float]:
-        """A solution from responses that were kept."""
+        """The solution from stored responses."""
         return dict(responses)
 
     def unpaired(self, solution: Mapping[str, float]) -> frozenset[str]:
-        """None: plain responses are told by their names."""
+        """Empty: scalar responses are matched by name."""
         return frozenset()
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """Whitened residual at named values, (n_rows,); EvaluationError where the function gives no answer."""
+        """Whitened residual at named values, (n_rows,); EvaluationError where the function fails."""
         return self.of(self.solve(values))
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Central differences, two evaluations a parameter, (n_rows, n_params); whole numbers count as fixed."""
+        """Central differences, two evaluations per parameter, (n_rows, n_params); integers count as fixed."""
         return self.slope(values, names, self.solve)
 
     def slope(
@@ -141,7 +141,7 @@ class ResponseResidual:
         names: Sequence[str],
         at: Callable[[Mapping[str, float]], Mapping[str, float]],
     ) -> np.ndarray:
-        """The same with solutions from ``at``."""
+        """The Jacobian with solutions from ``at``."""
         return central_jacobian(lambda there: self.of(at(there)), self.problem.space, values, names, self.step)
 
     def frequencies(
@@ -150,5 +150,5 @@ class ResponseResidual:
         names: Sequence[str],
         at: Callable[[Mapping[str, float]], Mapping[str, float]],
     ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-        """None: a function has no modes; see `ModalResidual.frequencies`."""
+        """Empty: a function has no modes; see `ModalResidual.frequencies`."""
         return (), np.zeros(0), np.zeros((0, len(names)))

@@ -1,11 +1,11 @@
-"""Rows of a residual of plain responses."""
+"""Rows and degrees of freedom of scalar responses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from calib.freedom import repeats_freedom
+from calib.degrees_of_freedom import repeats_dof
 from calib.measurement.responses import response_kinds
 
 
@@ -28,20 +28,20 @@ class ResponseRow(NamedTuple):
 
 
 def response_rows(names: Iterable[str]) -> tuple[ResponseRow, ...]:
-    """Rows of the residual of some plain responses, in their order."""
+    """Rows of the residual of some scalar responses, in their order."""
     return tuple(ResponseRow("", kind, name) for name, kind in response_kinds(names).items())
 
 
-def response_freedom(names: Iterable[str], repeats: float | None, shares: Mapping[str, float]) -> dict[str, float]:
-    """Degrees of freedom behind the standard deviations of each kind of some plain responses.
+def response_dof(names: Iterable[str], repeats: float | None, shares: Mapping[str, float]) -> dict[str, float]:
+    """Degrees of freedom behind the standard deviations of scalar responses, by kind.
 
     Parameters
     ----------
     names : iterable of str
     repeats : float or None
-        Behind the standard deviations; None takes them for known.
+        Number behind the standard deviations; None for known ones.
     shares : mapping from response name to float
-        Part of each variance that the repeats tell; 1 for one left out.
+        Part of each variance that the repeats estimate; default 1.
     """
     rows = response_rows(names)
-    return repeats_freedom((row.kind for row in rows), repeats, [shares.get(row.sensor, 1.0) for row in rows])
+    return repeats_dof((row.kind for row in rows), repeats, [shares.get(row.sensor, 1.0) for row in rows])

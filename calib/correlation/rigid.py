@@ -1,4 +1,4 @@
-"""Measured modes that look like the motion of a rigid body."""
+"""Detection of rigid-body motion in measured modes."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from calib.correlation.compare import Comparison
 from calib.measurement.modal import DIRECTIONS, Sensor
 
 LEFT = 0.1
-"""Largest part of a shape's power, per degree of freedom that is left, beside rigid-body motion."""
+"""Largest residual power of a rigid-body shape, per remaining degree of freedom."""
 SPARE = 3
-"""Sensors that must be left beyond the rigid-body motions they can tell apart."""
+"""Least number of sensors beyond the number of distinguishable rigid-body motions."""
 
 COLUMNS = ("mode", "natural_freq", "rigid_share", "sensors", "looks_rigid")
 
@@ -22,7 +22,7 @@ COLUMNS = ("mode", "natural_freq", "rigid_share", "sensors", "looks_rigid")
 def rigid_motions(sensors: Sequence[Sensor]) -> np.ndarray:
     """The six rigid-body motions at sensors: translations and rotations about the middle, (n_sensors, 6).
 
-    NaN for a sensor without a place. Rotations are in the unit that moves the farthest point by 1.
+    NaN for a sensor without coordinates. Rotations are scaled to move the farthest point by 1.
     """
     points = np.array([s.point or (np.nan,) * 3 for s in sensors], dtype=float).reshape(-1, 3)
     if not np.isfinite(points).any():
@@ -41,10 +41,10 @@ def rigid_motions(sensors: Sequence[Sensor]) -> np.ndarray:
 
 
 def rigid_share(shapes: np.ndarray, sensors: Sequence[Sensor]) -> tuple[np.ndarray, np.ndarray]:
-    """Share of each measured shape's power that rigid-body motion explains, and whether it looks like one.
+    """Share of each measured shape's power that rigid-body motion explains, and whether the shape is rigid.
 
-    Least squares on the six motions, by sensors that were measured and have a place. With p motions that n sensors tell
-    apart, a shape looks rigid when ``(1 - share) n/(n - p)`` is at most `LEFT`: a shape of chance gives about 1.
+    Least squares on the six motions, over measured sensors with coordinates. With p distinguishable motions at n
+    sensors, a shape counts as rigid when ``(1 - share) n/(n - p)`` is at most `LEFT`: a random shape gives about 1.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def rigid_share(shapes: np.ndarray, sensors: Sequence[Sensor]) -> tuple[np.ndarr
 
 
 def unpaired_table(found: Comparison) -> pd.DataFrame:
-    """Measured modes without a partner: `COLUMNS`; ``sensors`` counts those that were measured in the mode."""
+    """Measured modes without a partner: `COLUMNS`; ``sensors`` is the number measured in the mode."""
     measured = found.measured
     rows = found.pairing.unpaired_measured
     share, looks = rigid_share(measured.shapes[:, rows], measured.sensors)
@@ -89,16 +89,16 @@ def unpaired_table(found: Comparison) -> pd.DataFrame:
 
 
 def unpaired_sentence(table: pd.DataFrame, model: str) -> str:
-    """What `unpaired_table` says, in words; empty without such modes."""
+    """Summary of `unpaired_table` in words; empty without unpaired modes."""
     if table.empty:
         return ""
-    told = ", ".join(f"{r['mode']} ({r['natural_freq']:.2f} Hz)" for r in table.to_dict("records"))
-    words = f"{model} has no partner for {told}."
+    modes = ", ".join(f"{r['mode']} ({r['natural_freq']:.2f} Hz)" for r in table.to_dict("records"))
+    words = f"{model} has no partner for {modes}."
     rigid = table[table["looks_rigid"]]
     if len(rigid):
         least = math.floor(100 * rigid["rigid_share"].min())
         words += (
             f" At the sensors {', '.join(rigid['mode'])} move{'s' if len(rigid) == 1 else ''} like a rigid body "
-            f"(at least {least} % of the power): what does the structure stand or hang on?"
+            f"(at least {least} % of the power): check how the structure is supported."
         )
     return words

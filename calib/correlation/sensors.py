@@ -1,4 +1,4 @@
-"""Sensors that look wrong, judged on the pairs that would form if they were put right."""
+"""Faulty sensors, tested on the pairs that form once they are corrected."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from calib.measurement.check import (
     SensorFinding,
     check_sensors,
     corrected,
-    evidence_asked,
+    evidence_required,
     log_likelihood_ratio,
     silent_rows,
 )
 
 _TRIED = 12
-"""Corrections of a round that are paired anew: those with the most MAC at the best partners."""
+"""Corrections of a round that are tested by pairing: those with the largest EMAC at the best partners."""
 
 
 def suspicious_sensors(problem: ModalProblem, found: Comparison) -> tuple[SensorFinding, ...]:
-    """Sensors that are turned round, exchanged or dead.
+    """Sensors with inverted sign, exchanged or dead.
 
-    A wrong sensor lowers the MAC of every mode, so that modes lose their partners: those that would accuse it are not
-    among the pairs. The shapes are therefore paired anew under corrections, added one by one while the sum of EMAC
-    rises, and `calib.measurement.check.check_sensors` judges the sensors on these tentative pairs. What it finds counts
-    only if the evidence is as large against the best pairs, the threshold left aside, of the shapes as measured:
-    otherwise the freedom to choose partners would count for the correction alone.
+    A faulty sensor lowers the MAC of every mode, so that modes lose their partners, and with them the evidence of the
+    fault. The shapes are therefore paired under trial corrections, added one by one while the sum of EMAC rises, and
+    `calib.measurement.check.check_sensors` tests the sensors on these tentative pairs. A finding counts only if the
+    evidence is as strong against the best pairs of the shapes as measured, without the threshold: otherwise the freedom
+    to choose partners would favour the correction.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def suspicious_sensors(problem: ModalProblem, found: Comparison) -> tuple[Sensor
     Returns
     -------
     tuple of SensorFinding
-        As from `check_sensors`; empty without shapes.
+        See `check_sensors`; empty without shapes.
     """
     measured = found.measured
     if not measured.has_shapes:
@@ -57,8 +57,8 @@ def suspicious_sensors(problem: ModalProblem, found: Comparison) -> tuple[Sensor
     rows = np.flatnonzero(partners >= 0)
     if findings and search.outweighs(findings[-1].mac_after, rows):
         new = [int(i) for i in rows if partners[i] != found.pairing.model_index[i]]
-        told = ", ".join(f"{measured.names[i]} with model mode {partners[i] + 1}" for i in new)
-        return tuple(replace(f, sentence=f"{f.sentence} (with tentative pairs: {told})") for f in findings)
+        described = ", ".join(f"{measured.names[i]} with model mode {partners[i] + 1}" for i in new)
+        return tuple(replace(f, sentence=f"{f.sentence} (with tentative pairs: {described})") for f in findings)
     return search.check(found.pairing.model_index, names)
 
 
@@ -76,7 +76,7 @@ class _Search:
         return check_sensors(self.found.measured.shapes[:, rows], self.found.sensor_shapes[:, partners[rows]], names)
 
     def tentative(self) -> np.ndarray:
-        """Partner of every measured mode once the shapes are corrected as raises the sum of EMAC most, -1 for none."""
+        """Partners of the measured modes under the corrections that raise the sum of EMAC most, -1 for none."""
         shapes, n = self._spoken(), self.found.measured.n_modes
         chosen: list[Operation] = []
         pairing = self._pair(shapes)
@@ -88,7 +88,7 @@ class _Search:
                 break
             chosen, pairing = tried[best], pairs[best]
         out = pairing.model_index.copy()
-        for i in np.flatnonzero(out < 0):  # a mode that loses its partner by the corrections bears witness against them
+        for i in np.flatnonzero(out < 0):  # a mode that loses its partner by the corrections counts against them
             own = self.found.pairing.model_index[i]
             out[i] = own if own not in out else -1
         return out
@@ -98,10 +98,10 @@ class _Search:
         best = self._pair(self.found.measured.shapes, threshold=0.0)
         without = float(np.nan_to_num(best.mac[rows]).mean())
         n_sensors = len(self.found.measured.sensors)
-        return log_likelihood_ratio(n_sensors, len(rows), without, mac_after) >= evidence_asked(n_sensors)
+        return log_likelihood_ratio(n_sensors, len(rows), without, mac_after) >= evidence_required(n_sensors)
 
     def _spoken(self) -> np.ndarray:
-        """Measured shapes, scaled to a largest modulus of 1, without sensors that say nothing."""
+        """Measured shapes, scaled to a largest modulus of 1, without uninformative sensors."""
         shapes = np.array(self.found.measured.shapes)
         size = np.nanmax(np.where(np.isnan(shapes), 0.0, np.abs(shapes)), axis=0, initial=0.0)
         shapes = shapes / np.where(size > 0, size, 1.0)

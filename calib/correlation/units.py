@@ -1,4 +1,4 @@
-"""Numbers that look like other units: measured frequencies in rad/s, responses in millimetres."""
+"""Detection of unit errors: measured frequencies in rad/s, responses in millimetres."""
 
 from __future__ import annotations
 
@@ -8,38 +8,38 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 NEAR = 0.25
-"""Relative error by which a ratio of measured over model may miss a factor: models err, but rarely all alike."""
+"""Relative tolerance of a ratio of measured over model to a factor, for errors of the model."""
 SHARE = 0.75
-"""Share of the modes paired by shape that must show the factor."""
+"""Least fraction of the modes paired by shape that show the factor."""
 MAC_SURE = 0.7
-"""MAC from which on a pair is taken whatever its frequencies are."""
+"""MAC from which a pair is accepted whatever its frequencies."""
 FEWEST_BY_ORDER, FEWEST_BY_SHAPE = 3, 2
 FAR = 100.0
-"""A value that is further off than this is told even if no factor explains it."""
+"""Ratio beyond which a value is reported even if no factor explains it."""
 FREQ_FACTORS: Mapping[float, str] = {
     2 * math.pi: "look like rad/s",
     60.0: "look like 1/min",
     1e3: "look like mHz, or the model's units do not fit together",
     1e6: "look like units that do not fit together (N/mm against N/m, tonnes against kg)",
 }
-"""Factors of measured over model frequency; upside down they are the model's."""
+"""Factors of measured over model frequency; inverted for the model's."""
 VALUE_FACTORS = (1e3, 1e6, 1e9)
 
 
 def frequency_hint(
     measured: Sequence[float] | np.ndarray, model: Sequence[float] | np.ndarray, mac: np.ndarray | None = None
 ) -> str | None:
-    """A sentence when measured and model frequencies are a known factor apart; None when they are not.
+    """A sentence when measured and model frequencies differ by a known factor, else None.
 
-    Where at least two measured modes have a model mode with a MAC from 0.7, whatever its frequency, these are compared;
-    without (or with fewer than half of the modes so), both are by ascending order, from three modes on. By shape, three
-    quarters of the ratios, and their median, must lie within 25 % of the factor; by order, where a mode more on one
-    side shifts the others, all of them; or all of them beyond 100.
+    Modes are matched by shape where at least two measured modes, and half of them, have a model mode with a MAC of 0.7
+    or more, whatever its frequency; else by ascending order, with at least three modes. By shape, three quarters of the
+    ratios, and their median, must lie within 25 % of the factor; by order, where one extra mode shifts the others, all
+    of them. Ratios that all exceed 100 are reported too.
 
     Parameters
     ----------
     measured, model : ndarray (n_measured,), (n_model,)
-        Natural frequencies, Hz; roots of the model that are no vibrations left out.
+        Natural frequencies, Hz; vibration modes only.
     mac : ndarray (n_measured, n_model), optional
     """
     ours, theirs = np.asarray(measured, dtype=float), np.asarray(model, dtype=float)
@@ -65,10 +65,10 @@ def frequency_hint(
 
 
 def response_hints(measured: Mapping[str, float], model: Mapping[str, float]) -> tuple[str, ...]:
-    """Sentences for plain responses that are far from the model's: near 1e3, 1e6 or 1e9, or in rad/s.
+    """Sentences for scalar responses that are far from the model's: near 1e3, 1e6 or 1e9, or in rad/s.
 
-    A single response is told from a factor of `FAR` on. Responses named alike up to the first underscore (``freq_1``,
-    ``freq_2``) are frequencies in rad/s when all, and at least three, are near 2 pi.
+    A single response is reported from a factor of `FAR` on. Responses with the same name up to the first underscore
+    (``freq_1``, ``freq_2``) are frequencies in rad/s when all, and at least three, are near 2 pi.
     """
     usable = [n for n in measured if measured[n] and model.get(n) and math.isfinite(model[n])]
     ratio = {n: abs(measured[n] / model[n]) for n in usable}
@@ -78,7 +78,7 @@ def response_hints(measured: Mapping[str, float], model: Mapping[str, float]) ->
         factor = next((f for f in VALUE_FACTORS if abs(math.log(max(r, 1 / r) / f)) < math.log(1 + NEAR)), None)
         size = f"about {factor:g}" if factor is not None else f"{max(r, 1 / r):.2g}"
         first, second = ("measured", "model's") if r > 1 else ("model's", "measured")
-        words = f"The {first} value of {name} is {size} times the {second}: are the units the same?"
+        words = f"The {first} value of {name} is {size} times the {second}: check the units."
         out.append(words)
     heads: dict[str, list[float]] = {}
     for name in usable:
@@ -94,7 +94,7 @@ def response_hints(measured: Mapping[str, float], model: Mapping[str, float]) ->
 
 
 def _by_shape(measured: np.ndarray, model: np.ndarray, mac: np.ndarray | None) -> np.ndarray | None:
-    """Ratios of the modes with a sure partner by shape; None when these are too few."""
+    """Ratios of the modes with a certain partner by shape; None when these are too few."""
     if mac is None or not len(model):
         return None
     known = np.nan_to_num(mac)
@@ -106,7 +106,7 @@ def _by_shape(measured: np.ndarray, model: np.ndarray, mac: np.ndarray | None) -
 
 
 def _by_order(measured: np.ndarray, model: np.ndarray) -> np.ndarray | None:
-    """Ratios in ascending order, rigid-body motion left out; None when these are too few."""
+    """Ratios in ascending order, without rigid-body motion; None when these are too few."""
     vibrations = np.sort(model[model > 1e-4 * np.max(model, initial=0.0)])
     count = min(len(measured), len(vibrations))
     if count < FEWEST_BY_ORDER:

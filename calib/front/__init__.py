@@ -1,1 +1,1 @@
-"""The front door: what a notebook says, in as many words. The names stand in `calib` itself."""
+"""The Python interface: `calib.Problem`, `calib.Fit`, `calib.Study` and their results."""

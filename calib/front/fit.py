@@ -1,4 +1,4 @@
-"""Fit: a problem solved."""
+"""Fit: the solution of a problem, with what the data determine."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
-from calib.front.asked import Effects, P
+from calib.analyses.fit_statistics import FitStatistics
 from calib.front.explained import Explained, explained
 from calib.front.page import draw, write_pages
+from calib.front.posed import Effects, P
 from calib.front.responses import own
 from calib.front.search import Searched
 from calib.front.shown import Compared, Shown
 from calib.given import path as path_of
-from calib.questions.judge import Judgement
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,55 +22,55 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(Shown, Generic[P]):
-    """A problem solved, and what is known of its parameters there.
+    """A fitted problem with the covariance and identifiability of its parameters.
 
     Attributes
     ----------
     problem : Problem
-        With the fitted parameters free.
-    judgement : Judgement
+        Its free parameters are the fitted ones.
+    statistics : FitStatistics
     search : Searched or None
-        The genetic searches that led here; None without one.
+        The genetic searches before least squares; None without.
     """
 
     problem: P
-    judgement: Judgement
+    statistics: FitStatistics
     search: Searched | None = None
 
     @property
     def values(self) -> dict[str, float]:
         """All parameters, each in its own unit."""
-        return self.judgement.values
+        return self.statistics.values
 
     @cached_property
     def parameters(self) -> Any:
-        """One row a fitted parameter: value, standard deviation, and whether the data determine it.
+        """One row per fitted parameter: value, standard deviation, and whether the data determine it.
 
-        Columns as of `calib.inference.verdicts.parameter_verdicts`; the index is the parameter.
+        Columns as in `calib.inference.verdicts.parameter_verdicts`; the index is the parameter.
         """
-        return self.judgement.verdicts(self.problem.space, {}).set_index("parameter")
+        return self.statistics.verdicts(self.problem.space, {}).set_index("parameter")
 
     @property
     def table(self) -> Any:
-        """What is shown of the parameters."""
+        """The main columns of `parameters`."""
         shown = ["value", "unit", "std", "identified", "on_bound", "confounded_with"]
         return self.parameters[shown].reset_index()
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Whether the model fits, what is known of each parameter, and whether searches agree."""
-        each = (f"{name}: {told}" for name, told in self.parameters["sentence"].items())
-        return (self.judgement.sentence, *each, *(self.search.sentences if self.search else ()))
+        """Goodness of fit, identifiability of each parameter, and whether the searches agree."""
+        each = (f"{name}: {sentence}" for name, sentence in self.parameters["sentence"].items())
+        return (self.statistics.sentence, *each, *(self.search.sentences if self.search else ()))
 
     def __repr__(self) -> str:
         known = int(self.parameters["identified"].fillna(False).astype(bool).sum())
-        return f"Fit({len(self.parameters)} parameters, {known} identified; p = {self.judgement.p_fit:.2g})"
+        return f"Fit({len(self.parameters)} parameters, {known} identified; p = {self.statistics.p_fit:.2g})"
 
     @cached_property
     def errors(self) -> Any:
-        """Errors on data used, left out in turn and held out, in units of the scatter, test by test.
+        """Errors on fitted, left-one-out and held-out data, in standard deviations, test by test.
 
-        ``test, group, rows, rms, expected, p, unpaired``; ``expected`` is what a right model would show.
+        ``test, group, rows, rms, expected, p, unpaired``; ``expected`` is the rms of a correctly specified model.
         """
         import pandas as pd
 
@@ -95,19 +95,19 @@ class Fit(Shown, Generic[P]):
         name : str
             ``frequency_errors``, ``mac``, ``mac_matrix``, ``comac`` (before and after the fit) or ``parameters``.
         ax : Axes, optional
-            Where it is drawn; a figure of its own by default.
+            Axes to draw on; a new figure by default.
         test : str
-            Whose modes are drawn, where there are several tests.
+            Name of the test, where there are several.
 
         Raises
         ------
         InputError
-            For an unknown figure or test, and where nothing was measured that it shows.
+            For an unknown figure or test, and where the data for it were not measured.
         """
         return draw(self, name, test, ax)
 
     def report(self, path: str | Path) -> tuple[Path, ...]:
-        """Write a page that tells the fit and opens anywhere, offline; of several tests one each, with its name.
+        """Write an HTML report of the fit that opens offline; for several tests one file each, with the test's name.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What is told of a study while it is asked."""
+"""Callbacks that report the progress and results of a study's analyses."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TypeAlias
 
-from calib.missing.findings import Findings
-from calib.questions.added import Added
-from calib.questions.compare import Answer
-from calib.questions.explanation import Explanation
-from calib.questions.extend import Extension
-from calib.questions.joint_calibration import Fitted
-from calib.questions.sensitivity import Screening, Sensitivity
-from calib.questions.versions import Versions
+from calib.analyses.added import Added
+from calib.analyses.compare import ComparisonResult
+from calib.analyses.explanation_result import ExplanationResult
+from calib.analyses.extend import Extension
+from calib.analyses.joint_calibration import Fitted
+from calib.analyses.sensitivity import Screening, Sensitivity
+from calib.analyses.versions import Versions
+from calib.missing.explanation import Explanation
 from calib.results import Results
 from calib.study import Study
 from calib.study_file import StudyFile
@@ -25,55 +25,55 @@ Doing: TypeAlias = Callable[[str], None]
 
 
 class Listener:
-    """Is told what happens while a study is asked; this one keeps quiet, the command's prints it."""
+    """Receives progress and results of a study's analyses; this one is silent, that of the command prints them."""
 
     def samples(self) -> AbstractContextManager[Sampled]:
-        """Takes samples done and their number."""
+        """Callback for the number of samples done and their total."""
         return nullcontext(lambda done, total: None)
 
     def search(self) -> AbstractContextManager[Searched]:
-        """Takes case, generation, number of generations and the best misfit so far."""
+        """Callback for case, generation, number of generations and the best misfit so far."""
         return nullcontext(lambda case, generation, generations, best: None)
 
     def doing(self) -> AbstractContextManager[Doing]:
-        """Takes what is being done, in words."""
+        """Callback for the current step, in words."""
         return nullcontext(lambda words: None)
 
     def first(self, earlier: StudyFile, path: Path) -> None:
-        """An earlier study is calibrated first, since the one asked takes its values over."""
+        """An earlier study is calibrated first, since this one adopts its values."""
 
     def begins(self, study: StudyFile, verb: str) -> None:
-        """A question begins."""
+        """An analysis begins."""
 
     def other_state(self, rows: int) -> None:
-        """So many stored evaluations are of another state of the study."""
+        """Number of stored evaluations that belong to another state of the study."""
 
-    def compared(self, study: Study, answer: Answer, folder: Results) -> None:
+    def compared(self, study: Study, answer: ComparisonResult, folder: Results) -> None:
         """Model and measurement were compared."""
 
     def sampled(self, study: Study, answer: Sensitivity, folder: Results) -> None:
-        """Parameters were judged by what they change."""
+        """A sensitivity analysis by rank correlations is done."""
 
     def screened(self, answer: Screening, folder: Results) -> None:
-        """The same by Morris or Sobol."""
+        """A sensitivity analysis by Morris or Sobol is done."""
 
     def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
         """Parameters were fitted."""
 
-    def explained(self, study: StudyFile, answer: Explanation, folder: Results) -> None:
-        """What the model lacks was asked."""
+    def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
+        """An explanation is done."""
 
-    def may_add(self, study: StudyFile, found: Findings) -> None:
-        """The answer to that was asked by itself: what was named may be added."""
+    def may_add(self, study: StudyFile, found: Explanation) -> None:
+        """An explanation was requested by itself: its named effects may be added."""
 
     def extended(self, written: Extension) -> None:
         """A study with more effects was written."""
 
     def added(self, answer: Added, written: Extension, folder: Results) -> None:
-        """What was named was added and calibrated."""
+        """The named effects were added and the extended model calibrated."""
 
     def nothing_added(self, sentence: str) -> None:
-        """Why nothing was added."""
+        """No effect was added; the sentence says why."""
 
     def versions(self, found: Versions) -> None:
         """Errors over the versions of a model."""

@@ -1,4 +1,4 @@
-"""What a fit shows beyond its numbers: figures of its tables, and the page a study would have of them."""
+"""Figures and the HTML report of a fit, drawn from the same tables as those of a study."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from calib.analyses.calibrate import tables_of
+from calib.analyses.compare import ComparisonResult, before_and_after, comparison_of, write_comparison
+from calib.analyses.record import assumptions_of, made_with, sensors_table
 from calib.errors import InputError
-from calib.front.asked import Solved
+from calib.front.posed import Solved
 from calib.front.responses import own
 from calib.front.test import ModalTest, Model, ResponseTest, Test
 from calib.inference.cases import CaseResult
 from calib.problem import Counts
-from calib.questions.calibrate import tables_of
-from calib.questions.compare import Answer, answer_of, before_and_after, write_answer
-from calib.questions.record import assumptions_of, made_with, sensors_table
 from calib.results import Results
 from calib.written import whole
 
@@ -25,17 +25,18 @@ if TYPE_CHECKING:
 
 
 CASE = "fit"
-"""What tables call the only case of a fit."""
+"""Name of the only case of a fit in tables."""
 
 
 FIGURES = ("frequency_errors", "mac", "mac_matrix", "comac", "parameters")
 """Figures of a fit."""
 
 
-def compared(fit: Solved, test: Test, model: Model) -> tuple[Answer, Answer]:
-    """One test before the fit, at the adopted values, and after it."""
+def compared(fit: Solved, test: Test, model: Model) -> tuple[ComparisonResult, ComparisonResult]:
+    """One test before the fit, at the nominal values, and after it."""
     before, after = (
-        answer_of(test.problem(model), own(model, test, values)) for values in (fit.problem.space.values, fit.values)
+        comparison_of(test.problem(model), own(model, test, values))
+        for values in (fit.problem.space.values, fit.values)
     )
     return before, after
 
@@ -58,14 +59,14 @@ def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
 
     if name not in FIGURES:
         raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
-    model, asked = chosen(fit, test)
+    model, selected = chosen(fit, test)
     if name == "parameters":
         return draw_parameters(_tables(fit)["parameters"], ax)
-    if isinstance(asked, ResponseTest):
-        raise InputError("it has no modes", place=f"test {asked.name}", remedy="draw its parameters")
-    if name != "frequency_errors" and not asked.used.has_shapes:
-        raise InputError("no shapes were measured", place=f"test {asked.name}", remedy="draw the frequency errors")
-    before, after = compared(fit, asked, model)
+    if isinstance(selected, ResponseTest):
+        raise InputError("it has no modes", place=f"test {selected.name}", remedy="draw its parameters")
+    if name != "frequency_errors" and not selected.used.has_shapes:
+        raise InputError("no shapes were measured", place=f"test {selected.name}", remedy="draw the frequency errors")
+    before, after = compared(fit, selected, model)
     if name == "frequency_errors":
         return draw_frequency_error(before.table, after.table, ax)
     if name == "mac":
@@ -78,7 +79,7 @@ def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
 
 def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
     """See `calib.front.fit.Fit.report`."""
-    from calib.report.html.answers import Answers
+    from calib.report.html.study_results import StudyResults
     from calib.report.html.write import page
 
     pairs = fit.problem.pairs
@@ -88,7 +89,7 @@ def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
         synthetic = isinstance(test, ModalTest) and test.modes.synthetic
         with tempfile.TemporaryDirectory() as folder:
             _write(fit, model, test, Results(Path(folder)))
-            text = page(Answers(Path(folder), f"{model.name} against {test.name}", synthetic))
+            text = page(StudyResults(Path(folder), f"{model.name} against {test.name}", synthetic))
         try:
             with whole(where) as draft:
                 draft.write_text(text, encoding="utf-8")
@@ -101,10 +102,10 @@ def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
 
 
 def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
-    """The tables that the page reads."""
+    """Write the tables that the report reads."""
     before, after = compared(fit, test, model)
-    write_answer(folder, before, "before")
-    write_answer(folder, after, "after")
+    write_comparison(folder, before, "before")
+    write_comparison(folder, after, "after")
     for name, table in _tables(fit).items():
         folder.write_table(name, table)
     errors = fit.errors
@@ -124,7 +125,7 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     folder.write_json("record", {
         "notebook": True,
         "model": f"{model.name} ({test.pair(model).fingerprint})",
-        "questions": {
+        "analyses": {
             "compare": {**made_with(), "quick": False, "sentences": list(before.sentences)},
             "calibrate": {**made_with(), "quick": False, "sentences": list(fit.sentences)},
         },
@@ -132,6 +133,6 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
 
 
 def _tables(fit: Solved) -> dict[str, pd.DataFrame]:
-    """What a fit found, as the tables of a study tell it."""
-    result = CaseResult.fitted(CASE, fit.judgement.values, Counts(), pd.DataFrame(), 0.0)
-    return tables_of(fit.problem.space, [(result, fit.judgement)], fit.judgement)
+    """The tables of a fit, in the form of a study's."""
+    result = CaseResult.fitted(CASE, fit.statistics.values, Counts(), pd.DataFrame(), 0.0)
+    return tables_of(fit.problem.space, [(result, fit.statistics)], fit.statistics)

@@ -1,4 +1,4 @@
-"""Problem: models and their tests over one parameter space, and every question that can be asked of them."""
+"""Problem: models and their tests over one parameter space, with every analysis as a method."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from calib.analyses.compare import comparison_of
+from calib.analyses.fit_statistics import Terms, fitted, statistics_at
+from calib.analyses.uncertainty import in_words
 from calib.errors import InputError
 from calib.executor import Injected
-from calib.front.asked import Effects
 from calib.front.explained import Explained, Library, explained, library_of
 from calib.front.fit import Fit
+from calib.front.posed import Effects
 from calib.front.responses import own
 from calib.front.search import refined, searched
 from calib.front.sensitivity import Assessed, assessed
@@ -26,9 +29,6 @@ from calib.inference.genetic import GeneticSettings
 from calib.joint import JointProblem
 from calib.problem import Counts
 from calib.problem import Problem as Posed
-from calib.questions.compare import answer_of
-from calib.questions.judge import Terms, fitted, judged
-from calib.questions.scatter import in_words
 from calib.sampling import sample
 from calib.space import ParameterSpace
 from calib.structure.extend import extend
@@ -36,31 +36,31 @@ from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 
 REFITS = 40
-"""Combinations of whole-number parameters that a fit tries from every start."""
+"""Combinations of integer parameters that a fit tries from every start."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem:
-    """Models and what the real things did, over one parameter space.
+    """Models and their tests over one parameter space.
 
-    Nothing is written anywhere; a study in a folder (`calib.Study`) keeps its answers.
+    Nothing is written to disk; a study in a folder (`calib.Study`) stores its results.
 
     Attributes
     ----------
     model : StructuralModel, ModalFunctionModel or FunctionModel
     tests : ModalTest or ResponseTest, or a sequence of them
-        Of that model, each under its own condition.
+        Tests of that model, each under its own condition.
     beside : tuple of Problem
-        Other models with their tests; what has one name is one parameter. See `join`.
+        Other models with their tests; parameters of the same name are shared. See `join`.
 
     Raises
     ------
     InputError
-        Where models, tests and parameters do not fit together.
+        Where models, tests and parameters are inconsistent.
 
     Examples
     --------
-    A mass on a spring, whose frequency was measured empty and with 25 kg on it:
+    A mass on a spring; its frequency was measured empty and loaded with 25 kg:
 
     >>> import math
     >>> import calib
@@ -95,7 +95,7 @@ class Problem:
                 raise InputError(
                     f"two tests are named {name!r}", place="problem", remedy='give each its own, such as name="loaded"'
                 )
-        for p in self.space.free:  # asking for the space tells what else does not fit together
+        for p in self.space.free:  # building the space raises any other inconsistency
             if not p.lower <= p.value <= p.upper:
                 raise InputError(
                     f"value {p.value:g} {p.unit} is outside its limits [{p.lower:g}, {p.upper:g}]",
@@ -104,7 +104,7 @@ class Problem:
 
     @staticmethod
     def join(first: Problem, *others: Problem) -> Problem:
-        """Several problems as one: parameters of one name are one, see `calib.joint.joined`."""
+        """Several problems as one; parameters of the same name are shared, see `calib.joint.joined`."""
         first, *rest = objects((first, *others), Problem, "join")
         return replace(first, beside=(*first.beside, *rest))
 
@@ -114,13 +114,13 @@ class Problem:
 
     @property
     def pairs(self) -> tuple[tuple[Model, Test], ...]:
-        """Every test with its model, which has the parameters that the test's condition holds fixed there."""
+        """Every test with its model, whose parameters are fixed as the test's condition says."""
         first = tuple((under(self.model, test.name, test.condition), test) for test in self._tests)
         return (*first, *(pair for problem in self.beside for pair in problem.pairs))
 
     @property
     def by_model(self) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
-        """Every model with all of its tests, as it is under no condition."""
+        """Every model, no condition applied, with all of its tests."""
         out: dict[str, tuple[Model, tuple[Test, ...]]] = {}
         for model, tests in ((self.model, self._tests), *(pair for p in self.beside for pair in p.by_model)):
             known, before = out.get(model.fingerprint, (model, ()))
@@ -129,12 +129,12 @@ class Problem:
 
     @property
     def space(self) -> ParameterSpace:
-        """All parameters that no test's condition holds; free are those that a fit may move."""
+        """All parameters except those that a test's condition sets; free are those that a fit may move."""
         return self.posed.space
 
     @cached_property
     def posed(self) -> Posed[Any] | JointProblem:
-        """What fits ask: rows, responses, residual and Jacobian."""
+        """Rows, responses, residual and Jacobian, as fits use them."""
         counts = Counts()
         made = {
             test.name: Posed(test.pair(model), model.space.without(dict(test.condition)), counts=counts)
@@ -143,11 +143,11 @@ class Problem:
         return next(iter(made.values())) if len(made) == 1 else JointProblem(made)
 
     def __repr__(self) -> str:
-        told = ", ".join(f"{model.name} against {test.name}" for model, test in self.pairs)
-        return f"Problem({told}; {len(self.posed.rows)} rows, {len(self.space.free)} free parameters)"
+        pairs = ", ".join(f"{model.name} against {test.name}" for model, test in self.pairs)
+        return f"Problem({pairs}; {len(self.posed.rows)} rows, {len(self.space.free)} free parameters)"
 
     def keep(self, names: Sequence[str]) -> Problem:
-        """The same with only the named parameters free; the others keep their adopted values."""
+        """A copy with only the named parameters free; the others keep their nominal values."""
         kept = self.space.keep(names_of(names, "parameters"))
         return self._holding({p.name: p.value for p in kept.parameters if p.distribution == "fixed"})
 
@@ -157,9 +157,9 @@ class Problem:
         return replace(self, model=replace(self.model, space=space), beside=beside)
 
     def with_effects(self, effects: Effects) -> Problem:
-        """The same with effects in its model, their strengths free.
+        """A copy with effects in its model, their magnitudes free.
 
-        Those of joined problems stay as they are, unless effects are given by the name of the model.
+        Models of joined problems are unchanged, unless effects are given by the name of the model.
         """
         return self._with(library_of(self, effects))
 
@@ -170,10 +170,10 @@ class Problem:
             model = extend(model, own) if isinstance(model, StructuralModel) else extend_function(model, own)
         return replace(self, model=model, beside=tuple(p._with(effects) for p in self.beside))
 
-    # -- questions -----------------------------------------------------------------------------------------------------
+    # -- analyses ------------------------------------------------------------------------------------------------------
 
     def compare(self, values: Mapping[str, float] | None = None) -> Compared:
-        """Models against tests at named values, or at the adopted ones; nothing is fitted.
+        """Compare models and tests at given values, by default the nominal ones, without fitting.
 
         Raises
         ------
@@ -182,20 +182,20 @@ class Problem:
         """
         complete = self._complete({} if values is None else values)
         return Compared(
-            {test.name: answer_of(test.problem(model), own(model, test, complete)) for model, test in self.pairs}
+            {test.name: comparison_of(test.problem(model), own(model, test, complete)) for model, test in self.pairs}
         )
 
     def calibrate(self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1) -> Fit[Problem]:
-        """Fit by least squares, in units of the scatter and with the priors, and judge what the data determine.
+        """Fit by weighted least squares with the priors, and assess which parameters the data determine.
 
         Parameters
         ----------
         parameters : sequence of str
-            Those to be fitted; all free ones by default.
+            Parameters to fit; all free ones by default.
         starts : int
-            Points that the fit begins at: the adopted values, then Latin hypercube points.
+            Number of starting points: the nominal values, then Latin hypercube points.
         seed : int
-            Of these points.
+            Seed of these points.
 
         Raises
         ------
@@ -207,8 +207,8 @@ class Problem:
         starts, seed = whole(starts, 1, "starts"), whole(seed, 0, "seed")
         problem = self._of(parameters)
         space = problem.space
-        drawn = sample(space, starts - 1, seed).points if starts > 1 else ()
-        points = [space.values, *(space.complete(point) for point in drawn)]
+        sampled = sample(space, starts - 1, seed).points if starts > 1 else ()
+        points = [space.values, *(space.complete(point) for point in sampled)]
         return Fit(problem, fitted(problem.posed, problem.terms, points, REFITS))
 
     def search(
@@ -221,40 +221,41 @@ class Problem:
         seed: int = 1,
         executor: Executor | Injected | None = None,
     ) -> Fit[Problem]:
-        """Fit by genetic search from several seeds, then by least squares from where these ended.
+        """Fit by genetic searches from several seeds, followed by least squares.
 
-        The search makes small the sum over all tests of relative frequency errors and MAC deficits, or of relative
-        errors of plain responses (Ribeiro et al. 2013). Least squares then are those of `calibrate`, from every case's
-        end and from the adopted values; these win only where the data clearly prefer them. What the searches alone have
-        found is the fit's ``search``. Models are solved as they are: only a study searches on a reduced basis.
+        The search minimises the sum over all tests of relative frequency errors and MAC deficits, or of relative errors
+        of scalar responses (Ribeiro et al. 2013). Least squares, as in `calibrate`, then start from the end of every
+        case and from the nominal values; the solution of the latter is taken only where the data clearly prefer it.
+        The fit's ``search`` holds the results of the searches alone. Models are solved at full order: only a study
+        searches on a reduced basis.
 
         Parameters
         ----------
         parameters : sequence of str
-            Those to be fitted; all free ones by default.
+            Parameters to fit; all free ones by default.
         cases : int
-            Independent searches, of seeds ``seed, seed + 1, ...``; whether they agree tells whether the solution is the
-            only one.
+            Number of independent searches, with seeds ``seed, seed + 1, ...``; their agreement shows whether the
+            solution is unique.
         population, generations : int
-            Each case asks for ``population * generations`` points; further settings are those of
+            Each case requests ``population * generations`` points; further settings are those of
             `calib.inference.genetic.GeneticSettings`.
         seed : int
-            Of the first case. Same seed, same fit, whatever the executor.
+            Seed of the first case. Same seed, same fit, whatever the executor.
         executor : concurrent.futures.Executor or calib.executor.Injected, optional
-            Evaluates the points of a generation; without one this process does. Threads suit models that are solved
-            outside Python; other processes must be able to import the model's functions. It stays yours: shut it down.
+            Evaluates the points of a generation; this process by default. Threads suit models that are solved outside
+            Python; other processes must be able to import the model's functions. The caller shuts it down.
 
         Raises
         ------
         InputError
-            For an unknown or a fixed parameter, and a model that the executor's processes cannot be sent.
+            For an unknown or a fixed parameter, and a model that cannot be sent to the executor's processes.
         EvaluationError
             When no point of an initial population can be evaluated.
 
         Examples
         --------
-        The two frequencies of a chain fit two pairs of stiffnesses, of which its sag tells the right one. Least squares
-        alone stay at the pair they begin near:
+        Two pairs of stiffnesses fit the two frequencies of a chain; its sag discriminates between them. Least squares
+        alone stay at the pair near which they start:
 
         >>> import numpy as np
         >>> import calib
@@ -289,29 +290,29 @@ class Problem:
         seed: int = 1,
         executor: Executor | Injected | None = None,
     ) -> Assessed:
-        """Which parameters matter: a Latin hypercube within the limits, rank correlations, influence, a selection.
+        """Global sensitivity: a Latin hypercube within the limits, rank correlations, variance shares, a selection.
 
         Parameters
         ----------
         parameters : sequence of str
-            Those to be varied; all free ones by default. The others keep their values.
+            Parameters to vary; all free ones by default. The others keep their nominal values.
         samples : int
-            Points that keep the constraints.
+            Number of points that keep the constraints.
         seed : int
-            Of the points.
+            Seed of the points.
         executor : concurrent.futures.Executor or calib.executor.Injected, optional
-            As of `search`.
+            As in `search`.
 
         Raises
         ------
         InputError
-            For an unknown or a fixed parameter, and constraints that hardly any point keeps.
+            For an unknown or a fixed parameter, and for constraints that hardly any point keeps.
         EvaluationError
             When no point can be evaluated.
 
         Examples
         --------
-        Of a beam's parameters the frequency depends on the thickness most, and on the colour not at all:
+        The frequency of a beam depends mostly on its thickness, and not on its colour:
 
         >>> import calib
         >>> space = calib.ParameterSpace((
@@ -329,37 +330,38 @@ class Problem:
         return assessed(self._of(parameters), samples, seed, executor)
 
     def judge(self, values: Mapping[str, float]) -> Fit[Problem]:
-        """What the data say about the parameters at given values, nothing fitted."""
-        return Fit(self, judged(self.posed, self.terms, self._complete(values)))
+        """Fit statistics at given values, without fitting."""
+        return Fit(self, statistics_at(self.posed, self.terms, self._complete(values)))
 
     def _of(self, parameters: Sequence[str]) -> Problem:
-        """The problem of the named parameters; itself without any."""
+        """The problem with only the named parameters free; itself without any names."""
         return self.keep(chosen) if (chosen := names_of(parameters, "parameters")) else self
 
     def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
         return self.space.complete(values_of(values, "values"))
 
     def explain(self, effects: Effects = (), *, seed: int = 1) -> Explained[Problem]:
-        """Which of some effects the models lack: calibrate, test, fit the promising ones, check what is left.
+        """Find which effects the models lack: calibrate, test, refit with promising effects, test the remaining misfit.
 
-        Without effects it tells whether anything is missing, and where a local change would help most. All tests are
-        asked together. An effect acts in every test of its model.
+        Without effects it reports whether anything is missing, and which local perturbation fits best. All tests are
+        analysed together. An effect acts in every test of its model.
 
         Parameters
         ----------
         effects : sequence of Effect, or mapping from str to sequences of them
-            What the model may lack; of joined problems by the name of the model. What has one name is one effect.
+            Effects that the model may lack; for joined problems by the name of the model. Effects of the same name are
+            one effect.
         seed : int
-            Of the draws behind probabilities and advice.
+            Seed of the samples behind probabilities and the recommended measurement.
 
         Raises
         ------
         InputError
-            Where too little was measured to name anything.
+            Where too little was measured to name any effect.
         """
         return explained(self, effects, seed)
 
     @property
     def terms(self) -> Terms:
-        """What fits are judged by, beside the rows."""
+        """Inputs of the fit statistics besides the rows."""
         return Terms(assumed=in_words(a for _, test in self.pairs for a in test.assumed))

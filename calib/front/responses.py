@@ -1,4 +1,4 @@
-"""Responses of all tests of a problem at many points, in this process or by an executor that is given."""
+"""Responses of all tests of a problem at many points, evaluated in this process or by a given executor."""
 
 from __future__ import annotations
 
@@ -7,50 +7,50 @@ from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
+from calib.analyses.case import objective_for
+from calib.analyses.sensitivity import sensitivity_responses
 from calib.evaluate import Evaluator
 from calib.executor import ExecutorEvaluator, Injected
 from calib.forward import ForwardProblem
-from calib.front.asked import Asked
+from calib.front.posed import PosedProblem
 from calib.front.test import Model, Test
 from calib.inference.objective import JointObjective, Objective
 from calib.joint import of_test
 from calib.outcome import Function
-from calib.questions.case import objective_for
-from calib.questions.sensitivity import sensitivity_responses
 
 
 def own(model: Model, test: Test, values: Mapping[str, float]) -> dict[str, float]:
-    """What a model takes of the values of all tests: those it has, except what the test's condition holds."""
+    """The values that belong to a model, except those that the test's condition sets."""
     return {name: v for name, v in values.items() if name in model.space and name not in test.condition}
 
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """What searches and samples ask: named values in, named responses out.
+    """The forward model of searches and samples: named values in, named responses out.
 
     Attributes
     ----------
     problems : mapping from str to ForwardProblem
-        Each test's model against what its fit sees, by name of the test.
+        Each test's model against the data in use, by name of the test.
     names : mapping from str to set of str
-        Parameters that each takes of the values of all.
+        Parameters of each test.
     """
 
     problems: Mapping[str, ForwardProblem]
     names: Mapping[str, frozenset[str]]
 
     @classmethod
-    def of(cls, problem: Asked) -> Responses:
-        """Those of a problem."""
+    def of(cls, problem: PosedProblem) -> Responses:
+        """Responses of a problem."""
         names = {test.name: frozenset(own(model, test, model.space.values)) for model, test in problem.pairs}
         return cls({test.name: test.problem(model) for model, test in problem.pairs}, names)
 
     def __call__(self) -> Function:
-        """The function, as an evaluator asks for it."""
+        """The evaluation function: this object is the source of an evaluator."""
         return self.at
 
     def at(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Responses at the values of all parameters; a test's name goes before its own. See `JointObjective`."""
+        """Responses at the values of all parameters, each prefixed by its test's name. See `JointObjective`."""
         return {
             of_test(test, name): value
             for test, problem in self.problems.items()
@@ -64,12 +64,12 @@ class Responses:
 
     @property
     def objective(self) -> Objective:
-        """What a search makes small: that of a study with one test, summed over the tests."""
+        """Objective of a search: that of a study with one test, summed over the tests."""
         return JointObjective({test: objective_for(problem) for test, problem in self.problems.items()})
 
     @property
     def measured(self) -> dict[str, str]:
-        """Responses by which a sensitivity analysis judges parameters, with what they are called in its tables."""
+        """Responses of a sensitivity analysis, with their names in its tables."""
         several = len(self.problems) > 1
         return {
             of_test(test, name): of_test(test, name) if several else name
@@ -78,5 +78,5 @@ class Responses:
         }
 
     def evaluator(self, executor: Executor | Injected | None) -> AbstractContextManager[Evaluator | ExecutorEvaluator]:
-        """What evaluates batches of points: this process, or an executor."""
+        """Evaluator of batches of points: this process, or an executor."""
         return Evaluator(self) if executor is None else ExecutorEvaluator(self, executor)

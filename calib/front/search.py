@@ -1,4 +1,4 @@
-"""A genetic search over a problem, as a notebook asks for it."""
+"""Genetic searches over a problem."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from calib.analyses.case import REFINE_REFITS
+from calib.analyses.failures import reasons_sentence, stored_reasons
+from calib.analyses.fit_statistics import FitStatistics, Shared, ended, fitted
 from calib.executor import Injected
-from calib.front.asked import Asked
+from calib.front.posed import PosedProblem
 from calib.front.responses import Responses
 from calib.inference.cases import (
     Agreement,
@@ -22,9 +25,6 @@ from calib.inference.cases import (
 )
 from calib.inference.genetic import GeneticSettings
 from calib.ledger import Ledger
-from calib.questions.case import POLISH_REFITS
-from calib.questions.failures import reasons_sentence, stored_reasons
-from calib.questions.judge import Judgement, Shared, ended, fitted
 from calib.sampling import sample
 from calib.space import ParameterSpace
 
@@ -36,11 +36,11 @@ class Searched:
     Attributes
     ----------
     space : ParameterSpace
-        That was searched.
+        The searched space.
     cases : tuple of CaseResult
-        One a seed.
+        One per seed.
     why_failed : str
-        The commonest reasons of points that could not be evaluated; empty without any.
+        The most frequent reasons for failed points; empty without any.
     """
 
     space: ParameterSpace
@@ -54,12 +54,12 @@ class Searched:
 
     @property
     def best(self) -> tuple[CaseResult, ...]:
-        """The cases by their misfit, the lowest first."""
+        """The cases sorted by their misfit, the lowest first."""
         return tuple(sorted(self.cases, key=lambda case: case.misfit))
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row a case: ``case, misfit, asked, solved, reused, infeasible, failed``; see `CaseResult`."""
+        """One row per case: ``case, misfit, asked, solved, reused, infeasible, failed``; see `CaseResult`."""
         columns = ["name", "misfit", "asked", "solved", "reused", "infeasible", "failed"]
         rows = [[getattr(case, column) for column in columns] for case in self.cases]
         return pd.DataFrame(rows, columns=["case", *columns[1:]])
@@ -81,9 +81,9 @@ class Searched:
 
 
 def searched(
-    problem: Asked, seeds: Sequence[int], settings: GeneticSettings, executor: Executor | Injected | None
+    problem: PosedProblem, seeds: Sequence[int], settings: GeneticSettings, executor: Executor | Injected | None
 ) -> Searched:
-    """One case a seed, each from its own Latin hypercube; see `calib.front.problem.Problem.search`."""
+    """One case per seed, each from its own Latin hypercube; see `calib.front.problem.Problem.search`."""
     space, responses = problem.space, Responses.of(problem)
     objective, fingerprint, found = responses.objective, responses.fingerprint, []
     with Ledger.in_memory() as ledger, responses.evaluator(executor) as evaluator:
@@ -95,8 +95,8 @@ def searched(
     return Searched(space, tuple(found), why)
 
 
-def refined(problem: Asked, search: Searched) -> Judgement:
-    """Least squares from where the cases ended; from the adopted values where the data clearly prefer that end."""
+def refined(problem: PosedProblem, search: Searched) -> FitStatistics:
+    """Least squares from the end of each case; from the nominal values where the data clearly prefer that solution."""
     starts = [case.values for case in search.best]
-    adopted = ended(problem.posed, [problem.space.values], POLISH_REFITS)
-    return fitted(problem.posed, problem.terms, starts, POLISH_REFITS, shared=Shared(adopted, known=None))
+    nominal = ended(problem.posed, [problem.space.values], REFINE_REFITS)
+    return fitted(problem.posed, problem.terms, starts, REFINE_REFITS, shared=Shared(nominal, known=None))

@@ -1,4 +1,4 @@
-"""Which parameters matter, as a notebook asks it."""
+"""Global sensitivity analysis of a problem."""
 
 from __future__ import annotations
 
@@ -7,36 +7,36 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from calib.analyses.failures import reasons, reasons_sentence
+from calib.analyses.sensitivity import Sensitivity, measured
 from calib.errors import EvaluationError
 from calib.executor import Injected
-from calib.front.asked import Asked
+from calib.front.posed import PosedProblem
 from calib.front.responses import Responses
 from calib.front.shown import Shown
-from calib.questions.failures import reasons, reasons_sentence
-from calib.questions.sensitivity import Sensitivity, measured
 from calib.sampling import sample
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Assessed(Shown):
-    """Which parameters matter for what was measured.
+    """Which parameters matter for the measured responses.
 
     Attributes
     ----------
     answer : Sensitivity
-        All measures, their noise floors, and what stands behind them.
+        All measures with their noise floors and samples.
     """
 
     answer: Sensitivity
 
     @property
     def samples(self) -> pd.DataFrame:
-        """Latin hypercube points with the model's responses there, NaN where there is none."""
+        """Latin hypercube points with the model's responses, NaN where one is not available."""
         return self.answer.sampled
 
     @property
     def selected(self) -> tuple[str, ...]:
-        """Parameters that matter, as `Problem.calibrate` takes them."""
+        """Parameters that matter, such as `Problem.calibrate` takes."""
         table = self.answer.assessment.selection
         return tuple(table["parameter"][table["selected"]])
 
@@ -47,36 +47,43 @@ class Assessed(Shown):
 
     @property
     def partial(self) -> pd.DataFrame:
-        """The same after what the other parameters explain; see `calib.sensitivity.partial`."""
+        """Partial rank correlation, given the other parameters; see `calib.sensitivity.partial`."""
         return self.answer.assessment.partial
 
     @property
-    def influence(self) -> pd.DataFrame:
-        """Root of the share of a response's variance that only this parameter brings, 0 to 1."""
-        return self.answer.assessment.influence.table
+    def variance_share(self) -> pd.DataFrame:
+        """Square root of the share of a response's variance due to this parameter alone, 0 to 1."""
+        return self.answer.assessment.variance_share.table
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row a parameter: its largest measures, on which response, and whether that selects it."""
-        shown = ["parameter", "max_spearman", "spearman_response", "max_partial", "max_influence", "influence_response"]
+        """One row per parameter: its largest measures, the responses they belong to, and whether it is selected."""
+        shown = [
+            "parameter",
+            "max_spearman",
+            "spearman_response",
+            "max_partial",
+            "max_variance_share",
+            "variance_share_response",
+        ]
         return self.answer.assessment.selection[[*shown, "selected"]]
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What stands behind the measures, and what they select."""
+        """The samples behind the measures, and the selection."""
         return self.answer.sentences
 
     def __repr__(self) -> str:
         return f"Assessed({len(self.table)} parameters, {len(self.selected)} selected; {self.answer.samples} samples)"
 
 
-def assessed(problem: Asked, samples: int, seed: int, executor: Executor | Injected | None) -> Assessed:
+def assessed(problem: PosedProblem, samples: int, seed: int, executor: Executor | Injected | None) -> Assessed:
     """See `calib.front.problem.Problem.sensitivity`."""
     space, responses = problem.space, Responses.of(problem)
-    drawn = sample(space, samples, seed)
+    sampled = sample(space, samples, seed)
     with responses.evaluator(executor) as evaluator:
-        outcomes = evaluator.evaluate([space.complete(point) for point in drawn.points])
+        outcomes = evaluator.evaluate([space.complete(point) for point in sampled.points])
     if all(o.status != "ok" for o in outcomes):
         why = reasons_sentence(space, reasons(outcomes), len(outcomes))
         raise EvaluationError(f"the model cannot be evaluated within its limits: {why}")
-    return Assessed(measured(space, drawn, outcomes, responses.measured))
+    return Assessed(measured(space, sampled, outcomes, responses.measured))

@@ -1,4 +1,4 @@
-"""What an answer shows of itself: sentences, and a table."""
+"""Display of results: sentences and a table, as text and as HTML."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Any
 
 import pandas as pd
 
+from calib.analyses import compare
 from calib.joint import said, stacked
-from calib.questions import compare
 
 
 class Shown:
-    """An answer that prints as sentences and a table, in a notebook too."""
+    """A result that prints as sentences and a table, in a notebook too."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What was found, the most important first."""
+        """Findings, the most important first."""
         raise NotImplementedError
 
     @property
     def table(self) -> pd.DataFrame:
-        """What is shown below them."""
+        """Table shown below the sentences."""
         raise NotImplementedError
 
     def __str__(self) -> str:
@@ -38,24 +38,24 @@ class Shown:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compared(Shown):
-    """Models against tests at one point.
+    """Comparison of models and tests at one point.
 
     Attributes
     ----------
-    by_test : mapping from str to Answer
-        Of each test.
+    by_test : mapping from str to ComparisonResult
+        By name of the test.
     """
 
-    by_test: Mapping[str, compare.Answer]
+    by_test: Mapping[str, compare.ComparisonResult]
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Where each model fails, and what makes pairs or units doubtful."""
-        return said({name: (*answer.sentences, *_told(answer)) for name, answer in self.by_test.items()})
+        """Where each model fails, and doubtful pairs, sensors or units."""
+        return said({name: (*answer.sentences, *_remarks(answer)) for name, answer in self.by_test.items()})
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row a measured mode or response, with a column ``test`` where there are several."""
+        """One row per measured mode or response, with a column ``test`` where there are several."""
         tables = {name: answer.table for name, answer in self.by_test.items()}
         return stacked(tables) if len(tables) > 1 else next(iter(tables.values()))
 
@@ -64,17 +64,19 @@ class Compared(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Answer(Shown):
-    """What a study answers: sentences and the table that shows it.
+class AnalysisResult(Shown):
+    """Result of a study's analysis: sentences and their main table.
 
     Attributes
     ----------
     words : tuple of str
+        The sentences.
     rows : DataFrame
+        The table.
     folder : Path
-        Where all tables and figures are.
+        Folder of all tables and figures.
     of : object
-        Everything that was found, such as a `calib.questions.calibrate.Calibration`.
+        The full result, such as a `calib.analyses.calibrate.Calibration`.
     """
 
     words: tuple[str, ...]
@@ -84,21 +86,21 @@ class Answer(Shown):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What was found, the most important first."""
+        """Findings, the most important first."""
         return self.words
 
     @property
     def table(self) -> pd.DataFrame:
-        """What shows it."""
+        """The main table."""
         return self.rows
 
     def __repr__(self) -> str:
-        return f"Answer({len(self.rows)} rows in {self.folder})"
+        return f"AnalysisResult({len(self.rows)} rows in {self.folder})"
 
 
-def _told(answer: compare.Answer) -> list[str]:
-    """Suspicious sensors, and the mean error of plain responses."""
-    out = [finding.sentence for finding in answer.findings]
+def _remarks(answer: compare.ComparisonResult) -> list[str]:
+    """Suspicious sensors, and the mean error of scalar responses."""
+    out = [finding.sentence for finding in answer.sensor_findings]
     if answer.comparison is None:
         out.append(f"The mean absolute error is {100 * answer.mean_freq_error:.2f} %.")
     return out

@@ -1,4 +1,4 @@
-"""Study: a problem in a folder, every question of it, and where the answers are kept."""
+"""Study: a problem in a folder, with every analysis as a method; results are stored on disk."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from calib.analyses import added, places, staged
+from calib.analyses import calibrate as calibration
+from calib.analyses import compare as comparison
+from calib.analyses import explain as explanation
+from calib.analyses import extend as extension
+from calib.analyses import sensitivity as sensitivity_analysis
+from calib.analyses.explanation_result import ExplanationResult
+from calib.analyses.isolation import isolated
+from calib.analyses.joint_calibration import Fitted, calibrate_jointly
+from calib.analyses.reduction import fingerprints
+from calib.analyses.stale import stale_answers
+from calib.analyses.stored import modes_kept
+from calib.analyses.versions import write_versions
 from calib.errors import InputError
 from calib.executor import Injected
 from calib.front.listener import Listener
 from calib.front.problem import Problem
-from calib.front.shown import Answer, Compared
+from calib.front.shown import AnalysisResult, Compared
 from calib.front.test import test_of
 from calib.given import path as path_of
 from calib.joint import said, stacked
-from calib.missing.findings import Findings
-from calib.questions import added, phases, places
-from calib.questions import calibrate as calibration
-from calib.questions import compare as comparison
-from calib.questions import explain as explanation
-from calib.questions import extend as extension
-from calib.questions import sensitivity as influence
-from calib.questions.explanation import Explanation
-from calib.questions.isolation import isolated
-from calib.questions.joint_calibration import Fitted, calibrate_jointly
-from calib.questions.reduction import fingerprints
-from calib.questions.stale import stale_answers
-from calib.questions.stored import modes_kept
-from calib.questions.versions import write_versions
+from calib.missing.explanation import Explanation
 from calib.report.draw import draw_all
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
@@ -46,24 +46,24 @@ RESULTS = Path("results")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study:
-    """A study in a folder: what its ``study.toml`` says, asked here as by the command ``calib``.
+    """A study in a folder, described by its ``study.toml``; each method is a subcommand of ``calib``.
 
-    Answers go to a folder of results with their figures; what was solved is kept there and is not solved again.
+    Results and figures go to a results folder; solved points are stored there and are not solved again.
 
     Attributes
     ----------
     path : Path
         Folder with a ``study.toml``, or that file.
     results : Path
-        Where ``<study>/`` with the results goes.
+        Parent of ``<study>/``, the folder with the results.
     workers : int, Injected or None
-        Worker processes; None for one a core where that pays. An executor that a question was given takes their place.
+        Number of worker processes; None for one per core where that pays. An executor takes their place.
     quick : bool
-        Small searches for a first look, whose results go to a sub-folder.
+        Small searches for a first look; their results go to a subfolder.
     listener : Listener
-        Is told what happens.
+        Receives progress and results.
     read : Study, JointStudy or None
-        Model, measurement and settings where they are there already; they are read when first asked for.
+        Model, measurement and settings if already loaded; otherwise they are loaded on first use.
 
     Examples
     --------
@@ -97,7 +97,7 @@ class Study:
     ) -> Study:
         """Read a study with everything it names; InputError for anything wrong in it.
 
-        Where it takes over what another study finds, and that one has no answer yet, that one is calibrated first.
+        If it adopts values of another study that is not calibrated yet, that one is calibrated first.
         """
         study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, listener or Listener())
         assert study.loaded is not None
@@ -108,31 +108,31 @@ class Study:
 
     @cached_property
     def loaded(self) -> AnyStudy:
-        """Model, measurement and settings, the function of a plain model in a child process."""
+        """Model, measurement and settings; a user's function runs in a child process."""
         if self.read is not None:
             return self.read
-        *earlier, asked = phases.in_order(self.path)
-        taken, before = phases.Found({}, {}), None
+        *earlier, last = staged.in_order(self.path)
+        taken, before = staged.Found({}, {}), None
         for file in earlier:
             study = _taking_over(file, taken, before)
             if isinstance(study, JointStudy):
                 raise InputError(
-                    "values are taken over from a study with one test, and this one has several", place=file,
+                    "values can be adopted from a study with one test only, and this one has several", place=file,
                     remedy="fit all tests together in one study",
                 )  # fmt: skip
-            found = phases.values_found(study, self.results, self.quick)
+            found = staged.values_found(study, self.results, self.quick)
             if found is None:
                 self.listener.first(study, self.path)
                 own = replace(self, path=file, read=study)
                 own._fit()
                 own.draw()
-                found = phases.values_found(study, self.results, self.quick)
-            taken, before = found or phases.Found({}, {}), study
-        return _taking_over(asked, taken, before)
+                found = staged.values_found(study, self.results, self.quick)
+            taken, before = found or staged.Found({}, {}), study
+        return _taking_over(last, taken, before)
 
     @property
     def tests(self) -> tuple[Study, ...]:
-        """Each test as a study of its own; one with a single test is its only one."""
+        """Each test as a study of its own; a study with one test is its only element."""
         loaded = self.loaded
         return tuple(replace(self, read=one) for one in loaded.studies) if isinstance(loaded, JointStudy) else (self,)
 
@@ -143,12 +143,12 @@ class Study:
         return self.loaded
 
     def _by(self, executor: Executor | Injected | None) -> Study:
-        """The same with an executor instead of worker processes; InputError for a setting that it does not keep."""
+        """A copy with an executor instead of worker processes; InputError for a setting that it does not support."""
         if executor is None:
             return self
         if isinstance(self.workers, int):
             raise InputError(
-                f"{self.workers} workers are asked, and an executor has its own", place="executor",
+                f"{self.workers} workers are requested, and an executor has its own", place="executor",
                 remedy="leave one of them out",
             )  # fmt: skip
         injected = Injected.of(executor)
@@ -157,21 +157,21 @@ class Study:
 
     @cached_property
     def folder(self) -> Results:
-        """Where the answers go."""
+        """The results folder."""
         return places.results_of(self.loaded, self.results, self.quick)
 
     @property
     def problem(self) -> Problem:
-        """The same in memory: models with what the study selects free, against their tests; nothing is kept of it."""
+        """The study's models and tests as a `Problem` in memory, the selected parameters free; nothing is stored."""
         first, *others = (
             Problem(replace(one.model, space=one.search_space), test_of(one)) for one in self.loaded.studies
         )
         return replace(first, beside=tuple(others))
 
-    # -- questions -----------------------------------------------------------------------------------------------------
+    # -- analyses ------------------------------------------------------------------------------------------------------
 
     def compare(self) -> Compared:
-        """Models against measurements at the adopted values, nothing fitted."""
+        """Compare models and measurements at the nominal values, without fitting."""
         answers = {}
         for study in self.tests:
             answers[study.one.test or study.one.name] = study._compare()
@@ -184,21 +184,21 @@ class Study:
         *,
         ignore_constraints: bool = False,
         executor: Executor | Injected | None = None,
-    ) -> Answer:
-        """Which parameters matter: rank correlations over a Latin hypercube, or the indices of Morris or Sobol.
+    ) -> AnalysisResult:
+        """Global sensitivity: rank correlations over a Latin hypercube, or the indices of Morris or Sobol.
 
-        Of several tests each is asked by itself. ``executor`` evaluates the points; see `run`.
+        Each test is analysed by itself. ``executor`` evaluates the points; see `run`.
         """
         answers = {}
         for study in self._by(executor).tests:
             found = study._sensitivity() if method == "ranks" else study._screen(method, ignore_constraints)
-            answers[study.one.test] = answer = Answer(found.sentences, found.table, study.folder.path, found)
+            answers[study.one.test] = answer = AnalysisResult(found.sentences, found.table, study.folder.path, found)
             study.draw()
         if len(answers) == 1:
             return answer
         words = said({test: one.words for test, one in answers.items()})
         table = stacked({test: one.rows for test, one in answers.items()})
-        return Answer(words, table, self.folder.path, {test: one.of for test, one in answers.items()})
+        return AnalysisResult(words, table, self.folder.path, {test: one.of for test, one in answers.items()})
 
     def calibrate(
         self,
@@ -206,104 +206,107 @@ class Study:
         *,
         method: calibration.Method | None = None,
         executor: Executor | Injected | None = None,
-    ) -> Answer:
-        """Values that fit, in several independent cases, and how far each parameter can be trusted.
+    ) -> AnalysisResult:
+        """Fit the parameters in several independent cases, and assess how well each is identified.
 
         Several tests are fitted together. ``executor`` evaluates the points of searches; see `run`.
         """
-        asked = self._by(executor)
-        found = asked._calibrate(case, method)
-        asked._draw_tests(case, method)
+        study = self._by(executor)
+        found = study._calibrate(case, method)
+        study._draw_tests(case, method)
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
-        return Answer(found.sentences, found.verdicts, folder.path, found)
+        return AnalysisResult(found.sentences, found.verdicts, folder.path, found)
 
-    def explain(self) -> Answer:
-        """Which effect of the study's library the model lacks."""
+    def explain(self) -> AnalysisResult:
+        """Find which effect of the study's library the model lacks."""
         found = self._explain()
-        self.listener.may_add(self.loaded, found.findings)
+        self.listener.may_add(self.loaded, found.explanation)
         self._draw_tests()
-        return Answer((*found.sentences, *found.notes), found.effects, self.folder.path, found)
+        return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found)
 
     def extend(self, effects: Sequence[str], into: str | Path) -> Study:
-        """Write a new study whose model has some effects more; this one stays as it is."""
+        """Write a new study whose model also has the named effects; this one stays as it is."""
         written = extension.extend(self.loaded, list(effects), path_of(into, "into"))
         self.listener.extended(written)
         return replace(self, path=written.file, results=places.root_for(written.file, self.results), read=None)
 
     def run(self, *, executor: Executor | Injected | None = None) -> Study:
-        """Ask everything, add what is named, calibrate again, and write ``report.html``.
+        """Run every analysis, add the named effects, calibrate again, and write ``report.html``.
 
         Parameters
         ----------
         executor : concurrent.futures.Executor or calib.executor.Injected, optional
             Evaluates the points of samples and searches instead of worker processes; tables are the same. Its processes
-            must see the study's folder and its results. It stays yours: shut it down.
+            must see the study's folder and its results. The caller shuts it down.
 
         Returns
         -------
         Study
-            The extended study where something was named and added, else this one.
+            The extended study where effects were named and added, else this one.
 
         Raises
         ------
         InputError
-            For an executor beside a number of workers, and a ``time_limit`` of the study that it is not stated to keep.
+            For an executor together with a number of workers, and for a ``time_limit`` of the study that the executor
+            is not stated to keep.
         """
         if executor is not None:
-            asked = self._by(executor)
-            found = asked.run()
-            return self if found is asked else replace(found, workers=self.workers)
+            study = self._by(executor)
+            found = study.run()
+            return self if found is study else replace(found, workers=self.workers)
         for study in self.tests:
             study._compare()
             study._sensitivity()
         before, extended = self._calibrate(), None
         if self.loaded.candidates:
-            extended = self._add(before, self._explain().findings)
+            extended = self._add(before, self._explain().explanation)
             if extended is not None:
                 extended._draw_tests(report=True)
         self._draw_tests(report=True)
         return extended or self
 
     def report(self) -> Path:
-        """Tell all answers in ``report.html`` and draw every figure anew; nothing is computed, no code is run."""
-        told = StudyFile.read(self.path)
-        answered = [part for part in told.parts if places.answers_of(part, self.results)]
-        if not answered:
-            remedy = f"ask first: calib run {shell_argument(self.path)}"
-            raise InputError("there are no results to draw", place=self.results / told.name, remedy=remedy)
-        self._draw_anew(told)
-        return self.results / answered[0].name / REPORT
+        """Write ``report.html`` from the stored results and redraw every figure; no code of the study is run."""
+        study = StudyFile.read(self.path)
+        parts = [part for part in study.parts if places.answers_of(part, self.results)]
+        if not parts:
+            remedy = f"run the study first: calib run {shell_argument(self.path)}"
+            raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
+        self._draw_anew(study)
+        return self.results / parts[0].name / REPORT
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 
-    def _compare(self) -> comparison.Answer:
+    def _compare(self) -> comparison.ComparisonResult:
         loaded = self.one
         self.listener.begins(loaded, "compare")
         answer = comparison.compare(loaded, self.folder)
         self.listener.compared(loaded, answer, self.folder)
         return answer
 
-    def _sensitivity(self) -> influence.Sensitivity:
+    def _sensitivity(self) -> sensitivity_analysis.Sensitivity:
         loaded, root = self.one, self.results
         self.listener.begins(loaded, "sensitivity")
         with places.ledger_of(loaded, root) as ledger, self.listener.samples() as step:
             self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
-            answer = influence.sensitivity(loaded, self.folder, ledger, self.workers, self.quick, step)
+            answer = sensitivity_analysis.sensitivity(loaded, self.folder, ledger, self.workers, self.quick, step)
         self.listener.sampled(loaded, answer, self.folder)
         return answer
 
-    def _screen(self, method: Literal["morris", "sobol"], ignore_constraints: bool) -> influence.Screening:
+    def _screen(self, method: Literal["morris", "sobol"], ignore_constraints: bool) -> sensitivity_analysis.Screening:
         loaded, workers, quick = self.one, self.workers, self.quick
         self.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
         with places.ledger_of(loaded, self.results) as ledger, self.listener.samples() as step:
-            answer = influence.screen(loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step)
+            answer = sensitivity_analysis.screen(
+                loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step
+            )
         self.listener.screened(answer, self.folder)
         return answer
 
     def _calibrate(self, case: str | None = None, method: calibration.Method | None = None) -> Fitted:
         root, quick = self.results, self.quick
         calibration.chosen_cases(self.loaded, case)
-        chosen = [influence.selected_by_measures(study.one, study.folder) for study in self.tests]
+        chosen = [sensitivity_analysis.selected_by_measures(study.one, study.folder) for study in self.tests]
         selected = tuple(dict.fromkeys(name for one in chosen for name in one.search_space.free_names))
         left = isinstance(self.loaded.settings.selection, str)
         loaded = self.loaded.each(lambda one: one.selecting(selected)) if left else self.loaded
@@ -323,23 +326,23 @@ class Study:
         return found
 
     def _fit(self) -> Fitted:
-        """Calibrate, and ask before which parameters matter where the study leaves their choice to that."""
+        """Calibrate, after a sensitivity analysis where the study leaves the selection to it."""
         if isinstance(self.loaded.settings.selection, str):
             for study in self.tests:
                 study._sensitivity()
         return self._calibrate()
 
-    def _explain(self) -> Explanation:
+    def _explain(self) -> ExplanationResult:
         loaded, root = self.loaded, self.results
         self.listener.begins(loaded, "explain")
-        with self.listener.doing() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as asked:
+        with self.listener.doing() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept:
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-            answer = explanation.explain(asked, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
+            answer = explanation.explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
         self.listener.explained(loaded, answer, self.folder)
         return answer
 
-    def _add(self, before: Fitted, found: Findings) -> Study | None:
-        """The study extended by what an explanation names, calibrated too; None when nothing is named."""
+    def _add(self, before: Fitted, found: Explanation) -> Study | None:
+        """The study extended by the named effects and calibrated; None when none is named."""
         loaded = self.loaded
         self.listener.begins(loaded, "extend")
         named = added.to_add(found)
@@ -348,7 +351,7 @@ class Study:
             for study in self.tests:
                 added.write_nothing_added(study.one, found, study.folder, self.quick)
             return None
-        begin_at = {n: v for n, v in named.state.values.items() if n in named.state.question.space.free_names}
+        begin_at = {n: v for n, v in named.fit.values.items() if n in named.fit.fit_problem.space.free_names}
         written = extension.extend_among(loaded, named.names, self.folder.path, begin_at)
         self.listener.extended(written)
         extended = replace(self, path=written.file, read=None)
@@ -366,23 +369,23 @@ class Study:
     # -- figures -------------------------------------------------------------------------------------------------------
 
     def draw(self, folder: Results | None = None, report: bool = False) -> None:
-        """Draw what the tables hold; the report is written when asked for, and where there is one, which is older."""
+        """Draw the figures of all tables; the report is written on request, and where an older one exists."""
         self._draw(self.loaded, self.folder if folder is None else folder, report)
 
     def _draw_tests(
         self, case: str | None = None, method: calibration.Method | None = None, report: bool = False
     ) -> None:
-        """Every test in its own folder, and what all of them say together."""
+        """Draw every test in its own folder, and the joint results."""
         for study in self.tests:
             study.draw(places.results_of(study.one, self.results, self.quick, case, method), report)
         if isinstance(self.loaded, JointStudy):
             self.draw(places.results_of(self.loaded, self.results, self.quick, case, method))
 
     def _draw_anew(self, study: StudyFile) -> None:
-        """Every figure and report of a study, and of those that its runs have extended it to."""
+        """Redraw every figure and report of a study, and of the extended studies among its results."""
         for part in study.parts:
             folders = places.answers_of(part, self.results)
-            if Results(self.results / part.name) in folders:  # versions are those of whole answers
+            if Results(self.results / part.name) in folders:  # versions compare full results only
                 self.listener.versions(write_versions(part, self.results))
             for folder in folders:
                 self._draw(part, folder, True)
@@ -391,16 +394,16 @@ class Study:
             for folder in together:
                 self._draw(study, folder, False)
         written = [file for folder in together if (file := extension.found_among(study, folder.path))]
-        for file in written[:1]:  # that of a quick look has its answers in the same place
+        for file in written[:1]:  # the extended study of a quick run has its results in the same place
             self._draw_anew(StudyFile.read(file))
 
     def _draw(self, study: StudyFile, folder: Results, report: bool) -> None:
         title, synthetic = study.settings.title, study.synthetic
-        told = report or folder.has(REPORT)
+        with_report = report or folder.has(REPORT)
         stale = stale_answers(study, folder, None if self.results == RESULTS else self.results)
         try:
             figures = draw_all(folder.path, title, synthetic, stale.files)
-            written = write_report(folder.path, title, synthetic, stale.sentences, stale.files) if told else None
+            written = write_report(folder.path, title, synthetic, stale.sentences, stale.files) if with_report else None
         except OSError as fault:
             raise InputError(
                 f"a figure or the report cannot be written ({fault.strerror})",
@@ -412,9 +415,9 @@ class Study:
         self.listener.drawn(figures, stale.sentences, written)
 
 
-def _taking_over(file: Path, taken: phases.Found, before: Loaded | None) -> AnyStudy:
+def _taking_over(file: Path, taken: staged.Found, before: Loaded | None) -> AnyStudy:
     study = load(file, *taken)
     if before is not None:
         for one in study.studies:
-            phases.require_same_units(one, before)
+            staged.require_same_units(one, before)
     return study.each(isolated)

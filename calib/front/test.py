@@ -1,4 +1,4 @@
-"""Test: what the real thing did under one condition."""
+"""Test: the measured modes or responses of a structure under one condition."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
+from calib.analyses.uncertainty import assumed_responses, claimed_words
+from calib.analyses.verify import HELD_OUT_RESPONSES, errors_of
 from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
-from calib.correlation.scatter import assumptions
+from calib.correlation.standard_deviations import assumptions
 from calib.errors import InputError
 from calib.function import FunctionModel
 from calib.given import by_name, names, number, objects, values, whole
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
-from calib.questions.scatter import assumed_responses, claimed_words
-from calib.questions.verify import WITHHELD_RESPONSES, errors_of
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption, StructuralModel
 from calib.study import Study
@@ -37,15 +37,15 @@ class ModalTest:
     Attributes
     ----------
     modes : MeasuredModes
-        Such as `calib.read_modes` gives.
+        From `calib.read_modes`, for example.
     held_out : sequence of str
-        Modes and sensors (like ``12y``) that no fit sees; they check it.
+        Modes and sensors (like ``12y``) that no fit uses; they verify it.
     name : str
-        Told where several tests are fitted together.
+        Identifies the test where several are fitted together.
     condition : mapping from str to float
-        Parameters of the model that hold for this test only, each in its own unit.
+        Parameter values of this test only, each in its own unit.
     accuracy : str or mapping, optional
-        What the measurement claims beside its repeats, such as ``"1 %"`` or ``{"freq": "0.5 %"}``.
+        Claimed accuracy beside the repeatability, such as ``"1 %"`` or ``{"freq": "0.5 %"}``.
     clusters : mapping from mode to cluster names
         Parts of the model whose strain energy carries a mode; see `calib.correlation.problem.ModalProblem`.
     mode_count : int, optional
@@ -97,34 +97,34 @@ class ModalTest:
 
     @cached_property
     def used(self) -> MeasuredModes:
-        """What a fit sees."""
+        """The modes in use, without held-out data."""
         modes = [name for name in self.held_out if name in self.modes.names]
         return self.modes.without(modes, [name for name in self.held_out if name not in modes])
 
     def problem(self, model: Model) -> ModalProblem:
-        """What a fit sees against a model."""
+        """The forward problem of a model, without held-out data."""
         return self._against(model, self.used)
 
     def pair(self, model: Model) -> ModalResidual:
-        """The same in units of the scatter."""
+        """The whitened residual of a model, without held-out data."""
         return ModalResidual(self.problem(model))
 
     def whole_problem(self, model: Model) -> ModalProblem | None:
-        """All that was measured against a model, to check a fit; None where nothing is held out."""
+        """The forward problem with held-out data, for verification; None where nothing is held out."""
         return self._against(model, self.modes) if self.held_out else None
 
     def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
-        """Errors on data used, left out in turn, and held out; see `calib.questions.verify.errors_of`."""
+        """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
         return errors_of(self.problem(model), self.whole_problem(model), {}, model.space, values)
 
     @property
     def claimed(self) -> str:
-        """The accuracy that is claimed, in words; empty without."""
+        """The claimed accuracy, in words; empty without."""
         return self.modes.accuracy.words
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:
-        """Standard deviations that nobody stated."""
+        """Assumed standard deviations, where none is stated."""
         return assumptions(self.used)
 
     def _against(self, model: Model, modes: MeasuredModes) -> ModalProblem:
@@ -149,18 +149,18 @@ class ModalTest:
 
 @dataclass(frozen=True, eq=False)
 class ResponseTest:
-    """Measured plain responses: any numbers that a function of the parameters gives.
+    """Measured scalar responses, compared with those of a `calib.FunctionModel`.
 
     Attributes
     ----------
     responses : mapping from str to float or (float, float or None), or MeasuredResponses
         Each in its own unit: a value, or a value with the standard deviation of its mean; see `calib.read_responses`.
     held_out : sequence of str
-        Responses that no fit sees; they check it.
+        Responses that no fit uses; they verify it.
     name, condition
-        As of `ModalTest`.
+        As in `ModalTest`.
     accuracy : str or mapping, optional
-        What the measurement claims: a share of every value, or by response or kind.
+        Claimed accuracy: a share of every value, or by response or kind.
     """
 
     responses: Mapping[str, float | tuple[float, float | None]] | MeasuredResponses
@@ -180,7 +180,7 @@ class ResponseTest:
 
     @cached_property
     def measured(self) -> MeasuredResponses:
-        """All that was measured, few repeats pooled and the claimed accuracy added."""
+        """All measured responses, with few repeats pooled and the claimed accuracy added."""
         place, given = f"test {self.name}", self.responses
         if not isinstance(given, MeasuredResponses):
             read = by_name(given, f"{place}, responses")
@@ -194,10 +194,10 @@ class ResponseTest:
             raise InputError(str(fault), place=f"{place}, accuracy") from None
 
     def problem(self, model: Model) -> FunctionProblem:
-        """What a fit sees against a model."""
+        """The forward problem of a model, without held-out responses."""
         if not isinstance(model, FunctionModel):
             raise InputError(
-                f"the model {model.name} answers with modes", place=f"test {self.name}", remedy="give a ModalTest"
+                f"the model {model.name} returns modes", place=f"test {self.name}", remedy="give a ModalTest"
             )
         measured = self.measured
         used = {n: t for n, t in measured.targets.items() if n not in self.held_out}
@@ -206,7 +206,7 @@ class ResponseTest:
         )
 
     def pair(self, model: Model) -> ResponseResidual:
-        """The same in units of the scatter."""
+        """The whitened residual of a model, without held-out responses."""
         return ResponseResidual(self.problem(model))
 
     @property
@@ -215,17 +215,17 @@ class ResponseTest:
         return {name: self.measured.targets[name] for name in self.held_out}
 
     def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
-        """Errors on data used, left out in turn, and held out; see `calib.questions.verify.errors_of`."""
-        return errors_of(self.problem(model), None, {WITHHELD_RESPONSES: self.unseen}, model.space, values)
+        """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
+        return errors_of(self.problem(model), None, {HELD_OUT_RESPONSES: self.unseen}, model.space, values)
 
     @property
     def claimed(self) -> str:
-        """The accuracy that is claimed, in words; empty without."""
+        """The claimed accuracy, in words; empty without."""
         return "" if self.accuracy is None else claimed_words(self.accuracy)
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:
-        """Standard deviations that nobody stated."""
+        """Assumed standard deviations, where none is stated."""
         return assumed_responses({n: t for n, t in self.measured.targets.items() if n not in self.held_out})
 
 
@@ -239,7 +239,7 @@ def test_of(study: Study) -> Test:
         pairing = given.pairing
         return ModalTest(
             study.whole,
-            held_out=(*given.withheld.modes, *given.withheld.sensors),
+            held_out=(*given.held_out.modes, *given.held_out.sensors),
             name=name,
             condition=condition,
             clusters=pairing.clusters,
@@ -250,11 +250,11 @@ def test_of(study: Study) -> Test:
         )
     data = given.measurement
     read = read_responses(study.folder / str(data.responses), data.pooling)
-    return ResponseTest(read, given.withheld.responses, name, condition, data.accuracy)
+    return ResponseTest(read, given.held_out.responses, name, condition, data.accuracy)
 
 
 def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
-    """A model whose parameters are held as a test's condition says; InputError for one that it lacks."""
+    """A model with the parameters of a test's condition fixed; InputError for one that it lacks."""
     try:
         return replace(model, space=model.space.freeze(condition))
     except InputError as fault:
@@ -262,7 +262,7 @@ def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
 
 
 def _named(test: Test) -> str:
-    """The place that messages give; checks and completes what both kinds of test have."""
+    """Validate the fields that both kinds of test share; returns the place for error messages."""
     if not isinstance(test.name, str) or not test.name:
         raise InputError(f"its name is {test.name!r}", place="test", remedy='give one, such as name="loaded"')
     place = f"test {test.name}"

@@ -1,1 +1,1 @@
-"""What fits, how it is found, and how far the data determine it: least squares, searches, identifiability."""
+"""Inference: least squares, genetic search, posterior covariance, identifiability and leave-one-out prediction."""

@@ -1,4 +1,4 @@
-"""Cases: independent runs of one search, and what their agreement says about the parameters."""
+"""Independent runs (cases) of the genetic search, and whether they agree on one solution."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FAILED = 1e12
 
 @dataclass(frozen=True)
 class Case:
-    """One run of the search, told apart by its seed."""
+    """One run of the search, identified by its seed."""
 
     name: str
     seed: int
@@ -36,7 +36,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class CaseResult:
-    """What one case found.
+    """Result of one case.
 
     Attributes
     ----------
@@ -48,10 +48,10 @@ class CaseResult:
         At the best point.
     convergence : DataFrame
         ``generation``, ``best`` (misfit so far), ``mean`` (over the generation) and ``feasible`` (number of individuals
-        that kept the constraints and could be evaluated; the mean is over them); NaN where there is nothing to tell.
+        that kept the constraints and could be evaluated; the mean is over them); NaN where undefined.
     asked, solved, reused, infeasible, failed : int
-        Individuals of a search, which are the same after an interruption; of least squares the points asked in this
-        call, those of derivatives included. ``asked`` is the sum of the others.
+        Individuals of a search, the same after an interruption; for least squares the points requested in this call,
+        those of derivatives included. ``asked`` is the sum of the others.
     seconds : float
         Duration of this call.
     """
@@ -106,7 +106,7 @@ def run_case(
     progress: Callable[[int, int, float], None] = lambda generation, generations, best: None,
     certify: Callable[[Outcome], Outcome] = lambda outcome: outcome,
 ) -> CaseResult:
-    """Search one case; started again after an interruption it continues, and ends as if there had been none.
+    """Run one case. After an interruption it resumes from the ledger and ends with the same result.
 
     Individuals that break a limit or constraint are never evaluated. All others of a generation are looked up in the
     ledger, the new ones evaluated as one batch and added before the generation is recorded.
@@ -127,8 +127,8 @@ def run_case(
     progress : callable
         Called with generation, number of generations and best misfit so far (infinite before there is one).
     certify : callable
-        Asked of every individual that would become the best one: gives the outcome back, or a better founded one of the
-        same point (of a full-order model, say) that takes its place. Its answer must depend on the outcome alone.
+        Called for every individual that would become the best one. Returns the outcome, or a more accurate one of the
+        same point (of a full-order model, say) to replace it. The result must depend on the outcome alone.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def run_case(
         ledger.record(run, fingerprint, generation, asked)
         evaluated += len(feasible)
         if best is None and evaluated >= settings.population:
-            break  # a whole population failed: the model is broken, and time would only be lost
+            break  # a whole population failed: the model is broken, further generations would only cost time
         search.tell(misfit, violation)
         good = misfit[violation == 0]
         mean = float(good.mean()) if len(good) else math.nan
@@ -206,7 +206,7 @@ def _misfit(objective: Objective, outcome: Outcome) -> float:
 
 
 def scaled_violation(space: ParameterSpace, points: np.ndarray) -> np.ndarray:
-    """How far points are from keeping all constraints, comparable between constraints of different units.
+    """Constraint violation of points, comparable between constraints of different units.
 
     Parameters
     ----------
@@ -228,20 +228,20 @@ def scaled_violation(space: ParameterSpace, points: np.ndarray) -> np.ndarray:
 
 
 def _ratios(results: Sequence[CaseResult], space: ParameterSpace) -> np.ndarray:
-    """Place between the limits, shape (n_cases, n_free)."""
+    """Position between the limits, 0 to 1, shape (n_cases, n_free)."""
     values = np.array([[r.values[name] for name in space.free_names] for r in results]).reshape(len(results), -1)
     return (values - space.lower) / (space.upper - space.lower)
 
 
 def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd.DataFrame:
-    """Where every case put every free parameter.
+    """Best value of every free parameter in every case.
 
     Returns
     -------
     DataFrame
-        ``case, parameter, value, unit, lower, upper``; ``ratio`` (place between the limits, 0 to 1); ``on_bound``
+        ``case, parameter, value, unit, lower, upper``; ``ratio`` (position between the limits, 0 to 1); ``on_bound``
         (within 1 % of a limit); ``spread`` (largest minus smallest ratio over the cases) and ``stable`` (spread of at
-        most 0.10; Ribeiro et al. 2013). One case says nothing about stability: both are then missing.
+        most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
     """
     ratios = _ratios(results, space)
     spread = np.ptp(ratios, axis=0) if len(results) > 1 else np.full(len(space.free), np.nan)
@@ -300,9 +300,9 @@ class Agreement:
 
 
 def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float = 0.0) -> Agreement:
-    """Tell whether cases that fit equally well agree on the parameters; if not, the data do not determine them.
+    """Compare the parameters of cases that fit equally well; where they differ, the data do not determine them.
 
-    Two cases fit equally well when both misfits are below the level that the measurement's scatter allows, or within
+    Two cases fit equally well when both misfits are below the level that the measurement uncertainty allows, or within
     5 % of the best one. They are different solutions when a parameter differs by more than 10 % of its range.
 
     Parameters
@@ -311,7 +311,7 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
         At least one.
     space : ParameterSpace
     level : float
-        Misfit that the measurement's scatter alone would allow; 0 where unknown.
+        Misfit that the measurement uncertainty alone would allow; 0 where unknown.
     """
     order = sorted(range(len(results)), key=lambda k: results[k].misfit)
     limit = max(level, results[order[0]].misfit * (1 + RULES.nearly_equal))
@@ -331,35 +331,35 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
     apart = sorted(np.flatnonzero(spread > RULES.stable).tolist(), key=lambda j: -spread[j])
     differing = tuple(space.free_names[j] for j in apart) if len(groups) > 1 else ()
 
-    def told(group: Sequence[int]) -> str:
+    def described(group: Sequence[int]) -> str:
         names = ", ".join(results[k].name for k in group)
         misfits = [results[k].misfit for k in group]
         low, high = f"{min(misfits):.4g}", f"{max(misfits):.4g}"
         return f"{names} (misfit {low if low == high else f'{low} to {high}'})"
 
     verdict: Literal["one case", "one solution", "several solutions", "not settled"]
-    left = f" {told([k for k in order if k not in good])} ended higher and did not get there." if worse else ""
+    left = f" {described([k for k in order if k not in good])} ended at a higher misfit." if worse else ""
     if len(results) == 1:
         verdict = "one case"
-        sentence = "Only one case was run, which says nothing about whether its solution is the only one."
+        sentence = "Only one case was run, so whether its solution is unique was not tested."
     elif len(groups) > 1:
         verdict = "several solutions"
-        ways = "; ".join(f"{i}) {told(group)}" for i, group in enumerate(groups, start=1))
+        ways = "; ".join(f"{i}) {described(group)}" for i, group in enumerate(groups, start=1))
         widths = ", ".join(f"{space.free_names[j]} by {100 * spread[j]:.0f} %" for j in apart)
         sentence = (
-            f"The solution is not unique: {len(groups)} sets of parameters fit equally well, {ways}. Of their "
-            f"range they differ in {widths}; these data do not determine them.{left}"
+            f"The solution is not unique: {len(groups)} sets of parameters fit equally well, {ways}. They differ, "
+            f"relative to the range, in {widths}; these data do not determine them.{left}"
         )
     elif len(good) > 1:
         verdict = "one solution"
         sentence = (
-            f"The cases {told(good)} agree on one solution: no parameter differs by more than "
+            f"The cases {described(good)} agree on one solution: no parameter differs by more than "
             f"{100 * float(spread.max()):.1f} % of its range.{left}"
         )
     else:
         verdict = "not settled"
         sentence = (
-            f"Only {told(good)} reaches the lowest misfit.{left} The search is not settled: give it more generations "
-            "or more cases."
+            f"Only {described(good)} reaches the lowest misfit.{left} The search is not settled: give it more "
+            "generations or more cases."
         )
     return Agreement(verdict, solutions, worse, differing, sentence)

@@ -16,20 +16,20 @@ from calib.space import ParameterSpace
 
 
 class LeastSquares(Protocol):
-    """Whitened differences between a measurement and anything that answers it."""
+    """Whitened residual of a measurement, and its Jacobian."""
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """Vector (n_rows,) at named values, each in its own unit; EvaluationError where there is none."""
+        """Vector (n_rows,) at named values, each in its own unit; EvaluationError where the evaluation fails."""
         ...
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Derivative of the vector per one of each parameter's own unit, (n_rows, n_params)."""
+        """Derivative of the vector per unit of each parameter, (n_rows, n_params)."""
         ...
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent Gaussian knowledge about parameters before the measurement.
+    """Independent Gaussian prior of the parameters.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Prior:
 
     @classmethod
     def of(cls, space: ParameterSpace) -> Prior:
-        """Adopted values and prior widths of the free parameters that are not whole numbers."""
+        """Nominal values and prior widths of the free parameters that are not integers."""
         chosen = [p for p in space.free if not p.integer]
         return cls({p.name: p.value for p in chosen}, {p.name: p.prior_width for p in chosen})
 
@@ -62,23 +62,23 @@ class Prior:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """When a fit ends.
+    """Termination criteria of a fit.
 
     Attributes
     ----------
     iterations : int
-        Accepted steps at most.
+        Largest number of accepted steps.
     gain : float
-        Converged when the undamped step promises to lower the sum of squares by less than this (it is in units of the
-        scatter: 1e-4 is a hundredth of a posterior standard deviation), or by less than ``relative`` of it.
+        Converged when the predicted decrease of the sum of squares (whitened: 1e-4 is a hundredth of a posterior
+        standard deviation) by the undamped step is below this, or below ``relative`` times the sum of squares.
     relative : float
-        The same as a part of the sum of squares.
+        The same relative to the sum of squares.
     damping : float
-        First damping over the largest curvature.
+        Initial damping over the largest curvature.
     rejections : int
-        Steps in a row that may fail to lower the sum of squares.
+        Largest number of consecutive steps that fail to lower the sum of squares.
     evaluations : float
-        Residuals after which no further step is tried.
+        Number of residuals after which no further step is tried.
     """
 
     iterations: int = 50
@@ -94,7 +94,7 @@ DEFAULT = FitSettings()
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """Where one fit ended.
+    """Result of one fit.
 
     Attributes
     ----------
@@ -103,12 +103,12 @@ class FitResult:
     values : dict
         All parameters, each in its own unit.
     data_misfit, prior_misfit : float
-        Sums of squares of the residual and of the prior's.
+        Sums of squares of the residual and of the prior.
     iterations, evaluations, jacobians : int
-        Accepted steps; residuals and Jacobians that were asked for.
+        Numbers of accepted steps, residuals and Jacobians.
     converged : bool
     reason : str
-        Why it ended, in words.
+        Why the fit ended, in words.
     active_limits, active_constraints : tuple of str
         Such as ``K_primary at its upper limit``.
     history : DataFrame
@@ -135,7 +135,7 @@ class FitResult:
 
     @property
     def misfit(self) -> float:
-        """Sum of squares that was made small."""
+        """Sum of squares that was minimised."""
         return self.data_misfit + self.prior_misfit
 
 
@@ -146,20 +146,20 @@ def fit(
     prior: Prior | None = None,
     settings: FitSettings = DEFAULT,
 ) -> FitResult:
-    """Make ``|residual|^2 + sum ((theta - centre)/sd)^2`` small within limits and linear constraints.
+    """Minimise ``|residual|^2 + sum ((theta - centre)/sd)^2`` within limits and linear constraints.
 
-    Levenberg-Marquardt in parameters scaled by their range; the damping follows the ratio of actual to promised
+    Levenberg-Marquardt in parameters scaled by their range; the damping follows the ratio of actual to predicted
     decrease (Nielsen 1999). Every step is the exact minimum of the damped quadratic model within all limits and
-    constraints (least distance programming, Lawson and Hanson 1974, ch. 23), so every point tried is feasible. Whole
-    numbers stay at their start.
+    constraints (least distance programming, Lawson and Hanson 1974, ch. 23), so every point tried is feasible.
+    Integer parameters stay at their start.
 
     Parameters
     ----------
     problem : LeastSquares
     space : ParameterSpace
-        Its free parameters that are not whole numbers are fitted; without any the start is evaluated.
+        Its free parameters that are not integers are fitted; without any the start is evaluated.
     start : mapping, optional
-        Named values, default the adopted ones. A start outside the limits or constraints is moved to the nearest
+        Named values, default the nominal ones. A start outside the limits or constraints is moved to the nearest
         feasible point.
     prior : Prior, optional
         Default `Prior.of(space)`; `Prior.none()` switches it off.
@@ -204,7 +204,7 @@ def fit(
             else:
                 mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
         if there is None:
-            # The model may be rough below this; whether that matters is told by what was promised.
+            # The model may be noisy at this scale; the predicted decrease says whether that matters.
             converged = promised <= 1e-6 * here.misfit
             reason = f"no step lowers the misfit further (one promised {promised:.2g} of {here.misfit:.4g})"
             break
@@ -233,7 +233,7 @@ def fit(
 
 
 def _promise(matrix: np.ndarray, right: np.ndarray, step: np.ndarray) -> float:
-    """Decrease of ``|matrix step + right|^2`` by a step from 0."""
+    """Predicted decrease of ``|matrix step + right|^2`` by a step from 0."""
     moved = matrix @ step
     return float(-(moved @ moved + 2 * moved @ right))
 
@@ -252,7 +252,7 @@ class _Point:
 
 
 class _Search:
-    """Asks the problem and counts."""
+    """Evaluates the problem and counts the evaluations."""
 
     def __init__(self, problem: LeastSquares, region: Region, prior: Prior):
         self.problem, self.region, self.prior = problem, region, prior

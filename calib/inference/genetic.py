@@ -1,6 +1,6 @@
-"""A genetic algorithm with generational replacement and an elite, by asking and telling.
+"""Genetic algorithm with generational replacement and an elite, through an ask/tell interface.
 
-The loop is pymoo's; what is particular here are operators that it is given.
+The loop is pymoo's; the operators here are passed to it.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from calib.space import ParameterSpace
 
 @dataclass(frozen=True)
 class GeneticSettings:
-    """Settings of the search; the defaults are those of Ribeiro et al. (2013), where they are known.
+    """Settings of the search; the defaults are those of Ribeiro et al. (2013) where they are published.
 
     Attributes
     ----------
     population, generations : int
-        ``population * generations`` points are asked, the initial population included.
+        ``population * generations`` points are requested, the initial population included.
     elites, substitutes : int
-        The best individuals of a generation, and the worst children of the next whose places they take; equal numbers.
+        The best individuals of a generation, and the worst children of the next that they replace; equal numbers.
     crossover : float
         Probability, per pair of parents, of a uniform crossover (assumed meaning); other pairs are copied.
     mutation : float
@@ -84,7 +84,7 @@ class GeneticSettings:
 
 
 class GeneticSearch:
-    """Asks for populations and is told how good they are; minimises.
+    """Minimisation by ask and tell: `ask` returns a population, `tell` takes its misfits and violations.
 
     Infeasible individuals lose every tournament against feasible ones and are ranked among themselves by their
     violation (Deb 2000). Same settings, initial population, seed and misfits: same populations.
@@ -92,7 +92,7 @@ class GeneticSearch:
     Parameters
     ----------
     space : ParameterSpace
-        Limits and whole-number flags of the free parameters.
+        Limits and integer flags of the free parameters.
     settings : GeneticSettings
     initial : ndarray (population, n_free)
         First population.
@@ -101,7 +101,7 @@ class GeneticSearch:
     Raises
     ------
     InputError
-        When the initial population has another shape, leaves the limits, or has fractions in a whole-number parameter.
+        When the initial population has another shape, leaves the limits, or has fractions in an integer parameter.
     """
 
     def __init__(self, space: ParameterSpace, settings: GeneticSettings, initial: np.ndarray, seed: int):
@@ -112,11 +112,11 @@ class GeneticSearch:
         if not np.all((start >= space.lower) & (start <= space.upper)):
             raise InputError("an initial individual is outside the limits", place="genetic algorithm")
         if np.any(start[:, space.integer] != np.round(start[:, space.integer])):
-            raise InputError("a whole-number parameter starts at a fraction", place="genetic algorithm")
+            raise InputError("an integer parameter starts at a fraction", place="genetic algorithm")
         self.settings = settings
-        # Limits only: pymoo never evaluates anything here.
+        # Limits only: pymoo evaluates nothing here.
         self._problem = Problem(n_var=len(space.free), n_obj=1, n_ieq_constr=1, xl=space.lower, xu=space.upper)
-        # Another stream than that of a sampler given the same seed, whose numbers would otherwise come again here.
+        # A stream of its own: a sampler given the same seed would otherwise produce the same numbers.
         stream = np.random.SeedSequence(seed, spawn_key=(1,))
         self._algorithm = GA(
             pop_size=settings.population,
@@ -137,16 +137,16 @@ class GeneticSearch:
 
     @property
     def generation(self) -> int:
-        """Number of the generation asked or to be asked next, from 1; the last one when done."""
+        """Number of the current generation, from 1; the last one when done."""
         return min(self._algorithm.n_gen or 1, self.settings.generations)
 
     @property
     def done(self) -> bool:
-        """Whether all generations have been told."""
+        """Whether all generations are evaluated."""
         return not self._algorithm.has_next()
 
     def ask(self) -> np.ndarray:
-        """The individuals of this generation, shape (population, n_free); the same until they are told."""
+        """The individuals of this generation, shape (population, n_free); the same until `tell` is called."""
         if self.done:
             raise RuntimeError("the search is done")
         if self._asked is None:
@@ -154,17 +154,17 @@ class GeneticSearch:
         return self._asked.get("X").astype(float)
 
     def tell(self, misfit: np.ndarray, violation: np.ndarray) -> None:
-        """Tell how good the individuals asked are.
+        """Report misfit and violation of the individuals that `ask` returned.
 
         Parameters
         ----------
         misfit : ndarray (population,)
             Finite where the violation is 0; ignored elsewhere.
         violation : ndarray (population,)
-            0 for a feasible individual, else how far it is from being one.
+            0 for a feasible individual, positive otherwise.
         """
         if self._asked is None:
-            raise RuntimeError("nothing was asked")
+            raise RuntimeError("tell was called before ask")
         n = len(self._asked)
         misfit, violation = np.asarray(misfit, dtype=float), np.asarray(violation, dtype=float)
         if misfit.shape != (n,) or violation.shape != (n,):
@@ -173,14 +173,14 @@ class GeneticSearch:
         if not (np.all(violation >= 0) and np.all(np.isfinite(misfit[feasible]))):
             raise ValueError("a violation is negative or NaN, or the misfit of a feasible individual is not finite")
         # NaN would tie at random in a tournament.
-        told = StaticProblem(self._problem, F=np.where(feasible, misfit, np.inf)[:, None], G=violation[:, None])
-        Evaluator().eval(told, self._asked)
+        reported = StaticProblem(self._problem, F=np.where(feasible, misfit, np.inf)[:, None], G=violation[:, None])
+        Evaluator().eval(reported, self._asked)
         self._algorithm.tell(infills=self._asked)
         self._asked = None
 
 
 class _ChildrenAndElite(Survival):
-    """The best of the parents and all children but the worst ones, whose places they take."""
+    """The best of the parents replace the worst children."""
 
     def __init__(self, elites: int):
         super().__init__(filter_infeasible=False)  # feasibility is ranked here
@@ -194,13 +194,13 @@ class _ChildrenAndElite(Survival):
 
 
 def _ranking(pop: Population) -> np.ndarray:
-    """Indices from best to worst: by violation, then by misfit; the first asked wins a tie."""
+    """Indices from best to worst: by violation, then by misfit; the first one wins a tie."""
     misfit, violation = pop.get("F", "CV")
     return np.lexsort([misfit[:, 0], violation[:, 0]])
 
 
 class _FilledMating(Mating):
-    """Mating that repeats children where a small space of whole numbers has not enough different ones."""
+    """Mating that repeats children where a small integer space has too few different ones."""
 
     def do(self, problem: Problem, pop: Population, n_offsprings: int, *args: Any, **kwargs: Any) -> Population:
         children = super().do(problem, pop, n_offsprings, *args, **kwargs)
@@ -214,7 +214,7 @@ class _FilledMating(Mating):
 class _AmongChildren(DuplicateElimination):
     """Drops children equal to an earlier child; one equal to a parent may live, as it costs no evaluation.
 
-    pymoo's own keep the last of equal ones, and compare with the parents too.
+    pymoo's own eliminations keep the last of equal ones, and compare with the parents too.
     """
 
     def do(self, pop: Population, *others: Population, **kwargs: Any) -> Population:
@@ -230,9 +230,9 @@ class _AmongChildren(DuplicateElimination):
 
 
 class _ShrinkingGaussian(Mutation):
-    """Gaussian mutation, gene by gene, whose deviation falls over the generations; reflected at the limits.
+    """Gaussian mutation, gene by gene, with a standard deviation that falls over the generations; reflected at limits.
 
-    pymoo's own draws anew out of bounds without regard to the seed, and keeps its deviation.
+    pymoo's own mutation resamples points out of bounds without regard to the seed, and keeps its standard deviation.
     """
 
     def __init__(self, settings: GeneticSettings, integer: np.ndarray):
@@ -258,7 +258,7 @@ class _ShrinkingGaussian(Mutation):
 
 
 def reflect(x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Points folded back into their limits as by mirrors there; what is inside stays as it is.
+    """Reflect points at their limits until they are inside; points inside stay as they are.
 
     Parameters
     ----------

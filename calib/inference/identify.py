@@ -1,4 +1,4 @@
-"""What the data say about the parameters: posterior scatter, confounded parameters and verdicts."""
+"""Identifiability: posterior covariance, confounded parameters, and directions that the data do not see."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ZERO = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Gaussian knowledge about parameters after the measurement, linearised at one point.
+    """Gaussian posterior of the parameters, linearised at one point.
 
     Attributes
     ----------
@@ -28,11 +28,11 @@ class Posterior:
         In the parameters' own units; infinite on the diagonal where neither data nor prior say anything.
     std : ndarray (n_params,)
     correlation : ndarray (n_params, n_params)
-        Rows and columns of unlimited parameters hold their correlation within what is not seen.
+        Of a parameter with infinite variance: its correlation within the unseen directions.
     data_share : ndarray (n_params,)
         ``1 - V_kk/s_k^2``: 1 when the data decide, 0 when the prior does; 1 for a finite std without a prior. Of the
-        information on a parameter, ``1/V_kk``, the prior gives ``1/s_k^2``: this is the part that the data give. What
-        held parameters add to the variance does not count here.
+        information on a parameter, ``1/V_kk``, the prior gives ``1/s_k^2`` and the data the rest: this is their share.
+        The variance added by held parameters is not counted here.
     """
 
     names: tuple[str, ...]
@@ -47,14 +47,14 @@ def posterior(
 ) -> Posterior:
     """``V = (G^T G + diag(1/s^2))^-1`` (Laplace approximation about the optimum).
 
-    Parameters that are held, but known with a scatter only, shift the estimates by ``B = -V G^T H`` for one of their
-    standard deviations each; that adds ``B B^T`` (consider parameters, Bierman 1977, section 8.2).
+    Held parameters of known standard deviation shift the estimates by ``B = -V G^T H`` per standard deviation each;
+    that adds ``B B^T`` to the covariance (consider parameters, Bierman 1977, section 8.2).
 
     Parameters
     ----------
     names : sequence of str
     jacobian : ndarray (n_rows, n_params)
-        Of the whitened residual, per one of each parameter's own unit.
+        G: of the whitened residual, per unit of each parameter.
     prior_sd : ndarray (n_params,)
         In the same units; infinite without a prior.
     held : ndarray (n_rows, n_held), optional
@@ -71,13 +71,13 @@ def posterior(
         raise InputError(f"{n} parameters, but a Jacobian {g.shape} and {len(s)} priors", place="identifiability")
     if not np.all(np.isfinite(g)) or not np.all(s > 0):
         raise InputError("the Jacobian or a prior is not a usable number", place="identifiability")
-    # Scaled to columns of length one the inverse does not depend on units.
+    # With columns scaled to length one the inverse does not depend on units.
     whole = np.vstack([g, np.diag(1.0 / s)])
     size = np.linalg.norm(whole, axis=0)
     size = np.where(size > 0, size, 1.0)
     _, singular, vt = np.linalg.svd(whole / size, full_matrices=False)
     lost = singular <= _ZERO * max(len(whole), 1) * singular.max(initial=1.0)
-    # An unlimited direction is given a very large variance, so that correlations keep their meaning.
+    # A direction of infinite variance gets a very large one, so that correlations keep their meaning.
     weight = 1.0 / np.where(lost, _ZERO * singular.max(initial=1.0), singular)
     scaled = (vt.T * weight**2) @ vt
     own = np.sqrt(np.diag(scaled)) / size
@@ -86,26 +86,26 @@ def posterior(
         scaled = scaled + shift @ shift.T
     spread = np.sqrt(np.diag(scaled))
     correlation = np.clip(scaled / np.outer(spread, spread), -1.0, 1.0)
-    endless = np.sum(vt[lost] ** 2, axis=0) > 1e-16
+    unbounded = np.sum(vt[lost] ** 2, axis=0) > 1e-16
     covariance = scaled / np.outer(size, size)
-    std = np.where(endless, np.inf, spread / size)
+    std = np.where(unbounded, np.inf, spread / size)
     covariance[np.diag_indices(n)] = std**2
     with np.errstate(invalid="ignore"):
         share = np.where(np.isfinite(s), 1.0 - (own / s) ** 2, 1.0)
-    share = np.where(endless, 0.0, share)
+    share = np.where(unbounded, 0.0, share)
     return Posterior(tuple(names), covariance, std, correlation, np.clip(share, 0.0, 1.0))
 
 
 def with_held(known: Posterior, jacobian: np.ndarray, held: np.ndarray | None) -> np.ndarray:
-    """Covariance of the estimates together with held parameters that are known with a scatter only.
+    """Joint covariance of the estimates and the held parameters of known standard deviation.
 
-    What predicts other data errs by both, and they are correlated: ``[[V + B B^T, B], [B^T, I]]`` with the shift B of
+    Predictions of other data err by both, and they are correlated: ``[[V + B B^T, B], [B^T, I]]`` with the shift B of
     `posterior`.
 
     Parameters
     ----------
     known : Posterior
-        Of the same residual, nothing held.
+        Of the same residual, without held parameters.
     jacobian : ndarray (n_rows, n_params)
     held : ndarray (n_rows, n_held) or None
         Change of the whitened residual by one standard deviation of each held parameter.
@@ -123,7 +123,7 @@ def with_held(known: Posterior, jacobian: np.ndarray, held: np.ndarray | None) -
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What can be told about the parameters.
+    """Identifiability of the parameters.
 
     Attributes
     ----------
@@ -131,15 +131,16 @@ class Identification:
     parameters : DataFrame
         ``parameter, std, std_of_range, identified, prior_sd, data_share``; own units, ``identified`` as by `faults`.
     confounded : DataFrame
-        ``parameter_a, parameter_b, correlation, words``; pairs of correlation beyond the threshold,
-        strongest first; harmless where both are identified.
+        ``parameter_a, parameter_b, correlation, words``; pairs with a correlation beyond the threshold, strongest
+        first; harmless where both are identified.
     directions : DataFrame
         ``direction, signal, data_share, seen, parameters, words``; orthogonal combinations of parameters in units of
         their prior standard deviations, least visible first. ``signal`` is the change of the whitened residual by one
-        such unit, over the scatter as stated: a model that does not fit makes no change harder to see.
+        such unit, for the measurement uncertainty as stated (not scaled where the model does not fit).
     common_scale : float
-        Signal of all parameters together by 10 % of their values, over the scatter as stated; NaN without values or
-        with fewer than two parameters. Near 0, the data see ratios only, such as those of stiffnesses to masses.
+        Change of the whitened residual when all parameters change by 10 % together, for the measurement uncertainty as
+        stated; NaN without values or with fewer than two parameters. Near 0, the data see ratios only, such as those of
+        stiffnesses to masses.
     """
 
     posterior: Posterior
@@ -155,7 +156,7 @@ class Identification:
         return pd.DataFrame(self.posterior.correlation, index=names, columns=names)
 
     def trades_with(self, name: str) -> tuple[str, float] | None:
-        """The other parameter that can best make up for one, with their posterior correlation; None for none much."""
+        """The parameter that correlates most with one, and their posterior correlation; None below `Rules.trades`."""
         own = self.posterior.correlation[self.posterior.names.index(name)].copy()
         own[self.posterior.names.index(name)] = 0.0
         if not len(own) or not np.nanmax(np.abs(own), initial=0.0) >= RULES.trades:
@@ -164,16 +165,16 @@ class Identification:
         return self.posterior.names[k], float(own[k])
 
     def confounded_with(self, name: str) -> list[str]:
-        """The other parameters of the pairs that name one, strongest first."""
+        """The parameters that are confounded with one, strongest first."""
         pairs = zip(self.confounded["parameter_a"], self.confounded["parameter_b"], strict=True)
         return [b if a == name else a for a, b in pairs if name in (a, b)]
 
     def sentences(self) -> tuple[str, ...]:
-        """Which parameters trade, and what the data do not see, in plain words."""
+        """Sentences on confounded parameters and on directions that the data do not see."""
         table = self.parameters
         out = self.confounded["words"].tolist()
         out += self.directions.loc[~self.directions["seen"], "words"].tolist()
-        if self.common_scale < RULES.seen:  # NaN where nothing is common
+        if self.common_scale < RULES.seen:  # False for NaN: fewer than two parameters
             out.append(
                 f"{', '.join(table['parameter'])} can all grow by the same factor without the data noticing: they see "
                 "ratios only. A known mass or stiffness would settle it."
@@ -182,11 +183,11 @@ class Identification:
 
 
 def faults(p: Parameter, std: float, data_share: float, value: float | None = None) -> tuple[str, ...]:
-    """What keeps a parameter from being identified; nothing when it is.
+    """Reasons why a parameter is not identified; empty when it is.
 
-    The data, and not the prior, must give at least half of what is known of it (``prior``), its standard deviation be
-    at most 2.5 % of its range (``wide``), and its value be off its limits (``limit``), since a fit against a limit has
-    not found where the data want it.
+    The data must give at least half of the information on it (else ``prior``), its standard deviation must be at most
+    2.5 % of its range (else ``wide``), and its value must be off its limits (else ``limit``): a fit against a limit has
+    not found the optimum of the data.
 
     Parameters
     ----------
@@ -196,7 +197,7 @@ def faults(p: Parameter, std: float, data_share: float, value: float | None = No
     data_share : float
         See `Posterior`.
     value : float, optional
-        At the optimum; without it limits are not looked at.
+        At the optimum; without it limits are not checked.
     """
     found = {
         "wide": not std <= RULES.identified * (p.upper - p.lower),
@@ -216,28 +217,27 @@ def identify(
     held: np.ndarray | None = None,
     birge: float = 1.0,
 ) -> Identification:
-    """Tell which parameters the data determine, and which they cannot tell apart.
+    """Find which parameters the data determine, and which are confounded.
 
     Parameters
     ----------
     space : ParameterSpace
         For ranges and prior widths.
     names : sequence of str
-        Parameters of the columns, whole numbers left out: a derivative says nothing about them (see
-        `whole_number_std`).
+        Parameters of the columns, without integers, for which derivatives mean nothing (see `integer_std`).
     jacobian : ndarray (n_rows, n_params)
-        Of the whitened residual at the optimum, per one of each parameter's own unit, for the scatter as stated.
+        Of the whitened residual at the optimum, per unit of each parameter, for the measurement uncertainty as stated.
     prior_sd : ndarray (n_params,), optional
         Default the prior widths of the space; infinite without a prior.
     values : mapping, optional
-        Values at the optimum; with them limits and the common scale of all parameters are looked at.
+        Values at the optimum; with them limits and the common scale of all parameters are checked.
     threshold : float
-        Size of the correlation of a confounded pair.
+        Absolute correlation from which a pair is confounded.
     held : ndarray (n_rows, n_held), optional
-        What one standard deviation of each held parameter does to the residual; see `posterior`.
+        Change of the whitened residual by one standard deviation of each held parameter; see `posterior`.
     birge : float
-        Factor on the scatter for which the posterior holds, above 1 where the model does not fit (Birge 1932). What
-        the data see of directions and of the common scale is told for the scatter as stated.
+        Factor by which the posterior scales the measurement uncertainty, above 1 where the model does not fit (Birge
+        1932). Directions and common scale are for the uncertainty as stated.
     """
     chosen = tuple(names)
     s = np.array([space[n].prior_width for n in chosen]) if prior_sd is None else np.asarray(prior_sd, dtype=float)
@@ -245,9 +245,9 @@ def identify(
     found = posterior(chosen, g / birge, s, None if held is None else held / birge)
     span = np.array([space[n].upper - space[n].lower for n in chosen])
     relative = found.std / span
-    told = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)
+    known = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)
     at = dict(values or {})
-    identified = np.array([not faults(space[n], std, share, at.get(n)) for n, std, share in told], dtype=bool)
+    identified = np.array([not faults(space[n], std, share, at.get(n)) for n, std, share in known], dtype=bool)
     parameters = pd.DataFrame(
         {
             "parameter": chosen,
@@ -275,7 +275,7 @@ def _confounded(found: Posterior, identified: np.ndarray, threshold: float) -> p
                 continue
             one, other = found.names[a], found.names[b]
             way = "raising both" if r > 0 else "raising one and lowering the other"
-            words = f"{one} and {other} cannot be told apart: {way} hardly changes the data."
+            words = f"{one} and {other} are confounded: {way} hardly changes the data."
             if identified[a] and identified[b]:
                 words = f"{one} and {other} are strongly correlated ({r:.2f}), yet both are identified."
             rows.append((one, other, r, words))
@@ -294,7 +294,7 @@ def _directions(names: tuple[str, ...], scaled: np.ndarray) -> pd.DataFrame:
         signal, text = float(singular[k]), ", ".join(f"{name} {'up' if p > 0 else 'down'}" for name, p in named)
         seen = signal >= RULES.seen
         words = f"The data {'see' if seen else 'do not see'} {text}"
-        words += f": {signal:.2g} times the scatter for one prior standard deviation."
+        words += f": one prior standard deviation changes them by {signal:.2g} measurement standard deviations."
         share = signal**2 / (1 + signal**2)
         rows.append((len(rows) + 1, signal, share, seen, ", ".join(name for name, _ in named), words))
     columns = ["direction", "signal", "data_share", "seen", "parameters", "words"]
@@ -304,9 +304,9 @@ def _directions(names: tuple[str, ...], scaled: np.ndarray) -> pd.DataFrame:
 def prediction_interval(
     labels: Sequence[str], freq: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, level: float = 0.95
 ) -> pd.DataFrame:
-    """How far frequencies may lie from their computed values, from the posterior scatter of the parameters alone.
+    """Prediction interval of computed frequencies from the posterior covariance of the parameters alone.
 
-    Neither the scatter of a measurement nor an error of the model is in it.
+    It includes neither measurement uncertainty nor model error.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def prediction_interval(
     freq : ndarray (n_modes,)
         Computed, Hz.
     jacobian : ndarray (n_modes, n_params)
-        Of ``ln freq``, per one of each parameter's own unit.
+        Of ``ln freq``, per unit of each parameter.
     covariance : ndarray (n_params, n_params)
     level : float
 

@@ -1,4 +1,4 @@
-"""What a search makes small: one number from named responses."""
+"""Objectives of a search: one misfit from named responses."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class Objective(Protocol):
 
     @property
     def identity(self) -> str:
-        """Text that differs whenever the misfit of some responses could."""
+        """Text that identifies the objective: it differs whenever the misfit of some responses could."""
         ...
 
     def __call__(self, responses: Mapping[str, float]) -> float:
-        """Misfit, 0 for full agreement; not finite when it cannot be told."""
+        """Misfit, 0 for full agreement; not finite when undefined."""
         ...
 
 
@@ -34,9 +34,9 @@ def _response(responses: Mapping[str, float], name: str) -> float:
 class FrequencyMacObjective:
     """Relative frequency errors and MAC deficits, summed over the measured modes.
 
-    ``a * sum |f_model - f_meas| / f_meas + b * sum |1 - MAC|``, the form consistent with the words of Ribeiro et al.
-    (2013), who take a = b = 1. A mode without a partner (its frequency is NaN) counts as a frequency error of 1
-    (100 %) and a MAC of 0; a paired mode whose MAC is NaN counts as a MAC of 0.
+    ``a * sum |f_model - f_meas| / f_meas + b * sum |1 - MAC|``, the form described by Ribeiro et al. (2013), who take
+    a = b = 1. An unpaired mode (NaN frequency) counts as a frequency error of 1 (100 %) and a MAC of 0; a paired mode
+    with a NaN MAC counts as a MAC of 0.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class FrequencyMacObjective:
     Raises
     ------
     InputError
-        For no modes, a frequency that is missing or not positive, a negative weight, or nothing with weight.
+        For no modes, a frequency that is missing or not positive, a negative weight, or no positive weight.
     """
 
     modes: tuple[str, ...]
@@ -81,7 +81,7 @@ class FrequencyMacObjective:
 
     @property
     def identity(self) -> str:
-        """Text that differs whenever the misfit of some responses could."""
+        """Text that identifies the objective: it differs whenever the misfit of some responses could."""
         freq = ",".join(f"{mode}={float(self.natural_freq[mode])!r}" for mode in self.modes)
         weight_mac = float(self.weight_mac) if self.use_mac else 0.0
         return f"frequency-mac a={float(self.weight_freq)!r} b={weight_mac!r} {freq}"
@@ -114,7 +114,7 @@ class JointObjective:
 
     @property
     def identity(self) -> str:
-        """Text that differs whenever the misfit of some responses could."""
+        """Text that identifies the objective: it differs whenever the misfit of some responses could."""
         return "; ".join(f"{test}: {objective.identity}" for test, objective in self.objectives.items())
 
     def __call__(self, responses: Mapping[str, float]) -> float:
@@ -128,7 +128,7 @@ class JointObjective:
 
 @dataclass(frozen=True)
 class ResponseObjective:
-    """Relative errors of plain responses, ``sum |r - t| / |t|``; infinite when a response is NaN.
+    """Relative errors of scalar responses, ``sum |r - t| / |t|``; infinite when a response is NaN.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class ResponseObjective:
     Raises
     ------
     InputError
-        For no target, or one that is 0 or not finite: a relative error needs something to relate to.
+        For no target, or one that is 0 or not finite: its relative error is undefined.
     """
 
     targets: Mapping[str, float]
@@ -151,12 +151,12 @@ class ResponseObjective:
                 raise InputError(
                     f"the target of {name!r} is {target}, so a relative error is undefined",
                     place="objective",
-                    remedy="withhold it, or measure it from another zero",
+                    remedy="hold it out, or measure it from another zero",
                 )
 
     @property
     def identity(self) -> str:
-        """Text that differs whenever the misfit of some responses could."""
+        """Text that identifies the objective: it differs whenever the misfit of some responses could."""
         return "responses " + ",".join(f"{name}={float(self.targets[name])!r}" for name in sorted(self.targets))
 
     def __call__(self, responses: Mapping[str, float]) -> float:

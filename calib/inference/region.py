@@ -1,4 +1,4 @@
-"""Limits and linear constraints in scaled parameters, and the best step within them."""
+"""Feasible region: limits and linear constraints in scaled parameters, and the best step within them."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from calib.errors import InputError
 from calib.space import ParameterSpace
 
 ACTIVE = 1e-6
-"""Distance to a limit, over the range, below which it holds a fit; `calib.space.AT_LIMIT` is what a reader is told."""
+"""Distance to a limit, over the range, below which it is active; `calib.space.AT_LIMIT` is the one reported."""
 
 
 class InfeasibleError(InputError):
-    """No point keeps the limits and constraints while held parameters and whole numbers stay as they are."""
+    """No point keeps the limits and constraints at the given values of fixed and integer parameters."""
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
     """Limits and constraints over parameters scaled to 0..1 between their limits: ``rows @ x >= least``.
 
-    Where all free parameters are whole numbers there are no names, and the region is a point.
+    Where all free parameters are integers there are no names, and the region is a point.
     """
 
     space: ParameterSpace
@@ -38,7 +38,7 @@ class Region:
 
     @classmethod
     def of(cls, space: ParameterSpace, start: dict[str, float]) -> Region:
-        """Of the free parameters that are not whole numbers; all others stay at the start."""
+        """Region of the free parameters that are not integers; all others stay at the start."""
         if not space.free:
             raise InputError("no parameter is free to be fitted", place="fit", remedy="free one")
         chosen = [p for p in space.free if not p.integer]
@@ -74,8 +74,8 @@ class Region:
         )
 
     @property
-    def _walls(self) -> tuple[np.ndarray, np.ndarray]:
-        """All limits and constraints."""
+    def _inequalities(self) -> tuple[np.ndarray, np.ndarray]:
+        """All limits and constraints as ``rows @ x >= least``."""
         one = np.eye(len(self.names))
         return (
             np.vstack([one, -one, self.rows]),
@@ -87,12 +87,12 @@ class Region:
         return self.fixed | dict(zip(self.names, (self.lower + self.span * x).tolist(), strict=True))
 
     def inside(self, x: np.ndarray) -> np.ndarray:
-        """The point without the rounding that would leave the limits."""
+        """The point clipped to the limits (removes rounding)."""
         return np.clip(x, 0.0, 1.0)
 
     def nearest(self, x: np.ndarray) -> np.ndarray:
-        """The feasible point nearest to a given one, which is itself where it is feasible."""
-        rows, least = self._walls
+        """The nearest feasible point; a feasible point is returned as it is."""
+        rows, least = self._inequalities
         if np.all(rows @ x >= least - 1e-12):
             return self.inside(x)
         moved = _least_distance(rows, least - rows @ x)
@@ -110,18 +110,18 @@ class Region:
         whole = np.vstack([matrix, math.sqrt(ridge) * np.eye(n)])
         q, r = np.linalg.qr(whole)
         target = -(q.T @ np.concatenate([right, np.zeros(n)]))
-        rows, least = self._walls
+        rows, least = self._inequalities
         room = np.minimum(least - rows @ x, 0.0)  # the present point is feasible up to rounding
-        # With z = r d - target the problem is to find the shortest z behind all walls.
-        turned = np.linalg.solve(r.T, rows.T).T
-        size = np.linalg.norm(turned, axis=1)
-        z = _least_distance(turned / size[:, None], (room - turned @ target) / size)
+        # With z = r d - target the problem is to find the shortest z that keeps all constraints.
+        transformed = np.linalg.solve(r.T, rows.T).T
+        size = np.linalg.norm(transformed, axis=1)
+        z = _least_distance(transformed / size[:, None], (room - transformed @ target) / size)
         if z is None:
             return np.zeros(n)
         return np.linalg.solve(r, z + target)
 
     def active(self, x: np.ndarray) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Limits and constraints that hold a point, in words."""
+        """Active limits and constraints, in words."""
         limits = [f"{n} at its lower limit" for n, v in zip(self.names, x, strict=True) if v < ACTIVE]
         limits += [f"{n} at its upper limit" for n, v in zip(self.names, x, strict=True) if v > 1 - ACTIVE]
         gap = self.rows @ x - self.least

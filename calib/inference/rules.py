@@ -1,4 +1,4 @@
-"""What decides whether parameters are identified and cases agree, in one place."""
+"""Thresholds by which parameters count as identified and cases as agreeing."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Rules:
-    """Constants of the verdicts; `record.json` holds those that an answer was made with.
+    """Thresholds of the verdicts; `record.json` holds those that a result was made with.
 
     Attributes
     ----------
     identified : float
         Largest posterior standard deviation, over the range between the limits, of an identified parameter.
     by_data : float
-        Smallest part of what is known of an identified parameter that the data give; see `Posterior`.
+        Smallest ``data_share`` of an identified parameter: the part of the information that the data give; see
+        `Posterior`.
     confounded : float
-        Size of the posterior correlation from which two parameters count as confounded.
+        Absolute posterior correlation from which two parameters count as confounded.
     trades : float
-        Size of the posterior correlation from which a parameter that is not identified is told to trade with another.
+        Absolute posterior correlation from which a parameter that is not identified is reported to trade with another.
     seen : float
-        Signal of one prior standard deviation, over the scatter, below which the data do not see a direction.
+        Change of the whitened residual by one prior standard deviation below which the data do not see a direction.
     takes_part : float
-        Smallest share (of length 1) of a parameter that is named as part of a direction.
+        Smallest component (of a unit vector) of a parameter that is named as part of a direction.
     stable : float
         Largest difference between cases, over the range between the limits, of a stable parameter (Ribeiro et al.
         2013).
@@ -41,4 +42,4 @@ class Rules:
 
 
 RULES = Rules()
-"""Those in force."""
+"""The thresholds in force."""

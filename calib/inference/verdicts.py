@@ -1,4 +1,4 @@
-"""Verdicts in words: on a limit, stable, identified, confounded, and whether the fit is as good as the scatter."""
+"""One verdict and sentence per parameter: on a limit, stable, identified, confounded."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from calib.inference.rules import RULES
 from calib.space import Parameter, ParameterSpace
 
 
-def whole_number_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> float:
-    """Standard deviation of a whole number from the lowest misfit at each value.
+def integer_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> float:
+    """Standard deviation of an integer parameter from the lowest misfit at each value.
 
-    ``p(n) ~ exp(-misfit(n)/2 - ((n - centre)/sd)^2/2)``: the misfit is a sum of squares in units of the scatter, lowest
-    over all other parameters (profile likelihood). A parabola through the neighbours, the usual way for continuous
-    parameters, would claim a scatter of half a step where a neighbour is in fact excluded.
+    ``p(n) ~ exp(-misfit(n)/2 - ((n - centre)/sd)^2/2)``: the misfit is a whitened sum of squares, minimised over all
+    other parameters (profile likelihood). A parabola through the neighbours, as for continuous parameters, would claim
+    a standard deviation of half a step where a neighbour is in fact excluded.
 
     Parameters
     ----------
     numbers, misfits : ndarray (n,)
-        Values tried, the best one and its neighbours at least; infinite misfits are impossible values.
+        Values tried, the best one and its neighbours at least; an infinite misfit marks an impossible value.
     centre, sd : float
         Prior; default none.
 
@@ -36,7 +36,7 @@ def whole_number_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0
     numbers, misfits = np.asarray(numbers, dtype=float), np.asarray(misfits, dtype=float)
     total = misfits + ((numbers - centre) / sd) ** 2
     if not np.any(np.isfinite(total)):
-        raise InputError("no value of the whole number could be evaluated", place="identifiability")
+        raise InputError("no value of the integer could be evaluated", place="identifiability")
     weight = np.exp(-0.5 * (np.where(np.isfinite(total), total, np.inf) - np.nanmin(total)))
     weight /= weight.sum()
     mean = float(weight @ numbers)
@@ -52,7 +52,7 @@ def parameter_verdicts(
     fits: bool | None = None,
     birge: float = 1.0,
 ) -> pd.DataFrame:
-    """One verdict and sentence for every free parameter.
+    """Verdict and sentence for every free parameter.
 
     Parameters
     ----------
@@ -63,19 +63,19 @@ def parameter_verdicts(
     spread : mapping, optional
         Largest difference between cases over the range, from several searches or starts.
     whole : mapping, optional
-        Standard deviations of whole-number parameters, see `whole_number_std`; without it they are not judged.
+        Standard deviations of integer parameters, see `integer_std`; without it they get no verdict.
     fits : bool, optional
-        Whether the model fits within the scatter; None where that cannot be told.
+        Whether the model fits within the measurement uncertainty; None where unknown.
     birge : float
-        Factor on the scatter that the standard deviations hold for, told where it is not 1.
+        Factor by which the measurement uncertainty is scaled for the misfit; mentioned where it is not 1.
 
     Returns
     -------
     DataFrame
         ``parameter, value, unit, lower, upper, ratio, on_bound, suggested_limit, spread, stable, std, std_of_range,
-        data_share, identified, not_identified, confounded_with, fits_within_scatter, sentence``; missing where nothing
-        can be told. ``not_identified`` has the reasons of `calib.inference.identify.faults`. A limit is suggested half
-        a range further out; a limit of 0 is physical and stays.
+        data_share, identified, not_identified, confounded_with, fits_within_std, sentence``; missing where unknown.
+        ``not_identified`` holds the reasons of `calib.inference.identify.faults`. A limit is suggested half a range
+        further out; a limit of 0 is physical and stays.
     """
     known = zip(found.posterior.std.tolist(), found.posterior.data_share.tolist(), strict=True)
     stds = dict(zip(found.posterior.names, known, strict=True))
@@ -118,7 +118,7 @@ def parameter_verdicts(
                 "identified": identified,
                 "not_identified": ", ".join(why),
                 "confounded_with": ", ".join(others),
-                "fits_within_scatter": fits,
+                "fits_within_std": fits,
                 "sentence": _sentence(
                     p, side, limit, width, std, share, None if identified is None else why, birge, others, trade
                 ),
@@ -128,15 +128,15 @@ def parameter_verdicts(
 
 
 def identified_sentence(verdicts: pd.DataFrame) -> str:
-    """How many parameters are identified and which are not, of the table of `parameter_verdicts`."""
-    judged = verdicts[verdicts["identified"].notna()]
-    bad = judged.loc[~judged["identified"].astype(bool), "parameter"].tolist()
-    told = f"{len(judged) - len(bad)} of {len(judged)} parameters are identified"
-    return told + (f"; not {', '.join(bad)}." if bad else ".")
+    """How many parameters are identified and which are not, from the table of `parameter_verdicts`."""
+    assessed = verdicts[verdicts["identified"].notna()]
+    bad = assessed.loc[~assessed["identified"].astype(bool), "parameter"].tolist()
+    count = f"{len(assessed) - len(bad)} of {len(assessed)} parameters are identified"
+    return count + (f"; not {', '.join(bad)}." if bad else ".")
 
 
 def _suggested(lower: float, upper: float, side: str | None) -> float:
-    """A limit further out on the side that a value sits on, NaN where there is none."""
+    """A limit further out on the side of the active one, NaN where there is none."""
     half = 0.5 * (upper - lower)
     if side == "upper":
         return (0.0 if upper < 0 < upper + half else upper + half) if upper != 0 else math.nan
@@ -159,13 +159,13 @@ def _sentence(
 ) -> str:
     scale = "" if p.unit == "-" else f" {p.unit}"
     span = p.upper - p.lower
-    wider = "" if birge == 1.0 else f", the scatter taken {birge:.2g} times for the misfit"
+    wider = "" if birge == 1.0 else f", measurement uncertainty scaled by {birge:.2g} for the misfit"
     words = []
     if side is not None:
         cure = f"widen it to {limit:.4g}{scale} if possible" if math.isfinite(limit) else "the limit is physical"
         words.append(f"Sits on its {side} limit: {cure}, or suspect something missing in the model.")
     if why is None:
-        kind = "is a whole number and is not judged by derivatives" if p.integer else "was not judged"
+        kind = "is an integer and is not assessed by derivatives" if p.integer else "was not assessed"
         words.append(f"It {kind}.")
     elif not why and p.integer:
         words.append("Identified: its other values fit much worse.")
@@ -177,7 +177,7 @@ def _sentence(
     else:
         words.append(f"Not identified: {'; '.join(_reasons(why, std, share, span, scale, wider))}.")
     if others:
-        words.append(f"It cannot be told apart from {', '.join(others)}.")
+        words.append(f"It is confounded with {', '.join(others)}.")
     if trade is not None:
         words.append(f"It trades most with {trade[0]} (correlation {trade[1]:.2f}).")
     if width is not None and width > RULES.stable:
@@ -186,14 +186,14 @@ def _sentence(
 
 
 _UNSEEN = 0.05
-"""Part of what is known below which the data count as not seeing a parameter."""
+"""Data share below which the data count as not seeing a parameter."""
 
 
 def _reasons(why: Sequence[str], std: float, share: float, span: float, scale: str, wider: str) -> list[str]:
     unseen = "the data do not see it"
-    told = {
+    words = {
         "wide": f"standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its range{wider}",
-        "prior": unseen if share < _UNSEEN else f"the data give only {100 * share:.0f} % of what is known of it",
+        "prior": unseen if share < _UNSEEN else f"the data give only {100 * share:.0f} % of the information on it",
         "limit": "a limit holds it",
     }
-    return [told[reason] for reason in why]
+    return [words[reason] for reason in why]

@@ -1,1 +1,1 @@
-"""What the real structure did: measured modes with their repeat scatter, read from UFF/UNV or CSV."""
+"""Measured modes and scalar responses with their repeats, read from UFF/UNV or CSV, averaged and checked."""

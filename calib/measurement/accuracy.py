@@ -1,4 +1,4 @@
-"""How accurate a measurement is claimed to be, beside how well it repeats."""
+"""Claimed accuracy of a measurement, in addition to its repeatability."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ KINDS = {"freq": "natural frequencies", "damping": "damping ratios", "shape": "s
 
 @dataclass(frozen=True)
 class Claim:
-    """One standard deviation that is claimed: a share of the value, or a number in its own unit.
+    """Claimed standard deviation: a share of the value, or a number in its own unit.
 
     Attributes
     ----------
     share : float
-        Of the value; of a shape, of its largest entry.
+        Relative to the value; for a shape, to its largest entry.
     own : float
-        In the value's own unit: Hz, a damping ratio, parts of a shape's largest entry, the unit of a plain response.
+        In the value's own unit: Hz, a damping ratio, parts of a shape's largest entry, the unit of a scalar response.
     """
 
     share: float = 0.0
@@ -67,10 +67,10 @@ NOTHING = Claim()
 
 @dataclass(frozen=True)
 class Accuracy:
-    """What a modal measurement claims by kind; nothing by default.
+    """Claimed accuracy of a modal measurement by kind; nothing by default.
 
-    It is added to the repeatability in squares: repeats do not show what all of them share, such as a calibration
-    factor, the mass of sensors or the way of hanging.
+    Its variance is added to that of the repeats, which do not show systematic errors, such as those of a calibration
+    factor, the mass of sensors or the suspension.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Accuracy:
 
     @classmethod
     def of(cls, given: str | float | Mapping[str, str | float] | None) -> Accuracy:
-        """From one share for all kinds, or by kind; ValueError for what is no such thing."""
+        """From one share for all kinds, or by kind; ValueError for anything else."""
         if given is None:
             return cls()
         if not isinstance(given, Mapping):
@@ -116,7 +116,7 @@ Plain = Mapping[str, tuple[float, float | None]]
 def widened(
     targets: Plain, kinds: Mapping[str, str], given: str | float | Mapping[str, str | float] | None
 ) -> dict[str, tuple[float, float | None]]:
-    """Plain responses with a claimed accuracy added to their standard deviations in squares.
+    """Scalar responses whose variances are increased by a claimed accuracy.
 
     Parameters
     ----------
@@ -124,12 +124,13 @@ def widened(
     kinds : mapping from response name to kind
         See `calib.measurement.responses.response_kinds`.
     given
-        A share for all responses, or shares and numbers by the name of a response or of a kind; a name goes first.
+        A share for all responses, or shares and numbers by the name of a response or of a kind; the name of a response
+        takes precedence.
 
     Raises
     ------
     InputError
-        For a name that is none, or a share of a value that is 0.
+        For a name that is neither a response nor a kind.
     """
     if given is None:
         return dict(targets)

@@ -1,4 +1,4 @@
-"""Means over repeats, each over the values that are there."""
+"""Means over repeats, ignoring missing values."""
 
 from __future__ import annotations
 

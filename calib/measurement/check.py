@@ -1,4 +1,4 @@
-"""Sensors that were wired or labelled wrongly: turned round, exchanged or dead, told from modes paired with a model."""
+"""Sensor check against modes paired with a model: sensors that are turned round, exchanged or dead."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from calib.errors import InputError
 FindingKind = Literal["flipped", "swapped", "dead"]
 
 SENSORS_FEWEST = 4
-"""Fewer sensors that move cannot outvote a wrong one."""
+"""With fewer sensors that move, a wrong one cannot be identified."""
 GAIN_LEAST = 0.002
 """Rise of the mean MAC below which a correction is not worth a sentence."""
 EVIDENCE_LEAST = 8.0
-"""Log-likelihood ratio asked of a single hypothesis; a chance of about 3e-5 for the worst-placed sensor."""
-EVIDENCE_ELSEWHERE = 4.0
-"""Log-likelihood ratio asked of all modes but the most telling one: one odd mode is the model's affair."""
+"""Log-likelihood ratio required of a single hypothesis; a probability of about 3e-5 for the worst-placed sensor."""
+EVIDENCE_OTHER_MODES = 4.0
+"""Log-likelihood ratio required of all modes but the best one: a single odd mode points to the model, not a sensor."""
 AGAINST_MOST = 0.2
 """Largest share of MAC lost in some modes to the MAC gained in others."""
 RESIDUAL_LEAST = 4e-4
-"""Floor of 1 - MAC (2 % of the motion), so that exact data do not make a trifle significant."""
+"""Floor of 1 - MAC (2 % of the motion), so that exact data do not make a negligible change significant."""
 DEAD_MEASURED, DEAD_MODEL = 1e-3, 0.05
 """A sensor is dead below the first share of the largest motion in every mode while the model exceeds the second."""
 
@@ -39,8 +39,8 @@ class SensorFinding:
     sensors : tuple of str
         One name, or two for swapped sensors.
     mac_before, mac_after : float
-        Mean MAC over the paired modes without and with this correction, the findings listed earlier being corrected
-        already; a dead sensor is corrected by leaving it out.
+        Mean MAC over the paired modes without and with this correction, after the corrections listed earlier; a dead
+        sensor is corrected by leaving it out.
     sentence : str
     """
 
@@ -55,20 +55,20 @@ def check_sensors(measured: np.ndarray, model: np.ndarray, names: Sequence[str])
     """Find sensors that are turned round, exchanged or dead, before measurement and model are compared.
 
     Corrections are added (or withdrawn) greedily while the mean MAC rises, in several orders; then the weakest is
-    withdrawn until each one that is left
+    withdrawn until each remaining one
 
     - has a log-likelihood ratio of ``(n_sensors - 1) n_modes / 2 * log((1 - MAC_without) / (1 - MAC_with))``, of mean
       MACs, above `EVIDENCE_LEAST` plus the logarithm of the number of hypotheses. The least-squares residual of a mode
       is ``|a|^2 (1 - MAC)``, so this is the profile likelihood ratio for normal residuals of one unknown variance: a
-      poor model, or few sensors and modes, ask for more;
-    - does not live on a single mode, and lowers the MAC of hardly any mode.
+      poor model, or few sensors and modes, need a larger gain;
+    - does not rest on a single mode, and lowers the MAC of hardly any mode.
 
-    Nothing is said of a single mode, from which neither sign nor exchange can be told, nor of fewer than four sensors.
+    With a single mode (which determines neither sign nor exchange) or fewer than four sensors there are no findings.
 
     Parameters
     ----------
     measured : ndarray (n_sensors, n_modes)
-        Real or complex, any scale a mode; NaN where not measured.
+        Real or complex, each mode of any scale; NaN where not measured.
     model : ndarray (n_sensors, n_modes)
         Paired column by column; finite.
     names : sequence of str, length n_sensors
@@ -109,7 +109,7 @@ def check_sensors(measured: np.ndarray, model: np.ndarray, names: Sequence[str])
         )
         findings.append(SensorFinding("dead", (names[k],), before, after, sentence))
         a, seen = np.where(without, a, 0.0), without
-    # a mode seen by fewer sensors is fitted, not tested, by its free factor
+    # a mode with fewer sensors is fitted, not tested, by its free factor
     enough = (seen & (a != 0)).sum(axis=0) >= SENSORS_FEWEST
     rows = np.flatnonzero(seen[:, enough].any(axis=1))
     if enough.sum() < 2 or len(rows) < SENSORS_FEWEST:
@@ -157,7 +157,7 @@ class _Shapes:
         return float(self.mac.mean())
 
     def after(self, operations: Sequence[Operation]) -> _Shapes:
-        """Shapes with corrections made; no sensor takes part in two of them."""
+        """Shapes after corrections; no sensor takes part in two of them."""
         exchanged = [rows for rows in operations if len(rows) > 1]
         return _Shapes(corrected(self.a, operations), self.b, corrected(self.seen, exchanged))
 
@@ -176,7 +176,7 @@ def _mac(product: np.ndarray, size_a: np.ndarray, size_b: np.ndarray) -> np.ndar
 
 
 def _dead(a: np.ndarray, b: np.ndarray, seen: np.ndarray) -> tuple[list[int], list[str]]:
-    """Rows that do not move, or show one and the same value, while the model's do; columns scaled to a modulus of 1."""
+    """Rows that are zero or constant while the model moves there; columns scaled to a largest modulus of 1."""
     rows, kinds = [], []
     for k, kind in silent_rows(a, seen).items():
         motion = np.abs(b[k, seen[k]])
@@ -187,7 +187,7 @@ def _dead(a: np.ndarray, b: np.ndarray, seen: np.ndarray) -> tuple[list[int], li
 
 
 def silent_rows(a: np.ndarray, seen: np.ndarray) -> dict[int, str]:
-    """Rows that are ``zero`` or ``constant`` in all modes, as no moving sensor is; columns scaled to a modulus of 1."""
+    """Rows that are ``zero`` or ``constant`` in all modes; columns scaled to a largest modulus of 1."""
     out = {}
     for k in range(len(a)):
         mine = a[k, seen[k]]
@@ -202,10 +202,10 @@ def silent_rows(a: np.ndarray, seen: np.ndarray) -> dict[int, str]:
 
 
 def _search(start: _Shapes) -> list[Operation]:
-    """Corrections that stand, from the best of several orders in which they may be tried.
+    """Accepted corrections, from the best of several orders in which they are tried.
 
-    On a symmetric structure, exchanging mirrored sensors does half of what reversing both would, so that one order
-    alone can end in a wrong corner. Of equally good explanations the shortest is taken.
+    On a symmetric structure, exchanging mirrored sensors has half the effect of reversing both, so that a single order
+    can end in a local optimum. Of equally good explanations the shortest is taken.
     """
     best: list[Operation] = []
     best_mac = start.mean_mac
@@ -222,7 +222,7 @@ def _search(start: _Shapes) -> list[Operation]:
 
 
 def _grow(start: _Shapes, given: Sequence[Operation], *, flips: bool, swaps: bool) -> list[Operation]:
-    """Corrections added, or withdrawn again, one after the other as each raises the mean MAC most."""
+    """Add or withdraw one correction at a time, each time the one that raises the mean MAC most."""
     chosen = list(given)
     while True:
         state = start.after(chosen)
@@ -260,12 +260,12 @@ def _additions(state: _Shapes, free: np.ndarray, *, flips: bool, swaps: bool) ->
 
 
 def _prune(start: _Shapes, operations: Sequence[Operation]) -> list[Operation]:
-    """Corrections that stand on their own, the weakest withdrawn first."""
+    """Corrections with enough evidence each; the weakest is withdrawn first."""
     kept = list(operations)
     while kept:
         full = start.after(kept)
         verdicts = [_evidence(start.after([o for o in kept if o != one]), full) for one in kept]
-        failing = [(evidence, k) for k, (evidence, stands) in enumerate(verdicts) if not stands]
+        failing = [(evidence, k) for k, (evidence, accepted) in enumerate(verdicts) if not accepted]
         if not failing:
             break
         kept.pop(min(failing)[1])
@@ -273,30 +273,30 @@ def _prune(start: _Shapes, operations: Sequence[Operation]) -> list[Operation]:
 
 
 def _evidence(without: _Shapes, corrected: _Shapes) -> tuple[float, bool]:
-    """Log-likelihood ratio of one correction, the others being made, and whether it stands."""
+    """Log-likelihood ratio of one correction given the others, and whether it is accepted."""
     n_sensors = len(corrected.a)
     gain = corrected.mac - without.mac
     evidence = log_likelihood_ratio(n_sensors, len(gain), without.mean_mac, corrected.mean_mac)
-    elsewhere = (n_sensors - 1) * (gain.sum() - gain.max()) / (2 * max(1.0 - corrected.mean_mac, RESIDUAL_LEAST))
+    other_modes = (n_sensors - 1) * (gain.sum() - gain.max()) / (2 * max(1.0 - corrected.mean_mac, RESIDUAL_LEAST))
     lost, won = -gain[gain < 0].sum(), gain[gain > 0].sum()
-    stands = (
-        evidence >= evidence_asked(n_sensors)
-        and elsewhere >= EVIDENCE_ELSEWHERE
+    accepted = (
+        evidence >= evidence_required(n_sensors)
+        and other_modes >= EVIDENCE_OTHER_MODES
         and lost <= AGAINST_MOST * won
         and corrected.mean_mac - without.mean_mac >= GAIN_LEAST
     )
-    return evidence, bool(stands)
+    return evidence, bool(accepted)
 
 
 def log_likelihood_ratio(n_sensors: int, n_modes: int, without: float, corrected: float) -> float:
     """Evidence for a correction, from the mean MAC without and with it; see `check_sensors`."""
-    spread, spread_without = (max(1.0 - m, RESIDUAL_LEAST) for m in (corrected, without))
-    # every mode has lost one degree of freedom to its factor
-    return (n_sensors - 1) * n_modes / 2 * math.log(spread_without / spread)
+    residual, residual_without = (max(1.0 - m, RESIDUAL_LEAST) for m in (corrected, without))
+    # the complex factor of every mode costs one degree of freedom
+    return (n_sensors - 1) * n_modes / 2 * math.log(residual_without / residual)
 
 
-def evidence_asked(n_sensors: int) -> float:
-    """Log-likelihood ratio that one correction needs, the number of hypotheses counted in."""
+def evidence_required(n_sensors: int) -> float:
+    """Log-likelihood ratio that one correction needs, corrected for the number of hypotheses."""
     return EVIDENCE_LEAST + math.log(n_sensors * (n_sensors + 1) / 2)
 
 

@@ -1,4 +1,4 @@
-"""Modes, shapes, sensor places and plain responses from CSV tables; mistakes are refused by line and column."""
+"""Modes, shapes, sensor places and scalar responses from CSV tables; errors name line and column."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from calib.measurement.repeats import Repeat, ShapeSet
 from calib.table import Row, read_rows
 
 FREQ_LIMIT = 1e12
-"""Hz; a larger frequency is damage, not a vibration."""
+"""Hz; a larger frequency is a corrupt number."""
 VALUE_LIMIT = 1e100
-"""Modulus; larger shape entries and responses are damage and would overflow when squared."""
+"""Modulus; larger shape entries and responses are corrupt and would overflow when squared."""
 FINEST = 1e-12
-"""Share of a value below which no measurement's standard deviation can be."""
+"""Smallest plausible standard deviation of a measurement, relative to the value."""
 
 
 ONE = ""
@@ -28,10 +28,10 @@ ONE = ""
 def read_modes_csv(path: Path) -> dict[str, Repeat]:
     """Frequencies and damping from a table ``mode, freq, freq_kind, freq_std, damping, damping_std, repeat``.
 
-    Frequencies and their deviations in Hz, damping as a ratio; the last four columns may be absent or empty. A damped
-    frequency is turned into the natural one, ``natural = damped / sqrt(1 - damping**2)``, and so is its deviation;
-    where the damping is unknown the two are taken as equal. With a column ``repeat`` the table holds many repeats, each
-    under a label of its own; a mode that a repeat lacks has no line there.
+    Frequencies and their standard deviations in Hz, damping as a ratio; the last four columns may be absent or empty. A
+    damped frequency is converted to the natural one, ``natural = damped / sqrt(1 - damping**2)``, and so is its
+    standard deviation; where the damping is unknown the two are taken as equal. With a column ``repeat`` the table
+    holds many repeats, each under its own label; a mode that a repeat lacks has no line there.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def read_modes_csv(path: Path) -> dict[str, Repeat]:
     Raises
     ------
     InputError
-        With file, line and column, for anything that is no such table.
+        With file, line and column, for anything that is not such a table.
     """
     found: dict[str, dict[str, tuple[float, float, float, float]]] = {}
     optional = ("freq_std", "damping", "damping_std", "repeat")
@@ -82,7 +82,7 @@ def _source(path: Path, label: str) -> str:
 
 
 def _deviation(row: Row, column: str, value: float, most: float) -> float:
-    """A standard deviation between what no measurement reaches and what is no measurement; NaN where none is given."""
+    """A plausible standard deviation, between `FINEST` times the value and ``most``; NaN where none is given."""
     std = row.optional(column)
     least = 0.0 if math.isnan(value) else FINEST * abs(value)
     if math.isnan(std) or (0 < std < most and std >= least):
@@ -97,7 +97,7 @@ def _deviation(row: Row, column: str, value: float, most: float) -> float:
 def parse_direction(text: str) -> tuple[str, int] | None:
     """Direction name and sign from ``y``, ``-y``, ``rz`` or a universal-file code such as ``2`` or ``-6``.
 
-    Returns None when the text is no direction.
+    Returns None when the text is not a direction.
     """
     sign = -1 if text.startswith("-") else 1
     bare = text[1:] if text[:1] in ("-", "+") else text
@@ -126,14 +126,14 @@ def read_shapes_csv(path: Path, names: Mapping[str, Sequence[str]]) -> dict[str,
     Raises
     ------
     InputError
-        With file, line and column, for anything that is no such table, unknown repeats and modes, and sensors given
+        With file, line and column, for anything that is not such a table, unknown repeats and modes, and sensors given
         twice.
     """
     tables: dict[str, dict[tuple[tuple[int, str], str], tuple[complex, float]]] = {}
     for row in read_rows(path, ("mode", "node", "direction", "re"), ("im", "std", "repeat")):
         mode, node, label = row.text("mode"), row.node(), _label(row)
         if label not in names:
-            known = ", ".join(one for one in names if one != ONE) or "not told: their table has no column 'repeat'"
+            known = ", ".join(one for one in names if one != ONE) or "unknown: their table has no column 'repeat'"
             raise row.error("repeat", f"unknown repeat {label!r}", f"the repeats of the modes are {known}")
         if mode not in names[label]:
             raise row.error("mode", f"unknown mode {mode!r}", f"the modes are {', '.join(names[label])}")
@@ -196,7 +196,7 @@ def read_sensor_table(path: Path) -> dict[int, tuple[tuple[float, float, float],
     Raises
     ------
     InputError
-        With file, line and column, for anything that is no such table, and nodes given twice.
+        With file, line and column, for anything that is not such a table, and nodes given twice.
     """
     places: dict[int, tuple[tuple[float, float, float], str | None]] = {}
     for row in read_rows(path, ("node", "x", "y", "z"), ("on",)):
@@ -208,10 +208,10 @@ def read_sensor_table(path: Path) -> dict[int, tuple[tuple[float, float, float],
 
 
 def read_responses_csv(path: Path) -> dict[str, dict[str, tuple[float, float | None]]]:
-    """Plain responses from a table ``response, value, std, repeat``; ``std`` may be absent or empty (unknown).
+    """Scalar responses from a table ``response, value, std, repeat``; ``std`` may be absent or empty (unknown).
 
-    With a column ``repeat`` the table holds many repeats, each under a label of its own; a response that a repeat
-    lacks has no line there.
+    With a column ``repeat`` the table holds many repeats, each under its own label; a response that a repeat lacks has
+    no line there.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def read_responses_csv(path: Path) -> dict[str, dict[str, tuple[float, float | N
     Raises
     ------
     InputError
-        With file, line and column, for anything that is no such table, and responses given twice.
+        With file, line and column, for anything that is not such a table, and responses given twice.
     """
     found: dict[str, dict[str, tuple[float, float | None]]] = {}
     for row in read_rows(path, ("response", "value"), ("std", "repeat")):

@@ -1,4 +1,4 @@
-"""What disagrees between repeats: a dead or turned channel, a bad shape, a single value; named, with its influence."""
+"""Disagreements between repeats: dead or turned channels, bad shapes, single values, and their effect on the mean."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ Pooling = Literal["robust", "plain"]
 Kind = Literal["frequency", "damping", "shape", "sensor", "entry", "response"]
 
 FOUND_MOST = 25
-"""Disagreements of shapes sought in one measurement."""
+"""Largest number of disagreements of shapes searched for in one measurement."""
 DEAD_BELOW, TURNED_BELOW = 0.2, -0.5
 """Share of its usual motion below which a channel is dead, and gain below which it is turned round."""
 ENTRY_SHARE = 0.8
-"""A single entry with this share of a block's excess is what is wrong with the block."""
+"""A single entry with this share of a block's excess is reported instead of the block."""
 MOVES_ABOVE = 0.1
 """Root mean square motion (largest entry of a mode: 1) from which a sensor's sign can be compared in two repeats."""
 ALIKE_ABOVE = 0.8
-"""MAC over the modes above which two channels show the same motion but for a factor."""
+"""MAC over the modes above which the motions of two channels are collinear."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Disagreement:
     kind : {"frequency", "damping", "shape", "sensor", "entry", "response"}
         ``shape`` is a whole mode shape, ``sensor`` a channel in all modes, ``entry`` one sensor in one mode.
     repeat : str
-        Its file or label; of two repeats, where nothing tells which one is wrong, both.
+        Its file or label; with only two repeats, where the wrong one is unknown, both.
     mode, sensor : str
-        Empty where it is not about one; for a response ``mode`` is its name.
+        Empty where not applicable; for a response ``mode`` is its name.
     times : float
         Distance from the mean of the others over the standard deviation of one repeat; NaN where not tested.
     value : float
@@ -55,9 +55,10 @@ class Disagreement:
     mean_with, mean_without : float
         Of a frequency, damping ratio or response; NaN for shapes.
     std_with, std_without : float
-        Standard deviation of the mean with and without it; of shapes the root mean square over the place.
+        Standard deviation of the mean with and without it; for shapes the root mean square over the block.
     left_out : bool
-        Whether mean and scatter are without it. A single value that is far, but not beyond doubt, is named and kept.
+        Whether mean and standard deviation are without it. A single value that is distant but not significantly so is
+        reported and kept.
     sentence : str
     """
 
@@ -81,7 +82,7 @@ COLUMNS = (
     "kind", "repeat", "mode", "sensor", "times", "value", "mean_with", "mean_without", "std_with", "std_without",
     "left_out", "sentence",
 )  # fmt: skip
-"""What is told of every disagreement."""
+"""Columns of the table of disagreements."""
 
 
 def disagreeing(
@@ -93,7 +94,7 @@ def disagreeing(
     stack: np.ndarray,
     pooling: Pooling,
 ) -> list[Disagreement]:
-    """Everything in which one repeat disagrees with the others.
+    """Disagreements of single repeats with the others.
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ def disagreeing(
     stack : ndarray (n_repeats, n_sensors, n_modes)
         Shapes of any scale and phase; NaN where unknown.
     pooling : {"robust", "plain"}
-        Whether mean and scatter go without what is found.
+        Whether disagreeing values are left out of mean and standard deviation.
     """
     robust = pooling == "robust"
     found = value_disagreements("frequency", repeats, modes, freq, robust)
@@ -121,7 +122,7 @@ def disagreeing(
 def without(
     found: Sequence[Disagreement], freq: np.ndarray, damping: np.ndarray, stack: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequencies, damping ratios and shapes with NaN at what is to be left out."""
+    """Frequencies, damping ratios and shapes with NaN in place of what is left out."""
     freq, damping, stack = freq.copy(), damping.copy(), stack.copy()
     for one in found:
         if not one.left_out or one.index[0] < 0:
@@ -138,13 +139,13 @@ def without(
 
 
 def _place(index: tuple[int, int, int]) -> tuple[int, int | slice, int | slice]:
-    """Where in shapes (n_repeats, n_sensors, n_modes) a block is, of which -1 stands for all."""
+    """Index of a block in shapes (n_repeats, n_sensors, n_modes); -1 stands for all."""
     k, i, m = index
     return k, slice(None) if i < 0 else i, slice(None) if m < 0 else m
 
 
 def bad_shape(repeat: str, freq: float, mode: str, agreement: float) -> Disagreement:
-    """A mode that was set aside because its shape is another one than the other repeats show at that frequency."""
+    """A mode that was set aside because its shape differs from that of the other repeats at that frequency."""
     sentence = (
         f"{repeat}: its mode at {freq:.4g} Hz is near mode {mode} but has a MAC of only {agreement:.2f} with the other "
         "repeats; it is set aside"
@@ -158,12 +159,11 @@ def value_disagreements(
     names: Sequence[str],
     table: np.ndarray,
     robust: bool,
-    alike: Sequence[str] | None = None,
+    kinds: Sequence[str] | None = None,
 ) -> list[Disagreement]:
-    """Single values (n_repeats, n_values) that disagree with those of the other repeats, in relation to their size.
+    """Single values (n_repeats, n_values) that disagree with the other repeats, relative to their size.
 
-    Those that are far at `VALUE_LEVEL` are left out if ``robust``; of the others, those at `NAMED_LEVEL` are named
-    and kept.
+    Outliers at `VALUE_LEVEL` are left out if ``robust``; further ones at `NAMED_LEVEL` are reported and kept.
 
     Parameters
     ----------
@@ -171,11 +171,12 @@ def value_disagreements(
     table : ndarray (n_repeats, n_values)
         NaN where unknown.
     robust : bool
-        Whether mean and scatter go without what is found.
-    alike : sequence of str, length n_values, optional
-        Kind of each value; only values of one kind are taken to scatter alike. All of one by default.
+        Whether outliers are left out of mean and standard deviation.
+    kinds : sequence of str, length n_values, optional
+        Kind of each value; values of one kind are assumed to have similar relative standard deviations. One kind by
+        default.
     """
-    groups = np.array(alike if alike is not None else [""] * len(names))
+    groups = np.array(kinds if kinds is not None else [""] * len(names))
     places = [np.flatnonzero(groups == own) for own in dict.fromkeys(groups.tolist())]
     far = [one for columns in places for one in far_values(table, columns, VALUE_LEVEL / len(places))]
     rest = emptied(table, far)
@@ -185,18 +186,18 @@ def value_disagreements(
         (mean, std), (clean_mean, clean_std) = mean_and_std(before), mean_and_std(emptied(before, found))
         for one in sorted(found, key=lambda one: -one.times):
             k, g = one.repeat, one.group
-            told = Disagreement(
+            disagreement = Disagreement(
                 kind, repeats[k], names[g], "", one.times, float(table[k, g]),
                 float(mean[g]), float(clean_mean[g]), float(std[g]), float(clean_std[g]),
                 robust and found is far, "", (k, -1, g),
             )  # fmt: skip
             too_few = 0 if found is far else int(np.isfinite(table[:, g]).sum())
-            out.append(replace(told, sentence=_value_sentence(told, too_few)))
+            out.append(replace(disagreement, sentence=_value_sentence(disagreement, too_few)))
     return out
 
 
 def _value_sentence(one: Disagreement, too_few: int) -> str:
-    """Of a single value; ``too_few`` repeats hold it to leave it out safely, 0 where there are enough."""
+    """Sentence on a single value; ``too_few`` is the number of repeats if it is too small to leave it out, else 0."""
     unit = " Hz" if one.kind == "frequency" else ""
     label = f"response {one.mode}" if one.kind == "response" else f"{one.kind} of mode {one.mode}"
     with_ = f"{one.mean_with:.5g} ± {one.std_with:.2g}{unit}"
@@ -231,7 +232,7 @@ class _Block:
 def _shape_disagreements(
     repeats: Sequence[str], modes: Sequence[str], sensors: Sequence[str], stack: np.ndarray, robust: bool
 ) -> list[Disagreement]:
-    """Channels, whole shapes and single entries, one after the other, that with the largest excess first."""
+    """Channels, whole shapes and single entries, found one after the other, largest excess first."""
     given = np.stack([scaled(shapes)[0] for shapes in stack])
     cleaned = given.copy()
     found: list[_Block] = []
@@ -245,7 +246,7 @@ def _shape_disagreements(
         return []
     aligned = _aligned(given, np.isfinite(cleaned))
     (_, before), (_, after) = (mean_and_std(np.abs(a - _middle(aligned))) for a in (aligned, _keep(aligned, cleaned)))
-    return [_told(one, repeats, modes, sensors, aligned, cleaned, before, after, robust) for one in found]
+    return [_reported(one, repeats, modes, sensors, aligned, cleaned, before, after, robust) for one in found]
 
 
 def _worst(stack: np.ndarray) -> _Block | None:
@@ -271,7 +272,7 @@ def _worst(stack: np.ndarray) -> _Block | None:
     return max(inside, key=lambda b: b.excess) if inside else best
 
 
-def _told(
+def _reported(
     one: _Block,
     repeats: Sequence[str],
     modes: Sequence[str],
@@ -317,7 +318,7 @@ def _told(
 
 
 def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarray) -> list[Disagreement]:
-    """Channels that are turned round or dead in one of two repeats; which one is turned, nothing tells."""
+    """Channels that are turned round or dead in one of two repeats; which one is turned round is unknown."""
     held = np.flatnonzero(np.isfinite(stack).any(axis=(1, 2)))
     one, two = _aligned(np.stack([scaled(stack[k])[0] for k in held]))
     both = np.isfinite(one) & np.isfinite(two)
@@ -326,7 +327,7 @@ def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarr
     sizes = np.stack([np.sqrt((np.abs(x) ** 2).sum(axis=1) / modes) for x in (one, two)])
     product = (one.conj() * two).sum(axis=1)
     small = sizes.min(axis=0)
-    alike = np.abs(product) ** 2 > ALIKE_ABOVE * np.prod(sizes**2, axis=0) * modes**2
+    collinear = np.abs(product) ** 2 > ALIKE_ABOVE * np.prod(sizes**2, axis=0) * modes**2
     names = f"{repeats[held[0]]} and {repeats[held[1]]}"
     out = []
     for i in np.flatnonzero(modes > 1).tolist():
@@ -339,10 +340,10 @@ def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarr
             share = small[i] / large
             sentence = (
                 f"{which}: sensor {sensors[i]} looks dead (it moves {100 * share:.0f} % of what it does in the other "
-                "repeat); kept: of two repeats, none is left out"
+                "repeat); kept: with two repeats, none is left out"
             )
             out.append(Disagreement("sensor", which, "", sensors[i], nan, share, nan, nan, nan, nan, False, sentence))
-        elif gain < TURNED_BELOW and alike[i]:
+        elif gain < TURNED_BELOW and collinear[i]:
             sentence = (
                 f"sensor {sensors[i]} has opposite signs in {names}; it is turned round in one of them, and both "
                 "are kept"
@@ -356,17 +357,17 @@ def _keep(aligned: np.ndarray, cleaned: np.ndarray) -> np.ndarray:
 
 
 def _middle(stack: np.ndarray) -> np.ndarray:
-    """Median over the repeats, of real and imaginary part each; NaN where no repeat has a value."""
+    """Median over the repeats of real and imaginary parts separately; NaN where no repeat has a value."""
     known = np.isfinite(stack).any(axis=0)
     filled = np.where(known, stack, 0.0)
     return np.where(known, median_of_known(filled.real) + 1j * median_of_known(filled.imag), np.nan)
 
 
 def _aligned(stack: np.ndarray, trusted: np.ndarray | None = None) -> np.ndarray:
-    """Shapes (n_repeats, n_sensors, n_modes) of every mode in one scale and phase, largest entry of their median 1.
+    """Shapes (n_repeats, n_sensors, n_modes) of every mode in a common scale and phase, largest entry of the median 1.
 
     The factor of a repeat minimises the sum of absolute differences from the median of all, so that a wrong channel
-    does not turn the others; it is fitted to the ``trusted`` entries only.
+    does not rotate the others; it is fitted to the ``trusted`` entries only.
     """
     fitted = np.isfinite(stack) if trusted is None else trusted & np.isfinite(stack)
     out = stack.copy()

@@ -1,4 +1,4 @@
-"""Which modes of several repeats are the same, told by shape and frequency and not by their place in a file."""
+"""Matching of modes between repeats, by shape and frequency and not by their order in a file."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from calib.errors import InputError
 from calib.mac import mac
 
 FREQ_FARTHEST = 0.1
-"""Repeats of one mode lie within this share of its frequency."""
+"""Largest relative difference of frequency between repeats of one mode."""
 MAC_LEAST = 0.5
-"""Shapes of one mode in two repeats have at least this MAC."""
+"""Smallest MAC between repeats of one mode."""
 SCORE_LEAST = 0.25
 """Below this score (see `match_modes`) two modes are not the same."""
 AMBIGUOUS = 0.1
-"""An assignment whose sum of scores comes this near to the best one is as good as it."""
+"""An assignment whose sum of scores is this close to the best one counts as equally good."""
 SAME_FREQ = 0.02
-"""A mode of another shape, this near in frequency to one that its repeat lacks, is that one identified badly."""
+"""A mode this close in frequency to one that its repeat lacks is that mode, even if its shape differs."""
 MAC_BUT_ONE = 0.9
-"""With this MAC once one sensor is left out, it is the same mode, and that sensor is wrong in one of the repeats."""
+"""With this MAC without one sensor it is the same mode, and that sensor is wrong in one of the repeats."""
 SENSORS_FEWEST_BUT_ONE = 5
-"""Sensors from which on one may be left out for that."""
+"""Fewest sensors for that test."""
 SENSORS_FEWEST = 3
 """With fewer common sensors a MAC says nothing, and modes are matched by frequency."""
 
@@ -39,7 +39,7 @@ class Matching:
         Place of every mode in each file, -1 where the repeat lacks it. Modes of the first repeat come first, in its
         order; then those that it lacks, by frequency.
     set_aside : tuple of (repeat, place, column, MAC)
-        Modes of another shape than the others have at that frequency; they stand in no column.
+        Modes whose shape differs from that of the others at that frequency; they are in no column.
     """
 
     index: np.ndarray
@@ -52,9 +52,9 @@ def match_modes(sources: Sequence[str], freqs: Sequence[np.ndarray], shapes: Seq
     Repeats are taken in turn. Each mode is scored against the modes found so far with ``MAC (1 - (df/(0.1 f))^2)``,
     averaged over the repeats that hold them; without shapes the MAC counts as 1. Pairs with a MAC below 0.5, a
     frequency more than 10 % off or a score below 0.25 are forbidden. The assignment with the largest sum of scores is
-    taken; a mode that finds no partner becomes one of its own, so that repeats may lack modes. At the end, a mode that
-    only a minority of the repeats shows, within 2 % of one that these lack, is that mode with a bad shape: it is
-    matched where the shapes agree but for one sensor (a MAC of 0.9 without it), and set aside otherwise.
+    taken; an unmatched mode becomes a new one, so that repeats may lack modes. Finally, a mode in a minority of the
+    repeats, within 2 % of one that these lack, counts as that mode with a bad shape: it is matched where the shapes
+    agree but for one sensor (a MAC of 0.9 without it), and set aside otherwise.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def match_modes(sources: Sequence[str], freqs: Sequence[np.ndarray], shapes: Seq
     Raises
     ------
     InputError
-        When another assignment is as good: which mode is which cannot be told.
+        When another assignment is as good: the matching is ambiguous.
     """
     columns: list[dict[int, int]] = [{0: k} for k in range(len(freqs[0]))]
     for r in range(1, len(freqs)):
@@ -103,7 +103,7 @@ def _mean_scores(
     known = [(j, k) for members in columns for j, k in members.items()]
     if not known:
         return np.zeros((len(freqs[repeat]), 0))
-    # All members at once, those of one column side by side: repeats come by the hundred.
+    # All members at once, those of one column side by side: there may be hundreds of repeats.
     others = np.stack([shapes[j][:, k] for j, k in known], axis=1)
     scores = _scores(freqs[repeat], shapes[repeat], np.array([freqs[j][k] for j, k in known]), others)
     sizes = np.array([len(members) for members in columns])
@@ -135,7 +135,7 @@ def _refuse_ambiguous(
         doubtful = sorted({a for a in {*again, *chosen} if again.get(a) != chosen.get(a)})
         named = ", ".join(f"{a + 1} ({freq[a]:.4g} Hz)" for a in doubtful)
         raise InputError(
-            f"which modes of the other repeats its modes {named} are cannot be told from shapes and frequencies",
+            f"its modes {named} cannot be matched to those of the other repeats: shapes and frequencies are ambiguous",
             place=source,
             remedy="name the modes in every file (an ID line 'mode NAME', or CSV), or leave this repeat out",
         )
@@ -144,7 +144,7 @@ def _refuse_ambiguous(
 def _bad_shapes(
     columns: list[dict[int, int]], freqs: Sequence[np.ndarray], shapes: Sequence[np.ndarray]
 ) -> tuple[list[dict[int, int]], list[tuple[int, int, int, float]]]:
-    """Columns without those that are another one with a bad shape, and what was set aside for which column."""
+    """Columns without those that repeat another one with a bad shape, and the modes set aside with their column."""
     mean = [float(np.median([freqs[j][k] for j, k in column.items()])) for column in columns]
     owner: dict[int, int] = {}
     for c, column in enumerate(columns):
@@ -171,7 +171,7 @@ def _bad_shapes(
 
 
 def _mac_but_one(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest MAC of two shapes once one sensor is left out; 0 with too few of them."""
+    """Largest MAC of two shapes without one sensor; 0 with too few sensors."""
     shared = np.flatnonzero(np.isfinite(one) & np.isfinite(other))
     if len(shared) < SENSORS_FEWEST_BUT_ONE:
         return 0.0

@@ -28,7 +28,7 @@ class Sensor:
     node : int
         Node label of the measurement.
     direction : str
-        One of `DIRECTIONS`; a sensor mounted the other way round has been turned on reading.
+        One of `DIRECTIONS`; the sign of a sensor mounted the other way round is reversed on reading.
     point : tuple of float or None
         Nominal place (x, y, z) in metres; None while it is not known.
     on : str or None
@@ -54,7 +54,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class MeasuredModes:
-    """Modes of one structure, as the mean over repeats with the standard deviation of that mean.
+    """Measured modes of one structure: means over repeats with the standard deviations of the means.
 
     Attributes
     ----------
@@ -78,9 +78,9 @@ class MeasuredModes:
     source : str
         Files it was read from.
     notes : tuple of str
-        What a reader must know, such as "damping unknown: damped frequencies taken as natural".
+        Assumptions made on reading, such as "damping unknown: damped frequencies taken as natural".
     freq_count, damping_count : ndarray (n_modes,), int, or None
-        Repeats behind each value where not all of them hold it; None for `n_repeats` everywhere.
+        Repeats behind each value, where not all repeats hold it; None for `n_repeats` everywhere.
     shape_count : ndarray (n_sensors, n_modes), int, or None
         Likewise.
     disagreements : tuple of Disagreement
@@ -88,7 +88,7 @@ class MeasuredModes:
     misplaced : tuple of Misplaced
         Nodes whose places in two files contradict each other.
     accuracy : Accuracy
-        What is claimed beside the repeatability; not in the standard deviations above.
+        Claimed accuracy in addition to the repeatability; not in the standard deviations above.
     """
 
     names: tuple[str, ...]
@@ -172,7 +172,7 @@ class MeasuredModes:
             for name in given:
                 if name not in known:
                     raise InputError(
-                        f"withheld {kind} {name!r} was not measured",
+                        f"held-out {kind} {name!r} was not measured",
                         place=self.source or "measurement",
                         remedy=f"the measured {kind}s are {', '.join(known) or 'none'}",
                     )

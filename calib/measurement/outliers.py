@@ -1,4 +1,4 @@
-"""Repeats that disagree with the others at one place: a value, a channel or a whole shape, found at a strict level."""
+"""Outlier test for repeats: a value, a channel or a whole shape that disagrees with the other repeats."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ import numpy as np
 from scipy import special
 
 LEVEL = 2e-4
-"""Level of one test of a table of Gaussian repeats; see `find_outlying` for the chance of a false alarm."""
+"""Significance level of one test of a table of Gaussian repeats; see `find_outlying` for the false-alarm rate."""
 VALUE_LEVEL = 5e-4
 """The same for a table of single numbers, which is tested once; shapes are tested as entries, channels and modes."""
 NAMED_LEVEL = 1e-2
-"""The same for single numbers that are named but kept."""
+"""The same for single numbers that are reported but kept."""
 REPEATS_FEWEST = 3
-"""Of two repeats that disagree, nothing tells which one is wrong."""
+"""Of two repeats that disagree, the wrong one is unknown."""
 OUTLIERS_MOST = 10
-"""Outliers sought in one group, and never half of it or more."""
+"""Largest number of outliers searched for in one group, always fewer than half of it."""
 GROUPS_FEWEST = 3
-"""With fewer groups their variances do not tell what a group without much data may have."""
+"""With fewer groups the variances of the others are not used to moderate that of a group."""
 ALIKE = (2.0, 4.0, 8.0, 16.0, 64.0)
-"""Degrees of freedom that the variances of groups may have around their common one, all as likely beforehand.
+"""Degrees of freedom of the variances of groups around their common one: hypotheses of equal prior probability.
 
 The standard deviations of groups then spread by a factor of 1.9, 1.5, 1.3, 1.2 and 1.1.
 """
 SPOILT, SPOILT_WIDTH = 0.05, 14.0
-"""Share of groups whose variance an outlier spoils, and the width over which its logarithm may then lie."""
+"""Share of groups whose variance contains an outlier, and the width over which its logarithm may then lie."""
 SHAPE_RESOLUTION = 1e-4
 """Standard deviation, in parts of the largest entry, that rounding alone gives shapes."""
 VALUE_RESOLUTION = 1e-6
-"""Least standard deviation of a single number, relative: repeats that agree more closely tell no scatter."""
+"""Smallest relative standard deviation of a single number: closer agreement of repeats counts as rounding."""
 
 
 @dataclass(frozen=True)
 class Outlying:
-    """One block of one repeat that lies outside.
+    """One outlying block of one repeat.
 
     Attributes
     ----------
@@ -55,24 +55,25 @@ class Outlying:
 def find_outlying(
     blocks: np.ndarray, resolution: float | np.ndarray = 0.0, level: float = LEVEL
 ) -> tuple[Outlying, ...]:
-    """Blocks that do not belong to the other repeats of their group.
+    """Blocks that are outliers among the repeats of their group.
 
     The generalised extreme studentised deviate test (Rosner 1983) over the repeats of each group: the most distant
-    repeat is taken out, up to `OUTLIERS_MOST` times and short of half of them; all that were taken out up to the last
-    significant one are outlying, so that two alike do not mask each other. What was found is left out of the other
-    groups' variances, and all is tested again until nothing more is found. A distance is judged by an F test of
+    repeat is removed, up to `OUTLIERS_MOST` times and short of half of them; all that were removed up to the last
+    significant one are outliers, so that two similar ones do not mask each other. Outliers are then left out of the
+    other groups' variances, and the test is repeated until no more are found. A distance is tested by an F test of
 
         ``|x_k - mean of the others|^2 (n - 1)/n / s^2``,
 
-    on 1 (complex: 2) and as many times ``n - 2`` degrees of freedom: the errors within one block may move together, so
-    that a block counts as a single observation. Few repeats know little about their scatter; ``s^2`` is therefore
-    moderated by the other groups (Smyth 2004): ``(d0 s0^2 + d s^2)/(d0 + d)``. What a group borrows never rests on the
-    group itself, so that an outlier is not compared with its own variance: ``s0^2`` is the median of the logarithms of
-    the other groups' variances, and its uncertainty lessens the degrees of freedom borrowed. How alike the variances
-    of groups are, a few groups cannot tell; the chance is the mean over `ALIKE`, weighted by the likelihood of the
-    other groups' variances, each of which an outlier may have spoilt. Groups that scatter differently thus lend
-    little. The level is divided by the number of blocks (Bonferroni). That holds for one step; of a group by itself,
-    where two or more may be taken out (five repeats or more), any step is significant up to twice as often.
+    on 1 (complex: 2) and as many times ``n - 2`` degrees of freedom: the errors within one block may be correlated, so
+    that a block counts as a single observation. The variance of few repeats is uncertain; ``s^2`` is therefore
+    moderated by the other groups (Smyth 2004): ``(d0 s0^2 + d s^2)/(d0 + d)``. The prior of a group is estimated
+    without the group itself, so that an outlier is not compared with its own variance: ``s0^2`` is the median of the
+    logarithms of the other groups' variances, and its uncertainty reduces the prior degrees of freedom ``d0``. A few
+    groups do not determine how similar the variances of groups are; the p-value is the mean over `ALIKE`, weighted by
+    the likelihood of the other groups' variances, each of which may contain an outlier. Groups of very different
+    variances thus get few prior degrees of freedom. The level is divided by the number of blocks (Bonferroni). That
+    holds for one step; for a single group from which two or more may be removed (five repeats or more), any step is
+    significant up to twice as often.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ def find_outlying(
     resolution : float or ndarray (n_groups,)
         Standard deviation that rounding alone gives.
     level : float
-        Of the whole table.
+        Significance level of the whole table.
 
     Returns
     -------
@@ -114,10 +115,10 @@ def find_outlying(
 def _outlying(
     values: np.ndarray, kept: np.ndarray, start: np.ndarray, floor: np.ndarray, parts: int, least: float
 ) -> list[Outlying]:
-    """Blocks whose chance is below ``least``; of each group fewer than half of those it had at the ``start``."""
+    """Blocks with a p-value below ``least``; of each group fewer than half of those it had at the ``start``."""
     n_groups = len(start)
     count = kept.any(axis=2).sum(axis=0)
-    lent = _lent(_variance(values, kept, floor), parts * (count - 1.0), count > 1)
+    prior = _variance_prior(_variance(values, kept, floor), parts * (count - 1.0), count > 1)
     values, kept = values.copy(), kept.copy()
     removed: list[list[Outlying]] = [[] for _ in range(n_groups)]
     last = np.zeros(n_groups, dtype=int)
@@ -127,16 +128,16 @@ def _outlying(
         if not active.any():
             break
         distance, excess, others = _leave_one_out(values, kept)
-        freedom = parts * (count - 2.0)
-        total = np.maximum(lent.borrowed + freedom, 1e-9)
-        own, given = freedom / total, lent.borrowed / total * lent.common
+        dof = parts * (count - 2.0)
+        total = np.maximum(prior.dof + dof, 1e-9)
+        own, given = dof / total, prior.dof / total * prior.variance
         others = np.maximum(others, floor)
-        mean = (lent.weight * given).sum(axis=0) + (lent.weight * own).sum(axis=0) * others
+        mean = (prior.weight * given).sum(axis=0) + (prior.weight * own).sum(axis=0) * others
         worst = np.argmax(np.where(kept.any(axis=2), _ratio(distance, mean), -1.0), axis=0)
         at = (worst, np.arange(n_groups))
         times = np.sqrt(_ratio(distance[at], mean[at]))
         ratio = _ratio(distance[at], given + own * others[at])
-        chance = (lent.weight * special.fdtrc(parts, total, ratio)).sum(axis=0)
+        chance = (prior.weight * special.fdtrc(parts, total, ratio)).sum(axis=0)
         for g in np.flatnonzero(active).tolist():
             k = int(worst[g])
             removed[g].append(Outlying(k, g, float(times[g]), float(excess[k, g])))
@@ -148,13 +149,13 @@ def _outlying(
 
 
 def _ratio(distance: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Distance over scale; of no scale infinite, unless there is no distance either."""
+    """Distance over scale; infinite for a zero scale, unless the distance is zero too."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.where(scale > 0, distance / scale, np.where(distance > 0, np.inf, 0.0)))
 
 
 def _some(blocks: np.ndarray) -> np.ndarray:
-    """A value of every entry (n_groups, n_entries): the median of the real parts, and of the imaginary ones."""
+    """Reference value of every entry (n_groups, n_entries): the median of the real parts, and of the imaginary ones."""
     known = np.isfinite(blocks)
     filled = np.where(known.any(axis=0), blocks, 0.0)
     middle = median_of_known(filled.real)
@@ -162,15 +163,15 @@ def _some(blocks: np.ndarray) -> np.ndarray:
 
 
 def median_of_known(table: np.ndarray) -> np.ndarray:
-    """Median over the first axis without what is NaN; where all is known it costs a tenth."""
+    """Median over the first axis without NaN; without any NaN by `numpy.median`, ten times as fast."""
     return np.asarray(np.nanmedian(table, axis=0) if np.isnan(table).any() else np.median(table, axis=0))
 
 
 def _leave_one_out(values: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How far every block (n_repeats, n_groups) is from the others, and how far these are from each other.
+    """Distance of every block (n_repeats, n_groups) from the others, and the variance of the others.
 
     Mean square distance from the mean of the others, scaled to the variance of one repeat; sum of squared distances;
-    variance of the others. Variances are over both parts of a number.
+    variance of the others. Variances of complex numbers are over both parts.
     """
     n = kept.sum(axis=0)
     total, square = values.sum(axis=0), (np.abs(values) ** 2).sum(axis=0)
@@ -187,7 +188,7 @@ def _leave_one_out(values: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _variance(values: np.ndarray, kept: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Variance of one repeat, (n_groups,), over both parts of a number."""
+    """Variance of one repeat, (n_groups,); of complex numbers over both parts."""
     n = kept.sum(axis=0)
     mean = values.sum(axis=0) / np.maximum(n, 1)
     square = np.where(kept, np.abs(values - mean) ** 2, 0.0).sum(axis=0)
@@ -197,47 +198,47 @@ def _variance(values: np.ndarray, kept: np.ndarray, floor: np.ndarray) -> np.nda
 
 
 @dataclass(frozen=True)
-class _Lent:
-    """What the other groups tell about the variance of each: hypotheses (n_hypotheses, n_groups) with their weights."""
+class _VariancePrior:
+    """Prior of each group's variance from the other groups: hypotheses (n_hypotheses, n_groups) with their weights."""
 
     weight: np.ndarray
-    borrowed: np.ndarray
-    common: np.ndarray
+    dof: np.ndarray
+    variance: np.ndarray
 
 
-def _lent(variance: np.ndarray, freedom: np.ndarray, known: np.ndarray) -> _Lent:
-    """Degrees of freedom that each group may borrow from the others, and their common variance."""
+def _variance_prior(variance: np.ndarray, dof: np.ndarray, known: np.ndarray) -> _VariancePrior:
+    """Prior degrees of freedom of each group's variance, and the common variance of the other groups."""
     n_groups = len(variance)
     used = np.flatnonzero(known & (variance > 0))
     if len(used) < GROUPS_FEWEST:
         nothing = np.zeros((1, n_groups))
-        return _Lent(nothing + 1.0, nothing, nothing)
-    half = freedom[used] / 2.0
+        return _VariancePrior(nothing + 1.0, nothing, nothing)
+    half = dof[used] / 2.0
     # of a chi square, so that the mean is the logarithm of the variance
     logs = np.log(variance[used]) - special.digamma(half) + np.log(half)
     others = np.full(n_groups, len(used))
     others[used] -= 1
     middle = np.full(n_groups, np.median(logs))
     middle[used] = _median_of_others(logs)
-    alike = np.array(ALIKE)[:, None] / 2.0
+    half_prior = np.array(ALIKE)[:, None] / 2.0
     within = float(np.mean(_trigamma(half)))
-    # a median knows the middle of Gaussian numbers as well as 2/pi times as many do by their mean
-    spread = _trigamma(alike)
-    doubt = spread + np.pi / 2.0 * (spread + within) / others
-    borrowed = 2.0 * _inverse_trigamma(doubt)
-    common = np.exp(middle + special.digamma(borrowed / 2.0) - np.log(borrowed / 2.0))
-    scale = np.median(logs) + special.digamma(alike) - np.log(alike)
+    # the median of Gaussian numbers has the efficiency 2/pi of their mean
+    between = _trigamma(half_prior)
+    uncertainty = between + np.pi / 2.0 * (between + within) / others
+    prior_dof = 2.0 * _inverse_trigamma(uncertainty)
+    common = np.exp(middle + special.digamma(prior_dof / 2.0) - np.log(prior_dof / 2.0))
+    scale = np.median(logs) + special.digamma(half_prior) - np.log(half_prior)
     z = np.log(variance[used]) - scale
     density = np.exp(
-        half * (np.log(half / alike) + z)
-        - (half + alike) * np.log1p(half / alike * np.exp(z))
-        - special.betaln(half, alike)
+        half * (np.log(half / half_prior) + z)
+        - (half + half_prior) * np.log1p(half / half_prior * np.exp(z))
+        - special.betaln(half, half_prior)
     )
     likelihood = np.log((1.0 - SPOILT) * density + SPOILT / SPOILT_WIDTH)
     log_weight = np.repeat(likelihood.sum(axis=1, keepdims=True), n_groups, axis=1)
     log_weight[:, used] -= likelihood
     weight = np.exp(log_weight - log_weight.max(axis=0))
-    return _Lent(weight / weight.sum(axis=0), borrowed, common)
+    return _VariancePrior(weight / weight.sum(axis=0), prior_dof, common)
 
 
 def _median_of_others(values: np.ndarray) -> np.ndarray:
@@ -268,16 +269,16 @@ def _inverse_trigamma(value: np.ndarray) -> np.ndarray:
 
 
 def far_values(table: np.ndarray, columns: np.ndarray, level: float) -> list[Outlying]:
-    """Single values that are far from those of the other repeats.
+    """Single values that are outliers among the repeats.
 
     Parameters
     ----------
     table : ndarray (n_repeats, n_values)
         NaN where unknown.
     columns : ndarray of int
-        Values whose relative scatter may be alike; the others are not looked at.
+        Values whose relative standard deviations are assumed to be similar; the others are not tested.
     level : float
-        Of these values together.
+        Significance level of these values together.
     """
     own = table[:, columns]
     known = np.isfinite(own)
@@ -291,7 +292,7 @@ def far_values(table: np.ndarray, columns: np.ndarray, level: float) -> list[Out
 
 
 def emptied(table: np.ndarray, found: Sequence[Outlying]) -> np.ndarray:
-    """A table (n_repeats, n_values) with NaN at what was found."""
+    """A table (n_repeats, n_values) with NaN in place of the outliers."""
     out = table.copy()
     for one in found:
         out[one.repeat, one.group] = np.nan
@@ -299,7 +300,7 @@ def emptied(table: np.ndarray, found: Sequence[Outlying]) -> np.ndarray:
 
 
 def _quantum(table: np.ndarray) -> float:
-    """Smallest difference between repeats (n_repeats, n_groups): what rounding leaves; 0 where all are the same."""
+    """Smallest nonzero difference between repeats (n_repeats, n_groups), the rounding step; 0 if all are equal."""
     ordered = np.sort(table, axis=0)
     steps = np.diff(ordered, axis=0)
     steps = steps[np.isfinite(steps) & (steps > 0)]

@@ -1,4 +1,4 @@
-"""Places of measured nodes: the same in all repeats, and where two files contradict each other."""
+"""Places of measured nodes: common to all repeats, and contradictions between two files."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from calib.errors import InputError
 Point = tuple[float, float, float]
 
 REPEAT_TOLERANCE = 1e-4
-"""Share of the geometry's size by which a node may move between repeats; universal files carry six digits."""
+"""Largest distance of a node between repeats, relative to the size of the geometry; universal files have six digits."""
 TABLE_TOLERANCE = 0.005
-"""The same between a sensor table and the universal files: tapes are read to millimetres."""
+"""The same between a sensor table and the universal files: tape measures are read to millimetres."""
 MILLIMETRES = 1000.0
 UNIT_TOLERANCE = 0.02
-"""Relative error of the factor between two sets of places that are one in other units."""
+"""Relative tolerance of the factor by which two sets of places count as the same in different units."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def common_points(
     ----------
     given : sequence of (source, places by node in m)
     table : mapping from node to anything
-        Nodes whose places the sensor table settles.
+        Nodes whose places the sensor table gives; their places in the files may differ.
     """
     common: dict[int, Point] = {}
     origin: dict[int, str] = {}
@@ -74,11 +74,11 @@ def common_points(
 def contradictions(
     points: Mapping[int, Point], table: Mapping[int, Point]
 ) -> tuple[tuple[Misplaced, ...], float | None]:
-    """Nodes whose places in table and universal files differ, most distant first, and the factor of units behind it.
+    """Nodes whose places in table and universal files differ, most distant first, and the unit factor that explains it.
 
     Two places differ when they are further apart than `TABLE_TOLERANCE` of the size of the geometry that the universal
     files span. The factor is 1000 or 1/1000 (table over files) when the table is the same geometry in other units:
-    within 2 % for the median of all coordinates, and all nodes agree once it is taken out.
+    within 2 % for the median of all coordinates, and most nodes agree once it is divided out.
     """
     shared = [node for node in table if node in points]
     if not shared:
@@ -102,5 +102,5 @@ def contradictions(
 
 
 def _size(points: Sequence[Point]) -> float:
-    """Largest extent of a set of points, m; 1 where all are one."""
+    """Largest extent of a set of points, m; 1 where all coincide."""
     return float(np.max(np.ptp(np.array(points), axis=0))) or 1.0

@@ -41,28 +41,30 @@ def read_modes(
     Parameters
     ----------
     files : path, pattern such as ``"measured/*.uff"``, or sequence of them
-        What matches a pattern is taken in the order of its name. Universal files (``.uff``, ``.unv``, ``.uf``; see
+        Files that match a pattern are sorted by name. Universal files (``.uff``, ``.unv``, ``.uf``; see
         `calib.measurement.uff.read_uff`) or modes tables (``.csv``; see `calib.measurement.csv_format.read_modes_csv`),
         one kind only.
     shapes : path, pattern or sequence of them
         Shape tables beside modes tables: none, a single one, or one a repeat.
     sensors : path, optional
-        Table of node places in metres; it wins over places in universal files.
+        Table of node places in metres; it takes precedence over places in universal files.
     repeats : int, optional
         Number of repeats behind a single file, from 1.
     std_of : {"mean", "repeat"}
-        What the standard deviations in a single file belong to; ``"repeat"`` ones are divided by ``sqrt(repeats)``.
+        Whether standard deviations in a single file are those of the mean or of one repeat; the latter are divided by
+        ``sqrt(repeats)``.
     mode_names : sequence of str, optional
         Names of the modes in the order of the first file; files that name their modes are still matched by their own.
     pooling : {"robust", "plain"}
-        Whether what disagrees with the other repeats is left out of mean and scatter, or only named.
+        Whether values that disagree with the other repeats are left out of mean and standard deviation, or only
+        reported.
     synthetic : bool
         True when no structure was measured.
 
     Raises
     ------
     InputError
-        With the file, and where possible line and column, for anything that is not readable as the same modes.
+        With the file, and where possible line and column, for files that cannot be read as repeats of the same modes.
     """
     paths, shape_paths = _found(files), _found(shapes)
     sensor_table = None if sensors is None else path_of(sensors, "sensors")
@@ -112,7 +114,7 @@ def read_modes(
 
 
 def _found(given: Named) -> list[Path]:
-    """Files that are named, or that match a pattern; one that is neither is kept, to be told by its name."""
+    """Files that are named, or that match a pattern; a name that is neither is kept for the error message."""
     out: list[Path] = []
     each: tuple[str | Path, ...] = objects(given, (str, Path), "measurement")
     for one in each:
@@ -135,7 +137,7 @@ def _tables(paths: Sequence[Path], shapes: Sequence[Path]) -> list[Repeat]:
     labels = list(tables[0])
     names = {label: repeat.names for label, repeat in tables[0].items()}
     if len(tables) > 1 or ONE in tables[0]:
-        # a single shapes file belongs to the mean; it rides on the first repeat
+        # a single shapes file belongs to the mean; it is attached to the first repeat
         for k, path in enumerate(shapes):
             own = read_shapes_csv(path, {ONE: read[k].names})
             read[k] = replace(read[k], shape_set=own[ONE])
@@ -143,7 +145,7 @@ def _tables(paths: Sequence[Path], shapes: Sequence[Path]) -> list[Repeat]:
     everything = tuple(dict.fromkeys(name for own in names.values() for name in own))
     for path in shapes:
         for label, own_set in read_shapes_csv(path, {ONE: everything, **names}).items():
-            k = labels.index(label) if label != ONE else _whole(path, read, own_set, everything)
+            k = labels.index(label) if label != ONE else _complete(path, read, own_set, everything)
             if label == ONE:
                 order = [everything.index(name) for name in read[k].names]
                 own_set = replace(own_set, shapes=own_set.shapes[:, order], std=own_set.std[:, order])
@@ -151,8 +153,8 @@ def _tables(paths: Sequence[Path], shapes: Sequence[Path]) -> list[Repeat]:
     return read
 
 
-def _whole(path: Path, read: Sequence[Repeat], shapes: ShapeSet, names: Sequence[str]) -> int:
-    """The first repeat that holds all the modes of which shapes of the mean are given."""
+def _complete(path: Path, read: Sequence[Repeat], shapes: ShapeSet, names: Sequence[str]) -> int:
+    """Index of the first repeat that holds all modes for which shapes of the mean are given."""
     given = {name for k, name in enumerate(names) if np.isfinite(shapes.shapes[:, k]).any()}
     for k, repeat in enumerate(read):
         if given <= set(repeat.names):
@@ -163,12 +165,12 @@ def _whole(path: Path, read: Sequence[Repeat], shapes: ShapeSet, names: Sequence
 
 
 def _varied(count: np.ndarray, n_repeats: int) -> np.ndarray | None:
-    """Counts where a value that is there rests on fewer repeats than there are."""
+    """Counts if some value rests on fewer repeats than there are, else None."""
     return count if np.any((count > 0) & (count != n_repeats)) else None
 
 
 def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int | None, std_of: str) -> bool:
-    """Whether the files are universal files."""
+    """Check the arguments; returns whether the files are universal files."""
     if not paths:
         raise InputError("no measurement file is given", place="measurement", remedy="name at least one")
     for path in (*paths, *shapes):

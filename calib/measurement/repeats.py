@@ -1,4 +1,4 @@
-"""Repeats of one measurement: brought to a common phase and scale, averaged, with the scatter of the mean."""
+"""Average of repeats of one measurement, in a common phase and scale, with the standard deviation of the mean."""
 
 from __future__ import annotations
 
@@ -116,8 +116,8 @@ def combine_repeats(
     """Average repeats of the same modes, each value over the repeats that hold it.
 
     Modes are matched by name when every file names its modes, by shape and frequency otherwise (see
-    `calib.measurement.matching`). With several repeats the standard deviation of the mean is that of the scatter over
-    the root of their number; with one it is the one of the file.
+    `calib.measurement.matching`). With several repeats the standard deviation of the mean is that of one repeat over
+    the root of their number; with one repeat it is read from the file.
 
     Parameters
     ----------
@@ -130,13 +130,13 @@ def combine_repeats(
     mode_names : sequence of str, optional
         New names of the modes, in the order of the first repeat, or of all modes (those that it lacks by frequency).
     pooling : {"robust", "plain"}
-        Whether what disagrees with the other repeats (see `calib.measurement.disagreements`) is left out of mean and
-        scatter, or only named.
+        Whether values that disagree with the other repeats (see `calib.measurement.disagreements`) are left out of mean
+        and standard deviation, or only reported.
 
     Raises
     ------
     InputError
-        When it cannot be told which modes are the same, or the count is missing.
+        When the matching of modes is ambiguous, or the count is missing.
     """
     first = repeats[0]
     rows = tuple(dict.fromkeys(s for r in repeats if r.shape_set is not None for s in r.shape_set.sensors))
@@ -164,7 +164,9 @@ def combine_repeats(
         notes.append(f"damping of {', '.join(unknown)} unknown: natural and damped frequencies taken as equal")
     if len(repeats) > 1:
         if any(np.isfinite(r.freq_std).any() or np.isfinite(r.damping_std).any() for r in repeats):
-            notes.append(f"the deviations in the files are not used: the scatter between {len(repeats)} repeats is")
+            notes.append(
+                f"standard deviations are computed from the {len(repeats)} repeats; those in the files are not used"
+            )
         freq_mean, freq_std = mean_and_std(freq)
         damping_mean, damping_std = mean_and_std(damping)
     else:
@@ -173,7 +175,7 @@ def combine_repeats(
         factor = _std_factor(first.source, std_of, count, bool(np.isfinite(first.damping_std).any()))
         damping_mean, damping_std = damping[0], first.damping_std * factor
         if not np.isfinite(freq_std).any():
-            notes.append("one repeat without standard deviations: the scatter of the frequencies is unknown")
+            notes.append("one repeat without standard deviations: the standard deviation of the frequencies is unknown")
 
     shapes = np.zeros((0, len(names)), dtype=complex)
     shape_std = np.zeros((0, len(names)))
@@ -184,7 +186,8 @@ def combine_repeats(
             notes.extend(more)
             if any(s is not None and np.isfinite(s.std).any() for s in sets):
                 notes.append(
-                    f"the shape deviations in the files are not used: the scatter between {len(sets)} repeats is"
+                    f"standard deviations of shapes are computed from the {len(sets)} repeats; those in the files are "
+                    "not used"
                 )
         else:
             (k,) = with_shapes
@@ -193,7 +196,7 @@ def combine_repeats(
             factor = _std_factor(given.source, std_of, count, bool(np.isfinite(given.std).any()))
             shapes, shape_std = scaled(stack[k], _columns(given.std, index[k]).real * factor)
             if not np.isfinite(shape_std).any():
-                notes.append("one repeat without standard deviations: the scatter of the shapes is unknown")
+                notes.append("one repeat without standard deviations: the standard deviation of the shapes is unknown")
         for name, column in zip(names, shapes.T, strict=True):
             if not np.isfinite(column).any():
                 notes.append(f"no shape was measured for mode {name}")
@@ -252,7 +255,7 @@ def _names(repeats: Sequence[Repeat], index: np.ndarray, given: Sequence[str] | 
 def _absent(
     repeats: Sequence[Repeat], index: np.ndarray, names: Sequence[str], rows: Sequence[tuple[int, str]]
 ) -> list[str]:
-    """What some of the repeats lack; one that has nothing in common with the others is refused."""
+    """Notes on modes and sensors that some repeats lack; a repeat that shares nothing with the others is refused."""
     notes = []
     held = index >= 0
     for repeat, own in zip(repeats, held, strict=True):
@@ -271,8 +274,8 @@ def _absent(
             if len(holding) < len(sources):
                 where = f"only in {_few([repeats[k].source for k in holding])}"
             notes.append(
-                f"mode {name} ({freq:.4g} Hz) is in {len(holding)} of {len(column)} repeats, {where}: mean and scatter "
-                "are over those that hold it"
+                f"mode {name} ({freq:.4g} Hz) is in {len(holding)} of {len(column)} repeats, {where}: mean and "
+                "standard deviation are over those that hold it"
             )
     carrying = [r.shape_set for r in repeats if r.shape_set is not None]
     for one in carrying:
@@ -362,7 +365,7 @@ def _average_shapes(
             stack[k, :, m] = column * (np.vdot(column[both], target[both]) / size)
     mean_re, std_re = mean_and_std(stack.real)
     mean_im, std_im = mean_and_std(stack.imag)
-    # the imaginary part of a real shape is no second sample of the scatter
+    # the zero imaginary part of a real shape is not a second sample of the error
     real = ~np.any(np.nan_to_num(stack.imag) != 0.0, axis=(0, 1))
     std = np.where(real, std_re, np.sqrt((std_re**2 + std_im**2) / 2.0))
     mean = mean_re.astype(complex)

@@ -1,4 +1,4 @@
-"""Measured plain responses: single numbers, each the mean over the repeats that hold it."""
+"""Measured scalar responses: single numbers, each the mean over the repeats that hold it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.degrees_of_freedom import POOL_BELOW, dof_each, widened_by
 from calib.errors import InputError
-from calib.freedom import POOL_BELOW, freedom_each, widened_by
 from calib.given import path as path_of
 from calib.measurement.accuracy import widened
 from calib.measurement.average import mean_and_std
@@ -20,7 +20,7 @@ from calib.measurement.disagreements import Disagreement, Pooling, value_disagre
 
 @dataclass(frozen=True)
 class MeasuredResponses:
-    """Plain responses with the standard deviations of their means.
+    """Scalar responses with the standard deviations of their means.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class MeasuredResponses:
     disagreements : tuple of Disagreement
     notes : tuple of str
     shares : mapping from response name to float
-        Part of the variance of each that repeats tell, the rest being claimed; one left out is told by them alone.
+        Part of the variance of each that repeats show, the rest being claimed; 1 for a response without an entry.
     """
 
     targets: Mapping[str, tuple[float, float | None]]
@@ -42,23 +42,23 @@ class MeasuredResponses:
 
     @property
     def repeats(self) -> int | None:
-        """Repeats behind the response with the fewest of at least two; None where nothing is known of repeats."""
+        """Fewest repeats of any response that has at least two; None where repeats are unknown."""
         return min((n for n in self.counts.values() if n > 1), default=None)
 
     @property
     def pooled_repeats(self) -> float | None:
-        """Repeats that would tell as much if the scatter were pooled over the responses of each kind; see `pooled`."""
+        """Equivalent number of repeats with standard deviations pooled over the responses of a kind; see `pooled`."""
         fewest = self.repeats
-        return fewest if fewest is None or fewest < POOL_BELOW else 1.0 + freedom_each(fewest - 1.0)
+        return fewest if fewest is None or fewest < POOL_BELOW else 1.0 + dof_each(fewest - 1.0)
 
     def pooled(self, kinds: Mapping[str, str]) -> MeasuredResponses:
-        """The same with the relative scatter of fewer than ten repeats pooled over the responses of each kind.
+        """The same with the relative standard deviations of few repeats pooled over the responses of each kind.
 
-        From ten repeats on each response keeps its own, widened as `calib.freedom.widened_by` says.
-
-        The scatter of one response over a few repeats is too uncertain to weigh it by. Each response takes its share of
-        the pooled scatter by its own number of repeats, also one whose repeats are equal. A value that is smaller than
-        its own scatter has no relative one and stays as it is, as does one that is in a single repeat.
+        With fewer than ten repeats the standard deviation of one response is too uncertain to weight it by. Each
+        response gets the pooled relative standard deviation of one repeat over the root of its own number of repeats,
+        also if its repeats are equal. A value smaller than its own standard deviation has no relative one and stays as
+        it is, as does one that is in a single repeat. From ten repeats on each response keeps its own, widened by
+        `calib.degrees_of_freedom.widened_by`.
 
         Parameters
         ----------
@@ -77,17 +77,17 @@ class MeasuredResponses:
         targets = dict(self.targets)
         for name in repeated:
             if kinds[name] in square:
-                each, freedom = zip(*square[kinds[name]], strict=True)
+                each, dof = zip(*square[kinds[name]], strict=True)
                 value = targets[name][0]
                 targets[name] = (
                     value,
-                    abs(value) * float(np.sqrt(np.average(each, weights=freedom) / self.counts[name])),
+                    abs(value) * float(np.sqrt(np.average(each, weights=dof) / self.counts[name])),
                 )
         return replace(self, targets=targets)
 
     def _widened(self, name: str) -> tuple[float, float | None]:
         value, std = self.targets[name]
-        if std is None or self.counts[name] < POOL_BELOW:  # one line only: the deviation is that of the file
+        if std is None or self.counts[name] < POOL_BELOW:  # one line only: the standard deviation is that of the file
             return value, std
         return value, std * float(widened_by(self.counts[name] - 1.0))
 
@@ -96,8 +96,8 @@ class MeasuredResponses:
     ) -> MeasuredResponses:
         """The same with a claimed accuracy added to the standard deviations, see `calib.measurement.accuracy.widened`.
 
-        Repeats tell their own part of each variance only. They tell nothing of a response that is in one repeat alone,
-        nor of one whose scatter is unknown.
+        `shares` becomes the part of each variance that repeats show: 0 for a response in one repeat only, or of unknown
+        standard deviation.
         """
         targets, shares = widened(self.targets, kinds, accuracy), {}
         for name, (_, std) in self.targets.items():
@@ -107,7 +107,7 @@ class MeasuredResponses:
 
 
 def response_kinds(names: Iterable[str]) -> dict[str, str]:
-    """Kind of each plain response: its name up to the first underscore where several share it, else ``response``."""
+    """Kind of each scalar response: its name up to the first underscore where several share it, else ``response``."""
     names = tuple(names)
     heads = {name: name.split("_", 1)[0] for name in names if "_" in name}
     shared = Counter(heads.values())
@@ -116,21 +116,23 @@ def response_kinds(names: Iterable[str]) -> dict[str, str]:
 
 
 def read_responses(path: str | Path, pooling: Pooling = "robust") -> MeasuredResponses:
-    """Read plain responses from a table, see `calib.measurement.csv_format.read_responses_csv`.
+    """Read scalar responses from a table, see `calib.measurement.csv_format.read_responses_csv`.
 
-    With a column ``repeat`` each response is the mean over the repeats that hold it, and its standard deviation that of
-    the scatter over the root of their number; a response that is in one repeat only keeps the deviation of its line.
+    With a column ``repeat`` each response is the mean over the repeats that hold it, and its standard deviation is that
+    of one repeat over the root of their number; a response that is in one repeat only keeps the standard deviation of
+    its line.
 
     Parameters
     ----------
     path : str or Path
     pooling : {"robust", "plain"}
-        Whether a value that disagrees with those of the other repeats is left out of mean and scatter, or only named.
+        Whether a value that disagrees with the other repeats is left out of mean and standard deviation, or only
+        reported.
 
     Raises
     ------
     InputError
-        With file, line and column, for anything that is no such table.
+        With file, line and column, for anything that is not such a table.
     """
     path = path_of(path, "measured responses")
     if pooling not in ("robust", "plain"):
@@ -143,13 +145,13 @@ def read_responses(path: str | Path, pooling: Pooling = "robust") -> MeasuredRes
     labels = [f"{path.name}, repeat {label}" for label in tables]
     held = np.isfinite(values).sum(axis=0)
     notes = [
-        f"response {name} is in {n} of {len(tables)} repeats: mean and scatter are over those that hold it"
+        f"response {name} is in {n} of {len(tables)} repeats: mean and standard deviation are over those that hold it"
         for name, n in zip(names, held.tolist(), strict=True)
         if n < len(tables)
     ]
     given = {n: [table[n][1] for table in tables.values() if n in table] for n in names}
     if any(std is not None for n in names if len(given[n]) > 1 for std in given[n]):
-        notes.append(f"the deviations in the file are not used: the scatter between {len(tables)} repeats is")
+        notes.append(f"standard deviations are computed from the {len(tables)} repeats; those in the file are not used")
     found = value_disagreements(
         "response", labels, names, values, pooling == "robust", list(response_kinds(names).values())
     )
@@ -160,7 +162,7 @@ def read_responses(path: str | Path, pooling: Pooling = "robust") -> MeasuredRes
     counts = np.isfinite(values).sum(axis=0)
     targets: dict[str, tuple[float, float | None]] = {}
     for k, name in enumerate(names):
-        # equal values are rounding, and tell no scatter
+        # equal values are rounding and give no standard deviation
         own = float(std[k]) if std[k] > 0 else None
         targets[name] = (float(mean[k]), given[name][0] if len(given[name]) == 1 else own)
     return MeasuredResponses(targets, dict(zip(names, counts.tolist(), strict=True)), tuple(found), tuple(notes))

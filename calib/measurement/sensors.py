@@ -1,4 +1,4 @@
-"""Sensors with their places, from the universal files and the sensor table, which wins."""
+"""Sensors with their places from the universal files and the sensor table; the table takes precedence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced, Point, contradictions
 
 NAMED_MOST = 3
-"""Nodes named in one sentence."""
+"""Largest number of nodes named in one sentence."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def place_sensors(
     path: Path,
     table_path: Path | None,
 ) -> PlacedSensors:
-    """Sensors with their places; what the table contradicts, and nodes without a place, are noted.
+    """Sensors with their places; notes name contradictions of the table and nodes without a place.
 
     Parameters
     ----------
@@ -80,14 +80,14 @@ def place_sensors(
             sensors.append(Sensor(node, direction))
     given = {node: table[node][0] for node in nodes if node in table}
     misplaced, factor = contradictions(points or {}, given)
-    notes = _told(misplaced, factor, len(given), table_path)
+    notes = _notes(misplaced, factor, len(given), table_path)
     lost = list(dict.fromkeys(str(s.node) for s in sensors if s.point is None))
     if lost:
         notes.append(f"no place is known for nodes {', '.join(lost)}")
     return PlacedSensors(tuple(sensors), misplaced, tuple(notes))
 
 
-def _told(misplaced: Sequence[Misplaced], factor: float | None, compared: int, table: Path | None) -> list[str]:
+def _notes(misplaced: Sequence[Misplaced], factor: float | None, compared: int, table: Path | None) -> list[str]:
     if not misplaced:
         return []
     if factor is not None:

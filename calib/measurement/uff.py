@@ -29,7 +29,7 @@ _NAME_LINE = re.compile(r"mode\s+(\S+)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class UniversalFile:
-    """What one universal file says: its modes, and the places of its nodes in metres (empty without dataset 15)."""
+    """Contents of one universal file: its modes, and the places of its nodes in metres (empty without dataset 15)."""
 
     repeat: Repeat
     points: Mapping[int, Point]
@@ -40,12 +40,11 @@ def read_uff(path: Path) -> UniversalFile:
 
     Modes are the datasets 55 of analysis type 2 (natural frequency in Hz and viscous damping ratio, 0 for unknown), 3
     and 7 (eigenvalue in rad/s), in the order of the file, or the datasets 2414 of these types where the file has no
-    such 55; of a conjugate pair the half with positive imaginary part is kept. Datasets 55 and 2414 that are no modes,
-    such as frequency responses (type 5), are passed over and noted. A mode is named by the first ID line that reads
-    ``mode NAME`` (one word) provided every mode carries such a line, the names differ, and they are not just the
-    numbers from 1 in order, which are places in the file and no names; otherwise modes are numbered from 1. Nodes
-    without a record in a mode count as not measured in it. Zeros are kept here; see `drop_unmeasured`. Lengths, and
-    with them translations, are turned into SI.
+    such 55; of a conjugate pair the one with positive imaginary part is kept. Datasets 55 and 2414 that are not modes,
+    such as frequency responses (type 5), are skipped and noted. A mode is named by the first ID line that reads
+    ``mode NAME`` (one word) provided every mode has such a line, the names differ, and they are not just the numbers
+    from 1 in order; otherwise modes are numbered from 1. Nodes without a record in a mode count as not measured in it.
+    Zeros are kept here; see `drop_unmeasured`. Lengths, and with them translations, are converted to SI.
 
     Parameters
     ----------
@@ -83,7 +82,7 @@ def read_uff(path: Path) -> UniversalFile:
 
 
 def _with_modes(path: Path, blocks: Sequence[Block], notes: list[str]) -> list[Block]:
-    """Blocks without the analysis data that are no modes, which are noted, and with the modes as datasets 55."""
+    """Blocks with the modes as datasets 55; analysis data that are not modes are dropped and noted."""
     modes = [block for block in blocks if block.kind == 55 and _analysis_type(block) in MODAL]
     others: dict[tuple[int, int], int] = {}
     out = []
@@ -102,7 +101,7 @@ def _with_modes(path: Path, blocks: Sequence[Block], notes: list[str]) -> list[B
         what = f"{count} dataset{'s' * (count > 1)} {kind} of analysis type {analysis}"
         what += " (frequency responses)" if analysis == 5 else ""
         why = "the modes are those of its datasets 55" if kind == 2414 and modes else "they hold no mode shapes"
-        notes.append(f"{path}: {what} passed over: {why}")
+        notes.append(f"{path}: {what} skipped: {why}")
     return out
 
 
@@ -114,7 +113,7 @@ def _analysis_type(block: Block) -> int:
 
 
 def _length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[str, Any]], notes: list[str]) -> float:
-    """File lengths for one metre; dataset 164 says that dividing by its factor gives SI."""
+    """Length units of the file per metre; dividing by the factor of dataset 164 gives SI."""
     factors = set()
     for block, data in zip(blocks, sets, strict=True):
         if block.kind != 164:
@@ -269,7 +268,7 @@ def _frequency(place: str, data: Mapping[str, Any], notes: list[str]) -> tuple[f
     if data["analysis_type"] == 2:
         freq, damping = float(data["freq"]), float(data["modal_damp_vis"])
         if damping == 0:
-            damping = math.nan  # what exporters write when they know none
+            damping = math.nan  # exporters write 0 for unknown damping
             if float(data["modal_damp_his"]) != 0:
                 notes.append(f"{place}: only hysteretic damping is given, which is not used")
     else:
@@ -301,14 +300,14 @@ def _frequency(place: str, data: Mapping[str, Any], notes: list[str]) -> tuple[f
 
 
 def _upper_half(modes: Sequence[_Mode]) -> list[_Mode]:
-    """Modes with eigenvalues in the upper half plane; one below is turned over, or left out if its partner is there."""
+    """Modes with eigenvalues in the upper half plane; one below is conjugated, or dropped if its conjugate is there."""
     out = []
     for mode in modes:
-        root = mode.eigenvalue
-        if root is None or root.imag > 0:
+        eigenvalue = mode.eigenvalue
+        if eigenvalue is None or eigenvalue.imag > 0:
             out.append(mode)
             continue
-        partner = root.conjugate()
+        partner = eigenvalue.conjugate()
         if not any(m.eigenvalue is not None and abs(m.eigenvalue - partner) < 1e-4 * abs(partner) for m in modes):
             out.append(
                 replace(mode, eigenvalue=partner, values={key: value.conjugate() for key, value in mode.values.items()})
@@ -320,7 +319,7 @@ def drop_unmeasured(repeats: Sequence[Repeat]) -> list[Repeat]:
     """Repeats without the directions that were never measured.
 
     Dataset 55 holds zeros for components without a sensor. A direction that is exactly zero in every mode of every
-    repeat is therefore dropped; one that is zero in every mode of some repeats only becomes NaN in those, and a mode
+    repeat is therefore dropped; one that is zero in every mode of some repeats becomes NaN in those only, and a mode
     that is zero everywhere has no shape (NaN).
     """
     alive: dict[tuple[int, str], None] = {}

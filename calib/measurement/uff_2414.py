@@ -1,4 +1,4 @@
-"""Mode shapes in datasets 2414 (analysis data), written as the datasets 55 that say the same."""
+"""Mode shapes in datasets 2414 (analysis data), converted to equivalent datasets 55."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COMPLEX = {2: False, 4: False, 5: True, 6: True}
 
 
 def as_dataset_55(path: Path, block: Block) -> Block | None:
-    """The dataset 55 that says the same as a dataset 2414, or None for one that holds no mode shape.
+    """The dataset 55 equivalent to a dataset 2414, or None for one that holds no mode shape.
 
     Modes are analysis types 2 (frequency in Hz, modal mass, viscous and hysteretic damping ratio), 3 and 7 (eigenvalue
     in rad/s), with three or six components of motion a node. Values keep six digits, as dataset 55 does.
@@ -46,8 +46,8 @@ def as_dataset_55(path: Path, block: Block) -> Block | None:
     try:
         integers = _whole(block.lines[9], 8)
         reals = _reals(block.lines[11])
-        roots = _reals(block.lines[12])
-        numbers = [*reals[1:2], *reals[3:6]] if analysis == 2 else roots[:6]
+        eigenvalues = _reals(block.lines[12])
+        numbers = [*reals[1:2], *reals[3:6]] if analysis == 2 else eigenvalues[:6]
         # dataset 55 counts what follows; the load set and the number of the mode are in other columns
         second = [2, 4 if analysis == 2 else 6, integers[4], integers[5]]
         size = width * (2 if _COMPLEX[data] else 1)
@@ -71,13 +71,13 @@ def _damaged(place: str) -> InputError:
 
 
 def _whole(line: str, count: int) -> list[int]:
-    """Whole numbers in columns of ten; blank ones are 0."""
+    """Integers in columns of ten; blank ones are 0."""
     cells = [line[10 * k : 10 * (k + 1)].strip() for k in range(count)]
     return [int(cell or 0) for cell in cells]
 
 
 def _reals(line: str) -> list[float]:
-    """Six numbers in columns of 13, or set apart by blanks where the columns are wider; blank ones are 0."""
+    """Six numbers in columns of 13, or separated by blanks where the columns are wider; blank ones are 0."""
     if len(line.rstrip()) > 78:
         return [float(cell) for cell in line.split()]
     return [float(line[13 * k : 13 * (k + 1)].strip() or 0) for k in range(6)]
@@ -102,7 +102,7 @@ def _body(lines: tuple[str, ...], size: int) -> list[tuple[int, list[float]]]:
 
 
 def _numbers(line: str) -> list[float]:
-    """Numbers of one line: set apart by blanks, or in columns of 13 where a minus sign fills the gap."""
+    """Numbers of one line: separated by blanks, or in columns of 13 where a minus sign fills the gap."""
     try:
         return [float(cell) for cell in line.split()]
     except ValueError:

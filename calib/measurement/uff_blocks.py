@@ -1,4 +1,4 @@
-"""Datasets of a universal file as checked text, and their contents through pyuff."""
+"""Datasets of a universal file as checked text, and their contents as read by pyuff."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class Block:
 def read_blocks(path: Path) -> list[Block]:
     """Split a universal file into its datasets.
 
-    The bytes of a binary function (dataset 58b) are passed over by the count in its header line, so that no byte among
-    them is taken for the end of the dataset; where that count is absent or does not lead to a '-1' line, its end is
-    sought like that of any other.
+    The bytes of a binary function (dataset 58b) are skipped by the count in its header line, so that no byte among them
+    is taken for the end of the dataset; where that count is absent or does not lead to a '-1' line, the end is searched
+    for as in any other dataset.
 
-    Raises InputError when the file is empty, is no universal file, or a dataset is not closed (a truncated file).
+    Raises InputError when the file is empty, is not a universal file, or a dataset is not closed (a truncated file).
     """
     try:
         data = path.read_bytes()
@@ -84,7 +84,7 @@ def read_blocks(path: Path) -> list[Block]:
 
 
 class _Lines:
-    """Lines of a file one by one, as `bytes.splitlines` cuts them, with what is binary passed over."""
+    """Lines of a file one by one, as `bytes.splitlines` cuts them; binary parts are skipped."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -104,7 +104,7 @@ class _Lines:
         return line
 
     def pass_binary(self, head: bytes) -> None:
-        """Go behind the bytes that a header line of dataset 58b announces, if a '-1' line follows there."""
+        """Skip the bytes that a header line of dataset 58b announces, if a '-1' line follows them."""
         found = _BINARY_HEAD.fullmatch(head)
         if found is None:
             return
@@ -153,7 +153,7 @@ def _text(raw: bytes) -> str:
 def halves_of_six(path: Path, block: Block) -> list[Block]:
     """The block itself, or two (x, y, z and rx, ry, rz) for complex data of six components a node.
 
-    pyuff cannot read the six. The second half is told by its kind being -55 until the halves are put together.
+    pyuff cannot read six complex components. The second half has the kind -55 until the halves are joined.
     """
     if block.kind != 55 or len(block.lines) < 8:
         return [block]

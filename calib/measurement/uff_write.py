@@ -30,8 +30,8 @@ def write_uff(
 ) -> None:
     """Write one repeat as datasets 151, 164 (SI), 15 and 55 (complex modes with their eigenvalue).
 
-    A node that was measured in none of its directions in a mode gets no record there. Values carry six digits. The
-    file appears whole or not at all.
+    A node without a measured direction in a mode gets no record there. Values carry six digits. The file is written
+    whole or not at all.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def _check_writable(
     sensors: Sequence[Sensor],
     values: np.ndarray,
 ) -> dict[int, Point]:
-    """Places of the nodes, after everything that the format cannot hold has been refused."""
+    """Check that the format can hold the modes; returns the places of the nodes."""
     n = len(names)
     if freq.shape != (n,) or damping.shape != (n,) or values.shape != (len(sensors), n) or n == 0 or not len(sensors):
         raise InputError("names, frequencies, damping, sensors and shapes do not fit together", place=path)
@@ -145,7 +145,7 @@ def _check_writable(
         rows = known[[k for k, sensor in enumerate(sensors) if sensor.node == node]]
         if np.any(rows.any(axis=0) & ~rows.all(axis=0)):
             raise InputError(
-                f"node {node} lacks some of its directions in a mode, which the format cannot tell from zero",
+                f"node {node} lacks some of its directions in a mode, which the format would write as zero",
                 place=path,
                 remedy="write CSV",
             )

@@ -1,1 +1,1 @@
-"""What physical effect a model may lack."""
+"""Search for the physical effect that a model lacks."""

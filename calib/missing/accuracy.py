@@ -1,4 +1,4 @@
-"""Whether something would still be missing if the measurement were less accurate than it repeats."""
+"""Sensitivity of the verdict to the accuracy of the measurement."""
 
 from __future__ import annotations
 
@@ -8,95 +8,96 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from calib.freedom import beside_known
-from calib.missing.findings import Findings
+from calib.degrees_of_freedom import beside_known
+from calib.missing.explanation import Explanation
 from calib.missing.goodness import goodness, overall
+from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import Scores, family_p, scored
-from calib.missing.state import State
 from calib.problem import Labelled, Rows
 
 GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
-"""Accuracies that are asked, as shares of a value; of shapes, of the largest entry."""
-COLUMNS = ("accuracy", "p_family", "p_fit", "misfit", "freedom", "missing")
+"""Accuracies tried, relative to each value; for shapes, to the largest entry."""
+COLUMNS = ("accuracy", "p_family", "p_fit", "misfit", "dof", "missing")
 
 
 def less_accurate(
-    found: Findings,
+    found: Explanation,
     labelled: Labelled,
     relative_std: np.ndarray,
     seed: int,
     grid: Sequence[float] = GRID,
 ) -> pd.DataFrame:
-    """The tests of the base model with a standard deviation added in squares to every value, accuracy by accuracy.
+    """Repeat the tests of the base model for each accuracy, added in quadrature to the standard deviation of every row.
 
-    Nothing is solved again: the base fit is taken as linear, its parameters follow the new weights, and the scores of
-    effects and local changes with them. An accuracy that is claimed takes away evidence, so that only a verdict that
-    something is missing can change; the table ends at the first accuracy where nothing is left.
+    Nothing is solved again: the base fit is linearised, and its parameters and all scores are updated for the new
+    weights. A lower accuracy only removes evidence, so that only a verdict that something is missing can change; the
+    table ends at the first accuracy at which nothing is missing.
 
     Parameters
     ----------
-    found : Findings
+    found : Explanation
     labelled : Labelled
-        Whose residual it is.
+        Labels of the rows of the residual.
     relative_std : ndarray (n_rows,)
-        Standard deviation of every row over its value, before any factor that the explanation found on the scatter.
+        Standard deviation of every row relative to its value, without the factor that the explanation found
+        (``noise_scale``).
     seed : int
-        Of the draws behind probabilities.
+        Of the samples behind the probabilities.
     grid : sequence of float
         Ascending.
 
     Returns
     -------
     DataFrame
-        `COLUMNS`; ``missing`` tells whether the tests still say so. Empty for a verdict that
-        nothing is detectable, with the scatter as stated or as it was found.
+        `COLUMNS`; ``missing`` says whether the tests still reject the base model. Empty for the verdicts
+        ``nothing_detectable`` and ``noise_underestimated``.
     """
     lines: list[tuple[float, float, float, float, float, bool]] = []
-    rows, own = labelled.rows, np.asarray(relative_std, dtype=float) * found.noise_scale
+    rows, std = labelled.rows, np.asarray(relative_std, dtype=float) * found.noise_scale
     for accuracy in grid if found.verdict not in ("nothing_detectable", "noise_underestimated") else ():
         with np.errstate(invalid="ignore"):
-            weight = np.where(np.isfinite(own), own / np.hypot(own, accuracy), 1.0)
-        state = _weighted(found.base.state, weight)
-        behind = {
-            kind: beside_known(freedom, weight[[row.kind == kind for row in rows]] ** 2)
-            for kind, freedom in labelled.scatter_freedom.items()
+            weight = np.where(np.isfinite(std), std / np.hypot(std, accuracy), 1.0)
+        fit = _weighted(found.base.fit, weight)
+        std_dof = {
+            kind: beside_known(dof, weight[[row.kind == kind for row in rows]] ** 2)
+            for kind, dof in labelled.std_dof.items()
         }
-        told = Rows(rows, labelled.fitted_factors, behind)
-        kinds, modes = goodness(state, told)
-        each = [
-            family_p(_again(state, scores, weight), told, seed)
-            for scores in (found.base_check.named, found.base_check.atoms)
+        weighted = Rows(rows, labelled.fitted_factors, std_dof)
+        kinds, modes = goodness(fit, weighted)
+        p_values = [
+            family_p(_rescored(fit, scores, weight), weighted, seed)
+            for scores in (found.base_adequacy.named, found.base_adequacy.perturbations)
         ]
-        p_family, p_fit = min(1.0, 2 * min(each)), overall(kinds, modes)
+        p_family, p_fit = min(1.0, 2 * min(p_values)), overall(kinds, modes)
         missing = not (p_family > found.alpha and p_fit > found.alpha)
-        freedom = float(kinds["freedom"].sum())
-        lines.append((accuracy, p_family, p_fit, float(state.residual @ state.residual), freedom, missing))
+        dof = float(kinds["dof"].sum())
+        lines.append((accuracy, p_family, p_fit, float(fit.residual @ fit.residual), dof, missing))
         if not missing:
             break
     return pd.DataFrame(lines, columns=list(COLUMNS))
 
 
 def changing(table: pd.DataFrame) -> float:
-    """The first accuracy of the table at which nothing is missing; NaN for none."""
+    """First accuracy of the table at which nothing is missing; NaN if there is none."""
     gone = table.loc[~table["missing"].astype(bool), "accuracy"]
     return float(gone.iloc[0]) if len(gone) else float("nan")
 
 
 def sentence(table: pd.DataFrame) -> str:
-    """At which accuracy the verdict would change; empty for an empty table."""
+    """Accuracy at which the verdict would change, in words; empty for an empty table."""
     if table.empty:
         return ""
     at, basis = changing(table), "estimated on the linearised fit"
     if np.isnan(at):
         at = float(table["accuracy"].max())
-        return f"Even were every value accurate to {100 * at:g} % only, something would be missing ({basis})."
-    return f"Were every value accurate to {100 * at:g} % only, nothing would be detectable ({basis})."
+        return f"Even if every value were accurate to only {100 * at:g} %, something would be missing ({basis})."
+    return f"If every value were accurate to only {100 * at:g} %, nothing would be detectable ({basis})."
 
 
-def _weighted(state: State, weight: np.ndarray) -> State:
-    there = replace(state, residual=weight * state.residual, slope=weight[:, None] * state.slope)
-    return there.elsewhere({}, there.residual)
+def _weighted(fit: LinearisedFit, weight: np.ndarray) -> LinearisedFit:
+    weighted = replace(fit, residual=weight * fit.residual, slope=weight[:, None] * fit.slope)
+    return weighted.relinearised({}, weighted.residual)
 
 
-def _again(state: State, scores: Scores, weight: np.ndarray) -> Scores:
-    return scored(state, scores.owners, scores.points, weight[:, None] * scores.raw, scores.signed, scores.onset)
+def _rescored(fit: LinearisedFit, scores: Scores, weight: np.ndarray) -> Scores:
+    return scored(fit, scores.owners, scores.points, weight[:, None] * scores.raw, scores.signed, scores.onset)

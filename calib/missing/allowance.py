@@ -1,4 +1,4 @@
-"""Model evaluations that a decision may spend on fits."""
+"""Evaluation budget of one decision."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from calib.missing.hypotheses import Hypotheses
 
 
 class Allowance:
-    """What one decision may still ask of the model.
+    """Evaluation budget of one decision.
 
-    It counts from where it was made. A decision must depend neither on what was asked before it nor on what something
-    beside it asks within `uncharged`.
+    Counting starts when the object is made, so that a decision depends neither on earlier evaluations nor on those
+    within `uncharged`.
 
     Parameters
     ----------
@@ -33,20 +33,20 @@ class Allowance:
 
     @property
     def left(self) -> float:
-        """Evaluations that are left; negative where more than allowed were needed."""
+        """Evaluations left; negative when more than allowed were needed."""
         return self.most - self.used
 
     def spent(self, part: float = 1.0) -> bool:
-        """Whether that part is used up."""
+        """Whether that part of the budget is used up."""
         return self.used > part * self.most
 
     def ensure(self, least: float) -> None:
-        """See to it that so many evaluations are left, whatever was spent before."""
+        """Raise the budget, if need be, so that at least so many evaluations are left."""
         self.most = max(self.most, self.used + least)
 
     @contextmanager
     def uncharged(self) -> Iterator[None]:
-        """Within it, evaluations are charged to nothing here."""
+        """Evaluations within this context are not charged."""
         before = self.used
         try:
             yield

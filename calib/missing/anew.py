@@ -1,4 +1,4 @@
-"""Single effects fitted once more from the adopted values, where the base fit may be no place to begin from."""
+"""Refits of single effects from the nominal values, for a base fit that is a poor starting point."""
 
 from __future__ import annotations
 
@@ -11,32 +11,34 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
-from calib.missing.findings import Check, Trial
+from calib.missing.explanation import AdequacyTests, CandidateFit
+from calib.missing.linearised_fit import LinearisedFit, linearised
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
-from calib.missing.state import State, linearised
 
 _Start = tuple[float, str, dict[str, float]]
 
 
-def led_astray(base: Trial, check: Check) -> bool:
-    """Whether the base fit may be far from where its parameters are.
+def led_astray(base: CandidateFit, adequacy: AdequacyTests) -> bool:
+    """Whether the base fit may be far from the true parameters.
 
-    A parameter is pulled beyond what a right model needs (2.4 standard deviations and more, see `plausible.strain`), or
-    the base model is strongly rejected.
+    It is when a parameter is pulled further than a correctly specified model needs (`plausible.pulls`) or when the
+    base model is strongly rejected.
     """
-    strongest = float(max(check.named.strength, default=0.0))
-    return bool(base.implausible) or strongest > RULES.rejected or check.p_fit < RULES.rejected_fit
+    strongest = float(max(adequacy.named.magnitude, default=0.0))
+    return bool(base.implausible) or strongest > RULES.rejected or adequacy.p_fit < RULES.rejected_fit
 
 
-def anew(fits: Refits, base: Trial, singles: Sequence[Trial], effects: Sequence[Effect]) -> list[Trial]:
-    """Single effects fitted from the adopted values with every magnitude of their grid, best first.
+def anew(
+    fits: Refits, base: CandidateFit, singles: Sequence[CandidateFit], effects: Sequence[Effect]
+) -> list[CandidateFit]:
+    """Fit single effects from the nominal values with every magnitude of their grid; best first.
 
-    Every start is judged by the sum of squares that is left once the parameters have followed to first order; the most
-    promising ones are fitted, and the best fit chooses whole numbers again. A fit replaces an earlier one of the same
-    effect only where it ended lower.
+    Starts are ranked by the sum of squares left after a first-order update of the parameters. The most promising ones
+    are fitted, and integer parameters are chosen again for the best fit. A fit replaces an earlier one of the same
+    effect only if its sum of squares is smaller.
     """
-    fits.progress("fitting from the adopted values too")
+    fits.progress("fitting from the nominal values too")
     own = replace(fits, settings=replace(fits.settings, budget=RULES.anew * fits.settings.budget))
     best = {t.names[0]: t for t in singles}
     try:
@@ -49,9 +51,9 @@ def anew(fits: Refits, base: Trial, singles: Sequence[Trial], effects: Sequence[
             break
         if tried[name] < RULES.starts_anew:
             tried[name] += 1
-            found = own.best_of((name,), [start], base)
-            if found is not None and (name not in best or found.state.misfit < best[name].state.misfit):
-                best[name] = found
+            refit = own.best_of((name,), [start], base)
+            if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
+                best[name] = refit
     first = max(best.values(), key=lambda t: t.ln_evidence)
     if not any(first is t for t in singles):
         first = own.followed(first, whole=2)
@@ -60,42 +62,42 @@ def anew(fits: Refits, base: Trial, singles: Sequence[Trial], effects: Sequence[
 
 
 def _starts(fits: Refits, effects: Sequence[Effect]) -> list[_Start]:
-    """Promised sum of squares, effect and start, of the most promising effects at the adopted values; best first."""
-    question = fits.question(())
-    adopted = linearised(question, (), question.space.values)
-    found = fits.scores(adopted, effects)
+    """Predicted sum of squares, effect and start of the most promising effects at the nominal values; best first."""
+    fit_problem = fits.fit_problem(())
+    nominal = linearised(fit_problem, (), fit_problem.space.values)
+    found = fits.scores(nominal, effects)
     by_name = {e.name: e for e in effects}
     out: list[_Start] = []
     for k, name in enumerate(found.owners):
         effect, point, size = by_name[name], dict(found.points[k]), float(found.size[k])
         if not point:
-            p, step = effect.strength, float(found.z[k]) / size if size > 0 else 0.0
+            p, step = effect.magnitude, float(found.z[k]) / size if size > 0 else 0.0
             point = {name: min(max(step, p.lower), p.upper)}
-        out.append(_start(adopted, effect, point, adopted.residual - found.raw[:, k] * point[name]))
+        out.append(_start(nominal, effect, point, nominal.residual - found.raw[:, k] * point[name]))
     order = list(dict.fromkeys(name for _, name, _ in sorted(out, key=lambda s: s[:2])))[: fits.settings.refits]
     out = [start for start in out if start[1] in order]
     for name in order:
         if not by_name[name].grid and not fits.spent():
             sign = -1.0 if by_name[name].signed and found.z[found.best(name)] < 0 else 1.0
-            out += _at_magnitudes(fits, adopted, by_name[name], sign)
+            out += _at_magnitudes(fits, nominal, by_name[name], sign)
     return sorted(out, key=lambda s: s[:2])
 
 
-def _at_magnitudes(fits: Refits, adopted: State, effect: Effect, sign: float) -> Iterator[_Start]:
-    """Starts of an effect without a grid, asked of the model itself."""
-    question, p = fits.question((effect.name,)), effect.strength
+def _at_magnitudes(fits: Refits, nominal: LinearisedFit, effect: Effect, sign: float) -> Iterator[_Start]:
+    """Starts of an effect without a grid, evaluated by the model itself."""
+    fit_problem, p = fits.fit_problem((effect.name,)), effect.magnitude
     for part in RULES.magnitudes:
         point = {effect.name: sign * part * effect.plausible}
         if p.lower <= point[effect.name] <= p.upper:
             try:
-                residual = question.residual({**adopted.values, **point})
+                residual = fit_problem.residual({**nominal.values, **point})
             except EvaluationError:
                 continue
-            yield _start(adopted, effect, point, residual)
+            yield _start(nominal, effect, point, residual)
 
 
-def _start(adopted: State, effect: Effect, point: Mapping[str, float], residual: np.ndarray) -> _Start:
-    """A start with the sum of squares it promises."""
-    there = adopted.elsewhere(point, residual)
-    promised = there.misfit + (point[effect.name] / effect.plausible) ** 2
-    return promised if math.isfinite(promised) else math.inf, effect.name, {**adopted.values, **point}
+def _start(nominal: LinearisedFit, effect: Effect, point: Mapping[str, float], residual: np.ndarray) -> _Start:
+    """A start with the sum of squares predicted from it."""
+    linear = nominal.relinearised(point, residual)
+    predicted = linear.misfit + (point[effect.name] / effect.plausible) ** 2
+    return predicted if math.isfinite(predicted) else math.inf, effect.name, {**nominal.values, **point}

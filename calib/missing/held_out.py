@@ -1,4 +1,4 @@
-"""Whether data that no fit has seen speak against what fits the others."""
+"""Test of a fitted model against held-out data."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import pandas as pd
 
 from calib.missing.rules import RULES
 
-UNSEEN = ("withheld_sensors", "withheld_modes", "withheld_responses")
-"""Groups of data that no fit has seen."""
+UNSEEN = ("held_out_sensors", "held_out_modes", "held_out_responses")
+"""Groups of held-out data."""
 
 
 def contradicting(errors: pd.DataFrame, stage: str) -> tuple[str, ...]:
-    """Groups of withheld data that a model predicts as badly as hardly ever a right one.
+    """Groups of held-out data that contradict a model: a correctly specified one would rarely predict them as badly.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the search for a missing effect asks of whoever knows the model and the measurement."""
+"""Protocols of the search for a missing effect: models with effects against a measurement."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from calib.problem import Labelled
 from calib.space import ParameterSpace
 
 
-class Question(LeastSquares, Protocol):
-    """Measurement against the model with some effects: whitened residual, its derivative, and what is free."""
+class FitProblem(LeastSquares, Protocol):
+    """Least-squares problem of a model with some effects: whitened residual, Jacobian and free parameters."""
 
     @property
     def space(self) -> ParameterSpace:
-        """Free are the parameters that a calibration would fit, and those of the effects."""
+        """The parameters that a calibration would fit, and those of the effects, are free."""
         ...
 
 
 class Hypotheses(Labelled, Protocol):
-    """The base model, the effects it may lack, and its unnamed local changes, all against one measurement.
+    """The base model, the effects it may lack, and its unnamed local perturbations, all against one measurement.
 
-    Every question has the same rows, whitened by the same scatter.
+    Every fit problem has the same rows, whitened by the same standard deviations.
     """
 
     @property
@@ -35,56 +35,56 @@ class Hypotheses(Labelled, Protocol):
         ...
 
     @property
-    def atoms(self) -> tuple[Effect, ...]:
-        """Unnamed local changes."""
+    def perturbations(self) -> tuple[Effect, ...]:
+        """Unnamed local perturbations."""
         ...
 
     @property
     def evaluations(self) -> int:
-        """Models solved so far."""
+        """Number of model evaluations so far."""
         ...
 
-    def question(self, names: tuple[str, ...]) -> Question:
-        """The model with the named effects or atoms added."""
+    def fit_problem(self, names: tuple[str, ...]) -> FitProblem:
+        """The model with the named effects or perturbations added."""
         ...
 
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
-        """Measured modes for which that model has no partner at named values; none where nothing is paired."""
+        """Measured modes that the model leaves unpaired at the given values; empty where nothing is paired."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Altered:
-    """A question with a factor on its scatter, about some of its rows, or with parameters held.
+    """A fit problem with a factor on its standard deviation, restricted to some rows, or with parameters held.
 
     Attributes
     ----------
-    inner : Question
+    inner : FitProblem
     scale : float
-        That factor.
+        Factor on the standard deviation.
     kept : ndarray (n_kept,), int, or None
-        Those rows; None for all.
+        Rows kept; None for all.
     held : mapping from str to float
-        Values of those parameters.
+        Values of the held parameters.
     """
 
-    inner: Question
+    inner: FitProblem
     scale: float = 1.0
     kept: np.ndarray | None = None
     held: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def space(self) -> ParameterSpace:
-        """That of the question, with those parameters fixed."""
+        """Parameter space of the inner problem, with the held parameters fixed."""
         return self.inner.space.freeze(self.held) if self.held else self.inner.space
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual, (n_kept,)."""
-        return self._seen(self.inner.residual({**values, **self.held}))
+        return self._weighted(self.inner.residual({**values, **self.held}))
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Its derivative, (n_kept, n_params)."""
-        return self._seen(self.inner.jacobian({**values, **self.held}, names))
+        """Derivative of the residual, (n_kept, n_params)."""
+        return self._weighted(self.inner.jacobian({**values, **self.held}, names))
 
-    def _seen(self, rows: np.ndarray) -> np.ndarray:
+    def _weighted(self, rows: np.ndarray) -> np.ndarray:
         return (rows if self.kept is None else rows[self.kept]) / self.scale

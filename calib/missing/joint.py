@@ -1,4 +1,4 @@
-"""Several tests asked together which effect their models lack: one decision over the rows of all."""
+"""Joint search over several tests for the effect that their models lack: one decision over all rows."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.joint import JointProblem, JointRows, of_test
-from calib.missing.findings import Trial
+from calib.missing.explanation import CandidateFit
 
 
 @dataclass(frozen=True, eq=False)
 class JointHypotheses(JointRows):
-    """What several tests ask of effects and local changes; what has one name is one effect in all their models.
+    """Hypotheses of several tests; effects of the same name are one effect in all their models.
 
     Attributes
     ----------
     parts : mapping from str to Hypotheses
-        By name of the test.
+        Hypotheses of each test, by its name.
     """
 
-    _questions: dict[frozenset[str], JointProblem] = field(init=False, repr=False, default_factory=dict)
+    _fit_problems: dict[frozenset[str], JointProblem] = field(init=False, repr=False, default_factory=dict)
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
@@ -31,55 +31,55 @@ class JointHypotheses(JointRows):
         return tuple({e.name: e for part in self.parts.values() for e in part.effects}.values())
 
     @cached_property
-    def atoms(self) -> tuple[Effect, ...]:
-        """Unnamed local changes of all tests."""
-        return tuple({e.name: e for part in self.parts.values() for e in part.atoms}.values())
+    def perturbations(self) -> tuple[Effect, ...]:
+        """Unnamed local perturbations of all tests."""
+        return tuple({e.name: e for part in self.parts.values() for e in part.perturbations}.values())
 
     @property
     def evaluations(self) -> int:
-        """Models solved so far, those of every test counted."""
+        """Number of model evaluations so far, over all tests."""
         return sum(part.evaluations for part in self.parts.values())
 
-    def question(self, names: tuple[str, ...]) -> JointProblem:
-        """The models with the named effects or local changes, each in those tests whose model may lack it."""
+    def fit_problem(self, names: tuple[str, ...]) -> JointProblem:
+        """The models with the named effects or local perturbations, each in those tests whose model may lack it."""
         key = frozenset(names)
-        if key not in self._questions:
-            asked = {test: part.question(self._of(test, names)) for test, part in self.parts.items()}
-            self._questions[key] = JointProblem(asked, {test: self._possible(test) for test in self.parts})
-        return self._questions[key]
+        if key not in self._fit_problems:
+            problems = {test: part.fit_problem(self._of(test, names)) for test, part in self.parts.items()}
+            self._fit_problems[key] = JointProblem(problems, {test: self._possible(test) for test in self.parts})
+        return self._fit_problems[key]
 
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
-        """Measured modes of all tests for which the models have no partner at named values."""
-        question = self.question(names)
+        """Measured modes of all tests that the models leave unpaired at the given values."""
+        fit_problem = self.fit_problem(names)
         return frozenset(
             of_test(test, mode)
             for test, part in self.parts.items()
-            for mode in part.unpaired(self._of(test, names), question.own(test, values))
+            for mode in part.unpaired(self._of(test, names), fit_problem.own(test, values))
         )
 
-    def of(self, test: str, trial: Trial) -> Trial:
-        """What one test sees of a fit to all of them: its rows, its parameters, its effects."""
-        part, state = self.parts[test], trial.state
-        names = self._of(test, state.effects)
-        question = part.question(names)
+    def of(self, test: str, candidate_fit: CandidateFit) -> CandidateFit:
+        """Part of a joint fit that belongs to one test: its rows, its parameters, its effects."""
+        part, fit = self.parts[test], candidate_fit.fit
+        names = self._of(test, fit.effects)
+        fit_problem = part.fit_problem(names)
         rows = [k for k, row in enumerate(self.rows) if row.test == test]
-        kept = [k for k, name in enumerate(state.names) if name in question.space]
+        kept = [k for k, name in enumerate(fit.names) if name in fit_problem.space]
         own = replace(
-            state,
+            fit,
             effects=names,
-            question=question,
-            names=tuple(state.names[k] for k in kept),
-            values={name: value for name, value in state.values.items() if name in question.space},
-            residual=state.residual[rows],
-            slope=state.slope[np.ix_(rows, kept)],
-            prior_sd=state.prior_sd[kept],
-            shift=state.shift[kept],
+            fit_problem=fit_problem,
+            names=tuple(fit.names[k] for k in kept),
+            values={name: value for name, value in fit.values.items() if name in fit_problem.space},
+            residual=fit.residual[rows],
+            slope=fit.slope[np.ix_(rows, kept)],
+            prior_sd=fit.prior_sd[kept],
+            shift=fit.shift[kept],
         )
-        return replace(trial, effects=tuple(e for e in trial.effects if e.name in names), state=own)
+        return replace(candidate_fit, effects=tuple(e for e in candidate_fit.effects if e.name in names), fit=own)
 
     def _of(self, test: str, names: Sequence[str]) -> tuple[str, ...]:
         return tuple(name for name in names if name in self._possible(test))
 
     def _possible(self, test: str) -> frozenset[str]:
-        """Effects and local changes that the test's model may lack."""
-        return frozenset(e.name for e in (*self.parts[test].effects, *self.parts[test].atoms))
+        """Effects and local perturbations that the test's model may lack."""
+        return frozenset(e.name for e in (*self.parts[test].effects, *self.parts[test].perturbations))

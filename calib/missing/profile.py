@@ -1,4 +1,4 @@
-"""Interval of a strength by its profile likelihood."""
+"""Profile-likelihood interval of a magnitude."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ import numpy as np
 
 from calib.errors import EvaluationError
 from calib.missing.hypotheses import Altered
-from calib.missing.state import State, fitted
+from calib.missing.linearised_fit import LinearisedFit, fitted
 
 _RISE = 1.96
-"""Root of the rise of the sum of squares at the ends of a 95 % interval."""
+"""Root of the increase of the sum of squares at the ends of a 95 % interval."""
 _TRIES = 3
 
 
-def profile_interval(state: State, name: str) -> tuple[float, float]:
-    """95 % interval of one fitted parameter: where the lowest sum of squares rises by 1.96^2.
+def profile_interval(fit: LinearisedFit, name: str) -> tuple[float, float]:
+    """95 % interval of one fitted parameter: where the profiled sum of squares increases by 1.96^2.
 
-    The ends of the linearised interval are moved by the root of the rise found there, which is linear in the parameter
-    for a Gaussian posterior (Bates and Watts 1988, the profile t). An end beyond a limit is the limit.
+    The ends of the linearised interval are corrected by the root of the increase found there, which is linear in the
+    parameter for a Gaussian posterior (profile t; Bates and Watts 1988). An end beyond a limit is set to the limit.
 
     Parameters
     ----------
-    state : State
+    fit : LinearisedFit
     name : str
     """
-    k = state.names.index(name)
-    std = float(np.sqrt(state.covariance[k, k]))
-    return _end(state, k, -std), _end(state, k, std)
+    k = fit.names.index(name)
+    std = float(np.sqrt(fit.covariance[k, k]))
+    return _end(fit, k, -std), _end(fit, k, std)
 
 
-def _end(state: State, k: int, std: float) -> float:
-    name = state.names[k]
-    p, centre = state.question.space[name], state.values[name]
+def _end(fit: LinearisedFit, k: int, std: float) -> float:
+    name = fit.names[k]
+    p, centre = fit.fit_problem.space[name], fit.values[name]
     here = centre + _RISE * std
     for _ in range(_TRIES):
         inside = min(max(here, p.lower), p.upper)
-        rise = _rise(state, k, inside)
+        rise = _rise(fit, k, inside)
         if math.isnan(rise):
             return inside
         if inside != here and rise < _RISE:
@@ -50,15 +50,15 @@ def _end(state: State, k: int, std: float) -> float:
     return min(max(here, p.lower), p.upper)
 
 
-def _rise(state: State, k: int, value: float) -> float:
-    """Root of the rise of the lowest sum of squares with one parameter held; NaN where the model cannot be solved."""
-    name, column = state.names[k], state.covariance[:, k] / state.covariance[k, k]
-    step = column * (value - state.values[name])
-    start = {**state.values, **{n: state.values[n] + d for n, d in zip(state.names, step, strict=True)}, name: value}
-    p = state.question.space[name]
+def _rise(fit: LinearisedFit, k: int, value: float) -> float:
+    """Root of the increase of the sum of squares with one parameter held; NaN where the model cannot be solved."""
+    name, column = fit.names[k], fit.covariance[:, k] / fit.covariance[k, k]
+    step = column * (value - fit.values[name])
+    start = {**fit.values, **{n: fit.values[n] + d for n, d in zip(fit.names, step, strict=True)}, name: value}
+    p = fit.fit_problem.space[name]
     own = ((value - p.value) / p.prior_width) ** 2
     try:
-        there = fitted(Altered(state.question, held={name: value}), state.effects, start)
+        there = fitted(Altered(fit.fit_problem, held={name: value}), fit.effects, start)
     except EvaluationError:
         return math.nan
-    return math.sqrt(max(there.misfit + own - state.misfit, 0.0))
+    return math.sqrt(max(there.misfit + own - fit.misfit, 0.0))

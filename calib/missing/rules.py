@@ -1,4 +1,4 @@
-"""What decides between the verdicts of an explanation, in one place."""
+"""Constants that decide between the verdicts of an explanation."""
 
 from __future__ import annotations
 
@@ -7,73 +7,73 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Rules:
-    """Constants of the decision; `record.json` holds those that an answer was made with.
+    """Constants of the decision; `record.json` holds those of a result.
 
     Attributes
     ----------
     credible : float
-        Effects whose log evidence is within this of the best belong to the credible set (odds of 20:1).
+        Effects whose log evidence is within this of the best belong to the credible set (Bayes factor of 20:1).
     guard : float
-        Factor on the scatter from which it counts as understated (two and a half standard errors with 8 modes).
+        Factor on the standard deviation from which it counts as understated (two and a half standard errors with 8
+        modes).
     least_modes : int
         Fewer modes cannot tell an effect from a parameter.
     least_responses : int
-        Nor can fewer plain responses.
+        The same for scalar responses.
     detectable : float
         Expected score from which an effect is found with about 90 % power at a family-wise level of 1 %.
     draws : int
-        Of normal variates behind family-wise chances; one over it is the smallest that can be told.
+        Samples behind family-wise p-values; one over it is the smallest p-value.
     absorbed : float
-        Columns of which the parameters leave less than this part are no directions at all.
-    alike_scatter : float
-        Level at which modes differ by more than a common factor.
+        A signature of which less than this part is left unabsorbed counts as fully absorbed.
+    alike_std : float
+        Significance level of the test that modes differ by more than a common factor.
     followed : float
-        Part of a row's variance left by the parameters below which it says nothing.
+        Part of a row's variance left by the parameters below which the row is not tested.
     contradicted : float
-        Chance of a right model predicting a group as badly, below which the group contradicts it.
-    strain : float
-        Family-wise level at which a parameter counts as strained.
+        p-value of the prediction of held-out data below which they contradict the model.
+    pull : float
+        Family-wise level at which a parameter counts as pulled.
     nuisance : float
-        Largest distance of a nuisance parameter from its middle value, in prior standard deviations.
+        Largest distance of a nuisance parameter from its nominal value, in prior standard deviations.
     at_limit : float
-        Distance from a limit at which a parameter is on it, over its range.
+        Distance at which a parameter counts as on its limit, over its range.
     at_limit_std : float
         The same over its posterior standard deviation.
     same : float
-        Correlation of fingerprints from which a local change says the same as a named effect.
+        Correlation of signatures from which a local perturbation is collinear with a named effect.
     far : float
-        Log Bayes factor from which an effect leaves no room for those that promise a quarter of it.
+        Log Bayes factor from which other effects are fitted only if theirs is predicted to be a quarter of it.
     close : float
-        Effects whose log evidence is within this of the best are fitted to the end.
+        Effects whose log evidence is within this of the best are refined.
     nearly : float
-        The same, as a part of what the best one has gained.
-    polished : int
-        Effects, and pairs of effects, that may move whole numbers back.
+        The same, as a part of the log evidence that the best one has gained.
+    refined : int
+        Number of effects, and of pairs of effects, refitted with free integers.
     smaller_steps : tuple of float
-        Parts of a step that are tried where the whole step ended above the fit it began from.
+        Parts of a step that are tried where the full step raised the sum of squares.
     least_residuals : int
-        Residuals of a fit that the verdict needs although the budget is used up.
+        Evaluations granted to a fit that the verdict needs although the budget is used up.
     hopeless : float
-        A rough fit that leaves so much more than another is not followed.
+        A rough fit with a sum of squares so many times that of another is not refined.
     anew : float
-        Part of the budget that is added to it, for a base fit that was led astray.
+        Part of the budget that is added for refits from the nominal values.
     rejected : float
         Score of an effect from which the base model is strongly rejected.
     rejected_fit : float
-        The same as a chance of its misfit as a whole.
+        The same as a p-value of its goodness of fit.
     magnitudes : tuple of float
-        Parts of the plausible strength that an effect without a grid begins with, beside the one that one step leads
-        to.
+        Parts of the plausible magnitude from which an effect without a grid is fitted, beside that of one step.
     starts_anew : int
-        Starts of one effect that are followed.
+        Number of starts of one effect that are fitted.
     paired : float
-        Part of the budget that pairs of effects may spend at least, whatever single effects have spent.
+        Least part of the budget for pairs of effects, whatever single effects have spent.
     decades : tuple of float
-        Powers of ten times the plausible strength at which an effect is tried for what it pairs.
+        Powers of ten times the plausible magnitude at which an effect is tried for pairing further modes.
     worth : float
-        Smallest promised decrease for which another whole number is tried.
+        Smallest predicted decrease of the sum of squares for which another integer is tried.
     confounded : float
-        Correlation of fingerprints from which effects are named as confounded.
+        Correlation of signatures from which effects are reported as confounded.
     """
 
     credible: float = 3.0
@@ -83,10 +83,10 @@ class Rules:
     detectable: float = 4.0
     draws: int = 8000
     absorbed: float = 1e-6
-    alike_scatter: float = 0.01
+    alike_std: float = 0.01
     followed: float = 0.02
     contradicted: float = 1e-3
-    strain: float = 0.01
+    pull: float = 0.01
     nuisance: float = 2.0
     at_limit: float = 1e-3
     at_limit_std: float = 0.05
@@ -94,7 +94,7 @@ class Rules:
     far: float = 30.0
     close: float = 10.0
     nearly: float = 0.35
-    polished: int = 3
+    refined: int = 3
     smaller_steps: tuple[float, ...] = (0.1, 0.01)
     least_residuals: int = 8
     hopeless: float = 1.05
@@ -110,4 +110,4 @@ class Rules:
 
 
 RULES = Rules()
-"""Those in force."""
+"""Constants in force."""

@@ -1,4 +1,4 @@
-"""Fingerprints of candidates on a fitted residual, their scores, and whether the largest could be chance."""
+"""Score tests of candidates at a fitted model: signatures, scores and the family-wise p-value of the largest."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ import scipy.linalg as la
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
-from calib.missing.hypotheses import Question
+from calib.missing.hypotheses import FitProblem
+from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
-from calib.missing.state import State
 from calib.problem import Labelled
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Scores of candidates at a fitted model, one column a candidate or a point of its grid.
+    """Scores of candidates at a fitted model, one column for each candidate or point of its grid.
 
-    With ``g`` the change of the data by one unit of strength and P the projector off everything that the parameters
+    With ``g`` the signature (change of the data per unit of magnitude) and P the projector off what the parameters
     absorb, ``z = (P g)^T r/|P g|`` is a standard normal variate if nothing is missing (Rao's score test, 1948);
-    ``z/|P g|`` is the strength in one step, ``z^2`` the decrease of the sum of squares it promises.
+    ``z/|P g|`` is the magnitude after one step, ``z^2`` the predicted decrease of the sum of squares.
 
     Attributes
     ----------
     owners : tuple of str
         Candidate of every column, length m.
     points : tuple of mapping
-        Strength and nuisance values at which a column was taken by difference; empty for a derivative.
+        Magnitude and nuisance values at which a column was computed by difference; empty for a derivative.
     raw : ndarray (n_rows, m)
         g.
     unit : ndarray (n_rows + p, m)
-        P g over its length.
+        ``P g/|P g|``.
     size : ndarray (m,)
-        Length of P g; 0 where the parameters absorb all.
-    z, gamma : ndarray (m,)
-        Score, and the share ``|P g|/|g|`` that the parameters cannot absorb.
+        ``|P g|``; 0 where the parameters absorb all of g.
+    z, unabsorbed : ndarray (m,)
+        Score, and unabsorbed fraction ``|P g|/|g|``.
     signed : ndarray (m,), bool
         Whether a negative score counts too.
     onset : ndarray (m,)
-        Size of the strength below which a column says nothing: where it pairs a further measured mode, that of its
-        point, since it does so from some strength on and not in proportion to it; else 0.
+        Magnitude below which a column does not apply: that of its point where it pairs a further measured mode, which
+        happens from some magnitude on and not in proportion to it; else 0.
     """
 
     owners: tuple[str, ...]
@@ -52,18 +52,18 @@ class Scores:
     unit: np.ndarray
     size: np.ndarray
     z: np.ndarray
-    gamma: np.ndarray
+    unabsorbed: np.ndarray
     signed: np.ndarray
     onset: np.ndarray
 
     @property
-    def strength(self) -> np.ndarray:
-        """Of the test: z, or its size where both signs count, (m,)."""
+    def magnitude(self) -> np.ndarray:
+        """Test statistic: z, or ``|z|`` where both signs count, (m,)."""
         return np.where(self.signed, np.abs(self.z), self.z)
 
-    def at(self, state: State) -> Scores:
-        """The same columns where a fit is expected to end elsewhere; see `State.elsewhere`."""
-        return replace(self, z=self.unit.T @ state.augmented)
+    def at(self, fit: LinearisedFit) -> Scores:
+        """Scores of the same columns at another end point of the fit; see `LinearisedFit.relinearised`."""
+        return replace(self, z=self.unit.T @ fit.augmented)
 
     def only(self, names: Sequence[str]) -> Scores:
         """The columns of some candidates."""
@@ -75,7 +75,7 @@ class Scores:
             unit=self.unit[:, kept],
             size=self.size[kept],
             z=self.z[kept],
-            gamma=self.gamma[kept],
+            unabsorbed=self.unabsorbed[kept],
             signed=self.signed[kept],
             onset=self.onset[kept],
         )
@@ -85,15 +85,15 @@ class Scores:
         return [k for k, owner in enumerate(self.owners) if owner == name]
 
     def best(self, name: str) -> int:
-        """Column of a candidate with the largest promised decrease."""
-        return max(self.of(name), key=lambda k: float(self.strength[k]))
+        """Column of a candidate with the largest test statistic."""
+        return max(self.of(name), key=lambda k: float(self.magnitude[k]))
 
     def steps(self, name: str, count: int) -> list[int]:
-        """The columns of a candidate that would lower the sum of squares most at their own strength."""
+        """Columns of a candidate that are predicted to lower the sum of squares most at their own magnitude."""
 
         def drop(k: int) -> float:
             if not self.points[k]:
-                return float(self.strength[k]) ** 2
+                return float(self.magnitude[k]) ** 2
             length = self.size[k] * abs(self.points[k][name])
             return float(2 * self.z[k] * length - length**2)
 
@@ -101,76 +101,76 @@ class Scores:
 
 
 def scores(
-    state: State,
+    fit: LinearisedFit,
     candidates: Sequence[Effect],
-    questions: Mapping[str, Question],
+    fit_problems: Mapping[str, FitProblem],
     further: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
 ) -> Scores:
     """Score candidates at a fitted model.
 
     Parameters
     ----------
-    state : State
+    fit : LinearisedFit
     candidates : sequence of Effect
-        Those with a grid are asked at its points, the others by their derivative.
-    questions : mapping from str to Question
-        For every candidate with a grid or a further point, the state's question with that candidate added.
+        Signatures are differences at the points of the grid, or derivatives for candidates without a grid.
+    fit_problems : mapping from str to FitProblem
+        For every candidate with a grid or a further point, the fit problem with that candidate added.
     further : mapping from str to mapping
-        A point of some candidates at which they are asked by difference too.
+        A further point of some candidates at which a signature is computed by difference.
     """
     plain = [e for e in candidates if not e.grid]
     owners = [e.name for e in plain]
     points: list[Mapping[str, float]] = [{} for _ in plain]
-    columns = [-state.question.jacobian(state.values, owners)] if plain else []
+    columns = [-fit.fit_problem.jacobian(fit.values, owners)] if plain else []
     onset = [0.0] * len(plain)
     for effect in candidates:
         for point in (*effect.grid, *([further[effect.name]] if effect.name in further else [])):
             try:
-                changed = questions[effect.name].residual({**state.values, **point})
+                changed = fit_problems[effect.name].residual({**fit.values, **point})
             except EvaluationError:
                 continue
             owners.append(effect.name)
             points.append(point)
             onset.append(abs(point[effect.name]) if point is further.get(effect.name) else 0.0)
-            columns.append(((state.residual - changed) / point[effect.name])[:, None])
-    raw = np.hstack(columns) if columns else np.zeros((len(state.residual), 0))
+            columns.append(((fit.residual - changed) / point[effect.name])[:, None])
+    raw = np.hstack(columns) if columns else np.zeros((len(fit.residual), 0))
     two_sided = {e.name: e.signed for e in candidates}
-    return scored(state, owners, points, raw, [two_sided[name] for name in owners], onset)
+    return scored(fit, owners, points, raw, [two_sided[name] for name in owners], onset)
 
 
 def scored(
-    state: State,
+    fit: LinearisedFit,
     owners: Sequence[str],
     points: Sequence[Mapping[str, float]],
     raw: np.ndarray,
     signed: Sequence[bool] | np.ndarray,
     onset: Sequence[float] | np.ndarray,
 ) -> Scores:
-    """Scores of changes of the data (n_rows, m) that are known, at a fitted model; see `Scores`."""
-    outside = state.outside(raw)
-    whole, size = np.linalg.norm(raw, axis=0), np.linalg.norm(outside, axis=0)
+    """Scores of given changes of the data (n_rows, m) at a fitted model; see `Scores`."""
+    projected = fit.project_out(raw)
+    whole, size = np.linalg.norm(raw, axis=0), np.linalg.norm(projected, axis=0)
     seen = size > RULES.absorbed * np.maximum(whole, 1e-300)
     safe = np.where(seen, size, 1.0)
-    unit = np.where(seen, outside / safe, 0.0)
+    unit = np.where(seen, projected / safe, 0.0)
     return Scores(
         owners=tuple(owners),
         points=tuple(points),
         raw=raw,
         unit=unit,
         size=np.where(seen, size, 0.0),
-        z=unit.T @ state.augmented,
-        gamma=np.where(whole > 0, np.where(seen, size, 0.0) / np.maximum(whole, 1e-300), 0.0),
+        z=unit.T @ fit.augmented,
+        unabsorbed=np.where(whole > 0, np.where(seen, size, 0.0) / np.maximum(whole, 1e-300), 0.0),
         signed=np.array(signed, dtype=bool),
         onset=np.array(onset, dtype=float),
     )
 
 
 def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
-    """Chance that the largest of all scores is as large as found although nothing is missing.
+    """Family-wise p-value of the largest score.
 
-    Scores are correlated normal variates with covariance ``U^T U`` of their unit directions. What is known of the
-    scatter comes from a few repeats, so that every kind of response is drawn with a common factor of its own
-    (``sqrt(nu/chi2_nu)``, as in Student's t); 1/8000 is the smallest value that can be told.
+    If nothing is missing, scores are correlated normal variates with the covariance ``U^T U`` of their unit directions.
+    The standard deviation is estimated from a few repeats, so that the samples of every kind of response share a factor
+    (``sqrt(nu/chi2_nu)``, as in Student's t). The smallest p-value is about ``1/Rules.draws``.
     """
     seen = found.size > 0
     if not seen.any():
@@ -179,24 +179,22 @@ def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
     rng = np.random.default_rng(seed)
     kinds = [row.kind for row in labelled.rows]
     blocks = {kind: np.flatnonzero([k == kind for k in kinds]) for kind in dict.fromkeys(kinds)}
-    drawn = np.zeros((unit.shape[1], RULES.draws))
+    samples = np.zeros((unit.shape[1], RULES.draws))
     for kind, index in (*blocks.items(), ("", np.arange(len(kinds), len(unit)))):
-        freedom = labelled.scatter_freedom.get(kind, np.inf)
-        factor = (
-            np.sqrt(freedom / rng.chisquare(freedom, RULES.draws)) if np.isfinite(freedom) else np.ones(RULES.draws)
-        )
-        drawn += factor * (_root(unit[index].T @ unit[index]) @ rng.standard_normal((unit.shape[1], RULES.draws)))
-    largest = np.max(np.where(signed[:, None], np.abs(drawn), drawn), axis=0)
-    return float((np.count_nonzero(largest >= found.strength[seen].max()) + 1) / (RULES.draws + 1))
+        dof = labelled.std_dof.get(kind, np.inf)
+        factor = np.sqrt(dof / rng.chisquare(dof, RULES.draws)) if np.isfinite(dof) else np.ones(RULES.draws)
+        samples += factor * (_root(unit[index].T @ unit[index]) @ rng.standard_normal((unit.shape[1], RULES.draws)))
+    largest = np.max(np.where(signed[:, None], np.abs(samples), samples), axis=0)
+    return float((np.count_nonzero(largest >= found.magnitude[seen].max()) + 1) / (RULES.draws + 1))
 
 
 def _root(matrix: np.ndarray) -> np.ndarray:
     """A square root of a positive semidefinite matrix."""
-    size, turn = la.eigh(matrix)
-    return turn * np.sqrt(np.maximum(size, 0.0))
+    eigenvalues, vectors = la.eigh(matrix)
+    return vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
 
 
 def correlation(found: Scores, columns: Sequence[int]) -> np.ndarray:
-    """Correlation of fingerprints after projection, (m, m): how alike candidates look to data and parameters."""
+    """Correlation of signatures after projection, (m, m): 1 for collinear candidates."""
     unit = found.unit[:, list(columns)]
     return np.clip(unit.T @ unit, -1.0, 1.0)

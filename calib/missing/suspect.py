@@ -1,4 +1,4 @@
-"""Single data that spoil a fit: each measured value, mode and sensor left out in turn."""
+"""Outlier test: each measured value, mode and sensor left out in turn."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pandas as pd
 
-from calib.freedom import LEAST_FREEDOM, chance, hat_root
+from calib.degrees_of_freedom import LEAST_DOF, chance, hat_root
 from calib.missing.goodness import Fit, Layout, goodness, overall
 from calib.missing.rules import RULES
 from calib.problem import Label, Labelled
 
-COLUMNS = ("what", "kind", "rows", "chi2", "freedom", "p", "p_fit_without", "explains")
+COLUMNS = ("what", "kind", "rows", "chi2", "dof", "p", "p_fit_without", "explains")
 LEVEL = 0.01
-"""Chance of calling a datum bad when none is, over all that are left out in turn."""
+"""Family-wise significance level, over all data that are left out in turn."""
 _SINGULAR = 1e-9
-"""Part of the variance of any combination of several values left by the parameters, below which its prediction by the
-others is rounding."""
+"""Smallest part of the variance of a combination of values left by the parameters; below it, prediction is rounding."""
 _AT_ONCE = 256
-"""Data that are left out at once, each with a row of numbers as long as the data."""
+"""Data processed at a time, to limit memory: each needs a row as long as the data."""
 
 
 class Datum(NamedTuple):
@@ -40,29 +39,29 @@ class Datum(NamedTuple):
 
 
 class Optimum(Fit, Protocol):
-    """A fit that knows whether it is one."""
+    """A fit that knows whether it converged."""
 
     @property
     def converged(self) -> bool:
-        """Whether it ended because it had converged."""
+        """Whether the fit converged."""
         ...
 
 
-class _LeftOut(NamedTuple):
-    """A datum as all others predict it: ``I - H_bb``, the error of the prediction, and its test."""
+class LeaveOneOut(NamedTuple):
+    """A datum left out: ``I - H_bb``, its prediction error by all others, and the test of it."""
 
     datum: Datum
     inverse: np.ndarray
     predicted: np.ndarray
     chi2: float
-    freedom: float
-    scatter: float
+    dof: float
+    std: float
 
 
 def data_of(rows: Sequence[Label]) -> tuple[Datum, ...]:
-    """Everything that may be bad by itself: values, shapes, modes, sensors and entries of shapes, or plain responses.
+    """All data that may be wrong by themselves: values, shapes, modes, sensors, entries of shapes, scalar responses.
 
-    What consists of the same rows as another is named once, by the smaller thing.
+    Data of the same rows are listed once, by the smaller item.
     """
     found: dict[tuple[str, str], list[int]] = {}
     for k, row in enumerate(rows):
@@ -90,86 +89,87 @@ def suspects(
     labelled: Labelled,
     level: float = LEVEL,
 ) -> pd.DataFrame:
-    """Leave out every datum in turn, where the fit as a whole fails, and tell which of them alone is to blame.
+    """Leave out every datum in turn, where the fit as a whole fails, and test which of them alone explains the misfit.
 
     With e the residual and ``H = G V G^T`` the hat matrix of a fit (G its slope, V its posterior covariance), data b
-    are predicted by all others with the error ``e_(-b) = (I - H_bb)^-1 e_b`` (see `calib.inference.left_out`), so that
-    leaving them out lowers the sum of squares by ``chi2_b = e_b^T e_(-b)``; all others move to ``e + H_b e_(-b)``.
-    That is exact for a linear model, and nothing is fitted again. ``p`` is the chance of such a value of chi2_b times
-    the number of data that were tried (Bonferroni, as in the test of studentised residuals; Cook and Weisberg 1982);
-    ``p_fit_without`` is that of goodness of fit without b, NaN where p is above the level. A datum explains the misfit
-    when the first is below and the second above the level: it is improbable by itself, and without it everything fits.
-    A single value that the parameters follow nearly everywhere is not asked: its residual is what the search has left.
+    are predicted by all others with the error ``e_(-b) = (I - H_bb)^-1 e_b`` (see `calib.inference.leave_one_out`).
+    Leaving them out lowers the sum of squares by ``chi2_b = e_b^T e_(-b)``; the other residuals become
+    ``e + H_b e_(-b)``. This is exact for a linear model, and nothing is fitted again. ``p`` is the p-value of chi2_b
+    times the number of data tried (Bonferroni, as in the test of studentised residuals; Cook and Weisberg 1982);
+    ``p_fit_without`` is that of the goodness of fit without b, NaN where p is above the level. A datum explains the
+    misfit when the first is below and the second above the level: it is improbable by itself, and without it everything
+    fits. A single value that the parameters absorb almost entirely is not tested: its residual depends on how far the
+    search converged.
 
     Parameters
     ----------
     fit : Optimum
-        Nothing is accused by one that has not converged.
+        Without convergence the result is empty.
     labelled : Labelled
-        Whose residual it is.
+        Labels of the rows of the residual.
     level : float
-        Also of goodness of fit.
+        Significance level, also of the goodness of fit.
 
     Returns
     -------
     DataFrame
-        `COLUMNS`, the largest decrease first within those that explain, and those first; empty when everything fits
-        and without a converged fit.
+        `COLUMNS`; data that explain the misfit first, those of fewer rows and larger decrease before others. Empty when
+        everything fits and without a converged fit.
     """
     if not fit.converged or overall(*goodness(fit, labelled)) > level:
         return pd.DataFrame(columns=list(COLUMNS))
     e, root, data = np.asarray(fit.residual, dtype=float), hat_root(fit.slope, fit.prior_sd), data_of(labelled.rows)
     layout = Layout.of(labelled)
-    size, behind = np.bincount(layout.which), layout.scatter[layout.kind_of][layout.which]
-    asked: list[_LeftOut] = []
+    size, behind = np.bincount(layout.which), layout.std[layout.kind_of][layout.which]
+    tried: list[LeaveOneOut] = []
     for datum in data:
         b = datum.rows
         here = root[b]
         inverse = np.eye(len(b)) - here @ here.T
         if np.linalg.eigvalsh(inverse)[0] < (RULES.followed if len(b) == 1 else _SINGULAR):
-            continue  # a parameter stands on these data alone
+            continue  # only these data determine a parameter
         predicted = np.linalg.solve(inverse, e[b])
-        whole = np.bincount(layout.which[b], minlength=len(size)) == size  # their factors are left out with them
-        freedom = max(len(b) - float(layout.factors[whole].sum()), 1.0)
-        asked.append(_LeftOut(datum, inverse, predicted, float(e[b] @ predicted), freedom, float(behind[b].min())))
+        whole = np.bincount(layout.which[b], minlength=len(size)) == size  # their fitted factors are left out with them
+        dof = max(len(b) - float(layout.factors[whole].sum()), 1.0)
+        tried.append(LeaveOneOut(datum, inverse, predicted, float(e[b] @ predicted), dof, float(behind[b].min())))
     table = pd.DataFrame(
-        [(o.datum.what, o.datum.kind, len(o.datum.rows), o.chi2, o.freedom) for o in asked], columns=list(COLUMNS[:5])
+        [(o.datum.what, o.datum.kind, len(o.datum.rows), o.chi2, o.dof) for o in tried], columns=list(COLUMNS[:5])
     )
-    tests = np.array([(o.chi2, o.freedom, o.scatter) for o in asked]).reshape(-1, 3)
+    tests = np.array([(o.chi2, o.dof, o.std) for o in tried]).reshape(-1, 3)
     table["p"] = np.minimum(1.0, len(data) * chance(*tests.T))
     table["p_fit_without"], left = np.nan, np.zeros(len(table))
     improbable = np.flatnonzero(table["p"] < level)
     for k in range(0, len(improbable), _AT_ONCE):
         some = improbable[k : k + _AT_ONCE]
-        rest = _rest(e, root, [asked[j] for j in some])
+        rest = _rest(e, root, [tried[j] for j in some])
         found = layout.sums(*rest)
-        table.loc[some, "p_fit_without"], left[some] = found.overall, found.kinds["freedom"].sum(axis=1)
-    table["explains"] = (table["p"] < level) & (table["p_fit_without"] > level) & (left >= LEAST_FREEDOM)
-    # Of two that explain, the one with fewer rows says more.
+        table.loc[some, "p_fit_without"], left[some] = found.overall, found.kinds["dof"].sum(axis=1)
+    table["explains"] = (table["p"] < level) & (table["p_fit_without"] > level) & (left >= LEAST_DOF)
+    # Of two that explain, the one with fewer rows is the more specific.
     order = np.lexsort((-table["chi2"], np.where(table["explains"], table["rows"], 0), ~table["explains"].astype(bool)))
     return table.iloc[order].reset_index(drop=True)
 
 
 def sentence(table: pd.DataFrame) -> str:
-    """Without which datum everything fits; empty where none alone is to blame."""
-    guilty = table[table["explains"].astype(bool)]
-    if guilty.empty:
+    """The datum without which everything fits, in words; empty where none alone explains the misfit."""
+    explaining = table[table["explains"].astype(bool)]
+    if explaining.empty:
         return ""
-    first, more = guilty.iloc[0], guilty["what"].tolist()[1:4]
+    first, more = explaining.iloc[0], explaining["what"].tolist()[1:4]
     others = f"; so it does without {' or without '.join(more)}" if more else ""
     return (
         f"One measurement may be what does not fit: without {first['what']} everything does (p = "
-        f"{first['p_fit_without']:.2g}, to first order; the chance of such a value in a right model is "
+        f"{first['p_fit_without']:.2g}, to first order; the chance of such a value in a correctly specified model is "
         f"{first['p']:.1g}, over all that were left out in turn){others}. Check it before the model."
     )
 
 
 def _rest(
-    residual: np.ndarray, root: np.ndarray, gone: Sequence[_LeftOut]
+    residual: np.ndarray, root: np.ndarray, gone: Sequence[LeaveOneOut]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Squares of the residual without each datum, what is left of each row's variance, and which rows are kept.
+    """Squares of the residual without each datum, the part of each row's variance left, and the rows kept.
 
-    Each is (n_gone, n_rows). With H the hat matrix, the rest has the diagonal ``h_i + H_ib (I - H_bb)^-1 H_bi``.
+    Each is (n_gone, n_rows). Without b the hat matrix H has the diagonal ``h_i + H_ib (I - H_bb)^-1 H_bi``.
     """
     moved = np.stack([root[one.datum.rows].T @ one.predicted for one in gone]) @ root.T
     kept = np.ones(moved.shape, dtype=bool)

@@ -1,4 +1,4 @@
-"""From which strength an effect shows in the data."""
+"""Smallest visible magnitude of an effect."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
-from calib.missing.hypotheses import Question
+from calib.missing.hypotheses import FitProblem
+from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
-from calib.missing.state import State
 
 _ASKED = 12
-"""Residuals asked of the model for one sign of a strength."""
+"""Residuals evaluated for one sign of a magnitude."""
 _CLOSE = 1.1
-"""Ratio of the ends of the bracket that is close enough."""
+"""Ratio of the ends of the bracket at which the search stops."""
 _INWARD = (1.0, 0.99, 0.95, 0.9, 0.8, 0.65, 0.5, 0.3, 0.1)
-"""Parts of the limit that are asked in turn until the model can be evaluated."""
+"""Parts of the limit tried in turn until the model can be evaluated."""
 _LEAST = 1e-4
-"""Part of the limit below which nothing is looked for."""
+"""Part of the limit below which the search stops."""
 
 
 def smallest_visible(found: Scores, name: str) -> float:
-    """Strength of an effect from which it is found with about 90 % power; infinite where parameters absorb it all.
+    """Magnitude of an effect from which it is found with about 90 % power; infinite where the parameters absorb it.
 
     To first order; see `visible_within_limits` for effects that grow faster than that.
     """
@@ -35,43 +35,45 @@ def smallest_visible(found: Scores, name: str) -> float:
 
 
 def visible_within_limits(
-    question: Question, state: State, effect: Effect, nuisance: Mapping[str, float] = MappingProxyType({})
+    fit_problem: FitProblem, fit: LinearisedFit, effect: Effect, nuisance: Mapping[str, float] = MappingProxyType({})
 ) -> float:
-    """The same asked of the model itself, up to the limits of the strength; infinite when not even these show.
+    """The same by evaluating the model, up to the limits of the magnitude; infinite when even these do not show.
 
-    A share by which something is softer, for instance, changes the data far more at its end than its derivative says.
-    The other parameters may follow to first order. The strength is bracketed to 10 %. Where the model fails at a limit
-    the largest strength takes its place that can be evaluated; if the effect does not show there either, nobody knows
-    whether it would beyond: NaN.
+    A loss of stiffness, for instance, changes the data far more near its limit than its derivative predicts. The other
+    parameters are updated to first order. The magnitude is bracketed to 10 %. Where the model fails at a limit, the
+    largest magnitude that can be evaluated takes its place; if the effect does not show there either, the result is
+    NaN, since it might show beyond.
 
     Parameters
     ----------
-    question : Question
-        The state's question with the effect added.
-    state : State
+    fit_problem : FitProblem
+        The fit problem with the effect added.
+    fit : LinearisedFit
         Fit without it.
     effect : Effect
     nuisance : mapping
         Values of its nuisance parameters.
     """
-    ends = {effect.strength.lower, effect.strength.upper} - {effect.strength.value}
-    found = [_onset(question, state, effect, end, nuisance) for end in ends]
+    ends = {effect.magnitude.lower, effect.magnitude.upper} - {effect.magnitude.value}
+    found = [_onset(fit_problem, fit, effect, end, nuisance) for end in ends]
     shows = min((size for size in found if not math.isnan(size)), default=math.inf)
     return math.nan if math.isinf(shows) and any(map(math.isnan, found)) else shows
 
 
-def _onset(question: Question, state: State, effect: Effect, end: float, nuisance: Mapping[str, float]) -> float:
-    start = effect.strength.value
+def _onset(
+    fit_problem: FitProblem, fit: LinearisedFit, effect: Effect, end: float, nuisance: Mapping[str, float]
+) -> float:
+    start = effect.magnitude.value
 
     def shown(part: float) -> float | None:
-        """Length of the change that the parameters cannot absorb, over what is detectable; None where a model fails."""
+        """Length of the projected change over the detectable one; None where the model fails."""
         try:
-            there = question.residual({**state.values, **nuisance, effect.name: start + part * (end - start)})
+            there = fit_problem.residual({**fit.values, **nuisance, effect.name: start + part * (end - start)})
         except EvaluationError:
             return None
-        return float(np.linalg.norm(state.outside((state.residual - there)[:, None]))) / RULES.detectable
+        return float(np.linalg.norm(fit.project_out((fit.residual - there)[:, None]))) / RULES.detectable
 
-    # A model that fails at its limit tells nothing of smaller strengths: from there the next that it can be asked for.
+    # Where the model fails at the limit, the largest magnitude that can be evaluated takes its place.
     reached = ((part, size) for part in _INWARD if (size := shown(part)) is not None)
     high, above = next(reached, (0.0, 0.0))
     if above < 1:
@@ -80,13 +82,13 @@ def _onset(question: Question, state: State, effect: Effect, end: float, nuisanc
     for _ in range(_ASKED - 1):
         if high < _LEAST or (low and high / low < _CLOSE):
             break
-        if below > 0:  # a power of the strength through both ends, well inside the bracket
+        if below > 0:  # interpolated by a power law, well inside the bracket
             share = math.log(1 / below) / math.log(above / below)
             part = low * (high / low) ** min(max(share, 0.15), 0.85)
         else:
             part = low + (high - low) / 2 if low else high * min(max(0.7 / above, 0.1), 0.7)
         inside = [part + k / 4 * (high - part) for k in range(4)]
-        # A failure inside the bracket tells nothing either: the next point nearer to its upper end is asked.
+        # Where the model fails inside the bracket, a point nearer to its upper end is tried.
         part, size = next(((p, s) for p in inside if (s := shown(p)) is not None), (high, above))
         if part == high:
             break

@@ -1,1 +1,1 @@
-"""Pictures of the tables of a study: tables in, figures out, nothing computed anew."""
+"""Figures and the page of a study, drawn from its tables; nothing is computed anew."""

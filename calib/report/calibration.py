@@ -1,4 +1,4 @@
-"""What the calibration cases found: parameters within their limits, and the way there."""
+"""Figures of the calibration cases: parameters between their limits, and convergence of the search."""
 
 from __future__ import annotations
 
@@ -15,30 +15,31 @@ from matplotlib.patches import Patch
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
 
 _FINAL = 38.0
-"""How far from the Axes, in points, the best case's value stands where every bar's value stands beside it."""
+"""Offset in points of the best case's value from the Axes, where every bar has its own value beside it."""
 _LINE_STYLES = ("-", "-.", ":")
 
 
 def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str | None = None) -> Axes:
-    """Draw where every case put every parameter between its limits, after Ribeiro et al. (2013), figure 8.
+    """Draw the parameters of every case between their limits, after Ribeiro et al. (2013), figure 8.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``case, parameter, value, unit``, ``ratio`` (place between the limits, 0 at the lower, 1 at the upper),
+        Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1),
         ``on_bound`` (bool), ``spread`` (of the ratio over the cases, NaN if unknown) and ``stable`` (bool, or None).
+        Optional: ``search_value`` (end of the search, before least squares), ``lower, upper`` and ``std``.
     ax : Axes, optional
     best_case : str, optional
-        The case whose final values are written at the right; without it, the only case there is.
+        The case whose final values are written at the right; by default the only case, if there is one only.
 
     Returns
     -------
     Axes
-        One group of horizontal bars a parameter, lengths in percent of the range between the limits, and beside each
-        bar its value; a dark line parts neighbours of different units. A value on a bound
-        has a triangle; a parameter on which the cases do not agree is hatched and says so. Where the table tells what
-        the searches found before least squares (``search_value``), the bars show that, as they show how far the cases
-        spread; a diamond with whiskers shows the best case's final value with two standard deviations (``std``).
+        One group of horizontal bars per parameter, lengths in percent of the range between the limits, and the value
+        beside each bar; a dark line separates neighbours of different units. A triangle marks a value at a limit; a
+        parameter on which the cases disagree is hatched and labelled. With ``search_value``, the bars show the ends of
+        the searches and so their spread, and a diamond with whiskers shows the best case's final value with two
+        standard deviations (``std``).
     """
     cases = list(dict.fromkeys(table["case"]))
     names = list(dict.fromkeys(table["parameter"]))
@@ -50,7 +51,7 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
     unstable = {
         name: any(flag is False for flag in _flags(table[table["parameter"] == name], "stable")) for name in names
     }
-    told = len(cases) > 1 or ("search_value" in table and bool(table["search_value"].notna().any()))
+    bar_values = len(cases) > 1 or ("search_value" in table and bool(table["search_value"].notna().any()))
     for k, case in enumerate(cases):
         rows = table[table["case"] == case].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(cases) - 1) / 2) * height
@@ -60,7 +61,7 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
             if unstable[name]:
                 bar.set_hatch("/////")
                 bar.set_edgecolor("white")
-        if told:
+        if bar_values:
             _write_bar_values(ax, rows, y)
         bound = np.array([flag is True for flag in _flags(rows, "on_bound")])
         ax.plot(
@@ -82,8 +83,8 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
     for i in range(1, len(names)):
         other = units[i] != units[i - 1]
         ax.axhline(i - 0.5, color=GREY if other else "#E3E3E3", linewidth=1.0 if other else 0.6)
-    ax.set_xlabel("place between the lower (0) and the upper limit (100) (%)")
-    _write_values(ax, table, names, unstable, best_case, _FINAL if told else 0.0)
+    ax.set_xlabel("position between the lower (0) and the upper limit (100) (%)")
+    _write_values(ax, table, names, unstable, best_case, _FINAL if bar_values else 0.0)
     final = _mark_final(ax, table, names, best_case)
     bound_anywhere = any(flag is True for flag in _flags(table, "on_bound"))
     _legend(ax, cases, best_case, any(unstable.values()), bound_anywhere, final)
@@ -91,7 +92,7 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
 
 
 def _write_bar_values(ax: Axes, rows: pd.DataFrame, y: np.ndarray) -> None:
-    """Values that the bars of a case show, each beside its bar."""
+    """Write the value of every bar of a case beside the bar."""
     values = rows["value"].astype(float)
     if "search_value" in rows:
         values = rows["search_value"].astype(float).fillna(values)
@@ -101,7 +102,7 @@ def _write_bar_values(ax: Axes, rows: pd.DataFrame, y: np.ndarray) -> None:
 
 
 def searched(table: pd.DataFrame) -> pd.Series[float]:
-    """Place between the limits (0 to 1) that a search found, or the final one where there is none."""
+    """Return the position between the limits (0 to 1) where the search ended; the final position without a search."""
     if "search_value" not in table:
         return table["ratio"].astype(float)
     span = table["upper"].astype(float) - table["lower"].astype(float)
@@ -109,7 +110,7 @@ def searched(table: pd.DataFrame) -> pd.Series[float]:
 
 
 def final_places(table: pd.DataFrame, best_case: str | None) -> pd.DataFrame | None:
-    """Where the reported case ended after least squares; None where these did not follow a search.
+    """Return the final positions of the reported case; None unless least squares followed a search.
 
     Returns
     -------
@@ -126,7 +127,7 @@ def final_places(table: pd.DataFrame, best_case: str | None) -> pd.DataFrame | N
 
 
 def _mark_final(ax: Axes, table: pd.DataFrame, names: list[str], best_case: str | None) -> bool:
-    """The reported case's final values with two standard deviations, where they are told apart from the search's."""
+    """Draw the reported case's final values with two standard deviations, where they differ from the search's."""
     final = final_places(table, best_case)
     if final is None:
         return False
@@ -157,7 +158,7 @@ def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:
 def _write_values(
     ax: Axes, table: pd.DataFrame, names: list[str], unstable: dict[str, bool], best_case: str | None, far: float
 ) -> None:
-    """Values of the best case at the right, and under them which parameters the cases disagree on."""
+    """Write the best case's values at the right, and below them the spread where the cases disagree."""
     best = table[table["case"] == best_case]
     values = dict(zip(best["parameter"], best["value"], strict=True))
     units = dict(zip(best["parameter"], best["unit"], strict=True))
@@ -174,7 +175,7 @@ def _write_values(
 
 
 def _beside(ax: Axes, row: float, text: str, shift: float, colour: str, far: float = 0.0, **looks: Any) -> None:
-    """Write at the right of a row, shifted upwards and to the right by some points."""
+    """Write at the right of a row, shifted upwards and to the right by so many points."""
     ax.annotate(
         text,
         (1.01, row),
@@ -199,7 +200,7 @@ def _legend(
     if any_unstable:
         handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="/////", label="not stable: the cases disagree"))
     if any_bound:
-        handles.append(Line2D([], [], linestyle="none", marker="<", color="black", markersize=4.5, label="on a bound"))
+        handles.append(Line2D([], [], linestyle="none", marker="<", color="black", markersize=4.5, label="at a limit"))
     if final:
         words = "least squares ± 2 std"
         handles.append(Line2D([], [], linestyle="-", marker="D", color="black", markersize=4.5, label=words))
@@ -207,13 +208,13 @@ def _legend(
 
 
 def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
-    """Draw the misfit over the generations of the search, one line a case.
+    """Draw the misfit over the generations of the search, one line per case.
 
     Parameters
     ----------
     table : DataFrame
         Columns ``case, generation``, ``best`` (smallest misfit so far) and ``mean`` (over the generation); values that
-        are not finite, such as those of a generation without any feasible point, are gaps.
+        are not finite, such as those of a generation without a feasible point, are gaps.
     ax : Axes, optional
 
     Returns
@@ -232,7 +233,7 @@ def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         best, mean = (finite.loc[rows.index, column].to_numpy() for column in ("best", "mean"))
         line_style = _LINE_STYLES[k // len(CASES) % len(_LINE_STYLES)]
         last = best[np.isfinite(best)]
-        label = f"{case} (ends at {last[-1]:.3g})" if len(last) else f"{case} (nothing feasible)"
+        label = f"{case} (ends at {last[-1]:.3g})" if len(last) else f"{case} (no feasible point)"
         marker = "o" if len(best) == 1 else ""
         ax.plot(generation, best, line_style, color=colour, linewidth=1.9, marker=marker, label=label, zorder=3)
         if has_mean:

@@ -22,11 +22,11 @@ from calib.report.style import (
 _LOOKS = {"before": {"color": BEFORE, "hatch": "////", "edgecolor": "white"}, "after": {"color": AFTER}}
 _MAX_SENSORS = 40
 _LABEL_ROOM = 105
-"""Letters that fit side by side under the bars."""
+"""Characters that fit side by side under the bars."""
 
 
 def has_mac(*tables: pd.DataFrame | None) -> bool:
-    """Whether any of the comparison tables holds a MAC value (there is none where no shapes were measured)."""
+    """Whether any of the comparison tables has a MAC value; there is none without measured shapes."""
     return any(t is not None and bool(t["mac"].notna().any()) for t in tables)
 
 
@@ -44,7 +44,7 @@ def draw_frequency_error(
     Returns
     -------
     Axes
-        Bar heights in percent; the legend holds the mean of the moduli over the paired modes.
+        Bar heights in percent; the legend has the mean absolute error over the paired modes.
     """
     ax = own_axes(ax, 3.2)
     series = _series(before, after)
@@ -90,7 +90,7 @@ def draw_mac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax:
 
 
 def comparison_figure(before: pd.DataFrame | None, after: pd.DataFrame | None = None) -> Figure:
-    """Frequency errors over MAC; the second panel is left out when no shapes were measured."""
+    """Draw frequency errors above MAC; without measured shapes there is no MAC panel."""
     if not has_mac(before, after):
         figure = new_figure(3.6)
         draw_frequency_error(before, after, figure.add_subplot())
@@ -105,7 +105,7 @@ def comparison_figure(before: pd.DataFrame | None, after: pd.DataFrame | None = 
 
 
 def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
-    """Draw MAC of every measured with every model mode as a matrix with the values in the cells.
+    """Draw the MAC of every measured mode with every model mode as a matrix with the values in the cells.
 
     Parameters
     ----------
@@ -132,18 +132,18 @@ def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
 
 
 def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None) -> Axes:
-    """Draw CoMAC of the sensors, the worst of the newest table first: where the model fails.
+    """Draw CoMAC of the sensors, sorted by the newest table, the worst first.
 
     Parameters
     ----------
     before, after : DataFrame or None
-        Columns ``sensor`` and ``comac`` (0 to 1, NaN for a sensor without value).
+        Columns ``sensor`` and ``comac`` (0 to 1, NaN for a sensor without a value).
     ax : Axes, optional
 
     Returns
     -------
     Axes
-        One dot a sensor and table; at most the 40 worst sensors, which the axis then says.
+        One dot per sensor and table; of more than 40 sensors the 40 worst, as the axis label then states.
     """
     ax = own_axes(ax, 3.6)
     values = {name: t["comac"] for name, t in _series(before, after, key="sensor").items()}
@@ -180,14 +180,14 @@ def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, a
 
 
 def _series(before: pd.DataFrame | None, after: pd.DataFrame | None, key: str = "mode") -> dict[str, pd.DataFrame]:
-    """Tables by name, on one common index: the rows of the first, then those that only the second has."""
+    """Tables by name on a common index: the rows of the first, then those of the second alone."""
     given = {name: t.set_index(key) for name, t in (("before", before), ("after", after)) if t is not None}
     index = list(dict.fromkeys(label for t in given.values() for label in t.index))
     return {name: t.reindex(index) for name, t in given.items()}
 
 
 def _bars(ax: Axes, values: dict[str, pd.Series], labels: dict[str, str], number: str) -> None:
-    """Grouped bars with their values; a missing value is marked in words."""
+    """Draw grouped bars with their values; a missing value is labelled."""
     width = 0.8 / len(values)
     for k, (name, series) in enumerate(values.items()):
         x = np.arange(len(series)) + (k - (len(values) - 1) / 2) * width
@@ -215,13 +215,13 @@ def _bars(ax: Axes, values: dict[str, pd.Series], labels: dict[str, str], number
 
 
 def _signed(value: float, number: str) -> str:
-    """A number as it is written, zero without the sign of what was rounded away."""
+    """Format a number; one that rounds to zero has no sign."""
     text = number.format(value)
     return (text if float(text) else number.format(0.0).lstrip("+")).replace("-", "−")
 
 
 def _crowded(ax: Axes, labels: list[str]) -> None:
-    """Turn the labels under the bars upright when they would touch."""
+    """Turn the labels under the bars upright where they would touch."""
     longest = max(len(line) for label in labels for line in label.split("\n"))
     if (longest + 2) * len(labels) > _LABEL_ROOM:
         ax.tick_params(axis="x", rotation=90)

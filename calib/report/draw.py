@@ -1,4 +1,4 @@
-"""Draw every figure whose tables lie in a folder."""
+"""Draw every figure for which a results folder has the tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matr
 from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frequencies import draw_frequencies
 from calib.report.mesh import read_mesh, rest_lines
-from calib.report.misfit import draw_strain, where_it_fails_figure
+from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
@@ -26,11 +26,11 @@ from calib.report.shown import Folder, Shown
 from calib.report.style import add_heading, save, style
 from calib.report.tables import read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
-from calib.report.where import atom_map_figure, sensor_misfit_figure
+from calib.report.where import perturbation_map_figure, sensor_misfit_figure
 
 _STAGES = ("before", "after")
 _OF_MODEL = {"initial": "before any calibration", "before": "before calibration", "after": "after calibration"}
-"""Stages of a model, and how captions call them; the first is before an earlier study too."""
+"""Stages of a model and their names in captions; ``initial`` is before the calibration of an earlier study too."""
 _Add = Callable[[str, str, Callable[[], Figure]], None]
 
 
@@ -40,13 +40,13 @@ def draw_all(folder: Path, title: str, synthetic: bool, hidden: frozenset[str] =
     Parameters
     ----------
     folder : Path
-        Holds the CSV tables, and perhaps ``summary.json`` with a key ``best_case``.
+        The CSV tables, and optionally ``summary.json`` with a key ``best_case``.
     title : str
-        Begins the heading of every figure.
+        First part of every figure's heading.
     synthetic : bool
-        Whether the measurement is invented, which every figure then says.
+        Whether the measurement is synthetic; every figure is then labelled so.
     hidden : frozenset of str
-        Names of tables that are of another state of the study, and not drawn.
+        Names of stale tables, which are not drawn.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def draw_all(folder: Path, title: str, synthetic: bool, hidden: frozenset[str] =
 
 
 def _plan(folder: Folder) -> list[tuple[str, str, Callable[[], Figure]]]:
-    """Name, caption and drawing of every figure; all tables are read here, before anything is drawn."""
+    """Name, caption and drawing function of every figure; reads all tables before anything is drawn."""
     plan: list[tuple[str, str, Callable[[], Figure]]] = []
 
     def add(name: str, caption: str, draw: Callable[[], Figure]) -> None:
@@ -99,25 +99,30 @@ def _plan(folder: Folder) -> list[tuple[str, str, Callable[[], Figure]]]:
     path = folder / "partial.csv"
     if path.exists():
         held = read_table(path, ["parameter"], others_are_numbers=True)
-        label = "partial rank correlation (–)"
-        add("partial", "sensitivity, all other parameters held", lambda: _owner(draw_sensitivity(held, label=label)))
-    path = folder / "influence.csv"
+        caption, label = "sensitivity, controlled for all other parameters", "partial rank correlation (–)"
+        add("partial", caption, lambda: _owner(draw_sensitivity(held, label=label)))
+    path = folder / "variance_share.csv"
     if path.exists():
         own = read_table(path, ["parameter"], others_are_numbers=True)
-        root = "root of the share of variance (–)"
-        # The root of a hundredth of the variance: parameters that bring less stay blank.
-        add("influence", "influence of each parameter alone", lambda: _owner(draw_sensitivity(own, None, 0.1, root)))
+        root = "square root of the variance share (–)"
+        # 0.1 is the root of 1 % of the variance; smaller shares stay blank.
+        add(
+            "variance_share",
+            "variance share of each parameter, beyond all others",
+            lambda: _owner(draw_sensitivity(own, None, 0.1, root)),
+        )
     path = folder / "input_correlation.csv"
     if path.exists():
         inputs = _square(path)
         if len(inputs) > 1:
-            add("input_correlation", "what constraints tie together", lambda: _owner(draw_input_correlation(inputs)))
+            caption = "correlation induced by constraints"
+            add("input_correlation", caption, lambda: _owner(draw_input_correlation(inputs)))
     path = folder / "selection.csv"
     if path.exists():
         numbers = [name for measure in MEASURES for name in (f"max_{measure}", f"{measure}_floor")]
         flags = ["measured", "selected"]
         chosen = read_table(path, ["parameter"], numbers, flags=flags)
-        add("selection", "which parameters matter", lambda: _owner(draw_selection(chosen)))
+        add("selection", "selection of parameters", lambda: _owner(draw_selection(chosen)))
     path = folder / "parameters.csv"
     if path.exists():
         found = read_table(
@@ -129,7 +134,7 @@ def _plan(folder: Folder) -> list[tuple[str, str, Callable[[], Figure]]]:
             if_there=["lower", "upper", "std", "search_value"],
         )
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
-        add("parameters", "parameters found", lambda: _owner(draw_parameters(found, best_case=best)))
+        add("parameters", "calibrated parameters", lambda: _owner(draw_parameters(found, best_case=best)))
     path = folder / "convergence.csv"
     if path.exists():
         misfit = ["best", "mean"]
@@ -145,9 +150,9 @@ def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: _
     if mesh is None:
         return
     shapes = {stage: _shapes(folder / f"shapes_{stage}.csv") for stage in _STAGES}
-    told = next((table for table in shapes.values() if table is not None), None)
-    sensors = None if told is None else told[told["mode"] == told["mode"].iloc[0]]
-    if sensors is not None or face_groups(mesh):  # lines alone are seen in the modes
+    placed = next((table for table in shapes.values() if table is not None), None)
+    sensors = None if placed is None else placed[placed["mode"] == placed["mode"].iloc[0]]
+    if sensors is not None or face_groups(mesh):  # a mesh of lines alone is drawn with its modes
         add("model", "the model", lambda: model_figure(mesh, sensors))
     for stage, words in _OF_MODEL.items():
         moved, listed = folder / f"deflection_{stage}.csv", folder / f"model_modes_{stage}.csv"
@@ -174,13 +179,13 @@ def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: _
 
 
 def _every_mode(path: Path) -> pd.DataFrame | None:
-    """Table of all measured modes; None where there is none, or nothing in it."""
+    """Table of all measured modes; None without the file or without rows in it."""
     if not path.exists():
         return None
     kinds = ("damped_freq", "error", "mac")
     wanted = [f"{kind}_{stage}" for kind in kinds for stage in _STAGES]
     table = read_table(
-        path, ["mode"], ["damped_freq_measured", *wanted], flags=["withheld"], may_be_empty=True,
+        path, ["mode"], ["damped_freq_measured", *wanted], flags=["held_out"], may_be_empty=True,
         if_there=[f"{kind}_initial" for kind in kinds],
     )  # fmt: skip
     return table if len(table) else None
@@ -191,68 +196,69 @@ def _shapes(path: Path) -> pd.DataFrame | None:
 
 
 def _plan_explanation(folder: Folder, add: _Add) -> None:
-    """Figures of the search for a missing effect; a table without rows has none."""
+    """Figures of the search for a missing effect; a table without rows has no figure."""
 
     def read(name: str, text: list[str], numbers: list[str], **more: Any) -> pd.DataFrame | None:
         path = folder / f"{name}.csv"
         table = read_table(path, text, numbers, may_be_empty=True, **more) if path.exists() else None
         return None if table is None or table.empty else table
 
-    kinds = read("misfit_kinds", ["stage", "mode", "kind"], ["chi2", "freedom", "p"])
+    kinds = read("misfit_kinds", ["stage", "mode", "kind"], ["chi2", "dof", "p"])
     errors = read("errors", ["group", "stage"], ["rms", "expected", "p"])
-    shifts = ["adopted", "value", "standardised", "limit"]
-    strain = read(
-        "strain", ["model", "parameter"], shifts, flags=["strained"], blank=["unit"], unbounded=["standardised"]
-    )
-    more = [] if strain is None else [m for m in dict.fromkeys(strain["model"]) if m != "base"]
+    shifts = ["nominal", "value", "standardised", "limit"]
+    pulls = read("pulls", ["model", "parameter"], shifts, flags=["pulled"], blank=["unit"], unbounded=["standardised"])
+    more = [] if pulls is None else [m for m in dict.fromkeys(pulls["model"]) if m != "base"]
     name = more[0] if len(more) == 1 else ""
     attempt = any(t is not None and (t["stage"] == "attempt").any() for t in (kinds, errors))
     if kinds is not None:
-        caption = "where the model fails, beyond noise"
+        caption = "misfit beyond noise, by mode and kind of response"
         add("where_it_fails_sigma", caption, lambda: where_it_fails_figure(kinds, name=name))
     rest = rest_lines(folder)
     sensors = read("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
     if rest is not None and sensors is not None and (sensors["stage"] == "base").any():
         add("sensor_misfit", "misfit at the sensors, base model", lambda: sensor_misfit_figure(sensors, rest))
-    atoms = read("atoms", ["atom", "kind"], ["x", "y", "z", "score", "gamma"])
-    if rest is not None and atoms is not None:
-        add("atom_map", "local changes that would fit, not causes", lambda: atom_map_figure(atoms, rest))
-    if strain is not None:
-        caption = "parameters under strain"
-        add("parameters_under_strain", caption, lambda: _owner(draw_strain(strain, attempt=attempt)))
-    evidence = ["z", "gamma", "phi_min", "plausible", "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "posterior"]
+    perturbations = read("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed"])
+    if rest is not None and perturbations is not None:
+        add(
+            "perturbation_map",
+            "scores of local perturbations: places to inspect, not causes",
+            lambda: perturbation_map_figure(perturbations, rest),
+        )
+    if pulls is not None:
+        add("pulls", "parameter pulls", lambda: _owner(draw_pulls(pulls, attempt=attempt)))
+    evidence = [
+        *("z", "unabsorbed", "magnitude_min", "plausible"),
+        *("ln_bayes", "ln_bayes_third", "ln_bayes_triple", "model_probability"),
+    ]
     effects = read(
-        "effects",
-        ["name", "title"],
-        evidence,
-        flags=["visible", "refitted", "credible"],
-        blank=["implausible"],
-        unbounded=["phi_min"],
-    )
+        "effects", ["name", "title"], evidence, flags=["visible", "refitted", "credible"], blank=["implausible"],
+        unbounded=["magnitude_min"],
+    )  # fmt: skip
     if effects is not None:
         add("ranked_effects", "evidence for each effect", lambda: ranked_effects_figure(effects))
     if (path := folder / "confounding.csv").exists():
-        alike = _square(path, "effect", may_be_empty=True)
-        if not alike.empty:
-            add("confounding", "which effects look alike", lambda: _owner(draw_confounding(alike, effects=effects)))
+        signatures = _square(path, "effect", may_be_empty=True)
+        if not signatures.empty:
+            caption = "correlation of the effects' signatures"
+            add("confounding", caption, lambda: _owner(draw_confounding(signatures, effects=effects)))
     if errors is not None:
         add("errors_before_after", "errors before and after", lambda: _owner(draw_errors(errors, name=name)))
     both = read("added_errors", ["group", "stage"], ["rms", "expected", "p"])
     if both is not None:
-        caption = "errors before and after, calibrated both times"
+        caption = "errors before and after, both models calibrated"
         add("added_errors", caption, lambda: _owner(draw_errors(both, name=name)))
     versions = read("versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["effects"])
     if versions is not None:
         caption = "errors over the versions of the model"
         add("errors_over_versions", caption, lambda: _owner(draw_error_versions(versions)))
-    worth = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]
-    options = read("next_measurement", ["option", "kind"], worth, unbounded=worth, blank=["effect"])
-    if options is not None:
-        add("next_measurement", "what to measure next", lambda: next_measurement_figure(options))
+    gains = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]
+    candidates = read("next_measurement", ["measurement", "kind"], gains, unbounded=gains, blank=["effect"])
+    if candidates is not None:
+        add("next_measurement", "recommended measurements", lambda: next_measurement_figure(candidates))
 
 
 def _comparison(path: Path) -> pd.DataFrame | None:
-    if not path.exists() or _of_plain_responses(path):
+    if not path.exists() or _of_scalar_responses(path):
         return None
     numbers = ["natural_freq_measured", "natural_freq_model", "freq_error", "mac"]
     return read_table(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
@@ -269,13 +275,13 @@ def _square(path: Path, key: str = "parameter", may_be_empty: bool = False) -> p
     return table
 
 
-def _of_plain_responses(path: Path) -> bool:
-    """Whether a comparison is of plain responses, which have no modes to draw."""
+def _of_scalar_responses(path: Path) -> bool:
+    """Whether a comparison is one of scalar responses, which have no modes to draw."""
     try:
         with path.open(encoding="utf-8") as stream:
             return stream.readline().startswith("response,")
     except (OSError, UnicodeDecodeError):
-        return False  # whoever reads it whole tells what is wrong
+        return False  # the reader of the whole table reports the fault
 
 
 def _comac(path: Path) -> pd.DataFrame | None:
@@ -293,5 +299,5 @@ def _best_case(path: Path, cases: list[str]) -> str | None:
 
 def _owner(ax: Axes) -> Figure:
     figure = ax.get_figure(root=True)
-    assert figure is not None  # these Axes have just been made in one
+    assert figure is not None  # these Axes were created in one
     return figure

@@ -1,4 +1,4 @@
-"""Which physical effect is missing: effects ranked, what the data can see of each, and which are alike."""
+"""Figures of the candidate effects: evidence, visibility with these data, and collinearity."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from calib.report.style import (
     separate_cells,
 )
 
-LEAST_ODDS = 3.0
-"""Natural logarithm of the odds from which one explanation counts as better than another."""
-_ALIKE = 0.9
-"""Correlation of two fingerprints from which they are outlined."""
+LEAST_BAYES_FACTOR = 3.0
+"""ln Bayes factor from which one explanation counts as better than another."""
+_COLLINEAR = 0.9
+"""Correlation above which two signatures count as collinear."""
 _WIDE = 60.0
-"""Largest ln Bayes factor that is drawn on a plain axis."""
+"""Largest ln Bayes factor that is drawn on a linear axis."""
 _LOOKS: dict[str, dict[str, Any]] = {
     "credible set": {"facecolor": ORANGE},
     "refitted": {"facecolor": BLUE},
@@ -44,14 +44,14 @@ _LOOKS: dict[str, dict[str, Any]] = {
 
 
 def blank(ax: Axes, words: str) -> Axes:
-    """Say in empty Axes why nothing is drawn, and return them."""
+    """Write into empty Axes why nothing is drawn, and return them."""
     ax.set_axis_off()
     ax.text(0.5, 0.5, words, transform=ax.transAxes, ha="center", va="center", color=GREY)
     return ax
 
 
 def ranked(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the effects by falling ``ln_bayes``, those without a value last."""
+    """Return the effects by decreasing ``ln_bayes``, those without a value last."""
     return table.sort_values("ln_bayes", ascending=False, kind="stable", na_position="last", ignore_index=True)
 
 
@@ -63,17 +63,18 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     table : DataFrame
         Columns ``name, title``, ``ln_bayes`` (against the base model), ``ln_bayes_third, ln_bayes_triple`` (the same
         with a third and three times the prior width), the flags ``refitted, credible, visible``, and ``implausible``
-        (why the refitted model is, empty when it is not). NaN where unknown.
+        (why the refitted model is implausible; empty when it is not). NaN where unknown.
     ax : Axes, optional
     legend : bool
-        Whether a legend stands over the Axes.
+        Whether a legend stands above the Axes.
 
     Returns
     -------
     Axes
-        One horizontal bar an effect, the strongest first, with its value; thin lines span the prior widths. The dashed
-        line is the ln odds that one of n effects must pass, ln n + 3; values below it stand at its right. Linear to 10
-        and logarithmic beyond when a value is over 60 in size. Words about effects that are not visible are grey.
+        One horizontal bar per effect, the strongest evidence first, with its value; thin lines span the prior widths.
+        The dashed line is the threshold of the ln Bayes factor for one of n effects, ln n + 3; values below it stand at
+        its right. Linear to 10 and logarithmic beyond where an absolute value exceeds 60. Labels of effects that are
+        not visible are grey.
     """
     rows = ranked(table)
     ax = own_axes(ax, _height(len(rows)))
@@ -97,7 +98,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         if len(known) > 1:
             ax.plot([known.min(), known.max()], [row, row], color=BLACK, linewidth=1.1, gid="prior", zorder=3)
         words = f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
-        # Beside its bar, or beyond the threshold's line where it would stand on that.
+        # Beside its bar, but right of the threshold, which it would otherwise cover.
         end = max(0.0, *known) if len(known) else 0.0
         ax.annotate(
             words + (" implausible" if odd else ""),
@@ -116,7 +117,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     label = "ln Bayes factor against the base model (–)"
     if high > _WIDE or low < -_WIDE:
         ax.set_xscale("symlog", linthresh=10.0)
-        # Beside the longest bar there must be room for its value and a word: about a decade.
+        # The value and a word beside the longest bar take about a decade.
         ax.set_xlim(1.3 * low - 2.0, max(high * 12.0, 400.0))
         ax.xaxis.set_major_formatter("{x:g}")
         label += "\nlinear up to 10"
@@ -130,26 +131,27 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
 
 
 def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
-    """Draw the smallest strength of every effect that these data show, over its plausible size.
+    """Draw the smallest magnitude at which these data would show each effect, over its plausible magnitude.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``name, title, ln_bayes`` (for the order), ``z``, ``phi_min`` (infinite when never visible) and
-        ``plausible``, both in the unit of the effect, the flag ``visible``, and ``posterior`` (NaN where unknown).
+        Columns ``name, title, ln_bayes`` (for the order), ``z``, ``magnitude_min`` (infinite when never visible) and
+        ``plausible``, both in the unit of the effect, the flag ``visible``, and ``model_probability`` (NaN where
+        unknown).
     ax : Axes, optional
 
     Returns
     -------
     Axes
-        One dot an effect on a logarithmic axis, open when the effect is not visible; an arrow at the edge where no
-        strength is. The score z and the posterior probability within the library stand at the right.
+        One dot per effect on a logarithmic axis, open when the effect is not visible; an arrow at the edge where no
+        magnitude would be visible. The score z and the model probability within the library stand at the right.
     """
     rows = ranked(table)
     ax = own_axes(ax, _height(len(rows)))
     if rows.empty:
         return blank(ax, "no effect was tested")
-    ratio = (rows["phi_min"] / rows["plausible"]).to_numpy(dtype=float)
+    ratio = (rows["magnitude_min"] / rows["plausible"]).to_numpy(dtype=float)
     at, known = np.arange(len(rows)), np.isfinite(ratio) & (ratio > 0.0)
     low, high = (min(0.1, *ratio[known]), max(10.0, *ratio[known])) if known.any() else (0.1, 10.0)
     ax.set_xscale("log")
@@ -165,23 +167,23 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         ax.plot(ratio[shown], at[shown], "o", color=edge, markerfacecolor=face, markersize=6, gid=gid, zorder=3)
     never = np.isposinf(ratio)
     ax.plot(np.full(never.sum(), high * 1.9), at[never], ">", color=GREY, markersize=6, gid="never")
-    for row, (z, posterior) in enumerate(zip(rows["z"], rows["posterior"], strict=True)):
+    for row, (z, probability) in enumerate(zip(rows["z"], rows["model_probability"], strict=True)):
         colour = BLACK if seen[row] else GREY
         _beside(
             ax,
             row,
             "–" if pd.isna(z) else f"{z:.1f}",
-            "–" if pd.isna(posterior) else f"{100.0 * posterior:.1f} %",
+            "–" if pd.isna(probability) else f"{100.0 * probability:.1f} %",
             colour,
         )
-    _beside(ax, -0.8, "z", "posterior", GREY)
+    _beside(ax, -0.8, "z", "probability", GREY)
     _name_rows(ax, rows)
-    ax.set_xlabel("smallest visible strength /\nplausible size (–)")
+    ax.set_xlabel("smallest visible magnitude /\nplausible magnitude (–)")
     return ax
 
 
 def ranked_effects_figure(table: pd.DataFrame) -> Figure:
-    """Draw `draw_ranked_effects` and `draw_visibility` side by side, with one row an effect."""
+    """Draw `draw_ranked_effects` and `draw_visibility` side by side, one row per effect."""
     figure = new_figure(_height(len(table)))
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(0.4, _height(len(table)) - 0.4))
     over, left = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
@@ -195,26 +197,26 @@ def ranked_effects_figure(table: pd.DataFrame) -> Figure:
 
 
 def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd.DataFrame | None = None) -> Axes:
-    """Draw how alike the fingerprints of the effects are once all that calibration can absorb is taken out.
+    """Draw the correlation of the effects' signatures after projecting out the calibrated parameters.
 
     Parameters
     ----------
     table : DataFrame
-        Column ``effect`` and one column of every effect; correlations from -1 to 1, NaN where unknown.
+        Column ``effect`` and one column per effect; correlations from -1 to 1, NaN where unknown.
     ax : Axes, optional
     effects : DataFrame, optional
-        Columns ``name, title, gamma`` (share of the fingerprint that calibration cannot absorb), for the labels.
+        Columns ``name, title, unabsorbed`` (fraction of the signature that parameters cannot absorb), for the labels.
 
     Returns
     -------
     Axes
-        A matrix with the values in the cells; those over 0.9 in size, off the diagonal, are outlined. Rows have title,
-        name and gamma, columns the name.
+        A matrix with the values in the cells; off-diagonal absolute values above 0.9 are outlined. Rows are labelled
+        with title, name and unabsorbed fraction, columns with the name.
     """
     names = table["effect"].astype(str).tolist()
     count = len(names)
     titles = {} if effects is None else dict(zip(effects["name"], effects["title"], strict=True))
-    gammas = {} if effects is None else dict(zip(effects["name"], effects["gamma"], strict=True))
+    unabsorbed = {} if effects is None else dict(zip(effects["name"], effects["unabsorbed"], strict=True))
     if ax is None:
         ax = new_figure(float(np.clip(0.36 * count, 1.2, 9.0)) + 1.9).add_subplot()
     if not names:
@@ -228,38 +230,38 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
         text = f"{round(values[i, j], 2) + 0.0:.2f}".replace("-", "−")
         ax.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
     separate_cells(ax, count, count)
-    for i, j in np.argwhere((np.abs(values) > _ALIKE) & ~np.eye(count, dtype=bool)):
+    for i, j in np.argwhere((np.abs(values) > _COLLINEAR) & ~np.eye(count, dtype=bool)):
         looks: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.8, "clip_on": False, "zorder": 4}
-        ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="alike", **looks))
-    known = {name: f"γ\xa0{gammas[name]:.2f}" for name in names if not pd.isna(gammas.get(name, math.nan))}
+        ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="collinear", **looks))
+    known = {name: f"γ\xa0{unabsorbed[name]:.2f}" for name in names if not pd.isna(unabsorbed.get(name, math.nan))}
     ends = {n: ", ".join([*([n] if titles.get(n, n) != n else []), *([known[n]] if n in known else [])]) for n in names}
     words = [_two_lines(str(titles.get(n, n)), f" ({ends[n]})" if ends[n] else "") for n in names]
     ax.set_xticks(range(count), names, rotation=90, fontsize=8)
     ax.set_yticks(range(count), words, fontsize=7.5)
-    note = f"outlined: |ρ| > {_ALIKE:g}, hard to tell apart"
-    ax.set_xlabel(note + ("; γ: the share that calibration cannot absorb" if known else ""))
-    label = "correlation ρ of the fingerprints (–)"
+    note = f"outlined: |ρ| > {_COLLINEAR:g}, collinear"
+    ax.set_xlabel(note + ("; γ: unabsorbed fraction" if known else ""))
+    label = "correlation ρ of the signatures (–)"
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
     return ax
 
 
 def _two_lines(title: str, end: str = "") -> str:
-    """A title that fills at most two lines, however long."""
+    """Wrap a title, however long, to at most two lines."""
     return textwrap.fill(title + end, max(26, math.ceil(0.58 * len(title + end))), break_long_words=False)
 
 
 def _threshold(count: int) -> float:
-    """Ln odds that one of so many effects must pass; the more there are, the better one of them fits by chance."""
-    return math.log(max(count, 1)) + LEAST_ODDS
+    """Threshold of the ln Bayes factor for one of so many effects; the best of more effects fits better by chance."""
+    return math.log(max(count, 1)) + LEAST_BAYES_FACTOR
 
 
 def _flags(column: pd.Series) -> list[bool]:
-    """Flags that may be unknown, which is no."""
+    """Flags; unknown counts as no."""
     return [not pd.isna(flag) and bool(flag) for flag in column]
 
 
 def _looks(rows: pd.DataFrame) -> list[str]:
-    """Which of the looks of a bar holds for every effect."""
+    """Key in `_LOOKS` of every effect's bar."""
     credible, seen, refitted = (_flags(rows[name]) for name in ("credible", "visible", "refitted"))
     names = list(_LOOKS)
     return [
@@ -269,19 +271,19 @@ def _looks(rows: pd.DataFrame) -> list[str]:
 
 
 def _handles(rows: pd.DataFrame) -> list[Artist]:
-    """What the legend of the evidence holds."""
+    """Legend entries of the evidence."""
     there = _looks(rows)
     handles: list[Artist] = [Patch(label=name, **look) for name, look in _LOOKS.items() if name in there]
-    words = f"threshold ln {len(rows)} + {LEAST_ODDS:g} = {_threshold(len(rows)):.1f}"
+    words = f"threshold ln {len(rows)} + {LEAST_BAYES_FACTOR:g} = {_threshold(len(rows)):.1f}"
     handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=1.0, label=words))
     if rows[["ln_bayes_third", "ln_bayes_triple"]].notna().to_numpy().any():
         handles.append(Line2D([], [], color=BLACK, linewidth=1.1, label="prior width ÷ 3 to × 3"))
     return handles
 
 
-def _beside(ax: Axes, row: float, z: str, posterior: str, colour: str) -> None:
-    """Two columns of words at the right of a row."""
-    for words, shift in ((z, 32), (posterior, 84)):
+def _beside(ax: Axes, row: float, z: str, probability: str, colour: str) -> None:
+    """Write two columns at the right of a row."""
+    for words, shift in ((z, 32), (probability, 84)):
         ax.annotate(
             words.replace("-", "−"),
             (1.0, row),
@@ -297,12 +299,12 @@ def _beside(ax: Axes, row: float, z: str, posterior: str, colour: str) -> None:
 
 
 def _height(count: int) -> float:
-    """Height in inches of a figure with one row an effect, whose name may take two lines."""
+    """Height in inches of a figure with one row per effect, whose name may take two lines."""
     return 1.6 + 0.36 * max(count, 1)
 
 
 def _name_rows(ax: Axes, rows: pd.DataFrame) -> None:
-    """Names of the effects at the left, on two lines where they are long, with lines between the rows."""
+    """Write the effects' names at the left, long ones on two lines, and draw lines between the rows."""
     titles = [str(title) or str(name) for name, title in zip(rows["name"], rows["title"], strict=True)]
     ax.set_yticks(range(len(rows)), [_two_lines(title) for title in titles], fontsize=8)
     for words, visible in zip(ax.get_yticklabels(), _flags(rows["visible"]), strict=True):

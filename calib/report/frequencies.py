@@ -1,4 +1,4 @@
-"""Damped frequencies of every measured mode from stage to stage of a calibration."""
+"""Damped frequencies of every measured mode at each stage of a calibration."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from matplotlib.lines import Line2D
 from calib.report.style import AFTER, BEFORE, BLACK, GREY, PURPLE, own_axes
 
 STAGES = {"initial": ("D", PURPLE), "before": ("s", BEFORE), "after": ("o", AFTER)}
-"""Stages that a table may have, and the mark and colour of each."""
+"""Marker and colour of each stage that a table may have."""
 
 _WIDE, _NARROW, _GAP = 42.0, 36.0, 12.0
-"""Widths of a column of frequencies and of MAC, and what parts the two, in points."""
+"""Widths of a column of frequencies and of MAC, and the gap between the two, in points."""
 
 
 def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
-    """Draw the error of every damped frequency at every stage, and write frequencies and MAC beside it.
+    """Draw the error of every damped frequency at every stage, with frequencies and MAC written beside it.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``mode``, ``withheld`` (bool), ``damped_freq_measured`` (Hz) and, for ``before``, ``after`` and perhaps
-        ``initial``, ``damped_freq_`` (Hz), ``error_`` (signed fraction) and ``mac_``; NaN where a mode is not paired.
+        Columns ``mode``, ``held_out`` (bool), ``damped_freq_measured`` (Hz) and, for ``before``, ``after`` and
+        optionally ``initial``, ``damped_freq_`` (Hz), ``error_`` (signed fraction) and ``mac_``; NaN where a mode is
+        not paired.
     ax : Axes, optional
 
     Returns
     -------
     Axes
-        A mark a mode and stage, in percent, with the stage as gid; the names of withheld modes are grey.
+        One marker per mode and stage, in percent, with the stage as gid; the names of held-out modes are grey.
     """
     count = len(table)
     ax = own_axes(ax, 0.27 * count + 1.3)
@@ -46,11 +47,11 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         marker, colour = STAGES[stage]
         looks: dict[str, Any] = {"linestyle": "none", "marker": marker, "color": colour, "markersize": 6}
         ax.plot(of_stage, np.arange(count), gid=stage, zorder=3, **looks)
-        handles.append(Line2D([], [], label=stage, **looks))  # means are told of the used modes alone, elsewhere
-    withheld = table["withheld"].astype(bool).to_numpy()
-    names = [f"{mode} (withheld)" if held else str(mode) for mode, held in zip(table["mode"], withheld, strict=True)]
+        handles.append(Line2D([], [], label=stage, **looks))  # no means: those are over the fitted modes alone
+    held_out = table["held_out"].astype(bool).to_numpy()
+    names = [f"{mode} (held out)" if held else str(mode) for mode, held in zip(table["mode"], held_out, strict=True)]
     ax.set_yticks(range(count), names)
-    for label, held in zip(ax.get_yticklabels(), withheld, strict=True):
+    for label, held in zip(ax.get_yticklabels(), held_out, strict=True):
         label.set_color(GREY if held else BLACK)
     edge = _columns(ax, table, "damped_freq", ["measured", *stages], "damped frequency (Hz)", _GAP, _WIDE)
     if table[[f"mac_{stage}" for stage in stages]].notna().to_numpy().any():
@@ -70,7 +71,7 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
 def _columns(
     ax: Axes, table: pd.DataFrame, kind: str, headings: list[str], title: str, start: float, width: float
 ) -> float:  # fmt: skip
-    """Write columns of numbers under a title from some points beside the Axes on; return where they end."""
+    """Write columns of numbers under a title, starting so many points beside the Axes; return where they end."""
     for k, heading in enumerate(headings):
         end = start + (k + 1) * width
         _beside(ax, -0.5, heading, (end, 3.0), color=GREY, va="bottom")

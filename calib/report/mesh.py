@@ -1,4 +1,4 @@
-"""The mesh of a model as shells and beams: what of it is seen, which parts hang together, and how it is drawn."""
+"""The mesh of a model as shells and beams: visible pieces, connected bodies, and drawing."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Mesh(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """What is drawn of a mesh.
+    """Faces, borders and lines of a mesh, as they are drawn.
 
     Attributes
     ----------
     corners : ndarray (n, 4), int
-        Rows of the table of points; a line goes there and back.
+        Rows of the table of points; a line runs to its end and back.
     kind : ndarray (n,), int
         `FACE`, `BORDER` (edge of a shell, of an opening or of a group of faces) or `LINE`.
     group : ndarray (n,) of str
@@ -58,7 +58,7 @@ class Pieces(NamedTuple):
         return self.corners[self.kind != FACE, :2]
 
     def some(self, which: np.ndarray) -> Pieces:
-        """Only those at ``which``."""
+        """Return the pieces selected by ``which``."""
         return Pieces(self.corners[which], self.kind[which], self.group[which])
 
 
@@ -83,7 +83,7 @@ def rest_lines(folder: Folder) -> np.ndarray | None:
 
 
 def check_mesh(mesh: Mesh, path: Path) -> None:
-    """Raise InputError, naming the file of the elements, where one joins points that are not in the table of points."""
+    """Raise InputError, naming the file of elements, where an element refers to a point that is not in the table."""
     numbers = mesh.elements[["a", "b", "c", "d"]].to_numpy(dtype=float)
     unknown = ~np.isin(numbers, mesh.points["point"].to_numpy(dtype=float)) & ~np.isnan(numbers)
     if unknown.any():
@@ -109,8 +109,8 @@ def motions(mesh: Mesh, deflection: pd.DataFrame) -> np.ndarray:
 def pieces(mesh: Mesh) -> Pieces:
     """Return faces, their borders, and lines; a line along the edge of faces, such as a stiffener, is not drawn.
 
-    A mesh without elements, as matrices of another program may come with, is drawn as its points: each is a line that
-    ends where it begins.
+    A mesh without elements, such as one that comes with another program's matrices, is drawn as its points: each is a
+    line of zero length.
     """
     if mesh.elements.empty:
         alone = np.repeat(np.arange(len(mesh.points))[:, None], 4, axis=1)
@@ -148,18 +148,18 @@ def _corners(mesh: Mesh) -> np.ndarray:
 
 
 def _borders(edges: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (n, 2) that one face has alone or that part two groups, once each, and the group of one side."""
+    """Edges (n, 2) of one face alone or between two groups, once each, and the group on one side."""
     unique, first, inverse = np.unique(edges, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.ravel()
     count = np.bincount(inverse, minlength=len(unique))
-    parted = np.zeros(len(unique), dtype=bool)
-    parted[inverse[owner != owner[first[inverse]]]] = True
-    kept = (count == 1) | parted
+    between = np.zeros(len(unique), dtype=bool)
+    between[inverse[owner != owner[first[inverse]]]] = True
+    kept = (count == 1) | between
     return unique[kept], owner[first[kept]]
 
 
 def bodies(parts: Pieces, count: int) -> np.ndarray:
-    """Number the bodies of pieces that hang together by common points, (n,) int.
+    """Number the connected bodies: pieces that share points belong to one body, (n,) int.
 
     Parameters
     ----------
@@ -187,26 +187,26 @@ def draw_pieces(
     ----------
     ax : Axes3D
     vertices : ndarray (n, 4, 3)
-        Corners in metres; a line goes there and back.
+        Corners in metres; a line runs to its end and back.
     kinds : ndarray (n,), int
         `FACE`, `BORDER` or `LINE`.
     faces, edges : ndarray (n, 4)
         Colours as red, green, blue and opacity.
     widths : ndarray (n,)
-        Of the edges, points.
+        Line widths of the edges, in points.
     gid : str
-        By which the pieces are found again.
+        Identifier of the drawn collection.
     """
     if not len(vertices):
         return
     towards = np.cross(*view_directions())
     shown = plot_coordinates(vertices)
-    # Borders are drawn over their faces: nothing is seen of a shift towards the viewer but the order.
+    # Borders are shifted towards the viewer to cover their faces; a parallel view shows nothing else of the shift.
     sizes = np.linalg.norm(shown[:, 2] - shown[:, 0], axis=1)[kinds == FACE]
     shown = (
         shown + np.where(kinds == BORDER, 0.4 * np.median(sizes) if len(sizes) else 0.0, 0.0)[:, None, None] * towards
     )
-    # The Axes sort pieces and colours by depth but not widths, so everything comes sorted.
+    # The Axes sort pieces and colours by depth but not widths, so everything is sorted beforehand.
     order = np.argsort((shown @ towards).mean(axis=1), kind="stable")
     collection = Poly3DCollection(
         shown[order], facecolors=faces[order], edgecolors=edges[order], linewidths=widths[order],

@@ -1,4 +1,4 @@
-"""What the misfit says about a model: which responses it fails, and which parameters had to move too far."""
+"""Figures of the misfit: its significance by mode and kind of response, and the pulls of the parameters."""
 
 from __future__ import annotations
 
@@ -38,69 +38,69 @@ from calib.report.style import (
 
 KINDS = ("frequency", "damping", "shape")
 STAGES = ("base", "explained", "attempt")
-_LEAST_FREEDOM = 0.5
-"""Fewer degrees of freedom say nothing."""
+_LEAST_DOF = 0.5
+"""Fewest degrees of freedom for which chi2 per degree of freedom is written."""
 _UNNAMED = "responses"
-"""Row of a table that tells no modes apart."""
+"""Row name in a table that has no modes."""
 _WORDS = {"freq": "frequency"}
 _MOST = 16.0
-"""Largest -log10 p that is told apart."""
+"""Upper end of the colour scale of -log10 p."""
 _COLOURS = (BEFORE, AFTER, GREEN, PURPLE, SKY)
 
 
 def draw_where_it_fails(
     table: pd.DataFrame, ax: Axes | None = None, *, stage: str = "base", bar: bool = True, name: str = ""
 ) -> Axes:
-    """Draw how unlikely it is that noise alone made the misfit of every mode in every kind of response.
+    """Draw the significance of the misfit, against noise alone, for every mode and kind of response.
 
     Parameters
     ----------
     table : DataFrame
         Columns ``stage`` (``base``, ``explained`` or ``attempt``), ``mode, kind``, ``chi2`` (sum of squared residuals
-        in sigma), ``freedom`` (degrees of freedom that are left) and ``p``; NaN where unknown.
+        in sigma), ``dof`` (effective degrees of freedom) and ``p``; NaN where unknown.
     ax : Axes, optional
     stage : str
         The rows to draw.
     bar : bool
         Whether a colour bar is added.
     name : str
-        What the model of the stage has more than the base model; empty when unknown.
+        Effects that the model of the stage adds to the base model; empty when unknown.
 
     Returns
     -------
     Axes
-        Colours are -log10 p, at most 16; the cells hold chi2 over its degrees of freedom, where at least half of one is
-        left. A cell without p is grey; those of an attempt are hatched.
+        Colours are -log10 p, at most 16; the cells hold chi2 over its degrees of freedom, where there is at least half
+        a degree. A cell without p is grey; the cells of an attempt are hatched.
     """
     table = table.replace({"kind": _WORDS})
     modes = list(dict.fromkeys(table["mode"]))
-    there = list(dict.fromkeys(table["kind"]))
-    kinds = [*(k for k in KINDS if k in there), *(k for k in there if k not in KINDS)]
+    present = list(dict.fromkeys(table["kind"]))
+    kinds = [*(k for k in KINDS if k in present), *(k for k in present if k not in KINDS)]
     ax = own_axes(ax, matrix_height(len(modes), len(kinds)))
     if not kinds:
         return blank(ax, "no mode was compared")
     rows = table[table["stage"] == stage].set_index(["mode", "kind"])
     everywhere = pd.MultiIndex.from_product([modes, kinds])
-    chi2, freedom, p = (
+    chi2, dof, p = (
         rows[name].astype(float).reindex(everywhere).to_numpy().reshape(len(modes), len(kinds))
-        for name in ("chi2", "freedom", "p")
+        for name in ("chi2", "dof", "p")
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         unlikely = np.minimum(-np.log10(p), _MOST) + 0.0
-        ratio = np.where(freedom >= _LEAST_FREEDOM, chi2 / freedom, np.nan)
+        ratio = np.where(dof >= _LEAST_DOF, chi2 / dof, np.nan)
     ax.imshow(np.ones_like(unlikely), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
     image = ax.imshow(unlikely, cmap="OrRd", norm=Normalize(0.0, _MOST), aspect="auto", gid="unlikely")
-    tried = stage == "attempt"
+    is_attempt = stage == "attempt"
     for i, j in np.ndindex(ratio.shape):
         words = f"{ratio[i, j]:.3g}" if math.isfinite(ratio[i, j]) else "–"
-        colour = "white" if unlikely[i, j] > 0.6 * _MOST and not tried else BLACK
+        colour = "white" if unlikely[i, j] > 0.6 * _MOST and not is_attempt else BLACK
         ax.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
     ax.set_xticks(range(len(kinds)), kinds)
     ax.set_yticks(range(len(modes)), [str(mode) for mode in modes])
     separate_cells(ax, len(modes), len(kinds))
     words = "base model, calibrated" if stage == "base" else added(stage, name)
-    ax.set_title(words.replace(": ", ":\n"), color=GREY if tried else BLACK)
-    if tried:
+    ax.set_title(words.replace(": ", ":\n"), color=GREY if is_attempt else BLACK)
+    if is_attempt:
         for text in ax.texts:
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8})
         whole = Rectangle((-0.5, -0.5), len(kinds), len(modes), fill=False, hatch="//", edgecolor=REST, linewidth=0.0)
@@ -114,14 +114,14 @@ def draw_where_it_fails(
 
 
 def where_it_fails_figure(table: pd.DataFrame, *, name: str = "") -> Figure:
-    """Draw a panel of `draw_where_it_fails` for the base model and for the explained or attempted one there is.
+    """Draw panels of `draw_where_it_fails`: the base model and, where there is one, the explained or attempted model.
 
     Parameters
     ----------
     table : DataFrame
         As for `draw_where_it_fails`.
     name : str
-        What that other model has more than the base model; empty when unknown.
+        Effects that the other model adds to the base model; empty when unknown.
     """
     stages = [stage for stage in STAGES if (table["stage"] == stage).any()] or ["base"]
     figure = new_figure(0.2 + matrix_height(table["mode"].nunique(), len(KINDS)))
@@ -140,24 +140,24 @@ def _unlikely_bar(image: ScalarMappable, panels: list[Axes]) -> None:
     bar.set_ticks([0, 4, 8, 12, 16], labels=["0", "4", "8", "12", "≥ 16"])
 
 
-def draw_strain(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = False) -> Axes:
-    """Draw how far each parameter was pulled from its adopted value, in units of what chance would do.
+def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = False) -> Axes:
+    """Draw the pull of each parameter: its standardised shift from the nominal value.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``model`` (``base``, or the names of its effects), ``parameter, unit, adopted, value``,
+        Columns ``model`` (``base``, or the names of the added effects), ``parameter, unit, nominal, value``,
         ``standardised`` (shift over the root of prior less posterior variance), ``limit`` (of the normal distribution,
-        after Bonferroni) and ``strained`` (bool, or None).
+        after Bonferroni) and ``pulled`` (bool, or None).
     ax : Axes, optional
     attempt : bool
-        Whether the models with effects are attempts that are not believed; their dots are then hollow and grey.
+        Whether the models with effects are rejected attempts; their dots are then hollow and grey.
 
     Returns
     -------
     Axes
-        One dot a parameter and model, dashed lines at the limits, and a ring round every strained dot. At the right
-        stand the adopted value and those of the models in turn.
+        One dot per parameter and model, dashed lines at the limits, and a ring round the dot of a pulled parameter. At
+        the right stand the nominal value and that of each model in turn.
     """
     models, names = list(dict.fromkeys(table["model"])), list(dict.fromkeys(table["parameter"]))
     ax = own_axes(ax, 1.2 + 0.38 * max(1, len(names)))
@@ -171,16 +171,16 @@ def draw_strain(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
         rows = table[table["model"] == model].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(models) - 1) / 2) * step
         shift = rows["standardised"].to_numpy(dtype=float)
-        tried = attempt and model != "base"
-        label = "base model" if model == "base" else added("attempt" if tried else "explained", model)
+        is_attempt = attempt and model != "base"
+        label = "base model" if model == "base" else added("attempt" if is_attempt else "explained", model)
         looks: dict[str, Any] = (
-            {"color": GREY, "markerfacecolor": "white"} if tried else {"color": _COLOURS[k % len(_COLOURS)]}
+            {"color": GREY, "markerfacecolor": "white"} if is_attempt else {"color": _COLOURS[k % len(_COLOURS)]}
         )
         handles += ax.plot(
             shift, y, "osD^v"[k % 5], markersize=5.5, label=label, gid=f"shift {model}", zorder=3, **looks
         )
-        ringed = np.array([not pd.isna(flag) and bool(flag) for flag in rows["strained"]])
-        ax.plot(shift[ringed], y[ringed], gid=f"strained {model}", zorder=4, **ring)
+        ringed = np.array([not pd.isna(flag) and bool(flag) for flag in rows["pulled"]])
+        ax.plot(shift[ringed], y[ringed], gid=f"pulled {model}", zorder=4, **ring)
     limits = sorted(set(table["limit"].astype(float).dropna().round(3)))
     for limit in limits:
         for side in (-limit, limit):
@@ -197,23 +197,23 @@ def draw_strain(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     reach = 1.12 * float(size[np.isfinite(size)].max())
     ax.set(ylim=(len(names) - 0.4, -0.6), xlim=(-reach, reach))
     ax.grid(axis="x")
-    ax.set_xlabel("shift from the adopted value, standardised (–)")
-    words = " → ".join(["adopted", *("base" if model == "base" else f"with {model}" for model in models)])
+    ax.set_xlabel("pull: standardised shift from the nominal value (–)")
+    words = " → ".join(["nominal", *("base" if model == "base" else f"with {model}" for model in models)])
     words = textwrap.fill(words, 40, break_long_words=False)
     ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=GREY)
     if limits:
         label = "limit ± " + ", ".join(f"{limit:.2f}" for limit in limits)
         handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9, label=label))
-    if any(not pd.isna(flag) and bool(flag) for flag in table["strained"]):
-        handles.append(Line2D([], [], label="strained", **ring))
+    if any(not pd.isna(flag) and bool(flag) for flag in table["pulled"]):
+        handles.append(Line2D([], [], label="pulled", **ring))
     legend_above(ax, handles)
     return ax
 
 
 def _values(rows: pd.DataFrame, models: list[str]) -> str:
-    """Adopted value and those of the models, with the unit."""
+    """Nominal value and that of each model, with the unit."""
     by_model = rows.set_index("model")
-    values = [rows["adopted"].iloc[0], *by_model["value"].reindex(models)]
+    values = [rows["nominal"].iloc[0], *by_model["value"].reindex(models)]
     unit = str(rows["unit"].iloc[0])
     text = " → ".join("–" if pd.isna(value) else plain(value).replace("-", "−") for value in values)
     return text if unit in ("", "-", "–") else f"{text} {unit}"

@@ -1,4 +1,4 @@
-"""The model itself: its shells and beams by group, and where it is measured."""
+"""The mesh of a model by group, with its sensors."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from calib.report.scene import (
     plot_lines,
     seen_size,
     show_axes,
-    tell_size,
+    write_size,
 )
 from calib.report.style import BLACK, GREEN, GREY, MEASURED, ORANGE, PURPLE, SKY, WIDTH, YELLOW
 
 COLOURS = (SKY, ORANGE, GREEN, PURPLE, YELLOW, GREY)
 _ABREAST = 4
-"""Entries of the legend in a line."""
+"""Legend entries per row."""
 _BORDER = "#303030"
 _SHADE = 0.35
-"""Share of a face's light that hangs on how it is turned."""
+"""Fraction of a face's brightness that depends on its orientation."""
 _STICK = 0.02
 """Length of a sensor's stick, as a fraction of the diagonal of the model's box."""
 _WIDTHS = np.array([0.25, 0.9, 1.3])
-"""Of the edges of faces, borders and lines, points."""
+"""Line widths of the edges of faces, borders and lines, in points."""
 
 
 def draw_model(mesh: Mesh, sensors: pd.DataFrame | None = None, ax: Axes3D | None = None) -> Axes3D:
@@ -47,14 +47,14 @@ def draw_model(mesh: Mesh, sensors: pd.DataFrame | None = None, ax: Axes3D | Non
     ----------
     mesh : Mesh
     sensors : DataFrame, optional
-        Columns ``direction, x, y, z`` (m); a sensor of a translation gets a stick along its direction, one without a
-        place is not drawn.
+        Columns ``direction, x, y, z`` (m); a translational sensor gets a stick along its direction; one without
+        coordinates is not drawn.
     ax : Axes3D, optional
 
     Returns
     -------
     Axes3D
-        Pieces with the gid ``model``, lines with the gids ``sensors`` (one dot a place) and ``directions``.
+        Pieces with the gid ``model``, lines with the gids ``sensors`` (one dot per place) and ``directions``.
     """
     ax = new_axes(ax)
     parts, rest = pieces(mesh), places(mesh)
@@ -91,7 +91,7 @@ def face_groups(mesh: Mesh) -> list[str]:
 
 
 def model_figure(mesh: Mesh, sensors: pd.DataFrame | None = None) -> Figure:
-    """Draw the model with what explains its colours; for the arguments see `draw_model`."""
+    """Draw the model with a legend; for the arguments see `draw_model`."""
     rest = places(mesh)[np.unique(pieces(mesh).corners)]
     names = face_groups(mesh)
     handles: list[Artist] = [
@@ -111,12 +111,12 @@ def model_figure(mesh: Mesh, sensors: pd.DataFrame | None = None) -> Figure:
         handles=handles, loc="lower right", bbox_to_anchor=(0.99, low), ncols=_ABREAST, borderaxespad=0.0
     )  # fmt: skip
     show_axes(figure)
-    tell_size(figure, rest)
+    write_size(figure, rest)
     return figure
 
 
 def _light(vertices: np.ndarray) -> np.ndarray:
-    """How light each face (n, 4, 3) is, (n,): most from above, whichever side is seen."""
+    """Brightness of each face (n, 4, 3), (n,): largest from above, whichever side is visible."""
     normal = np.cross(vertices[:, 2] - vertices[:, 0], vertices[:, 3] - vertices[:, 1])
     length = np.linalg.norm(normal, axis=1)
     upward = np.divide(np.abs(normal @ np.array([0.1, 0.8, 0.59])), length, out=np.ones(len(length)), where=length > 0)

@@ -27,26 +27,26 @@ from calib.report.scene import (
     panel_grid,
     plot_lines,
     show_axes,
-    tell_size,
+    write_size,
 )
 from calib.report.style import REST
 
 PANELS = 8
-"""Most modes in one figure."""
+"""Largest number of modes in one figure."""
 
 AMPLITUDE = ListedColormap(colormaps["viridis_r"](np.linspace(0.14, 0.8, 256)))
-"""Colours from no motion to the largest; without the ends, which white paper and dark borders would swallow."""
+"""Colours from zero to the largest motion, without the ends: invisible on white paper and beside dark borders."""
 _NEAR = 0.2
-"""By how much of its diagonal the box of a body is widened to find its neighbours."""
+"""Fraction of its diagonal by which a body's box is widened to find neighbouring bodies."""
 _BORDER = "#101010"
 _WIDTHS = np.array([0.3, 0.5, 1.8])
-"""Of the edges of faces, borders and lines, points."""
+"""Line widths of the edges of faces, borders and lines, in points."""
 
 
 def pages(modes: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Share out a table of modes evenly over figures of at most eight, by the end of their names, ``_1, _2, ...``.
+    """Distribute a table of modes evenly over figures of at most eight; the keys are the figures' suffixes.
 
-    One figure that holds them all has no such end.
+    The suffixes are ``_1, _2, ...``, or empty where one figure holds all modes.
     """
     count = math.ceil(len(modes) / PANELS)
     size = math.ceil(len(modes) / max(count, 1))
@@ -54,17 +54,17 @@ def pages(modes: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def views(parts: Pieces, rest: np.ndarray, motion: np.ndarray) -> list[np.ndarray]:
-    """Return where to look at a mode: at all pieces, or at each small part of a large structure that leads the motion.
+    """Return the views of a mode: all pieces, or each small part of a large structure that dominates the motion.
 
-    Bodies longer than half the structure are large; the others make one part where their boxes nearly meet. A mode
-    whose largest motion lies in a part that is small against the structure (a quarter of its diagonal) is looked at in
-    all such parts that move at least half as much, from the lower end of the longest axis to the upper.
+    Bodies longer than half the structure are large; the others form one part where their boxes nearly meet. A mode
+    whose largest motion lies in a part that is small against the structure (a quarter of its diagonal) has one view of
+    each such part that moves at least half as much, from the lower end of the longest axis to the upper.
 
     Parameters
     ----------
     parts : Pieces
     rest, motion : ndarray (n_points, 3)
-        Metres, and shape amplitude.
+        Coordinates in metres, and shape amplitude.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def draw_model_mode(
     scale: float | None = None,
     title: str = "",
 ) -> Axes3D:
-    """Draw one mode of the model: its mesh deformed and coloured by amplitude, and faintly at rest.
+    """Draw one mode of the model: the deformed mesh coloured by amplitude, and the mesh at rest in grey.
 
     Parameters
     ----------
@@ -111,14 +111,14 @@ def draw_model_mode(
     chosen : ndarray (n_pieces,), bool, optional
         The pieces to draw, as from `views`; all by default.
     scale : float, optional
-        Metres a unit of amplitude; without it the largest motion is a tenth of the diagonal of what is drawn.
+        Metres per unit of amplitude; by default the largest motion is a tenth of the diagonal of the drawn pieces.
     title : str
-        Written over the panel.
+        Written above the panel.
 
     Returns
     -------
     Axes3D
-        A line with the gid ``undeformed`` and pieces with the gid ``deformed``; the colour is the mean amplitude of a
+        A line with the gid ``undeformed`` and pieces with the gid ``deformed``; the colour is the mean amplitude at a
         piece's corners over the largest of the mode.
     """
     ax = new_axes(ax)
@@ -140,7 +140,7 @@ def draw_model_mode(
 
 
 def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh) -> Figure:
-    """Draw a panel a mode; where a mode moves small parts of a large structure alone, they are drawn instead of all.
+    """Draw one panel per mode; a mode that moves small parts of a large structure alone is shown at these parts.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh
                 _write_over(ax, words, -13.0)
         _write_title(figure, cell, row)
     show_axes(figure)
-    tell_size(figure, all_seen)
+    write_size(figure, all_seen)
     colour_bar(figure, ScalarMappable(Normalize(0.0, 1.0), AMPLITUDE), "amplitude over the largest of the mode (–)")
     return figure
 
@@ -183,7 +183,7 @@ def _box(rest: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def _write_title(figure: Figure, cell: SubplotSpec, row: dict[Hashable, Any]) -> None:
-    """Write name, damped frequency and damping over a cell, however many views stand in it."""
+    """Write name, damped frequency and damping above a cell, however many views it has."""
     ax = figure.add_subplot(cell, label="title")
     ax.set_axis_off()
     words = f"{row['mode']}   {row['damped_freq']:.2f} Hz"
@@ -192,7 +192,7 @@ def _write_title(figure: Figure, cell: SubplotSpec, row: dict[Hashable, Any]) ->
 
 
 def _write_over(ax: Axes, words: str, shift: float = 0.0) -> None:
-    """Write into the upper end of a panel, shifted by some points."""
+    """Write at the top of a panel, shifted by so many points."""
     ax.annotate(
         words, (0.5, 1.0), xycoords="axes fraction", xytext=(0.0, shift), textcoords="offset points", ha="center",
         va="top", fontsize=8.5, annotation_clip=False,

@@ -1,4 +1,4 @@
-"""Three-dimensional panels of a structure: its lines, circles at places, numbers, and what explains them."""
+"""Three-dimensional panels of a structure: lines, circles, numbers, axes and colour bar."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from calib.report.style import BLACK, DPI, WIDTH
 
 PLACE = ["x", "y", "z"]
 FOOT = 0.8
-"""Height in inches of the strip that explains the panels."""
+"""Height in inches of the strip for legends below the panels."""
 HEADING = 0.2
-"""Height in inches of the title over a panel."""
+"""Height in inches of the title above a panel."""
 _ELEVATION, _AZIMUTH = 24.0, -58.0
 _FILLED = 0.94
 _LOW = 0.45
-"""Height over width of what is seen, below which a structure is long and low."""
+"""Height over width of the view below which a structure counts as long and low."""
 _LEADER = 16.0
 """Length in points of the line to a number."""
 
 
 def plot_coordinates(points: np.ndarray) -> np.ndarray:
-    """Turn (x longitudinal, y up, z transverse) into the plot's (x, -z, y), which keeps right-handed axes right-handed.
+    """Transform (x longitudinal, y up, z transverse) to the plot's (x, -z, y), also right-handed.
 
     Parameters
     ----------
@@ -50,30 +50,29 @@ def view_directions() -> np.ndarray:
 
 
 def plot_lines(ax: Axes3D, segments: np.ndarray, **looks: object) -> None:
-    """Segments (n, 2, 3) as one line with gaps, which draws quickly and whose data can be read back."""
+    """Draw segments (n, 2, 3) as one line with gaps: fast, and its data can be read back."""
     gap = np.full((len(segments), 1, 3), np.nan)
     path = plot_coordinates(np.concatenate([segments, gap], axis=1).reshape(-1, 3))
     ax.plot(*path.T, **looks)
 
 
 def largest_drawn(points: np.ndarray, thickness: float = math.inf) -> float:
-    """Return how far, in metres, the largest motion is drawn: a tenth of the diagonal of the points' box (n, 3).
+    """Return the drawn length of the largest motion, in metres: a tenth of the diagonal of the points' box (n, 3).
 
-    A hollow body of some thickness, in metres, moves by at most 40 % of it, or it would be seen to leave what it stands
-    on.
+    A hollow body moves by at most 40 % of its thickness (metres); otherwise it would appear to leave its supports.
     """
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
     return min(0.1 * (diagonal or 1.0), 0.4 * thickness)
 
 
 def motion_scale(points: np.ndarray, motions: np.ndarray, thickness: float = math.inf) -> float:
-    """Return the factor that draws the largest of motions (n, 3) as long as `largest_drawn` says."""
+    """Return the factor that draws the largest of the motions (n, 3) with the length of `largest_drawn`."""
     largest = float(np.linalg.norm(motions, axis=1).max(initial=0.0))
     return largest_drawn(points, thickness) / largest if largest > 0.0 else 0.0
 
 
 def frame_scene(ax: Axes3D, points: np.ndarray, heading: float = 0.0) -> None:
-    """Parallel view with equal scale on all axes that fills the panel below a heading of that height in inches."""
+    """Set a parallel view with equal scales that fills the panel below a heading of that height in inches."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 0.02 * float((high - low).max() or 1.0))
     seen = view_directions()
@@ -85,7 +84,7 @@ def frame_scene(ax: Axes3D, points: np.ndarray, heading: float = 0.0) -> None:
     ax.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     ax.set_axis_off()
     ax.set_box_aspect(size)
-    # Measure the view at this zoom in the square that a 3-D panel draws in, then fill the panel itself.
+    # Measure the view at this zoom in the square in which a 3-D panel is drawn, then fill the panel itself.
     x, y, _ = proj_transform(*points.T, ax.get_proj())
     filled = np.ptp(ax.transAxes.inverted().transform(ax.transData.transform(np.column_stack([x, y]))), axis=0)
     panel = ax.get_position(original=True)
@@ -114,7 +113,7 @@ def new_axes(ax: Axes3D | None) -> Axes3D:
 
 
 def draw_dots(ax: Axes3D, points: np.ndarray, values: np.ndarray, norm: Normalize, colours: str, gid: str) -> None:
-    """Draw circles whose area grows with the size of the value, and which are coloured by it.
+    """Draw circles coloured by their values, with an area that grows with the absolute value.
 
     Parameters
     ----------
@@ -123,11 +122,11 @@ def draw_dots(ax: Axes3D, points: np.ndarray, values: np.ndarray, norm: Normaliz
         Metres.
     values : ndarray (n,)
     norm : Normalize
-        Values of the ends of the colour map.
+        Values at the ends of the colour map.
     colours : str
         Name of the colour map.
     gid : str
-        By which the circles are found again.
+        Identifier of the drawn circles.
     """
     area = 8.0 + 110.0 * np.abs(values) / max(abs(norm.vmin or 0.0), abs(norm.vmax or 0.0))
     looks = {"edgecolors": BLACK, "linewidths": 0.5, "depthshade": False, "clip_on": False, "zorder": 4}
@@ -135,22 +134,22 @@ def draw_dots(ax: Axes3D, points: np.ndarray, values: np.ndarray, norm: Normaliz
 
 
 def frame_panel(ax: Axes3D, points: np.ndarray, title: str) -> None:
-    """Fill the panel with the view of points (n, 3), in metres, and write the title over it."""
+    """Fill the panel with the view of points (n, 3), in metres, and write the title above it."""
     frame_scene(ax, plot_coordinates(points) if len(points) else np.zeros((1, 3)), heading=HEADING)
     ax.text2D(0.5, 1.0, title, transform=ax.transAxes, ha="center", va="top", fontsize=8.5)
 
 
 def number_points(ax: Axes3D, points: np.ndarray, numbers: dict[int, int]) -> None:
-    """Number some of the points, each towards the side where there is most room inside the panel.
+    """Number some of the points, each on the side with most room inside the panel.
 
     Parameters
     ----------
     ax : Axes3D
-        Framed already.
+        Already framed.
     points : ndarray (n, 3)
-        Everything that a number must not cover, metres.
+        Points that a number must not cover, metres.
     numbers : dict from int to int
-        Row of `points`, and what is written beside it.
+        Row of `points`, and the number to write beside it.
     """
     if not numbers:
         return
@@ -183,7 +182,7 @@ def number_points(ax: Axes3D, points: np.ndarray, numbers: dict[int, int]) -> No
 
 
 def seen_size(points: np.ndarray, room: float) -> tuple[float, float]:
-    """Return width and height of what the view shows of points (n, 3), with some room in all, everything in metres."""
+    """Return width and height of the view of points (n, 3) with some room in total, everything in metres."""
     if not len(points):
         return 1.0, 0.5
     wide, high = np.ptp(plot_coordinates(points) @ view_directions().T, axis=0)
@@ -191,16 +190,16 @@ def seen_size(points: np.ndarray, room: float) -> tuple[float, float]:
 
 
 def panel_grid(count: int, points: np.ndarray, thickness: float = math.inf) -> tuple[Figure, list[SubplotSpec]]:
-    """Return a figure with cells for panels that all show the same points (n, 3), in motion, above a foot.
+    """Return a figure with cells for panels that all show the same moving points (n, 3), above a foot.
 
-    Long low structures take two columns, others three, so that what is seen stays large; for the thickness see
+    Long low structures take two columns, others three, so that the structure stays large; for the thickness see
     `largest_drawn`.
     """
     wide, high = seen_size(points, 2 * largest_drawn(points, thickness))
     columns = 1 if count == 1 else 2 if count in (2, 4) or high < _LOW * wide else 3
     rows = math.ceil(count / columns)
     panel = WIDTH / columns
-    # A 3-D panel draws in a square from its top edge only as long as it is not taller than wide.
+    # The square of a 3-D panel starts at its top edge only while the panel is not taller than wide.
     height = rows * min(panel * max(high / wide, 0.3) + 2 * HEADING, panel) + FOOT
     figure = new_figure(height)
     grid = figure.add_gridspec(rows, columns)
@@ -225,8 +224,8 @@ def colour_bar(figure: Figure, colours: ScalarMappable, label: str) -> None:
     figure.colorbar(colours, cax=ax, orientation="horizontal", label=label)
 
 
-def tell_size(figure: Figure, points: np.ndarray) -> None:
-    """Write the size of the box round points (n, 3), in metres, beside the directions of the axes."""
+def write_size(figure: Figure, points: np.ndarray) -> None:
+    """Write the size of the box around points (n, 3), in metres, beside the directions of the axes."""
     size = " × ".join(f"{s:.3g}" for s in np.ptp(points, axis=0))
     height = float(figure.get_size_inches()[1])
     figure.text(1.05 / WIDTH, 0.09 / height, f"model {size} m (x × y × z)", fontsize=8.5, va="bottom")

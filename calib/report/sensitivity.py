@@ -1,4 +1,4 @@
-"""Which parameter moves which response."""
+"""Figures of sensitivity: matrix, selection of parameters, and correlation of the inputs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RESPONSE_KINDS = {
     "emac_": "EMAC",
     "mac_": "MAC",
 }
-"""Beginning of a response's name, and what is written over its group of columns."""
+"""Prefix of a response's name, and the heading of its group of columns."""
 
 
 def draw_sensitivity(
@@ -44,12 +44,12 @@ def draw_sensitivity(
     ----------
     table : DataFrame
         Column ``parameter`` and one column for every response, such as ``natural_freq_1BT`` or ``mac_1BT``; cells are
-        -1 to 1, or NaN for a response that never changed.
+        -1 to 1, or NaN for a response that never changes.
     ax : Axes, optional
     threshold : float
-        Cells whose modulus does not exceed it stay blank.
+        Cells whose absolute value does not exceed it stay blank.
     label : str
-        What the cells are, for the colour bar.
+        Label of the colour bar.
     """
     responses = [c for c in table.columns if c != "parameter"]
     kinds = list(dict.fromkeys(_kind(r)[0] for r in responses))
@@ -78,22 +78,22 @@ def draw_sensitivity(
 
 
 MEASURES = {
-    "spearman": ("Spearman, as it is in the sample", SKY),
-    "partial": ("partial rank correlation, others held", ORANGE),
-    "influence": ("influence of its own, even effects too", BLUE),
+    "spearman": ("Spearman's rank correlation", SKY),
+    "partial": ("partial rank correlation", ORANGE),
+    "variance_share": ("variance share (square root)", BLUE),
 }
-"""Measure, what it is called in the legend, and its colour."""
+"""Measure, its name in the legend, and its colour."""
 
 
 def draw_selection(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
-    """Draw the largest value of each measure for every parameter, its noise floor, and what was selected.
+    """Draw the largest value of each measure for every parameter, its noise floor, and the selection.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``parameter``, ``max_spearman``, ``max_partial``, ``max_influence`` (sizes count, signs do not), the
-        floor of each (``spearman_floor`` and so on), and the flags ``measured`` and ``selected``. A value below its
-        floor is drawn hollow, an unknown one left out.
+        Columns ``parameter``, ``max_spearman``, ``max_partial``, ``max_variance_share`` (drawn as absolute values),
+        the noise floor of each (``spearman_floor`` and so on), and the flags ``measured`` and ``selected``. A value
+        below its floor is drawn hollow, an unknown one not at all.
     ax : Axes, optional
     """
     count, height = len(table), 0.26
@@ -115,31 +115,29 @@ def draw_selection(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
             ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
     ax.set_yticks(rows, table["parameter"].astype(str))
     ax.tick_params(axis="y", length=0)
-    ax.set(ylim=(count - 0.5, -0.5), xlim=(0.0, 1.0), xlabel="largest size over all responses (–)")
+    ax.set(ylim=(count - 0.5, -0.5), xlim=(0.0, 1.0), xlabel="largest absolute value over all responses (–)")
     ax.grid(axis="x")
     handles = [Patch(facecolor=colour, edgecolor=colour, label=label) for label, colour in MEASURES.values()]
-    floor_mark = Line2D(
-        [], [], color=BLACK, marker="|", linestyle="", markersize=9, label="least that counts (hollow below)"
-    )
+    floor_mark = Line2D([], [], color=BLACK, marker="|", linestyle="", markersize=9, label="noise floor (hollow below)")
     legend_above(ax, [*handles, floor_mark])
     return ax
 
 
 def draw_input_correlation(table: pd.DataFrame, ax: Axes | None = None, threshold: float = 0.25) -> Axes:
-    """Draw the rank correlation between parameters that a constraint has induced, as the lower half of a matrix.
+    """Draw the rank correlation between parameters, as induced by constraints, as the lower half of a matrix.
 
     Parameters
     ----------
     table : DataFrame
-        Column ``parameter`` and one column of every parameter, in the same order; NaN where unknown.
+        Column ``parameter`` and one column per parameter, in the same order; NaN where unknown.
     ax : Axes, optional
     threshold : float
-        Cells whose modulus does not exceed it stay blank.
+        Cells whose absolute value does not exceed it stay blank.
 
     Raises
     ------
     ValueError
-        When rows and columns do not name the same parameters.
+        Rows and columns do not name the same parameters.
     """
     names = table["parameter"].astype(str).tolist()
     if [c for c in table.columns if c != "parameter"] != names:
@@ -169,7 +167,7 @@ def draw_input_correlation(table: pd.DataFrame, ax: Axes | None = None, threshol
 
 
 def _name_groups(ax: Axes, kinds: list[str]) -> None:
-    """Write the kind of response over each group of columns and draw a line between the groups."""
+    """Write the kind of response above each group of columns and draw a line between the groups."""
     above = blended_transform_factory(ax.transData, ax.transAxes)
     start = 0
     for kind, members in groupby(kinds):

@@ -1,4 +1,4 @@
-"""Mode shapes: what the sensors measured over what the model computes."""
+"""Measured mode shapes over those of the model."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from calib.report.scene import (
     plot_coordinates,
     plot_lines,
     show_axes,
-    tell_size,
+    write_size,
 )
 from calib.report.style import BLUE, MEASURED, REST
 
 _PALE = "#D6E6F2"
 _AXES = ["x", "y", "z"]
 _WIDTHS = np.array([0.3, 0.8, 1.2])
-"""Of the edges of faces, borders and lines, points."""
+"""Line widths of the edges of faces, borders and lines, in points."""
 
 
 def draw_mode_shape(
@@ -42,21 +42,21 @@ def draw_mode_shape(
     ----------
     shapes : DataFrame
         Sensors of this mode: ``direction, x, y, z`` (m), ``measured_re`` (shape amplitude). Rotations and sensors
-        without a place or a value are not drawn.
+        without coordinates or a value are not drawn.
     deflection : DataFrame
-        Motions of this mode: ``point, u, v, w`` (shape amplitude, scaled to the measured shape); empty when no model
-        mode is paired.
+        Motions of this mode: ``point, u, v, w`` (shape amplitude, scaled to the measured shape); empty when the mode
+        is not paired.
     mesh : Mesh
     ax : Axes3D, optional
     title : str
-        Written over the panel.
+        Written above the panel.
 
     Returns
     -------
     Axes3D
-        Lines with the gids ``undeformed`` (lines and the borders of faces), ``measured`` (one point a place, moved in
-        all the directions measured there) and ``motion`` (threads from the rest place), pieces with the gid
-        ``deformed``. The same scale, that of `motion_scale`, holds for model and measurement.
+        Lines with the gids ``undeformed`` (lines and the borders of faces), ``measured`` (one point per place, moved
+        in all directions measured there) and ``motion`` (lines from the position at rest), pieces with the gid
+        ``deformed``. Model and measurement have the same scale, that of `motion_scale`.
     """
     ax = new_axes(ax)
     rest, motion, parts = places(mesh), motions(mesh, deflection), pieces(mesh)
@@ -107,7 +107,7 @@ def mode_shapes_figure(
             title=_panel_title(mode, facts),
         )
     show_axes(figure)
-    tell_size(figure, rest)
+    write_size(figure, rest)
     handles = [
         Line2D([], [], color=REST, label="at rest"),
         Line2D([], [], color=BLUE, linewidth=1.6, label="model"),
@@ -122,7 +122,7 @@ def measured_motions(shapes: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
     """Return the places of the sensors, in metres, and the measured motion there as a vector, both (n_places, 3).
 
     Sensors at one place give one vector, so that it can be compared with the motion of the mesh; a direction that was
-    not measured counts as none. Rotations and sensors without a place or a value are left out.
+    not measured counts as zero. Rotations and sensors without coordinates or a value are omitted.
 
     Parameters
     ----------

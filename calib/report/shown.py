@@ -1,4 +1,4 @@
-"""A folder of results without what must not be shown."""
+"""A results folder with its stale files hidden."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import TypeAlias
 
 @dataclass(frozen=True)
 class Shown:
-    """A folder in which some files are as good as missing: they belong to another state of the study.
+    """A folder in which some files count as missing, since they belong to another state of the study.
 
     Attributes
     ----------
     folder : Path
     hidden : frozenset of str
-        Names of these files.
+        Names of the hidden files.
     """
 
     folder: Path
     hidden: frozenset[str]
 
     def __truediv__(self, name: str) -> Path:
-        """Where a file is; a path to nothing for a hidden one."""
+        """Return the path of a file; for a hidden one a path that does not exist."""
         return self.folder / ".hidden" / name if name in self.hidden else self.folder / name
 
 

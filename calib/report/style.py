@@ -1,4 +1,4 @@
-"""How every figure looks: colours, sizes, heading, and saving without leaving half a file."""
+"""Style of all figures: colours, sizes and heading; saving leaves no half-written file."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ BEFORE, AFTER, MEASURED = ORANGE, BLUE, VERMILLION
 CASES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, BLACK, YELLOW)
 GREY, REST = "#767676", "#BDBDBD"
 ATTEMPT: dict[str, Any] = {"facecolor": "#D0D0D0", "hatch": "xxxx", "edgecolor": "white"}
-"""What was tried and is not believed."""
+"""Look of an attempt that is not believed."""
 WIDTH = 8.0
-"""Width of a figure in inches: 1200 pixels at `DPI`, so that text is seen at the size chosen here."""
+"""Width of a figure in inches: 1200 pixels at `DPI`, so that text appears at the size chosen here."""
 DPI = 150
 SYNTHETIC = "synthetic measurement"
 
@@ -47,10 +47,10 @@ FALLBACKS = (
     *("Noto Sans CJK SC", "Noto Sans SC", "Source Han Sans SC", "Microsoft YaHei", "SimHei", "PingFang SC"),
     *("Hiragino Sans GB", "WenQuanYi Micro Hei", "WenQuanYi Zen Hei", "Yu Gothic", "Malgun Gothic", "Arial Unicode MS"),
 )
-"""Fonts for characters that the first one lacks; those of them that a machine has are used."""
+"""Fallback fonts for characters that the first font lacks; the installed ones are used."""
 NO_GLYPH = "boxes stand for characters that no font of this machine has"
 _POWER = re.compile(r"\$\\mathdefault\{[^$]*\}\$")
-"""What the library itself writes at a logarithmic axis."""
+"""Tick label that Matplotlib itself writes at a logarithmic axis."""
 
 SETTINGS: Any = {
     "font.family": "DejaVu Sans",
@@ -74,7 +74,7 @@ SETTINGS: Any = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Apply the settings of the figures, starting from the library's defaults and not from the user's own file."""
+    """Apply the settings of the figures on top of Matplotlib's defaults, not of the user's own file."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(SETTINGS)
@@ -84,7 +84,7 @@ def style() -> Iterator[None]:
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """Return an empty figure, sizes in inches, that belongs to no window."""
+    """Return an empty figure without a window, sizes in inches."""
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
 
 
@@ -94,7 +94,7 @@ def own_axes(ax: Axes | None, height: float) -> Axes:
 
 
 def legend_above(ax: Axes, handles: list[Artist] | None = None) -> None:
-    """Put the legend over the Axes, outside the data, from the left, in as many columns as its words allow."""
+    """Put the legend above the Axes, left-aligned, in as many columns as its labels allow."""
     shown = ax.get_legend_handles_labels()[0] if handles is None else handles
     longest = max((len(str(h.get_label())) for h in shown), default=1)
     columns = max(1, min(len(shown), int(105 / (longest + 9))))
@@ -102,24 +102,24 @@ def legend_above(ax: Axes, handles: list[Artist] | None = None) -> None:
 
 
 def added(stage: str, name: str = "") -> str:
-    """Say what a model has more than the base model, at a stage of an explanation, where the name is known."""
+    """Describe a model by the effects added to the base model, where known, and the stage of the explanation."""
     if stage == "attempt":
         return f"with {name}: best attempt, not believed" if name else "with the best attempt, not believed"
     return f"with {name}" if name else "with the missing effect"
 
 
 def plain(value: float) -> str:
-    """Four significant digits without an exponent, where that stays readable."""
+    """Format with four significant digits, without an exponent where that stays readable."""
     return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
 def matrix_height(rows: int, columns: int) -> float:
-    """Height in inches of a matrix figure whose cells must hold a number and whose column labels stand upright."""
+    """Height in inches of a matrix with a number in each cell and upright column labels."""
     return float(np.clip(0.34 * rows, 1.2, 9.0)) + (1.4 if columns > 6 else 0.9)
 
 
 def separate_cells(ax: Axes, rows: int, columns: int) -> None:
-    """Draw white lines between the cells of a matrix and take its frame away."""
+    """Draw white lines between the cells of a matrix and remove its frame."""
     ax.set_xticks(np.arange(columns + 1) - 0.5, minor=True)
     ax.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
     ax.grid(which="minor", color="white", linewidth=1.2)
@@ -128,9 +128,9 @@ def separate_cells(ax: Axes, rows: int, columns: int) -> None:
 
 
 def add_heading(figure: Figure, title: str, synthetic: bool) -> None:
-    """Write the title over the figure and, for invented measurements, the words `SYNTHETIC` under it.
+    """Write the title above the figure and, for a synthetic measurement, the label `SYNTHETIC` below the title.
 
-    The figure grows by the height of the heading, so that it covers nothing.
+    The figure grows by the height of the heading, which therefore covers nothing.
     """
     width, height = figure.get_size_inches()
     lines = textwrap.wrap(title, max(10, int(width * 10.5))) or [""]
@@ -158,9 +158,9 @@ def add_heading(figure: Figure, title: str, synthetic: bool) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Save as PNG; a stop in between leaves the old picture or none.
+    """Save as PNG; an interruption leaves the old picture or none.
 
-    A dollar in a name is a dollar. Where no font has a character of a name, the picture says so.
+    Dollar signs in names are literal. A note is added where no font has a character of a name.
     """
     for text in _texts(figure):
         if "$" in text.get_text() and not _POWER.fullmatch(text.get_text()):
@@ -186,7 +186,7 @@ def _texts(artist: Artist) -> Iterator[Text]:
 
 
 def _lacks_glyphs(figure: Figure, draft: Path) -> bool:
-    """Write a picture; whether a font lacked a character."""
+    """Write a picture; return whether a font lacked a character."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         figure.savefig(draft, format="png", dpi=DPI, facecolor="white")

@@ -1,4 +1,4 @@
-"""Tables of a results folder, read and checked for figures and page; no row may be told twice."""
+"""Read and check the tables of a results folder; duplicate rows are refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KEYS = {
     "deflection": ("mode", "point"),
     "effects": ("name",),
     "errors": ("group", "stage"),
-    "influence": ("parameter",),
+    "variance_share": ("parameter",),
     "input_correlation": ("parameter",),
     "mac": ("mode",),
     "mesh_points": ("point",),
@@ -39,17 +39,17 @@ KEYS = {
     "sensor_misfit": ("stage", "mode", "sensor"),
     "sensors": ("sensor",),
     "shapes": ("mode", "sensor"),
-    "strain": ("model", "parameter"),
+    "pulls": ("model", "parameter"),
     "verdicts": ("parameter",),
     "versions": ("version", "group"),
     "where_it_fails": ("kind", "what"),
 }
-"""Columns that tell the rows of a table apart, by its name without the stage."""
+"""Columns that identify a row, by the name of the table without its stage."""
 STAGES = ("_initial", "_before", "_after")
 
 
 def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
-    """Read a table as `calib.table.read_table` does, its rows told apart by their `KEYS`."""
+    """Read a table as `calib.table.read_table` does, with rows that are unique by their `KEYS`."""
     name = path.stem
     for stage in STAGES:
         name = name.removesuffix(stage)

@@ -1,4 +1,4 @@
-"""Whether an explanation predicts better, and what to measure next."""
+"""Figures of prediction errors with and without the missing effect, and of recommended measurements."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from calib.report.explanation import LEAST_ODDS, blank
+from calib.report.explanation import LEAST_BAYES_FACTOR, blank
 from calib.report.style import (
     AFTER,
     ATTEMPT,
@@ -33,43 +33,43 @@ from calib.report.style import (
 
 GROUPS = {
     "fit": "used in the fit",
-    "left_out": "each mode left out in turn",
-    "withheld_sensors": "withheld sensors",
-    "withheld_modes": "withheld modes",
-    "withheld_responses": "withheld responses",
+    "left_out": "left out in turn (leave-one-out)",
+    "held_out_sensors": "held-out sensors",
+    "held_out_modes": "held-out modes",
+    "held_out_responses": "held-out responses",
 }
 _STAGES: dict[str, dict[str, Any]] = {
     "before": {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"},
     "after": {"facecolor": AFTER},
     "attempt": ATTEMPT,
 }
-_OPTIONS = {
+_KINDS = {
     "sensor": ("further sensor", SKY),
     "mode": ("further mode", ORANGE),
     "repeats": ("more repeats", GREEN),
     "bench": ("bench test", PURPLE),
 }
 _RANGE = 20.0
-"""Ratio of the largest to the smallest error from which the axis is logarithmic."""
+"""Ratio of the largest to the smallest error above which the axis is logarithmic."""
 _SHOWN = 10
 
 
 def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") -> Axes:
-    """Draw the error before and after an effect was added, in data that were used and in data that were not.
+    """Draw the error before and after adding an effect, in data used in the fit and in data held out.
 
     Parameters
     ----------
     table : DataFrame
         Columns ``group, stage`` (``before``, ``after``, or ``attempt`` for an effect that is not believed), ``rms``
-        (sigma), ``expected`` (from noise alone, sigma) and ``p``; NaN where unknown.
+        (sigma), ``expected`` (for a correctly specified model, sigma) and ``p``; NaN where unknown.
     ax : Axes, optional
     name : str
-        What was added; empty when unknown.
+        Names of the added effects; empty when unknown.
 
     Returns
     -------
     Axes
-        Bars of the rms with a line at what is expected; logarithmic when the errors differ by more than 20 times.
+        Bars of the rms with a line at the expected value; logarithmic when errors differ by a factor above 20.
     """
     groups = _groups(table)
     ax = own_axes(ax, 3.6)
@@ -87,7 +87,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         label = f"after: {label}" if stage == "after" else label
         ax.bar(x, rms, 0.92 * width, label=label, gid=stage, **looks)
         for at, (r, e, q) in zip(x, zip(rms, expected, p, strict=True), strict=True):
-            if np.isfinite(r):  # over the bar and over the line of the noise
+            if np.isfinite(r):  # above the bar and above the line of the noise
                 ax.annotate(
                     _error_words(r, q), (at, np.nanmax([r, e])), xytext=(0, 3), textcoords="offset points",
                     ha="center", va="bottom", fontsize=7.5,
@@ -96,7 +96,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         ends = (x[floor] - 0.5 * width, x[floor] + 0.5 * width)
         ax.hlines(expected[floor], *ends, color=BLACK, linewidth=1.6, gid=f"expected {stage}", zorder=4)
         handles.append(Patch(label=label, **looks))
-    handles.append(Line2D([], [], color=BLACK, linewidth=1.6, label="expected from noise alone"))
+    handles.append(Line2D([], [], color=BLACK, linewidth=1.6, label="expected for a correctly specified model"))
     _scale(ax, table, 1.2)
     ax.set_xticks(range(len(groups)), [textwrap.fill(GROUPS.get(g, g), 18) for g in groups])
     ax.set_xlim(-0.6, len(groups) - 0.4)
@@ -107,7 +107,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
 
 
 def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
-    """Draw the error of every group of data over the versions of a model.
+    """Draw the error in every group of data over the versions of a model.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     Returns
     -------
     Axes
-        One line a group, dashed ones at what is expected; logarithmic when the errors differ by more than 20 times.
+        One line per group, dashed lines at the expected values; logarithmic when errors differ by a factor above 20.
     """
     groups, versions = _groups(table), sorted(set(table["version"]))
     ax = own_axes(ax, 3.8)
@@ -149,46 +149,48 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_xlabel("version of the model, and its added effects")
     ax.set_ylabel("rms error (σ)")
     handles: list[Artist] = list(ax.get_legend_handles_labels()[0])
-    handles.append(Line2D([], [], color=GREY, linestyle="--", linewidth=1.1, label="expected from noise alone"))
+    handles.append(
+        Line2D([], [], color=GREY, linestyle="--", linewidth=1.1, label="expected for a correctly specified model")
+    )
     legend_above(ax, handles)
     return ax
 
 
-def best_options(table: pd.DataFrame, count: int = _SHOWN) -> pd.DataFrame:
-    """Return the options of most worth, best first, each with the effect whose score it raises most.
+def best_candidates(table: pd.DataFrame, count: int = _SHOWN) -> pd.DataFrame:
+    """Return the best candidate measurements, best first, each with the effect whose score it raises most.
 
     They are ranked by ``ln_bayes`` where any is known, otherwise by ``gain``.
     """
     key = ["ln_bayes", "gain"] if table["ln_bayes"].notna().any() else ["gain"]
-    rows = table.sort_values("gain", ascending=False, kind="stable").drop_duplicates("option")
+    rows = table.sort_values("gain", ascending=False, kind="stable").drop_duplicates("measurement")
     return rows.sort_values(key, ascending=False, kind="stable", ignore_index=True).head(count)
 
 
 def draw_next_measurement(
     table: pd.DataFrame, ax: Axes | None = None, *, measure: str = "gain", legend: bool = True
 ) -> Axes:
-    """Draw what further measurements promise, the best ten.
+    """Draw the expected gain of the ten best candidate measurements.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``option, kind`` (sensor, mode, repeats or bench), ``effect`` (whose score grows), ``gain`` (factor in
-        the expected score z) and ``ln_bayes`` (expected ln odds between the two leading effects; NaN when one leads),
-        means, each with ``_low`` and ``_high``, between which eight of ten cases lie: drawn as lines.
+        Columns ``measurement, kind`` (sensor, mode, repeats or bench), ``effect`` (whose score grows), ``gain`` (factor
+        in the expected score z) and ``ln_bayes`` (expected ln Bayes factor between the two leading effects; NaN when
+        one leads). Both are means, with ``_low`` and ``_high``, between which 8 of 10 cases lie: drawn as lines.
     ax : Axes, optional
     measure : str
-        ``gain``, drawn from 1, which is no gain, or ``ln_bayes``, drawn from 0.
+        ``gain``, drawn from 1 (no gain), or ``ln_bayes``, drawn from 0.
     legend : bool
-        Whether a legend stands over the Axes.
+        Whether a legend stands above the Axes.
     """
-    rows = best_options(table)
+    rows = best_candidates(table)
     ax = own_axes(ax, _next_height(rows))
     if rows.empty:
         return blank(ax, "no further measurement was considered")
     at = np.arange(len(rows))
     values = rows[measure].to_numpy(dtype=float)
     start = 1.0 if measure == "gain" else 0.0
-    colours = [_OPTIONS.get(kind, (kind, GREY))[1] for kind in rows["kind"].astype(str)]
+    colours = [_KINDS.get(kind, (kind, GREY))[1] for kind in rows["kind"].astype(str)]
     words = ["–" if np.isnan(v) else f"× {v:.2f}" if measure == "gain" else f"{v:.1f}" for v in values]
     values = np.where(np.isfinite(values), values, start)
     bars = ax.barh(at, values - start, 0.66, left=start, color=colours, gid=measure)
@@ -198,29 +200,28 @@ def draw_next_measurement(
     wide = np.isfinite(low) & np.isfinite(high)
     ax.hlines(at[wide] + 0.2, low[wide], high[wide], color=BLACK, linewidth=1.0, gid="range")
     known = np.concatenate([values, low[wide], high[wide]])
-    known = np.append(known, [start, 2.0 if measure == "gain" else LEAST_ODDS])
+    known = np.append(known, [start, 2.0 if measure == "gain" else LEAST_BAYES_FACTOR])
     span = float(known.max() - known.min())
     ax.set_xlim(known.min() - 0.02 * span, known.max() + 0.24 * span)
     if measure == "ln_bayes":
-        ax.axvline(LEAST_ODDS, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
-        ax.set_xlabel(f"mean ln odds to expect for the true one\nof two (–; lines: 8 of 10; dashed: {LEAST_ODDS:g})")
+        ax.axvline(LEAST_BAYES_FACTOR, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
+        limits = f"lines: 8 of 10 cases; dashed: {LEAST_BAYES_FACTOR:g}"
+        ax.set_xlabel(f"expected ln Bayes factor of the\ntrue effect (–; {limits})")
     else:
-        ax.set_xlabel("mean factor in the expected score z of the\neffect named (–; lines: 8 of 10; 1: no gain)")
-    ax.set_yticks(at, _option_labels(rows), fontsize=8)
+        ax.set_xlabel("expected gain in the score z of the effect\n(–; lines: 8 of 10 cases; 1: no gain)")
+    ax.set_yticks(at, _measurement_labels(rows), fontsize=8)
     ax.tick_params(axis="y", length=0)
     ax.set_ylim(len(rows) - 0.45, -0.55)
     ax.grid(axis="x")
     if legend:
-        # The labels take so much of the width that the legend has two columns at most.
-        ax.legend(
-            handles=_option_handles(rows), loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=2
-        )
+        # The labels are so wide that the legend has room for two columns at most.
+        ax.legend(handles=_kind_handles(rows), loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=2)
     return ax
 
 
 def next_measurement_figure(table: pd.DataFrame) -> Figure:
-    """Draw `draw_next_measurement`, and beside it the expected odds where two effects compete."""
-    rows = best_options(table)
+    """Draw `draw_next_measurement`, and beside it the expected ln Bayes factor where two effects compete."""
+    rows = best_candidates(table)
     figure = new_figure(_next_height(rows))
     if not table["ln_bayes"].notna().any():
         draw_next_measurement(table, figure.add_subplot())
@@ -232,18 +233,18 @@ def next_measurement_figure(table: pd.DataFrame) -> Figure:
     draw_next_measurement(table, right, measure="ln_bayes", legend=False)
     right.tick_params(labelleft=False)
     over.set_axis_off()
-    over.legend(handles=_option_handles(rows), loc="upper left", borderaxespad=0.0, ncols=4)
+    over.legend(handles=_kind_handles(rows), loc="upper left", borderaxespad=0.0, ncols=4)
     return figure
 
 
 def _groups(table: pd.DataFrame) -> list[str]:
-    """Groups of data in their order, without those of which no error is known."""
-    there = set(table["group"][table["rms"].notna()])
-    return [*(g for g in GROUPS if g in there), *sorted(there - set(GROUPS))]
+    """Groups of data in their order, without those whose error is unknown."""
+    known = set(table["group"][table["rms"].notna()])
+    return [*(g for g in GROUPS if g in known), *sorted(known - set(GROUPS))]
 
 
 def _scale(ax: Axes, table: pd.DataFrame, room: float) -> None:
-    """Logarithmic axis for errors that differ much, otherwise from 0; with room over the highest."""
+    """Set a logarithmic axis for errors that differ much, otherwise one from 0; with room above the highest."""
     values = table[["rms", "expected"]].to_numpy(dtype=float)
     values = values[np.isfinite(values)]
     low, high = float(values.min()), float(values.max())
@@ -263,16 +264,16 @@ def _error_words(rms: float, p: float) -> str:
     return f"{rms:.2f}{chance}" if rms < 10 else f"{rms:.3g}{chance}"
 
 
-def _option_handles(rows: pd.DataFrame) -> list[Artist]:
-    looks = [_OPTIONS.get(kind, (kind, GREY)) for kind in dict.fromkeys(rows["kind"].astype(str))]
+def _kind_handles(rows: pd.DataFrame) -> list[Artist]:
+    looks = [_KINDS.get(kind, (kind, GREY)) for kind in dict.fromkeys(rows["kind"].astype(str))]
     return [Patch(facecolor=colour, label=words) for words, colour in looks]
 
 
-def _option_labels(rows: pd.DataFrame) -> list[str]:
-    named = zip(rows["option"], rows["effect"].fillna(""), strict=True)
-    return [textwrap.fill(f"{option} (for {effect})" if effect else str(option), 52) for option, effect in named]
+def _measurement_labels(rows: pd.DataFrame) -> list[str]:
+    named = zip(rows["measurement"], rows["effect"].fillna(""), strict=True)
+    return [textwrap.fill(f"{name} (for {effect})" if effect else str(name), 52) for name, effect in named]
 
 
 def _next_height(rows: pd.DataFrame) -> float:
-    lines = [label.count("\n") + 1 for label in _option_labels(rows)] if len(rows) else [1]
+    lines = [label.count("\n") + 1 for label in _measurement_labels(rows)] if len(rows) else [1]
     return 1.3 + sum(max(0.3, 0.17 * n + 0.06) for n in lines)

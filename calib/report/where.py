@@ -1,4 +1,4 @@
-"""Where on the structure a model fails: residuals at the sensors, and local changes that would fit."""
+"""Maps of the structure: residuals at the sensors, and scores of local perturbations."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from calib.report.scene import (
 from calib.report.shapes import measured_motions
 from calib.report.style import BLUE, GREY, REST, VERMILLION, WIDTH
 
-ATOM_KINDS = ("stiffness", "damping", "mass")
+PERTURBATION_KINDS = ("stiffness", "damping", "mass")
 
 
 def sensor_rms(table: pd.DataFrame) -> pd.DataFrame:
@@ -50,8 +50,8 @@ def sensor_rms(table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns ``sensor, direction, x, y, z, rms``; real and imaginary parts count alike, so that noise alone gives
-        about 1.
+        Columns ``sensor, direction, x, y, z, rms``; real and imaginary parts have equal weight, so that noise alone
+        gives about 1.
     """
     parts = table[["re", "im"]].astype(float)
     counted = table.assign(total=(parts**2).sum(axis=1), parts=parts.notna().sum(axis=1))
@@ -71,13 +71,13 @@ def sensor_rms(table: pd.DataFrame) -> pd.DataFrame:
 def draw_sensor_misfit(
     table: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None, *, stage: str = "base"
 ) -> Axes3D:
-    """Draw every sensor's residual over all modes on the structure.
+    """Draw every sensor's rms residual over all modes on the structure.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``stage, mode, sensor, direction`` (x, y or z), ``x, y, z`` (m), ``re, im`` (sigma). Sensors without a
-        place are not drawn.
+        Columns ``stage, mode, sensor, direction`` (x, y or z), ``x, y, z`` (m), ``re, im`` (sigma). Sensors without
+        coordinates are not drawn.
     rest : ndarray (n, 2, 3)
         Lines of the mesh, in metres.
     ax : Axes3D, optional
@@ -114,12 +114,12 @@ def draw_mode_misfit(
     Parameters
     ----------
     table : DataFrame
-        Rows of one mode and stage, columns as for `draw_sensor_misfit`. Sensors at one place make one arrow.
+        Rows of one mode and stage, columns as for `draw_sensor_misfit`. Sensors at one place give one arrow.
     rest : ndarray (n, 2, 3)
         Lines of the mesh, in metres.
     ax : Axes3D, optional
     scale : float, optional
-        Metres a sigma; without it, the longest arrow is a tenth of the structure's diagonal.
+        Metres per sigma; by default the longest arrow is a tenth of the structure's diagonal.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def draw_mode_misfit(
 
 
 def sensor_misfit_figure(table: pd.DataFrame, rest: np.ndarray, *, stage: str = "base") -> Figure:
-    """Draw the sensors over all modes, and under them the arrows of the three worst modes on one scale.
+    """Draw the sensors over all modes, and below them the arrows of the three worst modes on one scale.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def sensor_misfit_figure(table: pd.DataFrame, rest: np.ndarray, *, stage: str = 
     return figure
 
 
-def draw_atoms(
+def draw_perturbations(
     table: pd.DataFrame,
     rest: np.ndarray,
     ax: Axes3D | None = None,
@@ -199,22 +199,22 @@ def draw_atoms(
     limit: float | None = None,
     best: pd.DataFrame | None = None,
 ) -> Axes3D:
-    """Draw the scores of local changes of one kind where they would be made.
+    """Draw the scores of local perturbations of one kind at their locations.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``atom, kind, x, y, z`` (m) and ``score`` (signed, in standard deviations; NaN where calibration absorbs
-        the change). Changes without a place are not drawn.
+        Columns ``perturbation, kind, x, y, z`` (m) and ``score`` (signed, in standard deviations; NaN where the
+        parameters absorb the perturbation). Perturbations without coordinates are not drawn.
     rest : ndarray (n, 2, 3)
         Lines of the mesh, in metres.
     ax : Axes3D, optional
     kind : str
         The rows to draw.
     limit : float, optional
-        Score of the strongest colour; without it, that of `score_limit`.
+        Score of the darkest colour; by default that of `score_limit`.
     best : DataFrame, optional
-        Rows to number, as from `best_atoms`.
+        Rows to number, as from `best_perturbations`.
 
     Returns
     -------
@@ -231,53 +231,60 @@ def draw_atoms(
     absorbed = plot_coordinates(place[~known]).T
     ax.plot(*absorbed, "x", color=GREY, markersize=3.0, markeredgewidth=0.7, gid="absorbed", zorder=2)
     draw_dots(ax, place[known], score[known], Normalize(-limit, limit), "RdBu_r", "score")
-    frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place]), f"{kind}, local changes: {len(rows)}")
-    marked = list((best_atoms(table) if best is None else best).index)
+    frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place]), f"{kind}, local perturbations: {len(rows)}")
+    marked = list((best_perturbations(table) if best is None else best).index)
     number_points(ax, place, {k: marked.index(label) + 1 for k, label in enumerate(rows.index) if label in marked})
     return ax
 
 
 def score_limit(table: pd.DataFrame) -> float:
-    """Return the score of the strongest colour: the largest size there is, at least 5."""
+    """Return the score of the darkest colour: the largest absolute score, at least 5."""
     return float(np.nanmax(np.append(table["score"].abs().to_numpy(dtype=float), 5.0)))
 
 
-def best_atoms(table: pd.DataFrame, count: int = 3) -> pd.DataFrame:
-    """Return the rows with the largest sizes of ``score`` among those that have a place."""
+def best_perturbations(table: pd.DataFrame, count: int = 3) -> pd.DataFrame:
+    """Return the rows with the largest absolute ``score`` among those with coordinates."""
     placed = table[table[[*PLACE, "score"]].notna().all(axis=1)]
     return placed.iloc[np.argsort(-placed["score"].abs().to_numpy(dtype=float), kind="stable")[:count]]
 
 
-def atom_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
-    """Draw one panel of `draw_atoms` a kind and name the three best; they are places that would fit, not causes.
+def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
+    """Draw one panel of `draw_perturbations` per kind and name the three best: places to inspect, not causes.
 
     Parameters
     ----------
     table : DataFrame
-        As for `draw_atoms`, and a column ``gamma`` (share of the fingerprint that calibration cannot absorb).
+        As for `draw_perturbations`, and a column ``unabsorbed`` (fraction of the signature that the parameters cannot
+        absorb).
     rest : ndarray (n, 2, 3)
         Lines of the mesh, in metres.
     """
-    kinds = [k for k in (*ATOM_KINDS, *sorted(set(table["kind"]) - {*ATOM_KINDS})) if (table["kind"] == k).any()]
-    kinds = kinds or [ATOM_KINDS[0]]
+    kinds = [
+        k
+        for k in (*PERTURBATION_KINDS, *sorted(set(table["kind"]) - {*PERTURBATION_KINDS}))
+        if (table["kind"] == k).any()
+    ]
+    kinds = kinds or [PERTURBATION_KINDS[0]]
     shown = _everything(rest, table)
     wide, high = seen_size(shown, 0.3 * largest_drawn(shown))
-    # A long low structure is seen best with the panels over one another.
+    # A long low structure is shown best with the panels above one another.
     columns = 1 if high < 0.28 * wide or len(kinds) == 1 else min(len(kinds), 2)
     count = math.ceil(len(kinds) / columns)
     panel = WIDTH / columns
-    best = best_atoms(table)
+    best = best_perturbations(table)
     named = [_in_words(n, row) for n, row in enumerate(best.to_dict("records"), start=1)]
-    words = "\n".join(["largest scores:", *named] if named else ["no local change has a score"])
-    words += "\n×  absorbed by the calibration" if table["score"].isna().any() else ""
-    # The words stand over the colour bar, in the place of a panel where one is free.
+    words = "\n".join(
+        ["largest scores (γ: unabsorbed fraction):", *named] if named else ["no local perturbation has a score"]
+    )
+    words += "\n×  absorbed by the parameters" if table["score"].isna().any() else ""
+    # The list stands above the colour bar, in the place of a panel where one is free.
     foot = FOOT + (0.0 if count * columns > len(kinds) else 0.1 + 0.15 * (words.count("\n") + 1))
     figure = new_figure(count * min(panel * high / wide + 3 * HEADING, panel, 4.4) + foot, foot)
     grid = figure.add_gridspec(count, columns)
     limit = score_limit(table)
     for k, kind in enumerate(kinds):
         ax = figure.add_subplot(grid[k // columns, k % columns], projection="3d")
-        draw_atoms(table, rest, ax, kind=kind, limit=limit, best=best)
+        draw_perturbations(table, rest, ax, kind=kind, limit=limit, best=best)
     show_axes(figure)
     height = float(figure.get_size_inches()[1])
     figure.text(4.5 / WIDTH, (FOOT + 0.02) / height, words, fontsize=8.5, va="bottom")
@@ -287,19 +294,19 @@ def atom_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
 
 
 def _everything(rest: np.ndarray, placed: pd.DataFrame) -> np.ndarray:
-    """Ends of the mesh's lines and the places of a table."""
+    """Ends of the mesh's lines and the coordinates in a table."""
     return np.concatenate([rest.reshape(-1, 3), placed[PLACE].dropna().to_numpy(dtype=float)])
 
 
 def _in_words(number: int, row: dict[Hashable, Any]) -> str:
-    """Name, kind, score and gamma of one of the best, on as many lines as it takes."""
-    name = textwrap.fill(f"{number}  {row['atom']}", 46, subsequent_indent="     ")
-    facts = f"{row['kind']}, z = {row['score']:+.1f}, γ = {row.get('gamma', math.nan):.2f}"
+    """Name, kind, score and unabsorbed fraction of a perturbation, on as many lines as needed."""
+    name = textwrap.fill(f"{number}  {row['perturbation']}", 46, subsequent_indent="     ")
+    facts = f"{row['kind']}, z = {row['score']:+.1f}, γ = {row.get('unabsorbed', math.nan):.2f}"
     return f"{name}\n     {facts.replace('-', '−')}"
 
 
 def _rms(table: pd.DataFrame) -> float:
-    """Root mean square of the real and imaginary parts there are; NaN without any."""
+    """Root mean square of the known real and imaginary parts; NaN without any."""
     parts = table[["re", "im"]].to_numpy(dtype=float)
     parts = parts[np.isfinite(parts)]
     return math.sqrt(float(np.mean(parts**2))) if parts.size else math.nan

@@ -1,1 +1,1 @@
-"""Which parameters matter: samples of the parameter space and rank correlations."""
+"""Global sensitivity analysis: rank correlations, variance shares, elementary effects, and parameter selection."""

@@ -1,4 +1,4 @@
-"""Correlation between parameters that constraints induce, and the rank correlations that it lends."""
+"""Correlation between parameters induced by constraints, and the part of rank correlations that it induces."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from calib.sensitivity.partial import (
 
 @dataclass(frozen=True, eq=False)
 class Decomposition:
-    """Every Spearman value as the parameter's own part plus what its partners lend it.
+    """Every Spearman value as the parameter's own part plus the part induced by correlated parameters (partners).
 
     Attributes
     ----------
     own : DataFrame (n_parameters, n_responses)
-        Standardised coefficient of a linear regression of the response's ranks on the ranks of all parameters: what
-        Spearman's value would be if the inputs were uncorrelated and the rest of the response the same.
-    lent : DataFrame (n_parameters, n_responses)
-        Spearman's value less the own part, which equals the sum over the partners of input correlation times the
-        partner's own part (Wright 1934, path coefficients).
-    lender : DataFrame (n_parameters, n_responses)
-        Name of the partner that lends most in the direction of ``lent``; empty where nobody lends.
+        Standardised coefficient of a linear regression of the response's ranks on the ranks of all parameters: the
+        Spearman value if the inputs were uncorrelated and the rest of the response the same.
+    induced : DataFrame (n_parameters, n_responses)
+        Spearman's value less the own part: the sum over the partners of input correlation times the partner's own part
+        (Wright 1934, path coefficients).
+    partner : DataFrame (n_parameters, n_responses)
+        Name of the partner that contributes most in the direction of ``induced``; empty where none does.
     """
 
     own: pd.DataFrame
-    lent: pd.DataFrame
-    lender: pd.DataFrame
+    induced: pd.DataFrame
+    partner: pd.DataFrame
 
 
 def input_correlation(points: pd.DataFrame) -> pd.DataFrame:
@@ -59,7 +59,7 @@ def input_correlation(points: pd.DataFrame) -> pd.DataFrame:
 
 
 def decompose(points: pd.DataFrame, responses: pd.DataFrame) -> Decomposition:
-    """Split every Spearman value into the parameter's own part and the part that its partners lend.
+    """Split every Spearman value into the parameter's own part and the part induced by its partners.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def decompose(points: pd.DataFrame, responses: pd.DataFrame) -> Decomposition:
     Returns
     -------
     Decomposition
-        NaN (and no lender) where a response or parameter never changes, or the parameter follows exactly from others.
+        NaN (and no partner) where a response or parameter never changes, or the parameter follows exactly from others.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def decompose(points: pd.DataFrame, responses: pd.DataFrame) -> Decomposition:
         When the rows of the two tables do not belong together, or a parameter is unknown somewhere.
     """
     shape = points.shape[1], responses.shape[1]
-    own, lent, lender = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, "", dtype=object)
+    own, induced, partner = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, "", dtype=object)
     names = np.array([str(c) for c in points.columns], dtype=object)
     for columns, of_points, of_responses in rank_blocks(points, responses):
         if degrees_of_freedom(len(of_points), shape[0]) < 1:
@@ -89,15 +89,15 @@ def decompose(points: pd.DataFrame, responses: pd.DataFrame) -> Decomposition:
             beyond = orthonormal_beyond(orthonormal(np.delete(a, i, axis=1)), a[:, [i]])
             if beyond.shape[1]:
                 paths[i] = (beyond[:, 0] @ b) / (beyond[:, 0] @ a[:, i])
-        own[:, columns], lent[:, columns] = paths, a.T @ b - paths
+        own[:, columns], induced[:, columns] = paths, a.T @ b - paths
         between = a.T @ a
         np.fill_diagonal(between, 0.0)
         for i in range(shape[0]):
-            given = np.nan_to_num(between[i][:, None] * paths) * np.sign(lent[i, columns])
-            most = given.argmax(axis=0)
-            lender[i, columns] = np.where(given.max(axis=0) > 0, names[most], "")
+            by_partner = np.nan_to_num(between[i][:, None] * paths) * np.sign(induced[i, columns])
+            most = by_partner.argmax(axis=0)
+            partner[i, columns] = np.where(by_partner.max(axis=0) > 0, names[most], "")
     index = pd.Index(points.columns, name="parameter")
-    tables = (pd.DataFrame(part, index=index, columns=responses.columns) for part in (own, lent, lender))
+    tables = (pd.DataFrame(part, index=index, columns=responses.columns) for part in (own, induced, partner))
     return Decomposition(*tables)
 
 

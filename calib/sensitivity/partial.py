@@ -1,4 +1,4 @@
-"""Partial rank correlation: what is left of a rank correlation when all other parameters are held."""
+"""Partial rank correlation: rank correlation after the other parameters are regressed out."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from calib.errors import InputError
 from calib.sensitivity.ranks import mean_ranks
 
 OWN_PART = 1e-6
-"""Part of a column's length outside the span of others below which rounding alone could have made it."""
+"""Part of a column's length outside the span of the others below which it counts as rounding."""
 
 
 def partial(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
     """Partial rank correlation coefficient (PRCC) of every parameter with every response.
 
     Parameter and response are turned into ranks, the ranks of all other parameters are regressed out of both, and the
-    rests are correlated (Iman and Conover 1979; Marino et al. 2008). A parameter that only follows an active partner,
-    because a constraint binds the two, has nothing left to correlate. Each parameter is projected on an orthonormal
-    basis of the others (pivoted QR), no correlation matrix is inverted: nearly bound inputs cost certainty but no
-    digits, and an inert parameter does not look active however tightly it is bound.
+    residuals are correlated (Iman and Conover 1979; Marino et al. 2008). An inert parameter that a constraint binds to
+    an active partner has no residual to correlate. Each parameter is projected on an orthonormal basis of the others
+    (pivoted QR) and no correlation matrix is inverted: nearly collinear inputs cost certainty but no digits, and an
+    inert parameter does not look active however tightly it is bound.
 
-    Like every linear measure in ranks it is blind to influence that acts alike up and down, and it compares with what
-    the others leave unexplained: a small effect in a smooth model can come close to 1. See `influence` for both.
+    Like every linear measure in ranks it is blind to even effects (the same up and down), and it is relative to what
+    the others leave unexplained: a small effect in a smooth model can come close to 1. `variance_share` covers both.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def partial(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame (n_parameters, n_responses)
         Between -1 and 1; NaN where the response never changes, where the parameter never changes or follows exactly
-        from the others (an equality constraint), where the others explain the response completely, or where no degree
-        of freedom is left.
+        from the others (an equality constraint), where the others explain the response completely, or without degrees
+        of freedom.
 
     Raises
     ------
@@ -59,16 +59,16 @@ def partial(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
             rest = b - others @ (others.T @ b)
             size = np.linalg.norm(rest, axis=0)
             known = size > OWN_PART * np.linalg.norm(b, axis=0)
-            # Basis vectors come with either sign; that of the parameter's own rest is meant.
+            # The sign of a basis vector is arbitrary; take that of the parameter's own residual.
             sign = np.sign(own[:, 0] @ a[:, i])
             out[i, columns[known]] = np.clip(sign * (own[:, 0] @ rest[:, known]) / size[known], -1.0, 1.0)
     return pd.DataFrame(out, index=pd.Index(points.columns, name="parameter"), columns=responses.columns)
 
 
 def partial_noise_floor(n_rows: int, n_parameters: int, n_cells: int, level: float = 0.95) -> float:
-    """Largest size of a partial rank correlation that chance alone gives in a whole table, with the given probability.
+    """Noise floor: bound on every partial rank correlation of a table of inert parameters, with the given probability.
 
-    Without influence ``r sqrt(v/(1 - r**2))`` follows Student's t with ``v = n - 2 - (p - 1)`` degrees of freedom
+    For an inert parameter ``r sqrt(v/(1 - r**2))`` follows Student's t with ``v = n - 2 - (p - 1)`` degrees of freedom
     (Kendall and Stuart 1979, for ranks approximately); the level is shared among the cells (Sidak 1967).
 
     Parameters
@@ -85,7 +85,7 @@ def partial_noise_floor(n_rows: int, n_parameters: int, n_cells: int, level: flo
     Returns
     -------
     float
-        1 when no degree of freedom is left.
+        1 when there are no degrees of freedom.
     """
     if n_rows < 1 or n_parameters < 1 or n_cells < 1 or not 0 < level < 1:
         raise InputError(
@@ -101,11 +101,11 @@ def partial_noise_floor(n_rows: int, n_parameters: int, n_cells: int, level: flo
 
 
 def degrees_of_freedom(n_rows: int, n_parameters: int) -> int:
-    """Of one partial correlation: rows less two, less the parameters regressed out."""
+    """Degrees of freedom of one partial correlation: rows less two, less the parameters regressed out."""
     return n_rows - 2 - (n_parameters - 1)
 
 
-# -- arrays that the other measures share ------------------------------------------------------------------------------
+# -- arrays shared by the measures -------------------------------------------------------------------------------------
 
 
 def table_arrays(points: pd.DataFrame, responses: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
@@ -123,7 +123,7 @@ def table_arrays(points: pd.DataFrame, responses: pd.DataFrame) -> tuple[np.ndar
 
 
 def same_rows(y: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Known rows (bool) and the columns that share exactly these, so that one regression serves them all."""
+    """Known rows (bool) and the columns that have exactly these, so that one regression serves them all."""
     known = np.isfinite(y)
     patterns: dict[bytes, list[int]] = {}
     for j in range(y.shape[1]):
@@ -132,7 +132,7 @@ def same_rows(y: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def rank_blocks(points: pd.DataFrame, responses: pd.DataFrame) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Columns of responses known in the same rows, and there the centred ranks of all parameters and of these."""
+    """Columns of responses known in the same rows, with the centred ranks of all parameters and of these responses."""
     x, y = table_arrays(points, responses)
     for rows, columns in same_rows(y):
         yield columns, centred_ranks(x[rows]), centred_ranks(y[np.ix_(rows, columns)])
@@ -144,7 +144,7 @@ def centred_ranks(a: np.ndarray) -> np.ndarray:
 
 
 def orthonormal(a: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that span those of ``a``, however nearly they depend on each other."""
+    """Orthonormal columns that span those of ``a``, even if these are nearly collinear."""
     size = np.linalg.norm(a, axis=0)
     a = a[:, size > 0] / size[size > 0]
     if a.shape[1] == 0:
@@ -154,7 +154,7 @@ def orthonormal(a: np.ndarray) -> np.ndarray:
 
 
 def orthonormal_beyond(frame: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Orthonormal columns for the part of ``a`` outside the span of ``frame``; parts of rounding only are left out."""
+    """Orthonormal columns for the part of ``a`` outside the span of ``frame``, without parts that are rounding."""
     size = np.linalg.norm(a, axis=0)
     a = a[:, size > 0] / size[size > 0]
     for _ in range(2):  # one projection of nearly dependent columns leaves some rounding behind

@@ -1,4 +1,4 @@
-"""Ranks of the values in a column, on which every rank correlation rests."""
+"""Ranks of the values in a column."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which parameters to select: Spearman, partial rank correlation and influence together, one reason a parameter."""
+"""Parameter selection from Spearman and partial rank correlation and variance share, with one reason per parameter."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.sensitivity.induced import Decomposition, decompose, input_correlation
-from calib.sensitivity.influence import RELEVANT, Influence, influence, joint_influence
 from calib.sensitivity.partial import centred_ranks, orthonormal, partial, partial_noise_floor, table_arrays
 from calib.sensitivity.spearman import FEWEST_ROWS, noise_floor, spearman
+from calib.sensitivity.variance_share import RELEVANT, VarianceShare, joint_variance_share, variance_share
 
 _ROOM = 0.1
-"""Part of a parameter's variance that is its own, below which it counts as bound (variance inflation 10)."""
+"""Tolerance (1 / variance inflation factor) below which a parameter counts as bound to others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,19 +25,19 @@ class Assessment:
     Attributes
     ----------
     spearman, partial : DataFrame (n_parameters, n_responses)
-    influence : Influence
+    variance_share : VarianceShare
     spearman_floor, partial_floor : Series (n_responses,)
-        What chance alone reaches in the whole table; by response, since some are known in fewer rows.
+        Noise floor of the whole table; by response, since some are known in fewer rows.
     input_correlation : DataFrame (n_parameters, n_parameters)
     decomposition : Decomposition
-        What of each Spearman value is lent by partners.
+        Own and induced part of each Spearman value.
     selection : DataFrame
         See `assess`.
     """
 
     spearman: pd.DataFrame
     partial: pd.DataFrame
-    influence: Influence
+    variance_share: VarianceShare
     spearman_floor: pd.Series[float]
     partial_floor: pd.Series[float]
     input_correlation: pd.DataFrame
@@ -46,7 +46,7 @@ class Assessment:
 
     @property
     def sentence(self) -> str:
-        """What the measures select, and where the study differs."""
+        """What the measures select, and where the study's own selection differs."""
         table = self.selection
         named = {flag: table.loc[table[flag], "parameter"].tolist() for flag in ("measured", "selected")}
         out = f"The measures select {len(named['measured'])} of {len(table)} parameters"
@@ -68,10 +68,10 @@ def assess(
 ) -> Assessment:
     """Measure every parameter's effect on every response and select.
 
-    A parameter is selected when its influence passes both the noise floor and ``relevant`` on some response; where the
-    rows are too few to tell influence, its partial rank correlation decides. Spearman's value never does: under a
-    constraint it may belong to a partner. Parameters bound so tightly (variance inflation above 10) that none of them
-    has influence of its own are tried together, and selected together.
+    A parameter is selected when its variance share exceeds both the noise floor and ``relevant`` on some response;
+    with too few rows for a variance share, its partial rank correlation decides. Spearman's value never does: under a
+    constraint it may be induced by a partner. Parameters so collinear (variance inflation factor above 10) that none
+    has a variance share of its own are tested as a group, and selected together.
 
     Parameters
     ----------
@@ -79,19 +79,19 @@ def assess(
     responses : DataFrame (n, n_responses)
         Row for row with ``points``; NaN where unknown.
     forced : sequence of str, optional
-        Parameters that the study selects; they and only they are then ``selected``, whatever the measures say.
+        Parameters that the study selects; exactly these are then ``selected``, whatever the measures say.
     level : float
-        Of all noise floors.
+        Confidence level of all noise floors.
     relevant : float
-        Influence below which a certain effect is too small.
+        Variance share below which a significant effect is too small.
 
     Returns
     -------
     Assessment
-        Its ``selection`` has one row a parameter: ``parameter``; ``max_spearman, spearman_response, spearman_floor``,
-        the same for ``partial`` and ``influence`` (largest value with its sign, where, and the floor there; that of
-        the influence is at least ``relevant``); ``measured`` (what the measures say), ``forced``, ``selected``, and
-        ``why`` in words.
+        Its ``selection`` has one row per parameter: ``parameter``; ``max_spearman, spearman_response, spearman_floor``,
+        the same for ``partial`` and ``variance_share`` (largest value with its sign, where, and the floor there; that
+        of the variance share is at least ``relevant``); ``measured`` (what the measures say), ``forced``, ``selected``,
+        and ``why`` in words.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def assess(
         spearman_floor=_floors(responses, rank, lambda n, m: noise_floor(n, m, level)),
         partial=part,
         partial_floor=_floors(responses, part, lambda n, m: partial_noise_floor(n, points.shape[1], m, level)),
-        influence=influence(points, responses, level),
+        variance_share=variance_share(points, responses, level),
         relevant=relevant,
         decomposition=decompose(points, responses),
     )
@@ -136,7 +136,7 @@ def assess(
     return Assessment(
         spearman=rank,
         partial=part,
-        influence=measures.influence,
+        variance_share=measures.variance_share,
         spearman_floor=measures.spearman_floor,
         partial_floor=measures.partial_floor,
         input_correlation=input_correlation(points),
@@ -163,27 +163,27 @@ class _Measures:
     spearman_floor: pd.Series[float]
     partial: pd.DataFrame
     partial_floor: pd.Series[float]
-    influence: Influence
+    variance_share: VarianceShare
     relevant: float
     decomposition: Decomposition
 
     def limit(self, name: str) -> pd.Series[float]:
-        """Influence that counts, by response."""
-        return _row(self.influence.floor, name).clip(lower=self.relevant)
+        """Smallest variance share that counts, by response."""
+        return _row(self.variance_share.floor, name).clip(lower=self.relevant)
 
     def counts(self, name: str) -> pd.Series[bool]:
-        """Responses, as bool, for whose sake a parameter is selected."""
-        value = _row(self.influence.table, name)
-        certain = _row(self.partial, name).abs() >= self.partial_floor
-        return (value >= self.limit(name)) | (value.isna() & certain)
+        """Responses (bool) for which a parameter is selected."""
+        value = _row(self.variance_share.table, name)
+        significant = _row(self.partial, name).abs() >= self.partial_floor
+        return (value >= self.limit(name)) | (value.isna() & significant)
 
     def largest(self, name: str) -> dict[str, object]:
-        """Largest value of each measure, where it is, and its floor there."""
+        """Largest value of each measure, its response, and the floor there."""
         out: dict[str, object] = {}
         for measure, values, floors in (
             ("spearman", _row(self.spearman, name), self.spearman_floor),
             ("partial", _row(self.partial, name), self.partial_floor),
-            ("influence", _row(self.influence.table, name), self.limit(name)),
+            ("variance_share", _row(self.variance_share.table, name), self.limit(name)),
         ):
             where = _peak(values, values.abs() >= floors)
             out[f"max_{measure}"] = np.nan if where is None else float(values[where])
@@ -197,8 +197,8 @@ class _Measures:
         return "; ".join(self._effects(name, counts)) if counts.any() else self._nothing(name)
 
     def _effects(self, name: str, counts: pd.Series[bool]) -> list[str]:
-        value, part = _row(self.influence.table, name), _row(self.partial, name)
-        straight, curved = _row(self.influence.straight, name), _row(self.influence.curved, name)
+        value, part = _row(self.variance_share.table, name), _row(self.partial, name)
+        straight, curved = _row(self.variance_share.straight, name), _row(self.variance_share.curved, name)
         monotone = (part.abs() >= self.partial_floor) & ~(straight < 0.5)
         out = []
         where = _peak(value.fillna(part.abs()), counts & monotone, only=True)
@@ -214,46 +214,46 @@ class _Measures:
             else:
                 out.append(f"acts on {where} {share}")
         rank = _row(self.spearman, name)
-        turned = (rank.abs() >= self.spearman_floor) & (part.abs() >= self.partial_floor) & (rank * part < 0)
-        where = _peak(rank, turned, only=True)
+        reversed_sign = (rank.abs() >= self.spearman_floor) & (part.abs() >= self.partial_floor) & (rank * part < 0)
+        where = _peak(rank, reversed_sign, only=True)
         if where is not None:
-            out.append(self._lent(name, where))
+            out.append(self._induced(name, where))
         return out
 
     def _nothing(self, name: str) -> str:
-        value, part, rank = (_row(t, name) for t in (self.influence.table, self.partial, self.spearman))
+        value, part, rank = (_row(t, name) for t in (self.variance_share.table, self.partial, self.spearman))
         if rank.isna().all():
             return "no response is known often enough, or the parameter never changed"
         if part.isna().all() and value.isna().all():
-            return "it follows from the other parameters and cannot be told from them"
+            return "it follows from the other parameters and is confounded with them"
         where = _peak(rank, rank.abs() >= self.spearman_floor, only=True)
-        certain = (value >= _row(self.influence.floor, name)) & (value < self.relevant)
-        small = _peak(value, certain, only=True)
+        irrelevant = (value >= _row(self.variance_share.floor, name)) & (value < self.relevant)
+        small = _peak(value, irrelevant, only=True)
         out = []
-        if where is not None and not certain[where]:
-            out.append(self._lent(name, where))
+        if where is not None and not irrelevant[where]:
+            out.append(self._induced(name, where))
         if small is not None:
             out.append(f"moves {small}, but by only {100 * value[small] ** 2:.1f} % of its variance")
-        doubtful = _peak(part, (part.abs() >= self.partial_floor) & ~certain, only=True)
+        doubtful = _peak(part, (part.abs() >= self.partial_floor) & ~irrelevant, only=True)
         if not out and doubtful is not None:
             out.append(
                 f"its partial rank correlation with {doubtful} ({_signed(part[doubtful])}) is not confirmed once "
-                "curved effects of the others are taken out"
+                "nonlinear effects of the others are regressed out"
             )
         return "; ".join(out) or "nothing above the noise"
 
-    def _lent(self, name: str, where: str) -> str:
-        """A Spearman value that is not the parameter's own."""
-        rank, lent = _row(self.spearman, name)[where], _row(self.decomposition.lent, name)[where]
-        lender = str(self.decomposition.lender.at[name, where])
+    def _induced(self, name: str, where: str) -> str:
+        """Sentence on a Spearman value that is not the parameter's own."""
+        rank, induced = _row(self.spearman, name)[where], _row(self.decomposition.induced, name)[where]
+        partner = str(self.decomposition.partner.at[name, where])
         words = f"its Spearman value on {where} ({_signed(rank)})"
-        if lender and lent * rank > 0 and abs(lent) >= 0.5 * abs(rank):
-            return f"{words} belongs to {lender}"
-        return f"{words} is not confirmed by an influence of its own"
+        if partner and induced * rank > 0 and abs(induced) >= 0.5 * abs(rank):
+            return f"{words} is induced by {partner}"
+        return f"{words} is not confirmed by a variance share of its own"
 
 
 def _bound_groups(points: pd.DataFrame, responses: pd.DataFrame, measures: _Measures, level: float) -> dict[str, str]:
-    """Reasons of parameters that only show influence together with those they are bound to."""
+    """Reasons of parameters that have a variance share only together with those they are collinear with."""
     x = centred_ranks(points.to_numpy(dtype=float))
     size = np.linalg.norm(x, axis=0)
     names = [str(c) for c in points.columns]
@@ -278,7 +278,7 @@ def _bound_groups(points: pd.DataFrame, responses: pd.DataFrame, measures: _Meas
             groups.append(group)
     if not groups:
         return {}
-    joint = joint_influence(points, responses, groups, level)
+    joint = joint_variance_share(points, responses, groups, level)
     out: dict[str, str] = {}
     for group, row in zip(groups, joint.table.index, strict=True):
         value = _row(joint.table, row)
@@ -288,8 +288,8 @@ def _bound_groups(points: pd.DataFrame, responses: pd.DataFrame, measures: _Meas
         for name in group:
             partners = " and ".join(n for n in group if n != name)
             out[name] = (
-                f"moves {where} together with {partners} ({100 * value[where] ** 2:.0f} % of its variance), from which "
-                "the constraint leaves it too little room to be told"
+                f"moves {where} together with {partners} ({100 * value[where] ** 2:.0f} % of its variance); the "
+                "constraint makes them collinear"
             )
     return out
 
@@ -300,7 +300,7 @@ def _row(table: pd.DataFrame, name: str) -> pd.Series[float]:
 
 
 def _peak(values: pd.Series[float], wanted: pd.Series[bool], only: bool = False) -> str | None:
-    """Name of the entry of largest size among the wanted; when there is none, among all unless ``only`` those count."""
+    """Name of the largest entry (absolute) among the wanted; without any, among all entries, or None if ``only``."""
     size = values.abs()
     chosen = size[wanted.to_numpy(dtype=bool) & size.notna().to_numpy()]
     if chosen.empty and not only:

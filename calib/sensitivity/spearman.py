@@ -1,4 +1,4 @@
-"""Spearman rank correlation of parameters and responses, and how much of it chance alone gives."""
+"""Spearman rank correlation of parameters and responses, and its noise floor."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FEWEST_ROWS = 3
 def spearman(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
     """Rank correlation of every parameter with every response.
 
-    Each pair uses the rows where both are known, so an unpaired mode costs its own responses and no others.
+    Each pair uses the rows where both are known, so an unpaired mode affects its own responses only.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def counts(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
 
 
 def noise_floor(n_rows: int, n_cells: int, level: float = 0.95) -> float:
-    """Largest size of a rank correlation that chance alone gives in a whole table, with the given probability.
+    """Noise floor: bound on every rank correlation of a table of inert parameters, with the given probability.
 
     Under independence a rank correlation has variance 1/(n - 1) and is close to normal; for m cells taken as
     independent (Sidak 1967) the floor is ``z((1 + level**(1/m))/2) / sqrt(n - 1)``, z being the normal quantile.

@@ -22,11 +22,11 @@ class Design:
     names : tuple of str
         The free parameters.
     points : ndarray (n_points, n_free)
-        Over the free parameters, each in its own unit; whole numbers where the parameter takes only these.
+        Over the free parameters, each in its own unit; integers for integer parameters.
     unit : ndarray (n_points, n_free)
-        The same points as parts of the range, 0 to 1, as they are evaluated (whole numbers rounded).
+        The same points as parts of the range, 0 to 1, as they are evaluated (integers rounded).
     note : str
-        What the points leave out of account, a sentence; empty when nothing.
+        What the points ignore, in one sentence; empty when nothing.
     """
 
     method: Literal["morris", "sobol"]
@@ -47,7 +47,7 @@ def morris_design(
     trajectories : int
     seed : int
     levels : int
-        Even number of grid levels; a step is ``levels/(2(levels - 1))`` of the range, for whole-number parameters
+        Even number of grid levels; a step is ``levels/(2(levels - 1))`` of the range, for integer parameters
         rounded to the nearest value.
     ignore_constraints : bool
         Elementary effects need inputs that vary one by one over the whole box. Constraints are refused, unless this is
@@ -61,11 +61,11 @@ def morris_design(
     note = _independent(space, "elementary effects (Morris)", ignore_constraints)
     if trajectories < 2 or levels < 2 or levels % 2:
         raise InputError(
-            f"{trajectories} trajectories on {levels} levels are asked",
+            f"{trajectories} trajectories on {levels} levels are requested",
             place="Morris",
             remedy="ask for at least 2 trajectories and an even number of levels",
         )
-    from SALib.sample import morris as morris_sampling  # slow to import, and hardly any command asks it
+    from SALib.sample import morris as morris_sampling  # slow to import, and few commands need it
 
     unit = morris_sampling.sample(_problem(space), trajectories, num_levels=levels, seed=seed)
     span = np.where(space.integer, space.upper - space.lower, 1.0)
@@ -74,10 +74,10 @@ def morris_design(
 
 
 def morris_effects(design: Design, responses: pd.DataFrame) -> pd.DataFrame:
-    """Mean size and scatter of the elementary effects (Morris 1991; Campolongo, Cariboni and Saltelli 2007).
+    """Mean size and standard deviation of the elementary effects (Morris 1991; Campolongo, Cariboni and Saltelli 2007).
 
-    An effect is the change of the response over the part of its range that the parameter really moved, so that for a
-    linear response ``mu`` is the coefficient times the range, whole numbers or not.
+    An effect is the change of the response over the part of its range that the parameter actually moved (after
+    rounding of integers), so that for a linear response ``mu`` is the coefficient times the range.
 
     Parameters
     ----------
@@ -90,8 +90,8 @@ def morris_effects(design: Design, responses: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame
         ``parameter, response, mu, mu_star, sigma, trajectories, dropped``: effects in the response's unit over the
-        whole range; a trajectory in which a response is unknown anywhere is dropped for that response, and counted.
-        NaN where fewer than 2 trajectories are left.
+        whole range; a trajectory with an unknown value of a response is dropped for that response, and counted. NaN
+        where fewer than 2 trajectories remain.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def sobol_design(space: ParameterSpace, base: int, seed: int, ignore_constraints
     ----------
     space : ParameterSpace
     base : int
-        A power of 2, as Sobol's sequence asks for.
+        A power of 2, as Sobol's sequence requires.
     seed : int
         Of the scrambling (Owen).
     ignore_constraints : bool
@@ -140,8 +140,8 @@ def sobol_design(space: ParameterSpace, base: int, seed: int, ignore_constraints
     """
     note = _independent(space, "variance shares (Sobol)", ignore_constraints)
     if base < 2 or base & (base - 1):
-        raise InputError(f"{base} base points are asked", place="Sobol", remedy="ask for a power of 2, such as 512")
-    from SALib.sample import sobol as sobol_sampling  # slow to import, and hardly any command asks it
+        raise InputError(f"{base} base points are requested", place="Sobol", remedy="ask for a power of 2, such as 512")
+    from SALib.sample import sobol as sobol_sampling  # slow to import, and few commands need it
 
     unit = sobol_sampling.sample(_problem(space), base, calc_second_order=False, seed=seed)
     points = space.from_unit(unit)
@@ -169,8 +169,7 @@ def sobol_shares(design: Design, responses: pd.DataFrame, seed: int = 0) -> pd.D
     Raises
     ------
     InputError
-        When any value is unknown: the estimators need every point of the design, and no rule for inventing the rest is
-        honest.
+        When any value is unknown: the estimators need every point of the design, and missing values are not imputed.
     """
     y = _rows(design, "sobol", responses)
     unknown = ~np.isfinite(y)
@@ -181,13 +180,13 @@ def sobol_shares(design: Design, responses: pd.DataFrame, seed: int = 0) -> pd.D
             place="Sobol",
             remedy="narrow the limits to where the model can be evaluated, leave that response out, or use Morris",
         )
-    from SALib.analyze import sobol as sobol_analysis  # slow to import, and hardly any command asks it
+    from SALib.analyze import sobol as sobol_analysis  # slow to import, and few commands need it
 
     problem = {"num_vars": len(design.names), "names": list(design.names), "bounds": [[0.0, 1.0]] * len(design.names)}
     out = []
     for j, response in enumerate(responses.columns):
         if np.ptp(y[:, j]) > 0:
-            # SALib takes a seed of 0 for none and then draws from NumPy's global generator.
+            # SALib takes a seed of 0 for none and then uses NumPy's global generator.
             found: Any = sobol_analysis.analyze(problem, y[:, j], calc_second_order=False, seed=seed + 1)
         else:
             found = dict.fromkeys(("S1", "S1_conf", "ST", "ST_conf"), np.full(len(design.names), np.nan))
@@ -197,7 +196,7 @@ def sobol_shares(design: Design, responses: pd.DataFrame, seed: int = 0) -> pd.D
 
 
 def _independent(space: ParameterSpace, what: str, ignore: bool) -> str:
-    """Refuse, or put into words, the constraints that bind free parameters."""
+    """Refuse the constraints that bind free parameters, or return a sentence that they are ignored."""
     if not space.free:
         raise InputError("no parameter is free", place=what, remedy="select at least one parameter")
     free = set(space.free_names)
@@ -209,9 +208,9 @@ def _independent(space: ParameterSpace, what: str, ignore: bool) -> str:
         raise InputError(
             f"{what} need independent parameters, but these are bound by {names}",
             place="sensitivity",
-            remedy="use the partial rank correlation and the influence, or have the constraints ignored",
+            remedy="use the partial rank correlation and the variance share, or have the constraints ignored",
         )
-    return f"Constraints are ignored ({names}): the points fill the whole box, also where no admissible structure is."
+    return f"Constraints are ignored ({names}): the points fill the whole box, infeasible parts included."
 
 
 def _problem(space: ParameterSpace) -> dict[str, Any]:

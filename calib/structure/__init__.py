@@ -1,1 +1,1 @@
-"""What a structural model is: affine matrices over named parameters, their geometry, sensors and modes."""
+"""Structural models: affine matrices over named parameters, geometry, eigenproblem, derivatives, reduction."""

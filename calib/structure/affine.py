@@ -15,7 +15,7 @@ from calib.errors import InputError
 
 
 class Coefficient(Protocol):
-    """A number that follows from parameters in SI; its ``repr`` tells it from any other."""
+    """A scalar function of parameters in SI; its ``repr`` identifies it."""
 
     @property
     def names(self) -> frozenset[str]:
@@ -77,7 +77,7 @@ def parameter(name: str, factor: float = 1.0) -> Monomial:
 
 @dataclass(frozen=True)
 class SeriesLoss:
-    """What a stiffness k loses by a flexibility f in series: ``1/(1/k + f) - k = -k^2 f/(1 + k f)``.
+    """Change of a stiffness k by a flexibility f in series: ``1/(1/k + f) - k = -k^2 f/(1 + k f)``.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class SeriesLoss:
 
 @dataclass(frozen=True)
 class Grown:
-    """A monomial times a power of ``x^2/(x^2 + half^2)``: 0 where a parameter x is 0, all of it far beyond ``half``.
+    """A monomial times a power of ``x^2/(x^2 + half^2)``: 0 at x = 0, the monomial for x far above ``half``.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Grown:
     parameter : str
         x, in SI.
     half : float
-        Where the quotient is a half.
+        Value of x at which the quotient is 1/2, SI.
     power : int
     """
 
@@ -149,16 +149,16 @@ class Grown:
 
 @dataclass(frozen=True)
 class StretchPower:
-    """Coefficient ``t**power`` on a stretch of one parameter in SI, on which t grows from 0 to 1, and 0 elsewhere.
+    """Coefficient ``t**power`` on an interval of one parameter in SI, where t grows from 0 to 1; 0 outside it.
 
     Attributes
     ----------
     parameter : str
     start, end : float
-        Where t is 0 and 1; the end may lie below the start. The stretch holds its start, not its end.
+        Where t is 0 and 1; the end may lie below the start. The interval includes its start, not its end.
     power : int
     last : bool
-        The stretch goes on beyond its end.
+        The interval continues beyond its end.
     """
 
     parameter: str
@@ -181,7 +181,7 @@ class StretchPower:
         return t**self.power if t >= 0 and (t < 1 or self.last) else 0.0
 
     def derivative(self, values: Mapping[str, float], name: str) -> float:
-        """Derivative with respect to one parameter in SI; where stretches meet each gives half of its own."""
+        """Derivative with respect to one parameter in SI; where intervals meet, each gives half of its own."""
         t = self._along(values)
         if name != self.parameter or self.power == 0 or t < 0 or (t > 1 and not self.last):
             return 0.0
@@ -200,7 +200,7 @@ class Term:
 
 @dataclass(frozen=True)
 class SelectedTerm:
-    """A rank-one term ``c(theta) b b^T`` whose vector is picked by discrete parameters.
+    """A rank-one term ``c(theta) b b^T`` whose vector is selected by discrete parameters.
 
     Attributes
     ----------
@@ -218,7 +218,7 @@ class SelectedTerm:
     vectors: Mapping[tuple[int, ...], np.ndarray]
 
     def choice(self, values: Mapping[str, float]) -> tuple[int, ...]:
-        """The combination of selector values at a point; InputError when there is no vector for it."""
+        """The combination of selector values at a point; InputError without a vector for it."""
         key = tuple(round(values[name]) for name in self.selectors)
         if key not in self.vectors:
             named = ", ".join(f"{n} = {v}" for n, v in zip(self.selectors, key, strict=True))
@@ -255,15 +255,15 @@ class AffineMatrix:
 
     @cached_property
     def _pattern(self) -> _Pattern:
-        """Made when first asked for: a model that is only projected on a few vectors never needs it."""
+        """Assembled on first use: a model that is only projected on a basis never needs it."""
         n = self.n_dof
         blocks = [{key: _outer(b) for key, b in s.vectors.items()} for s in self.selected]
         coos = [sp.coo_array(term.matrix) for term in self.terms]
         entries = [(coo.row, coo.col) for coo in coos]
         entries += [(rows, cols) for options in blocks for rows, cols, _ in options.values()]
-        # Positions column by column: their order is that of a compressed sparse column matrix.
+        # Sorted by column, then row: the order of a compressed sparse column matrix.
         keys = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(_key(r, c, n) for r, c in entries)]))
-        # Entries over terms, (n_entries, n_terms): most terms touch few of the entries.
+        # Entries over terms, (n_entries, n_terms): most terms have few of the entries.
         rows = [np.searchsorted(keys, _key(coo.row, coo.col, n)) for coo in coos]
         picks = [
             {key: (np.searchsorted(keys, _key(rows, cols, n)), data) for key, (rows, cols, data) in options.items()}
@@ -278,14 +278,14 @@ class AffineMatrix:
 
     @cached_property
     def roots(self) -> frozenset[str]:
-        """Parameters that stand under a root: their derivative is infinite where they are 0."""
+        """Parameters raised to a power below 1: the derivative is infinite where they are 0."""
         coefficients = [*(t.coefficient for t in self.terms), *(t.coefficient for t in self.selected)]
         powers = [p for c in coefficients if isinstance(c, Monomial) for p in c.powers]
         return frozenset(name for name, power in powers if 0 < power < 1)
 
     @property
     def is_zero(self) -> bool:
-        """Whether there is no term at all."""
+        """Whether the matrix has no terms."""
         return not self.terms and not self.selected
 
     def __call__(self, values: Mapping[str, float]) -> sp.csc_array:
@@ -300,8 +300,7 @@ class AffineMatrix:
     def derivative(self, values: Mapping[str, float], name: str) -> sp.csc_array:
         """Derivative of the matrix with respect to one parameter in SI, shape (n_dof, n_dof).
 
-        It holds only what the parameter touches. A discrete parameter that selects a vector has none: it counts as
-        fixed.
+        It holds only entries that the parameter changes. A discrete parameter that selects a vector counts as fixed.
         """
         parts: list[sp.csr_array] = []
         for term in self.terms:
@@ -330,7 +329,7 @@ class AffineMatrix:
 
 @dataclass(frozen=True, eq=False)
 class _Pattern:
-    """The sparsity all terms share, their entries on it (n_entries, n_terms), and those of every selected vector."""
+    """The common sparsity pattern, entries of the terms (n_entries, n_terms) and of every selected vector."""
 
     indptr: np.ndarray
     indices: np.ndarray

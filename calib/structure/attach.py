@@ -1,7 +1,7 @@
-"""What effects are made of: springs between places, parts that are off, hung masses, dampers on soft mounts.
+"""Building blocks of effects: springs between points, scaled parts, oscillators, dampers on flexible mounts.
 
-All act at points of the geometry through a model's locator, or on named parts, so that an effect is the same on every
-mesh.
+Each acts at points of the geometry, found by the model's locator, or on named parts, so that an effect does not depend
+on the mesh.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ Place = tuple[str | None, tuple[float, float, float]]
 
 
 def motion(model: StructuralModel, place: Place, direction: int) -> np.ndarray:
-    """Motion of a place over the model's degrees of freedom, (n_dof,); direction 0..5 for ux, uy, uz, rx, ry, rz.
+    """Motion of a point over the model's degrees of freedom, (n_dof,); direction 0..5 for ux, uy, uz, rx, ry, rz.
 
-    InputError for an unknown part, or a point farther from its part than the model is large.
+    InputError for an unknown part, or a point farther from its part than the size of the model.
     """
     part, point = place
     row, distance = model.locator.row(point, direction, part)
@@ -39,7 +39,7 @@ def motion(model: StructuralModel, place: Place, direction: int) -> np.ndarray:
 
 
 def between(model: StructuralModel, one: Place, other: Place, direction: int) -> np.ndarray:
-    """Relative motion of two places, (n_dof,); for translations both should be one point, or rotations would enter."""
+    """Relative motion of two points, (n_dof,); for translations they should coincide, or rotations contribute."""
     return motion(model, one, direction) - motion(model, other, direction)
 
 
@@ -58,44 +58,44 @@ def part_of(model: StructuralModel, kind: PartKind, name: str) -> Part:
     return found[0]
 
 
-def scaled_part(model: StructuralModel, kind: PartKind, name: str, strength: str, factor: float = 1.0) -> Term:
-    """What a part gains when it is ``1 + factor * strength`` times itself."""
+def scaled_part(model: StructuralModel, kind: PartKind, name: str, magnitude: str, factor: float = 1.0) -> Term:
+    """Term that scales a part by ``1 + factor * magnitude``."""
     part = part_of(model, kind, name)
-    powers = (*part.coefficient.powers, (strength, 1.0))
-    return Term(f"{strength}: {name}", part.matrix, Monomial(factor * part.coefficient.factor, powers))
+    powers = (*part.coefficient.powers, (magnitude, 1.0))
+    return Term(f"{magnitude}: {name}", part.matrix, Monomial(factor * part.coefficient.factor, powers))
 
 
 def softened_part(model: StructuralModel, name: str, flexibility: str) -> Term:
-    """What the springs of a part lose by a flexibility in series with each.
+    """Change of a part's stiffness by a flexibility in series with each of its springs.
 
-    The part's coefficient is the stiffness of each of them, and no two of them share an end.
+    The part's coefficient is the stiffness of each spring; no two springs share an end.
     """
     part = part_of(model, "stiffness", name)
     return Term(f"{flexibility}: {name}", part.matrix, SeriesLoss(part.coefficient, parameter(flexibility)))
 
 
 def moved_masses(motions: Callable[[float], np.ndarray], shift: str, reach: float, stretches: int) -> tuple[Term, ...]:
-    """What masses of a model add to its mass when they sit off their places, all by one shift.
+    """Mass terms that shift masses of a model from their positions, all by one distance.
 
-    They are taken away where they are and put where they are moved to, so that they load what carries them there. The
-    motion of what carries them is a cubic of the shift on each of some stretches either way, as that of a beam is
-    between its nodes; the mass is then a polynomial there, nowhere negative, and at shift 0 the model's own.
+    The masses are removed at their positions and added at the shifted ones, so that they load the carrier there. The
+    carrier's motion is a cubic polynomial of the shift on each interval, like that of a beam between its nodes; the
+    mass is then a polynomial there, nowhere negative, and at shift 0 the model's own.
 
     Parameters
     ----------
     motions : callable
-        From a shift in m to the motions of the masses there, (n_motions, n_dof), each times the root of its mass or
-        moment of inertia; at shift 0 those that the model has.
+        From a shift in m to the motions of the masses there, (n_motions, n_dof), each times the square root of its mass
+        or moment of inertia; at shift 0 those of the model.
     shift : str
         Name of the parameter.
     reach : float
-        Largest shift either way, m.
+        Largest shift in either direction, m.
     stretches : int
-        Either way; as many as elements of what carries the masses are enough.
+        Intervals in either direction; one for each element of the carrier is enough.
     """
     places = (1 - np.cos(np.linspace(0, np.pi, 4))) / 2
     weights = np.linalg.inv(np.vander(places, increasing=True))
-    weights[0] = (1, 0, 0, 0)  # free of rounding, so that nothing remains at shift 0
+    weights[0] = (1, 0, 0, 0)  # exact, so that the terms vanish at shift 0
     own = sp.csr_array(motions(0.0))
     n, terms = own.shape[0], []
     for side in (1, -1):
@@ -123,21 +123,21 @@ def moved_masses(motions: Callable[[float], np.ndarray], shift: str, reach: floa
 
 
 def hung_masses(rows: Sequence[np.ndarray], mass: str, freq: str, damping_ratio: float, share: float = 1.0) -> Addition:
-    """Masses hung elastically at motions of a model, one degree of freedom each.
+    """Masses attached to a model by springs, one added degree of freedom each.
 
-    With b the motion of the attachment and s the relative motion times the root of the mass, the kinetic energy is
-    ``m b'^2/2 + sqrt(m) b' s' + s'^2/2`` and the strain energy ``(2 pi f)^2 s^2/2``: regular at mass 0, where the
-    oscillators stand by themselves.
+    With b the motion of the attachment and s the relative motion times the square root of the mass, the kinetic energy
+    is ``m b'^2/2 + sqrt(m) b' s' + s'^2/2`` and the strain energy ``(2 pi f)^2 s^2/2``: regular at mass 0, where the
+    oscillators are decoupled.
 
     Parameters
     ----------
     rows : sequence of ndarray (n_dof,)
     mass, freq : str
-        Names of the parameters: mass of them all together, natural frequency on a fixed base.
+        Names of the parameters: total mass, natural frequency on a fixed base.
     damping_ratio : float
         Of the oscillators on a fixed base.
     share : float
-        Part of the mass that each of them takes, times their number.
+        Fraction of the mass in each oscillator, times their number.
     """
     count = len(rows)
     part = share / count
@@ -155,17 +155,17 @@ def hung_masses(rows: Sequence[np.ndarray], mass: str, freq: str, damping_ratio:
 
 
 def loosened_masses(rows: Sequence[np.ndarray], sag: str, damping_ratio: float) -> Addition:
-    """Masses that a model carries rigidly, let go on springs, one degree of freedom for each row.
+    """Masses that a model carries rigidly, released on springs, one added degree of freedom for each row.
 
-    With b a row (motion times root of the mass), ``s = sag/gravity = 1/omega^2`` and ``g sqrt(s)`` the motion relative
-    to it, the kinetic energy is ``(b' + sqrt(s) g')^2/2``, whose first part the model has, and the strain energy
-    ``g^2/2``: regular at sag 0, where g is 0.
+    With b a row (motion times the square root of the mass), ``s = sag/gravity = 1/omega^2`` and ``g sqrt(s)`` the
+    motion relative to it, the kinetic energy is ``(b' + sqrt(s) g')^2/2``, whose first term the model has, and the
+    strain energy ``g^2/2``: regular at sag 0, where g is 0.
 
     Parameters
     ----------
     rows : sequence of ndarray (n_dof,)
     sag : str
-        Name of the parameter: by how much a mass presses its springs down.
+        Name of the parameter: static deflection of the springs under the mass.
     damping_ratio : float
         Of the masses on a fixed base.
     """
@@ -182,17 +182,18 @@ def loosened_masses(rows: Sequence[np.ndarray], sag: str, damping_ratio: float) 
 
 
 def maxwell_branches(rows: Sequence[np.ndarray], stiffness: str, corner_freq: str) -> Addition:
-    """Springs with a damper in series (Maxwell elements) beside what a model has, one degree of freedom each.
+    """Springs with a damper in series (Maxwell elements) added to a model, one degree of freedom each.
 
     With b the elongation of the branch, k its spring and ``g/sqrt(k)`` the stroke of its damper, the strain energy is
-    ``(sqrt(k) b - g)^2/2`` and the dissipation ``g'^2/(2 pi f)``: regular at stiffness 0, where g stands by itself.
+    ``(sqrt(k) b - g)^2/2`` and the dissipation ``g'^2/(2 pi f)``: regular at stiffness 0, where g is decoupled.
 
     Parameters
     ----------
     rows : sequence of ndarray (n_dof,)
         Elongation of each branch.
     stiffness, corner_freq : str
-        Names of the parameters: stiffness of each spring, and the frequency f at which its damper is as stiff.
+        Names of the parameters: stiffness of each spring, and the corner frequency f, at which its damper has the same
+        dynamic stiffness.
     """
     count = len(rows)
     own, cross = _beside(rows)
@@ -208,17 +209,17 @@ def maxwell_branches(rows: Sequence[np.ndarray], stiffness: str, corner_freq: st
 
 
 def soft_mounts(rows: Sequence[np.ndarray], damping: str, flexibility: str) -> Addition:
-    """Dampers that a model holds rigidly, each with the flexibility of its mount in series (Maxwell elements).
+    """Flexible mounts in series with dampers that a model mounts rigidly (Maxwell elements).
 
-    With s the flexibility and ``g = x/sqrt(s)`` for the deflection x of the mount, the balance of forces between mount
-    and damper is ``g + c s g' - c sqrt(s) b' = 0``: regular at flexibility 0, where g is 0.
+    With s the flexibility and ``g = x/sqrt(s)`` for the deflection x of the mount, the force balance between mount and
+    damper is ``g + c s g' - c sqrt(s) b' = 0``: regular at flexibility 0, where g is 0.
 
     Parameters
     ----------
     rows : sequence of ndarray (n_dof,)
         Elongation of each damper.
     damping, flexibility : str
-        Names of the parameters: constant of each damper, flexibility of each mount.
+        Names of the parameters: damping constant of each damper, flexibility of each mount.
     """
     count = len(rows)
     own, cross = _beside(rows)
@@ -233,7 +234,7 @@ def soft_mounts(rows: Sequence[np.ndarray], damping: str, flexibility: str) -> A
 
 
 def elongation(model: StructuralModel, one: Place, other: Place) -> np.ndarray:
-    """Elongation of a rod between two places, (n_dof,), along the line that joins them."""
+    """Elongation of a rod between two points, (n_dof,), along the line that joins them."""
     along = np.subtract(one[1], other[1])
     along = along / np.linalg.norm(along)
     moves = [motion(model, one, d) - motion(model, other, d) for d in range(3)]
@@ -241,7 +242,7 @@ def elongation(model: StructuralModel, one: Place, other: Place) -> np.ndarray:
 
 
 def _beside(rows: Sequence[np.ndarray]) -> tuple[sp.csr_array, sp.csr_array]:
-    """Unit matrix of one added degree of freedom a row, and its coupling with that row; over all degrees of freedom."""
+    """Identity on one added degree of freedom a row, and its coupling with that row; over all degrees of freedom."""
     n, count = len(rows[0]), len(rows)
     own = sp.csr_array(sp.diags_array(np.concatenate([np.zeros(n), np.ones(count)])))
     own.eliminate_zeros()

@@ -1,4 +1,4 @@
-"""A frozen set of vectors that the shapes of a model are composed of, whatever its parameters."""
+"""Reduced basis: a fixed set of vectors that spans the mode shapes over the parameter space."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CHECK_COLUMNS = ("round", "size", "indicator", "error")
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Vectors for a reduced model, with everything that went into choosing them. All arrays are read-only.
+    """Vectors of a reduced model, with the settings and samples they were trained on. All arrays are read-only.
 
     Attributes
     ----------
@@ -33,23 +33,23 @@ class Basis:
     names : tuple of str
         All parameters of the model, the columns of the arrays below; each in its own unit.
     reference, lower, upper : ndarray (n_names,)
-        Values of the inner product, and the limits the basis was trained within (equal where a parameter was fixed).
+        Reference values of the inner product, and limits of training (equal where a parameter was fixed).
     offset : float
         1/s^2; 0 unless the model has rigid-body motions.
     count : int
         Number of modes it was trained for.
     freq_max, damping_max : float
-        Only modes below this natural frequency in Hz and this damping ratio had to meet the tolerance.
+        Modes above this natural frequency in Hz or this damping ratio are exempt from the tolerance.
     tolerance : float
-        Relative eigenvalue error aimed at.
+        Target relative eigenvalue error.
     samples : ndarray (n_samples, n_names)
         Points whose full-order modes are in the basis.
     checks : ndarray (n_checks, 4)
-        Every fresh point looked at in training: round, size of the basis, largest error indicator there, and largest
-        error of eigenvalue or shape against the full model where that was solved too (else NaN; infinite for a missed
+        Every validation point of the training: round, size of the basis, largest error indicator there, and largest
+        error of eigenvalue or shape against the full model where it was solved too (else NaN; infinite for a missed
         mode).
     seed, version : int
-        The version counts up whenever vectors are added.
+        The version is incremented whenever vectors are added.
     """
 
     vectors: np.ndarray
@@ -93,12 +93,12 @@ class Basis:
         return out.hexdigest()[:16]
 
     def table(self) -> pd.DataFrame:
-        """The fresh points looked at in training: columns ``round, size, indicator, error`` as in `checks`."""
+        """Validation points of the training: columns ``round, size, indicator, error`` as in `checks`."""
         table = pd.DataFrame(self.checks, columns=list(CHECK_COLUMNS))
         return table.astype({"round": int, "size": int})
 
     def covers(self, space: ParameterSpace) -> bool:
-        """Whether a space lies within the limits that the basis was trained within."""
+        """Whether a space lies within the training limits."""
         low, high = dict(zip(self.names, self.lower, strict=True)), dict(zip(self.names, self.upper, strict=True))
         if set(space.names) != set(self.names):
             return False
@@ -111,14 +111,14 @@ class Basis:
         return True
 
     def carried(self, space: ParameterSpace, n_dof: int) -> Basis:
-        """The same for an extension of the model, whose own degrees of freedom and parameters come first.
+        """The basis of an extended model, which lists the degrees of freedom and parameters of the base model first.
 
         Parameters
         ----------
         space : ParameterSpace
-            Of the extension; its further parameters are free within their limits.
+            Of the extended model; added parameters are free within their limits.
         n_dof : int
-            Of the extension; its further degrees of freedom stand for themselves.
+            Of the extended model; each added degree of freedom becomes a vector.
         """
         more = n_dof - len(self.vectors)
         vectors = np.zeros((n_dof, self.size + more))
@@ -143,7 +143,7 @@ class Basis:
     # -- files ---------------------------------------------------------------------------------------------------------
 
     def _header(self) -> str:
-        plain = {
+        fields = {
             "format": _FORMAT,
             "model_fingerprint": self.model_fingerprint,
             "names": list(self.names),
@@ -155,10 +155,10 @@ class Basis:
             "seed": self.seed,
             "version": self.version,
         }
-        return json.dumps(plain, sort_keys=True)
+        return json.dumps(fields, sort_keys=True)
 
     def save(self, path: Path) -> None:
-        """Write one ``.npz`` file, whole or not at all."""
+        """Write one ``.npz`` file, atomically."""
         try:
             with replacing(path) as draft, draft.open("wb") as file:
                 np.savez(
@@ -172,21 +172,21 @@ class Basis:
 
     @staticmethod
     def load(path: Path) -> Basis:
-        """Read what `save` wrote; InputError for a file that is missing, damaged or of another kind."""
-        remedy = "delete it and train anew"
+        """Read a file written by `save`; InputError when it is missing, damaged or of another kind."""
+        remedy = "delete it and train again"
         try:
             with np.load(path, allow_pickle=False) as file:
                 stored = {name: file[name] for name in (*_ARRAYS, "header", "digest")}
             header = json.loads(str(stored["header"]))
             if header.pop("format") != _FORMAT:
-                raise InputError("it is no reduced basis of this version", place=path, remedy=remedy)
+                raise InputError("it is not a reduced basis of this version", place=path, remedy=remedy)
             header["names"] = tuple(header["names"])
             basis = Basis(**{name: stored[name] for name in _ARRAYS}, **header)
         except FileNotFoundError:
             raise InputError("there is no such file", place=path) from None
         except InputError:
             raise
-        except Exception as fault:  # a damaged archive raises what its zip, zlib, json or numpy layer happens to
+        except Exception as fault:  # a damaged archive raises errors of the zip, zlib, json or numpy layer
             words = f"it is not a readable reduced basis ({type(fault).__name__}: {fault})"
             raise InputError(words, place=path, remedy=remedy) from None
         if basis.digest != str(stored["digest"]):

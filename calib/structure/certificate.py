@@ -1,4 +1,4 @@
-"""How far a reduced model is from the full one, by solving both."""
+"""Errors of a reduced model against the full model, both solved at the same points."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel
 
 _CLUSTER = 0.01
-"""Modes nearer than this in frequency, relatively, are compared as one subspace: alone they are ill-defined."""
+"""Modes closer than this relative frequency difference are compared as one subspace: single shapes are ill-defined."""
 _LOST = 0.1
-"""A full-order mode is missed when no reduced one near it has a squared projection error below this."""
+"""A full-order mode is missed when no reduced mode near it has a squared projection error below this."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModeErrors:
-    """Errors of the modes of a reduced model at one point, for those full-order modes that are judged.
+    """Errors of the modes of a reduced model at one point, for the full-order modes within its tolerance range.
 
     Attributes
     ----------
-    mode : ndarray (n_judged,), int
+    mode : ndarray (n_checked,), int
         Index of the full-order mode.
-    eigenvalue : ndarray (n_judged,)
+    eigenvalue : ndarray (n_checked,)
         ``|lambda_reduced - lambda|/|lambda|``; NaN for a missed mode.
-    shape : ndarray (n_judged,)
+    shape : ndarray (n_checked,)
         1 - MAC of the reduced shape with the span of the full-order shapes within 1 % in frequency; NaN for a missed
         mode.
-    indicator : ndarray (n_judged,)
-        What `ReducedModel.indicator` said of it; NaN for a missed mode.
-    missed : ndarray (n_judged,), bool
-        Full-order modes that the reduced model does not have.
+    indicator : ndarray (n_checked,)
+        Estimate of `ReducedModel.indicator`; NaN for a missed mode.
+    missed : ndarray (n_checked,), bool
+        Full-order modes without a counterpart in the reduced model.
     """
 
     mode: np.ndarray
@@ -44,7 +44,7 @@ class ModeErrors:
 
     @property
     def worst(self) -> float:
-        """Largest eigenvalue or shape error; infinite when a mode is missed, 0 when none is judged."""
+        """Largest eigenvalue or shape error; infinite when a mode is missed, 0 when no mode is checked."""
         if self.missed.any():
             return float("inf")
         return float(max(np.max(self.eigenvalue, initial=0.0), np.max(self.shape, initial=0.0)))
@@ -55,8 +55,8 @@ def mode_errors(
 ) -> ModeErrors:
     """Compare reduced modes with full-order ones at named values.
 
-    Full-order modes below the frequency and damping ratio that the basis was trained for are judged. Every one takes
-    the nearest unused root of the reduced model; the comparison is as complete as the full-order list is.
+    Full-order modes below the frequency and damping ratio that the basis was trained for are checked. Each takes the
+    nearest free eigenvalue of the reduced model; the comparison is as complete as the full-order list.
 
     Parameters
     ----------
@@ -76,33 +76,33 @@ def mode_errors(
     extra = full if full is not None else reduced.model.modes(values, count + 4)
     estimate = reduced.indicator(values, modes)
     lifted = reduced.lift(modes.shapes)
-    truth, found = _roots(extra), _roots(modes)
+    truth, found = _eigenvalues(extra), _eigenvalues(modes)
     basis = reduced.basis
-    judged = np.flatnonzero(
+    checked = np.flatnonzero(
         (extra.natural_freq <= basis.freq_max)
         & (extra.damping_ratio < basis.damping_max)
         & (np.arange(extra.n_modes) < count)
     )
-    eigenvalue, shape, indicator = (np.full(len(judged), np.nan) for _ in range(3))
-    missed = np.ones(len(judged), dtype=bool)
-    unused = np.ones(modes.n_modes, dtype=bool)
-    for row, i in enumerate(judged):
+    eigenvalue, shape, indicator = (np.full(len(checked), np.nan) for _ in range(3))
+    missed = np.ones(len(checked), dtype=bool)
+    free = np.ones(modes.n_modes, dtype=bool)
+    for row, i in enumerate(checked):
         gap = np.abs(found - truth[i]) / abs(truth[i])
         near = np.abs(extra.natural_freq / extra.natural_freq[i] - 1) < _CLUSTER
-        outside = _outside_span(lifted, extra.shapes[:, near])
-        candidates = np.flatnonzero(unused & (outside < _LOST))
+        error = _projection_error(lifted, extra.shapes[:, near])
+        candidates = np.flatnonzero(free & (error < _LOST))
         if not len(candidates):
             continue
         j = candidates[np.argmin(gap[candidates])]
-        unused[j], missed[row] = False, False
-        eigenvalue[row], shape[row], indicator[row] = gap[j], outside[j], estimate[j]
-    return ModeErrors(judged, eigenvalue, shape, indicator, missed)
+        free[j], missed[row] = False, False
+        eigenvalue[row], shape[row], indicator[row] = gap[j], error[j], estimate[j]
+    return ModeErrors(checked, eigenvalue, shape, indicator, missed)
 
 
 def certificate(
     reduced: ReducedModel, points: Sequence[Mapping[str, float]], count: int
 ) -> tuple[pd.DataFrame, list[ModeErrors]]:
-    """Compare both models at many points: one row a quantity with its largest, 99 % and median value.
+    """Compare both models at many points: one row per quantity with its largest, 99 % and median value.
 
     Returns
     -------
@@ -124,11 +124,11 @@ def certificate(
     return pd.DataFrame(rows, columns=["quantity", "max", "quantile_99", "median", "above_tolerance"]), errors
 
 
-def _roots(modes: Modes) -> np.ndarray:
+def _eigenvalues(modes: Modes) -> np.ndarray:
     return 2 * np.pi * (-modes.damping_ratio * modes.natural_freq + 1j * modes.damped_freq)
 
 
-def _outside_span(shapes: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def _projection_error(shapes: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """1 - MAC of each shape with the span of others, (n_modes,)."""
     basis = np.linalg.qr(truth / np.linalg.norm(truth, axis=0))[0]
     unit = shapes / np.linalg.norm(shapes, axis=0)

@@ -21,17 +21,17 @@ Matrix = Any
 """A dense ndarray or a SciPy sparse array, shape (n_dof, n_dof), symmetric; a derivative need only be multiplied."""
 
 NEIGHBOUR = 0.1
-"""Roots nearer than this part of their modulus are solved as one group: the bordered matrix then stays regular."""
+"""Eigenvalues closer than this fraction of their modulus form one group: the bordered matrix then stays regular."""
 
 REPEATED = 1e-7
-"""Roots nearer than this part of their modulus are one repeated root, whose single shapes have no derivative."""
+"""Eigenvalues closer than this fraction of their modulus count as repeated; single shapes have no derivative."""
 
 _RESIDUAL = 1e-6
-"""Largest relative residual of a bordered solve; beyond it an unsolved neighbour makes the matrix singular."""
+"""Largest relative residual of a bordered solve; beyond it an unsolved close mode makes the matrix singular."""
 
 
 class DifferentiableModel(Protocol):
-    """What a model must offer: matrices and their derivatives at named values, sparse or dense."""
+    """A model with matrices and their derivatives at named values, sparse or dense."""
 
     @property
     def space(self) -> ParameterSpace:
@@ -43,29 +43,29 @@ class DifferentiableModel(Protocol):
         ...
 
     def matrix_derivatives(self, values: Mapping[str, float], name: str) -> tuple[Matrix, Matrix, Matrix]:
-        """dK, dC, dM per one of the parameter's own unit."""
+        """dK, dC, dM per unit of the parameter."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ModeDerivatives:
-    """Derivatives of chosen modes, per one of each parameter's own unit.
+    """Derivatives of chosen modes, per unit of each parameter.
 
     Attributes
     ----------
     names : tuple of str
-        Parameters, length n_params; a whole-number parameter has derivatives of zero.
+        Parameters, length n_params; an integer parameter has derivatives of zero.
     eigenvalue : ndarray (n_params, n_modes), complex
         Of lambda, 1/s; an undamped mode has ``lambda = i omega``.
     shapes : ndarray (n_params, n_rows, n_modes)
-        Of the shapes as they are normalised in `Modes`, at all degrees of freedom or at the sensors asked for (no rows
-        when none were); the columns of irregular modes are NaN.
+        Of the shapes as they are normalised in `Modes`, at all degrees of freedom or at the requested sensors (no rows
+        without any); the columns of irregular modes are NaN.
     natural_freq, damped_freq : ndarray (n_params, n_modes)
         Hz.
     damping_ratio : ndarray (n_params, n_modes)
     regular : ndarray (n_modes,), bool
-        False for a repeated root that the parameters split, or one too close to a root that was not solved: its shape
-        has no derivative, and its eigenvalue's is the mean over the group.
+        False for a repeated eigenvalue that the parameters split, or one too close to an eigenvalue that was not
+        solved: the shape has no derivative, and the eigenvalue's is the mean over the group.
     """
 
     names: tuple[str, ...]
@@ -78,13 +78,13 @@ class ModeDerivatives:
 
 
 class Analytic:
-    """What of a `calib.structure.modal_model.ModalModel` follows from matrices and their derivatives, of any type."""
+    """The part of `calib.structure.modal_model.ModalModel` that follows from matrices and their derivatives."""
 
     @property
     def dissipates(self: DifferentiableModel) -> bool:
-        """Whether its modes are damped at the adopted values, or would be with another parameter."""
+        """Whether its modes are damped at the nominal or other parameter values."""
         values = self.space.values
-        # Derivatives only where they are needed: some matrices have none at 0.
+        # Derivatives are evaluated only where needed: some matrices have none at 0.
         slopes = (self.matrix_derivatives(values, name) for name in self.space.names)
         return _has_entries(self.matrices(values)[1]) or any(_has_entries(damping) for _, damping, _ in slopes)
 
@@ -97,11 +97,11 @@ class Analytic:
         rows: np.ndarray,
         at: Callable[[Mapping[str, float]], Modes] | None = None,
     ) -> ModeDerivatives:
-        """Analytic derivatives of some modes, for which no further point is solved; see `mode_derivatives`."""
+        """Analytic derivatives of some modes, without further solves; see `mode_derivatives`."""
         return mode_derivatives(self, values, modes, names, which, rows)
 
     def weighted(self: DifferentiableModel, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """Shapes times the mass matrix, (n_dof, n_modes): the weight in which they are orthogonal."""
+        """Shapes times the mass matrix, (n_dof, n_modes), the weight of their orthogonality."""
         return np.asarray(self.matrices(values)[2] @ shapes)
 
 
@@ -127,13 +127,13 @@ def mode_derivatives(
     values : mapping
         Named values at which ``modes`` were solved.
     modes : Modes
-        All modes solved there; the more of them, the more close neighbours are known.
+        All modes solved there; more modes make more close neighbours known.
     names : sequence of str
     which : sequence of int, optional
         Indices of the modes wanted; default all.
     rows : ndarray (n_rows, n_dof), optional
-        Motions wanted of the shapes, such as the sensors'; default all degrees of freedom. An array without rows leaves
-        shapes out and saves their solves.
+        Output rows for the shapes, such as the sensors'; default all degrees of freedom. An array without rows skips
+        the shapes and their solves.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def mode_derivatives(
     """
     for name in names:
         if name not in model.space:
-            model.space[name]  # raises with the names that are known
+            model.space[name]  # raises, naming the known parameters
     k, c, m = model.matrices(values)
     slopes = [model.matrix_derivatives(values, name) for name in names]
     return eigen_derivatives(k, c, m, slopes, modes, tuple(names), which, rows)
@@ -163,21 +163,21 @@ def eigen_derivatives(
     """Derivatives of modes from matrices and their derivatives.
 
     With ``Z = lambda^2 M + lambda C + K``, ``psi^T (2 lambda M + C) psi = 1`` and ``F = dZ psi`` at fixed lambda,
-    ``dlambda = -psi^T F``. The shape's derivative follows from one bordered factorisation a mode, with all parameters
+    ``dlambda = -psi^T F``. The shape's derivative follows from one bordered factorisation per mode, with all parameters
     as right-hand sides (Nelson 1976; the bordered form after Friswell and Adhikari 2000). The border holds all solved
-    roots within 10 % of the mode's own, conjugates included, so that close modes do not spoil the solution; their own
-    part is added as ``-psi_j (psi_j^T F)/(lambda_i - lambda_j)``. Roots closer than 1e-7 count as repeated: if a
-    parameter couples them, the shapes have no derivative and the mode is flagged.
+    eigenvalues within 10 % of the mode's own, conjugates included, so that close modes do not spoil the solution; their
+    contribution is added as ``-psi_j (psi_j^T F)/(lambda_i - lambda_j)``. Eigenvalues closer than 1e-7 count as
+    repeated: if a parameter couples them, the shapes have no derivative and the mode is flagged.
 
-    Undamped modes use ``Z = K - omega^2 M`` and ``phi^T M phi = 1`` in real arithmetic; a damping matrix that only just
-    begins to grow adds an imaginary part.
+    Undamped modes use ``Z = K - omega^2 M`` and ``phi^T M phi = 1`` in real arithmetic; a damping matrix that is 0 but
+    has a derivative adds an imaginary part.
 
     Parameters
     ----------
     stiffness, damping, mass : sparse or dense (n_dof, n_dof)
         Symmetric; SI.
     slopes : sequence of (dK, dC, dM)
-        One a parameter.
+        One for each parameter.
     modes, names, which, rows
         As in `mode_derivatives`.
 
@@ -187,7 +187,7 @@ def eigen_derivatives(
     """
     chosen = np.arange(modes.n_modes) if which is None else np.asarray(which, dtype=int)
     if len(chosen) and not (chosen.min() >= 0 and chosen.max() < modes.n_modes):
-        raise InputError(f"a mode outside 0..{modes.n_modes - 1} is asked for", place="mode derivatives")
+        raise InputError(f"a mode outside 0..{modes.n_modes - 1} is requested", place="mode derivatives")
     solver = _Damped if modes.is_complex else _Undamped
     stiffness, damping, mass = (_small_as_dense(matrix) for matrix in (stiffness, damping, mass))
     group = solver(stiffness, damping, mass, [tuple(map(_small_as_dense, slope)) for slope in slopes], modes)
@@ -200,55 +200,55 @@ def eigen_derivatives(
     for i, j in enumerate(chosen.tolist() if slopes else []):
         eigenvalue[:, i], shape, regular[i] = group.of(j, without_shapes)
         shapes[:, :, i] = np.nan if not regular[i] else (shape if wanted is None else wanted @ shape).T
-    root = eigenvalues(modes)[chosen]
-    size = np.abs(root)
-    grown = np.real(np.conj(root) * eigenvalue) / size
+    lam = eigenvalues(modes)[chosen]
+    size = np.abs(lam)
+    grown = np.real(np.conj(lam) * eigenvalue) / size
     return ModeDerivatives(
         names=names,
         eigenvalue=eigenvalue,
         shapes=shapes,
         natural_freq=grown / (2 * np.pi),
         damped_freq=eigenvalue.imag / (2 * np.pi),
-        damping_ratio=-eigenvalue.real / size + root.real * grown / size**2,
+        damping_ratio=-eigenvalue.real / size + lam.real * grown / size**2,
         regular=regular,
     )
 
 
 class _Damped:
-    """State-space modes: groups of close roots among the modes and their conjugates."""
+    """State-space modes: groups of close eigenvalues among the modes and their conjugates."""
 
     def __init__(self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes):
         self.k, self.c, self.m, self.slopes = stiffness, damping, mass, slopes
-        roots = eigenvalues(modes)
-        self.roots = np.concatenate([roots, roots.conj()])
+        upper = eigenvalues(modes)
+        self.eigenvalues = np.concatenate([upper, upper.conj()])
         self.all = np.hstack([modes.shapes, modes.shapes.conj()])
         self.shape_type = complex
 
     def of(self, i: int, without_shape: bool) -> tuple[np.ndarray, np.ndarray, bool]:
         """Derivatives of lambda (n_params,) and psi (n_dof, n_params), and whether the mode is regular."""
-        root, psi = self.roots[i], self.all[:, i]
-        force = np.column_stack([root * (root * (dm @ psi) + dc @ psi) + dk @ psi for dk, dc, dm in self.slopes])
-        gap = np.abs(self.roots - root)
-        near = np.flatnonzero(gap <= NEIGHBOUR * abs(root))
+        lam, psi = self.eigenvalues[i], self.all[:, i]
+        force = np.column_stack([lam * (lam * (dm @ psi) + dc @ psi) + dk @ psi for dk, dc, dm in self.slopes])
+        gap = np.abs(self.eigenvalues - lam)
+        near = np.flatnonzero(gap <= NEIGHBOUR * abs(lam))
         near = np.concatenate([[i], near[near != i]])
-        group, others = self.all[:, near], self.roots[near]
-        same = gap[near] <= REPEATED * abs(root)
-        group[:, same] = _orthogonal(group[:, same], 2 * root * self.m + self.c)
+        group, others = self.all[:, near], self.eigenvalues[near]
+        same = gap[near] <= REPEATED * abs(lam)
+        group[:, same] = _orthogonal(group[:, same], 2 * lam * self.m + self.c)
         part = group.T @ force
         regular = not _coupled(part[same], group[:, same], force)
         slope = -part[0]
         if not regular:
-            return _mean_slope(group[:, same], self.slopes, root), np.zeros_like(force), False
+            return _mean_slope(group[:, same], self.slopes, lam), np.zeros_like(force), False
         if without_shape:
             return slope, np.zeros_like(force), True
         inertia = self.m @ group
-        border = (root + others) * inertia + self.c @ group
-        matrix = root * (root * self.m + self.c) + self.k
+        border = (lam + others) * inertia + self.c @ group
+        matrix = lam * (lam * self.m + self.c) + self.k
         rest, good = _bordered(matrix, border, -(force - border @ part), (group.T @ inertia) @ part)
         for j in range(1, len(near)):
             if not same[j]:
-                rest -= np.outer(group[:, j], part[j] / (root - others[j]))
-        norm = np.array([psi @ (2 * root * (dm @ psi) + dc @ psi) for _, dc, dm in self.slopes])
+                rest -= np.outer(group[:, j], part[j] / (lam - others[j]))
+        norm = np.array([psi @ (2 * lam * (dm @ psi) + dc @ psi) for _, dc, dm in self.slopes])
         own = -0.5 * (2 * slope * (psi @ inertia[:, 0]) + norm) - border[:, 0] @ rest
         return slope, rest + np.outer(psi, own), good
 
@@ -291,34 +291,34 @@ class _Undamped:
 
 
 def _small_as_dense(matrix: Matrix) -> Matrix:
-    """A sparse matrix of few degrees of freedom as an array: there its products and factors cost many times less."""
+    """A small sparse matrix as a dense array, whose products and factors are many times cheaper."""
     sparse: Any = matrix if sp.issparse(matrix) else None
     return matrix if sparse is None or sparse.shape[0] > DENSE_LIMIT else sparse.toarray()
 
 
 def _orthogonal(group: np.ndarray, weight: Matrix) -> np.ndarray:
-    """Shapes of one repeated root made orthogonal in its own form, which no solver does; the first one stays."""
+    """Shapes of a repeated eigenvalue, orthogonalised in the given weight; the first one stays."""
     out = group.copy()
     for j in range(1, group.shape[1]):
-        for _ in range(2):  # the second pass removes what rounding left
+        for _ in range(2):  # the second pass removes rounding error
             out[:, j] -= out[:, :j] @ (out[:, :j].T @ (weight @ out[:, j]))
         out[:, j] /= np.sqrt(complex(out[:, j] @ (weight @ out[:, j])))
     return out
 
 
-def _mean_slope(group: np.ndarray, slopes: list[Any], root: complex) -> np.ndarray:
-    """Mean derivative over a repeated root, the only one that does not depend on the choice of its shapes."""
+def _mean_slope(group: np.ndarray, slopes: list[Any], lam: complex) -> np.ndarray:
+    """Mean derivative over a repeated eigenvalue, which does not depend on the choice of its shapes."""
     total = np.zeros(len(slopes), dtype=complex)
     for psi in group.T:
         for q, (dk, dc, dm) in enumerate(slopes):
-            total[q] -= psi @ (root * (root * (dm @ psi) + dc @ psi) + dk @ psi)
+            total[q] -= psi @ (lam * (lam * (dm @ psi) + dc @ psi) + dk @ psi)
     if not np.iscomplexobj(group):
-        total /= 2 * root  # phi^T M phi = 1 instead of psi^T (2 lambda M + C) psi = 1
+        total /= 2 * lam  # phi^T M phi = 1 instead of psi^T (2 lambda M + C) psi = 1
     return total / group.shape[1]
 
 
 def _coupled(part: np.ndarray, group: np.ndarray, force: np.ndarray) -> bool:
-    """Whether some parameter mixes the shapes of a repeated root; the first one is the mode itself."""
+    """Whether some parameter couples the shapes of a repeated eigenvalue; the first one is the mode itself."""
     size = np.linalg.norm(group, axis=0)[:, None] * np.linalg.norm(force, axis=0)
     return bool(np.any(np.abs(part[1:]) > 1e-6 * size[1:]))
 
@@ -330,33 +330,34 @@ def _has_entries(matrix: Matrix) -> bool:
 def _bordered(matrix: Matrix, border: np.ndarray, top: np.ndarray, bottom: np.ndarray) -> tuple[np.ndarray, bool]:
     """Solution x of ``[Z, B; B^T, 0] [x; mu] = [top; bottom]`` and whether it is accurate."""
     n, g = border.shape
-    # The border is brought to the size of the matrix, or pivoting would prefer the one or the other.
+    # The border is scaled to the size of the matrix, or pivoting would prefer one of them.
     largest = abs(matrix).max()
     scale = largest / np.abs(border).max(axis=0)
     edge = border * scale
     right = np.vstack([top, bottom * scale[:, None]])
-    whole: Any
+    bordered: Any
     solve: Callable[[np.ndarray], np.ndarray]
     if sp.issparse(matrix):
         blocks: list[list[Any]] = [[matrix, sp.csc_array(edge)], [sp.csc_array(edge.T), None]]
-        whole = sp.csc_matrix(sp.block_array(blocks, format="csc"))
+        bordered = sp.csc_matrix(sp.block_array(blocks, format="csc"))
         try:
-            lu = spla.splu(whole, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+            options = {"SymmetricMode": True}
+            lu = spla.splu(bordered, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options=options)
         except RuntimeError as fault:
             raise EvaluationError(f"the derivative of a mode shape could not be solved ({fault})") from fault
-        solve = partial(_sparse_solve, lu, whole.dtype)
+        solve = partial(_sparse_solve, lu, bordered.dtype)
     else:
-        whole = np.block([[matrix, edge], [edge.T, np.zeros((g, g))]])
-        solve = partial(la.lu_solve, la.lu_factor(whole, check_finite=False), check_finite=False)
+        bordered = np.block([[matrix, edge], [edge.T, np.zeros((g, g))]])
+        solve = partial(la.lu_solve, la.lu_factor(bordered, check_finite=False), check_finite=False)
 
-    def answer(b: np.ndarray) -> np.ndarray:
-        if np.iscomplexobj(b) and not np.iscomplexobj(whole):
+    def solved(b: np.ndarray) -> np.ndarray:
+        if np.iscomplexobj(b) and not np.iscomplexobj(bordered):
             return solve(b.real) + 1j * solve(b.imag)
         return solve(b)
 
-    x = answer(right)
-    x = x + answer(right - whole @ x)  # one refinement pays for the relaxed pivoting
-    miss = np.linalg.norm(right - whole @ x, axis=0)
+    x = solved(right)
+    x = x + solved(right - bordered @ x)  # one iterative refinement makes up for the relaxed pivoting
+    miss = np.linalg.norm(right - bordered @ x, axis=0)
     size = np.linalg.norm(right, axis=0)
     good = bool(np.all(np.isfinite(x))) and bool(np.all(miss <= _RESIDUAL * np.maximum(size, 1e-300)))
     return x[:n], good

@@ -1,4 +1,4 @@
-"""Where a mode keeps its strain energy."""
+"""Strain energy of modes and its shares in clusters of degrees of freedom."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import scipy.sparse as sp
 from calib.errors import InputError
 
 _ZERO_ENERGY = 1e-13
-"""Strain energy below this part of the sum of its contributions' sizes is rounding: the mode strains nothing."""
+"""Strain energy below this part of the sum of its contributions' sizes is rounding error and counts as 0."""
 
 
 def strain_energy(stiffness: sp.csc_array | np.ndarray, shapes: np.ndarray) -> np.ndarray:
     """Strain energy ``phi^H K phi / 2`` of each mode in the scale of its shape, (n_modes,).
 
-    Exactly 0 for a mode that strains nothing (rigid body or mechanism), whatever rounding leaves of it.
+    Exactly 0 for a rigid-body motion or mechanism; rounding error is removed.
 
     Parameters
     ----------
     stiffness : array (n_dof, n_dof)
-        Symmetric, sparse or dense; N/m and alike.
+        Symmetric, sparse or dense; SI.
     shapes : ndarray (n_dof, n_modes)
         Real or complex.
     """
-    return _strained(stiffness, shapes, np.real(np.conj(shapes) * (stiffness @ shapes)).sum(axis=0))
+    return _without_rounding(stiffness, shapes, np.real(np.conj(shapes) * (stiffness @ shapes)).sum(axis=0))
 
 
 def strain_energy_shares(
@@ -35,13 +35,13 @@ def strain_energy_shares(
 
     ``Pi_k = Re(phi_k^H sum_l K_kl phi_l) / (phi^H K phi)``, phi_k being the part of the shape in cluster k and the sum
     over all degrees of freedom. For real shapes this is eq. 12 of Brehm, Zabel and Bucher 2010; the form for complex
-    shapes is an assumption of this project, since a published one was not available. It does not depend on scale and
-    phase, and the shares of a partition add up to 1; a single one may be negative or exceed 1.
+    shapes is an assumption of this project. The shares do not depend on scale and phase and add up to 1 over a
+    partition; a single share may be negative or exceed 1.
 
     Parameters
     ----------
     stiffness : csc_array (n_dof, n_dof)
-        Symmetric; N/m and alike.
+        Symmetric; SI.
     shapes : ndarray (n_dof, n_modes)
         Real or complex.
     clusters : mapping from str to ndarray of int
@@ -65,7 +65,7 @@ def strain_energy_shares(
             raise InputError(f"cluster {name!r} names a degree of freedom outside 0..{n - 1}", place="clusters")
     local = np.real(np.conj(shapes) * (stiffness @ shapes))
     parts = [local[np.unique(np.asarray(members, dtype=int))].sum(axis=0) for members in clusters.values()]
-    total = _strained(stiffness, shapes, local.sum(axis=0))
+    total = _without_rounding(stiffness, shapes, local.sum(axis=0))
     return shares_of(np.reshape(parts, (len(clusters), shapes.shape[1])), total), total
 
 
@@ -74,8 +74,8 @@ def shares_of(parts: np.ndarray, total: np.ndarray) -> np.ndarray:
     return np.divide(parts, 2 * total, out=np.zeros(parts.shape), where=total > 0)
 
 
-def _strained(stiffness: sp.csc_array | np.ndarray, shapes: np.ndarray, doubled: np.ndarray) -> np.ndarray:
-    """Half of ``phi^H K phi``, 0 where it is rounding."""
+def _without_rounding(stiffness: sp.csc_array | np.ndarray, shapes: np.ndarray, doubled: np.ndarray) -> np.ndarray:
+    """Half of ``phi^H K phi``, 0 where it is rounding error."""
     sizes = np.abs(shapes)
     contributions = np.sum(sizes * (abs(stiffness) @ sizes), axis=0)
     return np.where(doubled > _ZERO_ENERGY * contributions, 0.5 * doubled, 0.0)

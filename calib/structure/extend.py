@@ -1,4 +1,4 @@
-"""A structural model with effects added: more terms, more parameters, where needed more degrees of freedom."""
+"""Extension of a structural model by effects: added terms, parameters and degrees of freedom."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from calib.structure.model import Assumption, StructuralModel
 
 @dataclass(frozen=True)
 class Addition:
-    """What one effect adds to a model.
+    """Terms and degrees of freedom that one effect adds to a model.
 
     Matrices and vectors are over the model's ``n_dof`` degrees of freedom followed by ``n_added`` of the effect's own.
-    At strength 0 every coefficient that reaches the model's own degrees of freedom is 0; those added are then decoupled
-    and keep a stiffness, so that the problem stays regular.
+    At magnitude 0 every coefficient that reaches the model's own degrees of freedom is 0; added degrees of freedom are
+    then decoupled and keep a stiffness, so that the eigenproblem stays regular.
 
     Attributes
     ----------
     stiffness, damping, mass : tuple of Term
     selected : tuple of SelectedTerm
-        Stiffness at places that discrete parameters pick.
+        Stiffness at positions selected by discrete parameters.
     n_added : int
     assumptions : tuple of Assumption
     """
@@ -42,14 +42,14 @@ class Addition:
 
 
 def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel:
-    """The model with effects, their strengths and nuisance parameters after its own parameters.
+    """The model with effects, their magnitudes and nuisance parameters after its own parameters.
 
-    Every effect is built from the base model, so that their order does not matter to the answers.
+    Every effect is built from the base model, so that results do not depend on their order.
 
     Raises
     ------
     InputError
-        When an effect is in the model already, or what it adds does not fit the model.
+        When an effect is in the model already, or its addition does not fit the model.
     """
     for effect in effects:
         effect.require_new(model.space, model.name)
@@ -91,7 +91,7 @@ def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel
 
 
 def addition_of(model: StructuralModel, effect: Effect) -> Addition:
-    """What an effect adds to a model; InputError when it does not fit."""
+    """The addition of an effect to a model; InputError when it does not fit."""
     place = f"effect {effect.name}"
     try:
         addition = effect.build(model)
@@ -116,7 +116,7 @@ def addition_of(model: StructuralModel, effect: Effect) -> Addition:
 
 @dataclass(frozen=True)
 class _Placed:
-    """Where the degrees of freedom of one addition come to lie among all."""
+    """Position of the degrees of freedom of one addition among all."""
 
     own: int
     first: int
@@ -129,7 +129,7 @@ class _Placed:
     def wider(self, matrix: sp.csr_array) -> sp.csr_array:
         if matrix.shape == (self.total, self.total):
             return matrix
-        if self.first == self.own:  # what is added follows at once: the entries are shared, not copied
+        if self.first == self.own:  # its degrees of freedom follow at once: the entries are shared, not copied
             ends = np.full(self.total - len(matrix.indptr) + 1, matrix.indptr[-1], dtype=matrix.indptr.dtype)
             indptr = np.concatenate([matrix.indptr, ends])
             return sp.csr_array((matrix.data, matrix.indices, indptr), shape=(self.total, self.total))
@@ -150,7 +150,7 @@ class _Placed:
 
 @dataclass(frozen=True)
 class _WiderLocator:
-    """Places of the base model over the degrees of freedom of an extended one."""
+    """Locator of the base model over the degrees of freedom of an extended one."""
 
     inner: Locator
     more: int

@@ -1,4 +1,4 @@
-"""Nodes, their motions and their places: what a model of matrices needs beside them."""
+"""Geometry of a model: mesh, map of degrees of freedom, and location of points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 @dataclass(frozen=True)
 class Mesh:
-    """Nodes, lines and faces of a model, for pictures and for finding places.
+    """Nodes, lines and faces of a model, for figures and for locating points.
 
     Attributes
     ----------
@@ -37,13 +37,13 @@ class Mesh:
 
 @dataclass(frozen=True)
 class DofMap:
-    """How nodal motions follow from the free degrees of freedom.
+    """Nodal motions in terms of the free degrees of freedom.
 
     Attributes
     ----------
     expansion : csr_array (6 * n_nodes, n_dof)
-        Nodal motions (ux, uy, uz, rx, ry, rz of every node) over the free degrees of freedom; suppressed motions are
-        empty rows, shared and rigidly linked ones have several entries.
+        Nodal motions (ux, uy, uz, rx, ry, rz of every node) over the free degrees of freedom; rows of suppressed
+        motions are empty, those of shared or rigidly linked motions have several entries.
     node, direction : ndarray (n_dof,), int
         Node index and direction index (0..5) that name each free degree of freedom.
     """
@@ -70,7 +70,7 @@ class Locator(Protocol):
         direction : int
             0..5 for ux, uy, uz, rx, ry, rz.
         on : str, optional
-            Name of the part that carries the point; without it the nearest part.
+            Name of the part that carries the point; default the nearest part.
 
         Returns
         -------
@@ -83,7 +83,7 @@ class Locator(Protocol):
 
 @dataclass(frozen=True)
 class NodeLocator:
-    """Finds the nearest node, where there are no elements to interpolate over.
+    """Finds the nearest node, for a model without elements to interpolate in.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class NodeLocator:
     expansion: sp.csr_array
 
     def row(self, point: Sequence[float], direction: int, on: str | None = None) -> tuple[np.ndarray, float]:
-        """See `Locator`; there are no parts, so ``on`` says nothing here."""
+        """See `Locator`; there are no parts, and ``on`` is ignored."""
         distance = np.linalg.norm(self.points - np.asarray(point, dtype=float), axis=1)
         nearest = int(np.argmin(distance))
         return self.expansion[[6 * nearest + direction]].toarray()[0], float(distance[nearest])

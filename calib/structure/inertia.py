@@ -1,4 +1,4 @@
-"""Symmetric factors, and how many modes lie below a frequency (Sylvester's law of inertia)."""
+"""Symmetric factorisation, and the number of modes below a frequency (Sylvester's law of inertia)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import scipy.sparse.linalg as spla
 from calib.errors import EvaluationError
 
 _BACKWARD = 1e-10
-"""Largest backward error of a factor whose inertia is believed: without pivoting its elements may grow."""
+"""Largest backward error of a factor whose inertia is accepted: without pivoting its elements may grow."""
 
 
 def symmetric_factor(matrix: sp.csc_array) -> spla.SuperLU:
@@ -23,12 +23,12 @@ def symmetric_factor(matrix: sp.csc_array) -> spla.SuperLU:
 
 
 def count_below(stiffness: sp.csc_array, mass: sp.csc_array, freq: float) -> int:
-    """How many undamped modes lie below a frequency, repeated ones and rigid-body motions counted as often as they are.
+    """Number of undamped modes below a frequency, with multiplicity and rigid-body motions included.
 
     By Sylvester's law of inertia, ``K - omega^2 M`` has as many negative eigenvalues as there are modes below omega,
-    provided that M is positive semidefinite, K positive definite on its kernel, and omega itself is no mode. They are
-    counted as the negative pivots of ``P A P^T = L D L^T``. The count is exact for a matrix that differs from A by the
-    backward error of the factor, which is checked; a mode nearer to ``freq`` than rounding moves it may fall on
+    provided that M is positive semidefinite, K positive definite on its kernel, and omega is not an eigenfrequency.
+    They are counted as the negative pivots of ``P A P^T = L D L^T``. The count is exact for a matrix that differs from
+    A by the backward error of the factor, which is checked; a mode closer to ``freq`` than rounding error may fall on
     either side.
 
     Parameters
@@ -41,7 +41,7 @@ def count_below(stiffness: sp.csc_array, mass: sp.csc_array, freq: float) -> int
     Raises
     ------
     EvaluationError
-        When the factor needs pivots off the diagonal or is too inexact to be believed.
+        When the factor needs off-diagonal pivots or is too inaccurate.
     """
     shifted = sp.csc_array(stiffness - (2 * np.pi * freq) ** 2 * mass)
     unknown = f"the modes below {freq:.6g} Hz cannot be counted"
@@ -54,10 +54,10 @@ def count_below(stiffness: sp.csc_array, mass: sp.csc_array, freq: float) -> int
         raise EvaluationError(f"{unknown}: a pivot vanishes")
     probe = np.random.default_rng(20110713).standard_normal(len(pivots))
     wanted = shifted @ probe
-    answer = lu.solve(wanted)
-    size = abs(shifted) @ np.abs(answer) + np.abs(wanted)
+    solution = lu.solve(wanted)
+    size = abs(shifted) @ np.abs(solution) + np.abs(wanted)
     with np.errstate(invalid="ignore"):
-        error = np.max(np.abs(shifted @ answer - wanted) / np.where(size > 0, size, 1.0), initial=0.0)
+        error = np.max(np.abs(shifted @ solution - wanted) / np.where(size > 0, size, 1.0), initial=0.0)
     if not error < _BACKWARD:
-        raise EvaluationError(f"{unknown}: the factor is inexact")
+        raise EvaluationError(f"{unknown}: the factor is too inaccurate")
     return int(np.count_nonzero(pivots < 0))

@@ -1,4 +1,4 @@
-"""Matrices that another code has assembled, checked at the door and made affine in named parameters."""
+"""Matrices assembled by another code, validated and made affine in named parameters."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ Array: TypeAlias = (
 """A square matrix, dense or sparse."""
 
 Scaling: TypeAlias = str | Mapping[str, float]
-"""What a matrix is multiplied by: a parameter, or the product of parameters to some powers."""
+"""Multiplier of a matrix: a parameter, or a product of powers of parameters."""
 
 Terms: TypeAlias = Array | Mapping[str, Array | tuple[Array, Scaling]]
 """One constant matrix, or named ones; a matrix named like a parameter is multiplied by it."""
 
 _ROUNDING = 1e-6
-"""Difference between the two halves of a symmetric matrix, over its largest entry, that assembling may leave."""
+"""Asymmetry that assembly may leave, over the largest entry."""
 
 
 @dataclass(frozen=True)
 class DofTable:
-    """The rows of matrices: node and direction of each, and where the nodes are.
+    """Node and direction of each row of the matrices, and coordinates of the nodes.
 
     Attributes
     ----------
@@ -65,17 +65,17 @@ class DofTable:
         return sp.csr_array((np.ones(n), where), shape=(6 * len(self.labels), n))
 
     def words(self, k: int) -> str:
-        """A degree of freedom as a message names it."""
+        """Name of a degree of freedom in messages."""
         return f"row {k + 1} (node {self.labels[self.node[k]]}, {DIRECTIONS[self.direction[k]]})"
 
     @staticmethod
     def of(given: pd.DataFrame | Iterable[tuple[int, str]], name: str) -> DofTable:
-        """Read a table ``node, direction[, x, y, z]`` (m), or pairs of node and direction, a row each in their order.
+        """Read a table ``node, direction[, x, y, z]`` (m), or pairs of node and direction, in the order of the rows.
 
         Raises
         ------
         InputError
-            When a column is missing, a direction is unknown, a row is named twice, or one node has two places.
+            When a column is missing, a direction is unknown, a row is named twice, or a node has two positions.
         """
         place = f"model {name}, dofs"
         if isinstance(given, pd.DataFrame):
@@ -91,7 +91,7 @@ class DofTable:
         if len(wrong):
             k = int(wrong[0])
             raise InputError(
-                f"the node of row {k + 1} is {table['node'].iloc[k]!r}", place=place, remedy="give whole numbers"
+                f"the node of row {k + 1} is {table['node'].iloc[k]!r}", place=place, remedy="give integers"
             )
         labels, node = np.unique(numbers.astype(int), return_inverse=True)
         named = pd.MultiIndex.from_arrays([node, direction])
@@ -133,18 +133,18 @@ def _points(table: pd.DataFrame, node: np.ndarray, count: int, labels: np.ndarra
         raise InputError(f"only {', '.join(given)} of the coordinates", place=place, remedy="give x, y and z in m")
     rows = table[["x", "y", "z"]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
     if np.any(np.isnan(rows) & table[["x", "y", "z"]].notna().to_numpy()):
-        raise InputError("a coordinate is no number", place=place, remedy="give x, y and z in m")
+        raise InputError("a coordinate is not a number", place=place, remedy="give x, y and z in m")
     out[node] = rows
     apart = np.flatnonzero(np.abs(out[node] - rows).max(axis=1) > 0)
     if len(apart):
-        raise InputError(f"node {labels[node[apart[0]]]} has two places", place=place, remedy="give one place a node")
+        raise InputError(f"node {labels[node[apart[0]]]} has two positions", place=place, remedy="give each node one")
     return out
 
 
 def affine(
     kind: str, given: Terms, space: ParameterSpace, dofs: DofTable, name: str
 ) -> tuple[AffineMatrix, tuple[str, ...]]:
-    """One matrix of a model as a sum of terms, and the terms of which one triangle alone was given and completed.
+    """One matrix of a model as a sum of terms, and the names of terms completed from one triangle.
 
     Parameters
     ----------
@@ -160,8 +160,7 @@ def affine(
     Raises
     ------
     InputError
-        When a matrix has another size, holds what is no finite number, is not symmetric, or is scaled by what is no
-        parameter.
+        When a matrix has the wrong size, a non-finite entry, is not symmetric, or is scaled by an unknown parameter.
     """
     named = given if isinstance(given, Mapping) else {kind: given}
     terms, completed = [], []
@@ -174,13 +173,13 @@ def affine(
         for parameter in powers:
             if parameter not in space:
                 raise InputError(
-                    f"it is scaled by {parameter!r}, which is no parameter",
+                    f"it is scaled by {parameter!r}, which is not a parameter",
                     place=place,
                     remedy=f"the parameters are {', '.join(space.names) or 'none'}",
                 )
-        whole, half = _symmetric(_checked(matrix, dofs, place), dofs, place)
+        full, half = _symmetric(_checked(matrix, dofs, place), dofs, place)
         completed += [key] if half else []
-        terms.append(Term(key, whole, Monomial(1.0, tuple(powers.items()))))
+        terms.append(Term(key, full, Monomial(1.0, tuple(powers.items()))))
     return AffineMatrix(dofs.n_dof, tuple(terms)), tuple(completed)
 
 
@@ -209,7 +208,7 @@ def _checked(matrix: Array, dofs: DofTable, place: str) -> sp.csr_array:
 
 
 def _symmetric(matrix: sp.csr_array, dofs: DofTable, place: str) -> tuple[sp.csr_array, bool]:
-    """The matrix, completed where one triangle alone is given, and whether it was."""
+    """The matrix, completed from one triangle where only that is given, and whether it was."""
     largest = abs(matrix).max() if matrix.nnz else 0.0
     off = abs(matrix - matrix.T)
     if not largest or off.max() <= _ROUNDING * largest:

@@ -1,4 +1,4 @@
-"""A model without matrices that still has modes: a function from named parameters to modes at sensors."""
+"""Modal model defined by a function from named parameters to modes at sensors, without matrices."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.outcome import answered
 from calib.space import ParameterSpace
 from calib.structure.derivatives import ModeDerivatives
-from calib.structure.followed import followed_derivatives
 from calib.structure.geometry import Mesh
-from calib.structure.modal_answer import modes_of, numbers_of
+from calib.structure.modal_result import modes_of, numbers_of
+from calib.structure.mode_tracking import followed_derivatives
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
 
 STEP = 1e-4
-"""Half a difference, over the range between the limits of a parameter."""
+"""Half step of a central difference, over the range of a parameter."""
 
 REMEMBERED = 1000
-"""Points whose modes are kept."""
+"""Points whose modes are cached."""
 
 _SENSOR = re.compile(r"(\d+)(r?[xyz])")
 
 
 class Memory:
-    """The last answers of functions: a solver is not asked twice for a point that a derivative has asked for."""
+    """Cache of the latest results of functions, so that a point needed by a derivative is solved once."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[int, tuple[tuple[str, float], ...]], tuple[Any, Modes | EvaluationError]] = {}
@@ -42,17 +42,17 @@ class Memory:
         return Memory, ()
 
     def ask(self, function: Any, values: Mapping[str, float], solve: Callable[[], Modes]) -> Modes:
-        """What is known of a point, or what ``solve`` gives; a failure is raised again."""
+        """The cached modes of a point, or the result of ``solve``; a cached failure is raised again."""
         key = (id(function), tuple(values.items()))
         if key not in self._found:
-            answer: Modes | EvaluationError
+            outcome: Modes | EvaluationError
             try:
-                answer = solve()
+                outcome = solve()
             except EvaluationError as fault:
-                answer = fault
+                outcome = fault
             while len(self._found) >= REMEMBERED:
                 del self._found[next(iter(self._found))]
-            self._found[key] = function, answer  # with the function, so that no other one gets its identity
+            self._found[key] = function, outcome  # keeps the function alive, so that its id is not reused
         known = self._found[key][1]
         if isinstance(known, EvaluationError):
             raise again(known)
@@ -63,10 +63,10 @@ class Memory:
 class ModalFunctionModel:
     """Anything that maps named parameters to modes at sensors: a script, an external solver, a closed form.
 
-    It is compared, paired, calibrated and explained like a model of matrices. What needs matrices it does not offer:
-    strain energies (pairing goes by MAC and frequency), a reduced basis, unnamed local changes of parts. Derivatives
-    are central differences that follow each mode by its MAC, two calls of the function a parameter; see
-    `calib.structure.followed.followed_derivatives`.
+    It is compared, paired, calibrated and explained like a model of matrices. It lacks what needs matrices: strain
+    energies (modes are paired by MAC and frequency), a reduced basis, unnamed local perturbations of parts. Derivatives
+    are central differences that track each mode by its MAC, with two function calls for each parameter; see
+    `calib.structure.mode_tracking.followed_derivatives`.
 
     Attributes
     ----------
@@ -76,26 +76,26 @@ class ModalFunctionModel:
         Takes ``{parameter: value}``, every value in its parameter's unit, and returns the vibration modes in ascending
         frequency, as an object or mapping with ``natural_freq`` (n_modes,) in Hz, ``damping_ratio`` (n_modes,) if
         `damped`, and ``shapes`` (n_sensors, n_modes), real or complex, in any scale; or as a tuple of these in that
-        order. What it raises is a failed point.
+        order. An exception marks a failed point.
     sensors : sequence of Sensor, of (node, direction), or of names like ``12y``
-        What each row of the shapes is. Places (`Sensor.point`) are for pictures.
+        Sensor of each row of the shapes. Positions (`Sensor.point`) are for figures only.
     n_modes : int
-        Modes that the function gives at every point; of more the lowest are taken. Some more than were measured let
-        the pairing see close rivals, and leave room for what an effect adds.
+        Modes that the function returns at every point; of more the lowest are taken. A few more than were measured let
+        the pairing consider close neighbours and leave room for modes that an effect adds.
     damped : bool
-        Whether it gives damping ratios.
+        Whether it returns damping ratios.
     step : float
-        Half a difference, over the range between the limits; to be raised for a solver whose last digits are not exact.
+        Half step of a difference, over the range between the limits; raise it for a solver with numerical noise.
     assumptions : tuple of Assumption
     identity : str
-        What the function is told by, where something else than its code and what it holds is needed.
+        Identifies the function where its code and the objects it holds are not enough.
     memory : Memory
-        Its last answers; a model with other parameters, limits or values shares them.
+        Cache of its latest results; copies with other parameters, limits or values share it.
 
     Raises
     ------
     InputError
-        For a sensor that is no sensor or is named twice, and for anything else that cannot be used.
+        For an invalid or repeated sensor, or any other invalid attribute.
 
     Examples
     --------
@@ -139,29 +139,29 @@ class ModalFunctionModel:
 
     @property
     def fingerprint(self) -> str:
-        """Hash over the function, all that it holds, and what is asked of it."""
+        """Hash over the function, the objects it holds, and the requested modes and sensors."""
         own = self.identity or digest_of(self.name, self.function)
         sensors = [(s.node, s.direction) for s in self.sensors]
         return digest_of(own, sensors, self.n_modes, self.damped, self.step)[:16]
 
-    # -- what is asked of the function ---------------------------------------------------------------------------------
+    # -- solutions -----------------------------------------------------------------------------------------------------
 
     def modes(self, values: Mapping[str, float], count: int) -> Modes:
-        """The ``count`` lowest modes, with shapes over the declared sensors; each point is asked once.
+        """The ``count`` lowest modes, with shapes over the declared sensors; each point is solved once.
 
         Raises
         ------
         EvaluationError
-            When the function fails, or what it gives are no modes at these sensors.
+            When the function fails or does not return modes at these sensors.
         """
         complete = self.space.complete(values)
         found = self.memory.ask(self.function, complete, lambda: self._solved(complete))
         return found if count >= found.n_modes else found.subset(range(count))
 
     def numbers(self, values: Mapping[str, float]) -> dict[str, float]:
-        """All modes as named numbers (see `numbers_of`), asked of the function whatever is remembered.
+        """All modes as named numbers (see `numbers_of`), solved anew whatever is cached.
 
-        Values that are none of its parameters are passed on: the function may know those of effects.
+        Values of other names are passed on: the function may accept the parameters of effects.
         """
         own = {name: v for name, v in values.items() if name in self.space}
         return numbers_of(self._solved({**self.space.complete(own), **values}), self.sensors)
@@ -176,11 +176,11 @@ class ModalFunctionModel:
         answered(ask, values)
         return found[0]
 
-    # -- what a comparison asks, see `calib.structure.modal_model.ModalModel` ------------------------------------------
+    # -- protocol of `calib.structure.modal_model.ModalModel` ----------------------------------------------------------
 
     @property
     def clusters(self) -> tuple[str, ...]:
-        """None: a function tells no strain energy."""
+        """Empty: a function has no strain energy."""
         return ()
 
     @property
@@ -190,7 +190,7 @@ class ModalFunctionModel:
 
     @property
     def roots(self) -> frozenset[str]:
-        """None: it has no derivatives but differences."""
+        """Empty: derivatives are differences."""
         return frozenset()
 
     def derivatives(
@@ -202,7 +202,7 @@ class ModalFunctionModel:
         rows: np.ndarray,
         at: Callable[[Mapping[str, float]], Modes] | None = None,
     ) -> ModeDerivatives:
-        """Differences that follow each mode; see `followed_derivatives`."""
+        """Differences that track each mode; see `followed_derivatives`."""
 
         def solved(there: Mapping[str, float]) -> Modes:
             return self.modes(there, self.n_modes)
@@ -210,11 +210,11 @@ class ModalFunctionModel:
         return followed_derivatives(at or solved, self.space, values, modes, names, which, rows, self.step)
 
     def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """The shapes themselves: without a mass every sensor weighs the same."""
+        """The shapes themselves: without a mass matrix every sensor has the same weight."""
         return shapes
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
-        """Which declared sensor each one is, (n_sensors, n_declared): by node and direction, or by its place."""
+        """Declared sensor of each one, (n_sensors, n_declared): by node and direction, or by position."""
         named = {(s.node, s.direction): k for k, s in enumerate(self.sensors)}
         placed = {(s.point, s.direction): k for k, s in enumerate(self.sensors) if s.point is not None}
         rows = np.zeros((len(sensors), len(self.sensors)))
@@ -231,21 +231,21 @@ class ModalFunctionModel:
         return rows
 
     def energy_shares(self, values: Mapping[str, float], shapes: np.ndarray, names: Sequence[str]) -> np.ndarray:
-        """Of no cluster, (0, n_modes)."""
+        """Empty, (0, n_modes): there are no clusters."""
         return np.zeros((len(names), shapes.shape[1]))
 
     def strain_energy(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """1 for every mode, (n_modes,): it is unknown, and any may be paired."""
+        """1 for every mode, (n_modes,): it is unknown, and any mode may be paired."""
         return np.ones(shapes.shape[1])
 
     @cached_property
     def _nodes(self) -> dict[int, int]:
-        """Number of every node of its sensors in the mesh."""
+        """Index in the mesh of every node with a sensor."""
         return {node: k for k, node in enumerate(dict.fromkeys(s.node for s in self.sensors))}
 
     @property
     def mesh(self) -> Mesh:
-        """The places of its sensors, NaN where they are unknown; nothing lies between them."""
+        """Positions of its sensors, NaN where unknown; without lines and faces."""
         points = np.full((len(self._nodes), 3), np.nan)
         for sensor in self.sensors:
             if sensor.point is not None:
@@ -253,7 +253,7 @@ class ModalFunctionModel:
         return Mesh(points, np.zeros((0, 2), dtype=int), ())
 
     def displacement(self, shapes: np.ndarray) -> np.ndarray:
-        """Translations of the nodes of its sensors, (n_nodes, 3, n_modes); 0 in directions that it does not tell."""
+        """Translations of the nodes of its sensors, (n_nodes, 3, n_modes); 0 in directions without a sensor."""
         out = np.zeros((len(self._nodes), 6, shapes.shape[1]), dtype=shapes.dtype)
         for sensor, row in zip(self.sensors, shapes, strict=True):
             out[self._nodes[sensor.node], DIRECTIONS.index(sensor.direction)] = row
@@ -261,7 +261,7 @@ class ModalFunctionModel:
 
 
 def _sensors(given: Any, place: str) -> tuple[Sensor, ...]:
-    """Sensors from sensors, pairs or names."""
+    """Sensors from `Sensor` objects, pairs or names."""
     remedy = 'give sensors such as ["1z", (2, "x"), calib.Sensor(3, "z", (0.5, 0.0, 0.0))]'
     if isinstance(given, str | bytes | Mapping) or not isinstance(given, Iterable):
         raise InputError(f"they are {given!r:.40}", place=place, remedy=remedy)
@@ -272,7 +272,7 @@ def _sensors(given: Any, place: str) -> tuple[Sensor, ...]:
         elif isinstance(one, tuple | list) and len(one) == 2 and isinstance(one[0], int | np.integer):
             one = Sensor(int(one[0]), one[1])
         if not isinstance(one, Sensor) or one.direction not in DIRECTIONS:
-            raise InputError(f"{one!r:.40} is no sensor", place=place, remedy=remedy)
+            raise InputError(f"{one!r:.40} is not a sensor", place=place, remedy=remedy)
         found.append(one)
     if not found:
         raise InputError("there are none", place=place, remedy=remedy)

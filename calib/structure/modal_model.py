@@ -1,4 +1,4 @@
-"""What a comparison asks of a model: modes, their motion at sensors, and what follows from them."""
+"""Protocol of a model with modes: solution, sensor rows, derivatives, strain energies."""
 
 from __future__ import annotations
 
@@ -16,37 +16,36 @@ from calib.structure.modes import Modes
 
 
 class ModalModel(Protocol):
-    """What a comparison asks of a model: modes over its own degrees of freedom and what follows from them.
+    """A model with modes over its own degrees of freedom, as a comparison needs it.
 
     A finite-element model has many degrees of freedom and sparse matrices, a reduced one few and dense matrices, a
-    function none but the motions of its sensors and no matrices at all; it is not for the asker to know which. Values
-    are named, each in its parameter's unit; parameters left out take their adopted value. Shapes are (n_dof, n_modes),
-    real or complex.
+    function only the motions of its sensors and no matrices; callers need not know which. Values are named, each in its
+    parameter's unit; missing parameters take their nominal value. Shapes are (n_dof, n_modes), real or complex.
     """
 
     @property
     def name(self) -> str:
-        """How messages call the model."""
+        """Name of the model in messages."""
         ...
 
     @property
     def space(self) -> ParameterSpace:
-        """Parameters with adopted values and limits."""
+        """Parameters with nominal values and limits."""
         ...
 
     @property
     def n_modes(self) -> int:
-        """Modes that can be asked of it at most."""
+        """Largest number of modes it can return."""
         ...
 
     @property
     def clusters(self) -> Collection[str]:
-        """Names of the groups of degrees of freedom whose strain energy is told apart; none without energies."""
+        """Names of the groups of degrees of freedom with their own strain energy; empty without energies."""
         ...
 
     @property
     def mesh(self) -> Mesh:
-        """Nodes, lines and faces, for pictures."""
+        """Nodes, lines and faces, for figures."""
         ...
 
     @property
@@ -56,17 +55,17 @@ class ModalModel(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """Hash that changes whenever an evaluation could."""
+        """Hash that changes whenever a result could."""
         ...
 
     @property
     def dissipates(self) -> bool:
-        """Whether its modes are damped at the adopted values, or would be with another parameter."""
+        """Whether its modes are damped at the nominal or other parameter values."""
         ...
 
     @property
     def roots(self) -> frozenset[str]:
-        """Parameters by which nothing has a derivative where they are 0."""
+        """Parameters whose derivatives do not exist at 0."""
         ...
 
     def modes(self, values: Mapping[str, float], count: int) -> Modes:
@@ -82,7 +81,7 @@ class ModalModel(Protocol):
         rows: np.ndarray,
         at: Callable[[Mapping[str, float]], Modes] | None = None,
     ) -> ModeDerivatives:
-        """Derivatives of some modes with respect to named parameters; whole-number parameters count as fixed.
+        """Derivatives of some modes with respect to named parameters; integer parameters count as fixed.
 
         Parameters
         ----------
@@ -93,18 +92,18 @@ class ModalModel(Protocol):
         which : sequence of int
             Indices of the modes wanted.
         rows : ndarray (n_rows, n_dof)
-            Motions wanted of the shapes, such as the sensors'; without rows shapes are left out.
+            Output rows for the shapes, such as the sensors'; without rows shapes are skipped.
         at : callable, optional
-            Gives the modes at other values, for a model whose derivatives are differences.
+            Returns the modes at other values, for a model whose derivatives are differences.
         """
         ...
 
     def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """Shapes in the weight in which modes are told apart, (n_dof, n_modes): times the mass, where there is one."""
+        """Shapes times the weight of their orthogonality, (n_dof, n_modes): the mass matrix where there is one."""
         ...
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
-        """Motion at the sensors over its degrees of freedom, (n_sensors, n_dof); InputError for one without a place."""
+        """Motion at the sensors over its degrees of freedom, (n_sensors, n_dof); InputError for one off the model."""
         ...
 
     def energy_shares(self, values: Mapping[str, float], shapes: np.ndarray, names: Sequence[str]) -> np.ndarray:
@@ -114,7 +113,7 @@ class ModalModel(Protocol):
     def strain_energy(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
         """Strain energy of each mode in the scale of its shape, (n_modes,); exactly 0 for a rigid-body motion.
 
-        A model that knows none gives 1: every mode may then be paired.
+        A model without strain energy returns 1: every mode may then be paired.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""The structural model: named parameters in, affine matrices, modes and sensor motions out."""
+"""Structural model: affine matrices, modes and sensor motions as functions of named parameters."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from calib.structure.solve import solve_modes
 
 @dataclass(frozen=True)
 class Assumption:
-    """One number of a model that is an engineering assumption and not published."""
+    """One number of a model that is an engineering assumption, not published data."""
 
     item: str
     value: str
@@ -38,18 +38,18 @@ PartKind = Literal["stiffness", "damping", "mass"]
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A piece of a model that may be off by itself: the stiffness or mass of an element group, a spring, a damper.
+    """A piece of a model that may be wrong by itself: stiffness or mass of an element group, a spring, a damper.
 
     Attributes
     ----------
     name : str
-        Where it is, such as ``crossbar front``.
+        Location, such as ``crossbar front``.
     kind : {"stiffness", "damping", "mass"}
     matrix : csr_array (n_dof, n_dof)
-        Its share of K, C or M over the coefficient.
+        Its contribution to K, C or M, divided by the coefficient.
     coefficient : Monomial
     place : (3,) float
-        Its middle, m, for maps.
+        Its midpoint, m, for maps.
     """
 
     name: str
@@ -67,23 +67,23 @@ class StructuralModel(Analytic):
     ----------
     name : str
     space : ParameterSpace
-        Parameters with adopted values and limits.
+        Parameters with nominal values and limits.
     stiffness, damping, mass : AffineMatrix
         K, C, M; damping without terms means an undamped model.
     mesh : Mesh
     dofs : DofMap
     clusters : mapping from str to ndarray of int
-        Named groups of free degrees of freedom (substructure and direction, such as ``girder.y``) whose strain energy
-        is told apart.
+        Named groups of free degrees of freedom (substructure and direction, such as ``girder.y``) with separate strain
+        energies.
     locator : Locator
     assumptions : tuple of Assumption
     sensor_tolerance : float
         Largest distance in metres between a sensor and the part that carries it.
     parts : tuple of Part
-        What the matrices are made of; a search for what is missing looks at each. No answer depends on them.
+        Contributions to the matrices, each a candidate for a local perturbation. The modes do not depend on them.
     labels : tuple of int
-        Node labels that the model shares with the measurement, length n_nodes; empty where sensors are found by their
-        place alone.
+        Node labels that the model shares with the measurement, length n_nodes; empty where sensors are located by their
+        coordinates alone.
     """
 
     name: str
@@ -111,12 +111,12 @@ class StructuralModel(Analytic):
         lines: Iterable[tuple[int, int]] = (),
         name: str = "matrices",
     ) -> StructuralModel:
-        """A model of matrices that another code has assembled.
+        """A model from matrices assembled by another code.
 
         Each matrix is one (n_dof, n_dof) array, dense or sparse, or a mapping of named ones that add up. A matrix named
-        like a parameter is multiplied by it; ``(matrix, "parameter")`` and ``(matrix, {"parameter": power, ...})``
-        say so whatever the name. Values are those of the parameters in SI (N/m for a parameter in kN/m). Of a symmetric
-        matrix one triangle is enough. Mass may be singular and the structure free.
+        like a parameter is multiplied by it; ``(matrix, "parameter")`` and ``(matrix, {"parameter": power, ...})`` set
+        the multiplier explicitly. Values are those of the parameters in SI (N/m for a parameter in kN/m). Of a
+        symmetric matrix one triangle is enough. Mass may be singular and the structure free.
 
         Parameters
         ----------
@@ -124,8 +124,8 @@ class StructuralModel(Analytic):
         damping : Terms, optional
             Viscous; without it modes are real.
         dofs : DataFrame or iterable of (node, direction)
-            What each row of the matrices is: columns ``node, direction`` and, for pictures and for sensors that are
-            found by their place, ``x, y, z`` in m. Directions are x, y, z, rx, ry, rz, or 1 to 6.
+            Node and direction of each row of the matrices: columns ``node, direction`` and, for figures and for sensors
+            located by coordinates, ``x, y, z`` in m. Directions are x, y, z, rx, ry, rz, or 1 to 6.
         parameters : iterable of Parameter, or ParameterSpace
         lines : iterable of (node, node)
             Drawn between nodes.
@@ -134,8 +134,8 @@ class StructuralModel(Analytic):
         Raises
         ------
         InputError
-            When sizes do not match, an entry is no finite number, a matrix is not symmetric, a row is named twice, a
-            mass is negative, or a parameter scales nothing.
+            When sizes do not match, an entry is not finite, a matrix is not symmetric, a row is named twice, a mass is
+            negative, or a parameter scales nothing.
 
         Examples
         --------
@@ -163,8 +163,8 @@ class StructuralModel(Analytic):
         require_used(space, list(matrices.values()), name)
         require_mass(matrices["mass"](space.si(space.values)), table, name)
         place = {label: k for k, label in enumerate(table.labels)}
-        drawn = pairs(lines, f"model {name}, lines", "(node, node)")
-        ends = [[_index(node, place, name) for node in line] for line in drawn]
+        segments = pairs(lines, f"model {name}, lines", "(node, node)")
+        ends = [[_index(node, place, name) for node in line] for line in segments]
         expansion = table.expansion
         return StructuralModel(
             name=name,
@@ -193,7 +193,7 @@ class StructuralModel(Analytic):
 
     @property
     def n_modes(self) -> int:
-        """Modes that it can have: one a degree of freedom."""
+        """Largest number of modes: one for each degree of freedom."""
         return self.n_dof
 
     @property
@@ -203,12 +203,12 @@ class StructuralModel(Analytic):
 
     @property
     def dissipates(self) -> bool:
-        """Whether its modes are damped at the adopted values, or would be with another parameter."""
+        """Whether its modes are damped at the nominal or other parameter values."""
         return self.is_damped and super().dissipates
 
     @property
     def fingerprint(self) -> str:
-        """Hash over matrices and their coefficients; changes whenever an evaluation could."""
+        """Hash over matrices and their coefficients; changes whenever a result could."""
         digest = hashlib.sha256()
         for matrix in (self.stiffness, self.damping, self.mass):
             digest.update(matrix.digest())
@@ -218,18 +218,18 @@ class StructuralModel(Analytic):
 
     @property
     def roots(self) -> frozenset[str]:
-        """Parameters whose matrices have no derivative where they are 0."""
+        """Parameters whose matrices have no derivative at 0."""
         return self.stiffness.roots | self.damping.roots | self.mass.roots
 
     def matrices(self, values: Mapping[str, float]) -> tuple[sp.csc_array, sp.csc_array, sp.csc_array]:
-        """K, C, M at named values, each in its parameter's unit; parameters left out take their adopted value."""
+        """K, C, M at named values, each in its parameter's unit; missing parameters take their nominal value."""
         si = self.space.si(self.space.complete(values))
         return self.stiffness(si), self.damping(si), self.mass(si)
 
     def matrix_derivatives(
         self, values: Mapping[str, float], name: str
     ) -> tuple[sp.csc_array, sp.csc_array, sp.csc_array]:
-        """dK, dC, dM with respect to one parameter, per one of its own unit; whole-number parameters count as fixed."""
+        """dK, dC, dM with respect to one parameter in its own unit; integer parameters count as fixed."""
         si = self.space.si(self.space.complete(values))
         factor = self.space[name].si_factor
         stiffness, damping, mass = (m.derivative(si, name) * factor for m in (self.stiffness, self.damping, self.mass))
@@ -246,7 +246,7 @@ class StructuralModel(Analytic):
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
         """Motion at the sensors over the free degrees of freedom, shape (n_sensors, n_dof).
 
-        Raises InputError for a sensor without a place, off the model, or on a motion that the model suppresses.
+        Raises InputError for a sensor without coordinates, off the model, or on a motion that the model suppresses.
         """
         rows = np.zeros((len(sensors), self.n_dof))
         for i, sensor in enumerate(sensors):
@@ -259,9 +259,9 @@ class StructuralModel(Analytic):
                     place=place,
                     remedy=f"correct its coordinates or its part (largest distance {self.sensor_tolerance:g} m)",
                 )
-            if not np.abs(row).max(initial=0.0) > 1e-9:  # an inclined member leaves rounding where it suppresses
+            if not np.abs(row).max(initial=0.0) > 1e-9:  # suppressed motions of an inclined member carry rounding error
                 raise InputError(
-                    "the model suppresses this motion, so it can never agree",
+                    "the model suppresses this motion, so model and measurement can never agree",
                     place=place,
                     remedy="take it out of the measured shapes",
                 )
@@ -269,7 +269,7 @@ class StructuralModel(Analytic):
         return rows
 
     def _row_of(self, sensor: Sensor) -> tuple[np.ndarray, float]:
-        """Motion at a sensor, and how far it lies off: by its place, or by its node's label where one has none."""
+        """Motion at a sensor and its distance from the model, by coordinates or else by node label."""
         if sensor.direction not in DIRECTIONS:
             raise InputError(
                 f"its direction is {sensor.direction!r}", place=f"sensor {sensor.name}",

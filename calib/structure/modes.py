@@ -1,4 +1,4 @@
-"""Modes of a model, real or complex, and the roots that are no oscillation."""
+"""Modes of a model, real or complex, and eigenvalues excluded from them."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Literal
 
 import numpy as np
 
-RootKind = Literal["zero", "spin", "overdamped"]
+EigenvalueKind = Literal["zero", "spin", "overdamped"]
 
 
 @dataclass(frozen=True)
-class ExcludedRoot:
-    """A root that is no vibration mode and is never paired.
+class ExcludedEigenvalue:
+    """An eigenvalue that is not a vibration mode and is never paired.
 
     Attributes
     ----------
     kind : {"zero", "spin", "overdamped"}
-        Rigid-body motion or mechanism, rotation of a part about its own axis, or real root of an overdamped pair, which
-        decays without oscillation.
+        Rigid-body motion or mechanism, rotation of a part about its own axis, or real eigenvalue of an overdamped pair,
+        which decays without oscillation.
     eigenvalue : complex
         lambda in rad/s.
     """
 
-    kind: RootKind
+    kind: EigenvalueKind
     eigenvalue: complex
 
 
@@ -41,14 +41,14 @@ class Modes:
     shapes : ndarray (n_dof, n_modes)
         Real, mass-normalised, for an undamped model; complex for a damped one (displacement part of the state vector,
         ``psi^T (2 lambda M + C) psi = 1``).
-    excluded : tuple of ExcludedRoot
+    excluded : tuple of ExcludedEigenvalue
     """
 
     natural_freq: np.ndarray
     damped_freq: np.ndarray
     damping_ratio: np.ndarray
     shapes: np.ndarray
-    excluded: tuple[ExcludedRoot, ...] = ()
+    excluded: tuple[ExcludedEigenvalue, ...] = ()
 
     @property
     def n_modes(self) -> int:
@@ -56,7 +56,7 @@ class Modes:
         return len(self.natural_freq)
 
     def subset(self, index: Sequence[int] | np.ndarray) -> Modes:
-        """Some of the modes, in the order of their indices; roots that are none stay."""
+        """Some of the modes, in the order of the indices; the excluded eigenvalues stay."""
         index = np.asarray(index, dtype=int)
         return Modes(
             self.natural_freq[index], self.damped_freq[index], self.damping_ratio[index], self.shapes[:, index],

@@ -1,4 +1,4 @@
-"""A structural model projected on a few vectors: the same questions, answered with small dense matrices."""
+"""Reduced model: a structural model projected on a basis, with small dense matrices."""
 
 from __future__ import annotations
 
@@ -32,19 +32,18 @@ from calib.structure.solve_dense import solve_dense
 
 @dataclass(frozen=True, eq=False)
 class ReducedModel(Analytic):
-    """A structural model whose shapes are confined to a basis; a `ModalModel` whose degrees of freedom are its vectors.
+    """A structural model projected on a basis; a `ModalModel` whose degrees of freedom are the basis vectors.
 
-    Frequencies are those of the full model to within the square of what the basis cannot represent of the shapes
-    (Rayleigh-Ritz); MAC and strain energy shares err in proportion to it, the latter most, since a basis that holds the
-    shapes to some digits holds the forces in them to fewer. How far off a frequency is at a point is estimated by
-    `indicator`.
+    Errors of frequencies are of second order in the projection error of the shapes (Rayleigh-Ritz); those of MAC and
+    strain energy shares are of first order, largest for the latter, since a basis represents forces less accurately
+    than shapes. `indicator` estimates the frequency error at a point.
 
     Attributes
     ----------
     model : StructuralModel
     basis : Basis
     inner : ReducedModel, optional
-        What ``model`` extends and ``basis`` carries on: its projections are shared, see `extended`.
+        The reduced base model that ``model`` and ``basis`` extend: its projections are shared, see `extended`.
 
     Raises
     ------
@@ -62,7 +61,7 @@ class ReducedModel(Analytic):
     def __post_init__(self) -> None:
         if self.inner is None and self.basis.model_fingerprint != self.model.fingerprint:
             raise InputError(
-                "the reduced basis belongs to another model or to an earlier state of it",
+                "the reduced basis belongs to another model or to an earlier version of it",
                 place=f"model {self.model.name}",
                 remedy="train it anew",
             )
@@ -71,18 +70,18 @@ class ReducedModel(Analytic):
             object.__setattr__(self, f"_{name}", reduce_matrix(getattr(self.model, name), self.basis.vectors, known))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Factors cannot be pickled, and projecting anew is quicker than sending the matrices.
+        # Factors cannot be pickled, and projecting again is faster than sending the matrices.
         return ReducedModel, (self.model, self.basis, self.inner)
 
     def extended(self, effects: Sequence[Effect]) -> ReducedModel:
-        """The model with effects; degrees of freedom that they add stand for themselves in the basis.
+        """The model with effects; each added degree of freedom becomes a basis vector.
 
         InputError when an effect cannot be added, see `calib.structure.extend.extend`.
         """
         model = extend(self.model, effects)
         return ReducedModel(model, self.basis.carried(model.space, model.n_dof), self)
 
-    # -- what it has in common with the full model ---------------------------------------------------------------------
+    # -- properties shared with the full model -------------------------------------------------------------------------
 
     @property
     def name(self) -> str:
@@ -126,7 +125,7 @@ class ReducedModel(Analytic):
 
     @property
     def roots(self) -> frozenset[str]:
-        """Those of the full model."""
+        """Parameters whose derivatives do not exist at 0, as for the full model."""
         return self.model.roots
 
     @cached_property
@@ -134,7 +133,7 @@ class ReducedModel(Analytic):
         """Hash over the full model and the basis."""
         return hashlib.sha256((self.model.fingerprint + self.basis.digest).encode()).hexdigest()[:16]
 
-    # -- answers -------------------------------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------------------------------
 
     def matrices(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """K, C, M over the basis at named values, each (size, size)."""
@@ -144,7 +143,7 @@ class ReducedModel(Analytic):
     def matrix_derivatives(
         self, values: Mapping[str, float], name: str
     ) -> tuple[ReducedSlope, ReducedSlope, ReducedSlope]:
-        """dK, dC, dM with respect to one parameter, per one of its own unit; whole-number parameters count as fixed."""
+        """dK, dC, dM with respect to one parameter in its own unit; integer parameters count as fixed."""
         si = self.space.si(self.space.complete(values))
         factor = self.space[name].si_factor
         stiffness, damping, mass = (m.derivative(si, name) * factor for m in self._matrices)
@@ -160,13 +159,13 @@ class ReducedModel(Analytic):
         Raises
         ------
         InputError
-            When more modes are asked than the basis was trained for.
+            When more modes are requested than the basis was trained for.
         EvaluationError
             When the point cannot be solved.
         """
         if count > self.basis.count:
             raise InputError(
-                f"{count} modes are asked of a basis trained for {self.basis.count}",
+                f"{count} modes are requested from a basis trained for {self.basis.count}",
                 place=f"model {self.name}",
                 remedy="train it for as many",
             )
@@ -174,18 +173,18 @@ class ReducedModel(Analytic):
         stiffness, mass = self._stiffness(si), self._mass(si)
         damping = self._damping(si) if self.is_damped else None
 
-        def turning(shape: np.ndarray) -> float:
+        def rotational_share(shape: np.ndarray) -> float:
             total = abs(np.vdot(shape, mass @ shape))
-            return float(abs(np.vdot(shape, self._turning_mass(si) @ shape)) / total) if total > 0 else 0.0
+            return float(abs(np.vdot(shape, self._rotational_mass(si) @ shape)) / total) if total > 0 else 0.0
 
-        return solve_dense(stiffness, damping, mass, count, turning)
+        return solve_dense(stiffness, damping, mass, count, rotational_share)
 
     def lift(self, shapes: np.ndarray) -> np.ndarray:
         """Shapes over the full model's degrees of freedom, (n_full, n_modes), from those over the basis."""
         return self.basis.vectors @ shapes
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
-        """Motion at the sensors over the basis, (n_sensors, size); raises as the full model."""
+        """Motion at the sensors over the basis, (n_sensors, size); raises like the full model."""
         return self.model.sensor_rows(sensors) @ self.basis.vectors
 
     def displacement(self, shapes: np.ndarray) -> np.ndarray:
@@ -228,26 +227,26 @@ class ReducedModel(Analytic):
         inner = None if self.inner is None else self.inner._cluster_energy[name]
         return ClusterEnergy(self.basis.vectors, members, self.model.stiffness.terms, supports, inner)
 
-    # -- rotations, asked only where there are zero roots --------------------------------------------------------------
+    # -- rotations, needed only for zero eigenvalues -------------------------------------------------------------------
 
-    def _turning_mass(self, si: Mapping[str, float]) -> np.ndarray:
-        turning = np.where(self.model.dofs.direction >= 3, 1.0, 0.0)
-        part = turning[:, None] * self.basis.vectors
+    def _rotational_mass(self, si: Mapping[str, float]) -> np.ndarray:
+        rotational = np.where(self.model.dofs.direction >= 3, 1.0, 0.0)
+        part = rotational[:, None] * self.basis.vectors
         return part.T @ (self.model.mass(si) @ part)
 
-    # -- how far off ---------------------------------------------------------------------------------------------------
+    # -- error indicator -----------------------------------------------------------------------------------------------
 
     def indicator(self, values: Mapping[str, float], modes: Modes) -> np.ndarray:
         """Estimated relative error ``|lambda_reduced - lambda|/|lambda|`` of each mode, (n_modes,).
 
         ``est = ||R||^2 / |lambda|`` with the full model's residual ``R = (lambda^2 M + lambda C + K) psi`` in the dual
-        norm of the basis, psi being scaled as in `Modes` (half of it for an undamped mode, so that it is the relative
-        error of the frequency there too). A Galerkin eigenvalue is exact to first order in the error of its shape;
-        the error left is ``R^T (lambda^2 M + lambda C + K)^+ R``, of which this keeps the inverse of K alone, taken at
-        the reference values.
+        norm of the basis, psi scaled as in `Modes` (half of it for an undamped mode, which makes it the relative error
+        of the frequency there too). A Galerkin eigenvalue is exact to first order in the error of its shape; the
+        remaining error is ``R^T (lambda^2 M + lambda C + K)^+ R``, approximated here with the inverse of K at the
+        reference values.
 
-        It is an indicator and no bound: it knows neither the distance to the next root nor how much softer than at the
-        reference the model may be, and it says nothing about a mode that is not in the list at all.
+        It is an indicator, not a bound: it accounts neither for the distance to the next eigenvalue nor for a model
+        softer than the reference, and it cannot detect a missed mode.
 
         Parameters
         ----------
@@ -259,8 +258,8 @@ class ReducedModel(Analytic):
         shapes = self.lift(modes.shapes)
         size = 2 * np.pi * modes.natural_freq
         if modes.is_complex:
-            roots = -modes.damping_ratio * size + 2j * np.pi * modes.damped_freq
-            residual = roots**2 * (mass @ shapes) + roots * (damping @ shapes) + stiffness @ shapes
+            lam = -modes.damping_ratio * size + 2j * np.pi * modes.damped_freq
+            residual = lam**2 * (mass @ shapes) + lam * (damping @ shapes) + stiffness @ shapes
             parts = np.hstack([residual.real, residual.imag])
         else:
             parts = stiffness @ shapes - size**2 * (mass @ shapes)
@@ -277,13 +276,12 @@ class ReducedModel(Analytic):
 def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset: float) -> sp.csc_array:
     """``K + offset M`` at named values without selected terms, (n_dof, n_dof): the inner product of a basis.
 
-    Leaving the selected terms out makes no choice of position a favourite. With ``K^-1 b`` of all their vectors in the
-    basis, a Galerkin residual is orthogonal to these, and its dual norm is then the same with any of the terms present
-    (Woodbury's identity).
+    Without the selected terms no position is preferred. With ``K^-1 b`` of all their vectors in the basis, a Galerkin
+    residual is orthogonal to these, and its dual norm is the same with any of the terms present (Woodbury's identity).
     """
     si = model.space.si(model.space.complete(values))
-    plain = AffineMatrix(model.n_dof, model.stiffness.terms)
-    return sp.csc_array(plain(si) + offset * model.mass(si))
+    unselected = AffineMatrix(model.n_dof, model.stiffness.terms)
+    return sp.csc_array(unselected(si) + offset * model.mass(si))
 
 
 def reference_factor(model: StructuralModel, values: Mapping[str, float], offset: float) -> spla.SuperLU:

@@ -1,4 +1,4 @@
-"""Shares of clusters in the strain energy of a reduced model."""
+"""Strain energy of a reduced model by cluster."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calib.structure.affine import Term
 
 @dataclass(frozen=True, eq=False)
 class ClusterEnergy:
-    """What of the strain energy belongs to one cluster.
+    """Strain energy of one cluster as a quadratic form over the basis.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class ClusterEnergy:
     terms : tuple of Term
         Of the stiffness.
     supports : tuple of mapping from tuple of int to ndarray (size,)
-        ``V_c^T b_c`` of every selected vector that has a part in the cluster, one mapping for each selected term.
+        ``V_c^T b_c`` of every selected vector with entries in the cluster, one mapping for each selected term.
     inner : ClusterEnergy, optional
         Of the model that this one extends; its blocks are shared.
     """
@@ -46,9 +46,9 @@ class ClusterEnergy:
         return out
 
     def block(self, q: int) -> np.ndarray | None:
-        """Of one term, over the first vectors where it touches no others; None where it has no part in the cluster.
+        """Contribution of one term, over the leading vectors that it involves; None where it has none.
 
-        Made when first asked for: few of many terms are.
+        Computed on first use: few of many terms are needed.
         """
         if self.inner is not None and q < len(self.inner.terms):
             return self.inner.block(q)

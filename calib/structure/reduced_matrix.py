@@ -1,4 +1,4 @@
-"""An affine matrix projected on a few vectors."""
+"""Projection of an affine matrix on a basis."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from calib.structure.affine import AffineMatrix
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Projection of one term; one that touches few motions is kept as the rows of the vectors there.
+    """Projection of one term; a term with few nonzero rows is kept with the rows of the vectors there.
 
     Attributes
     ----------
     matrix : ndarray (n_rows, n_rows)
-        The projection itself, or the term at the motions it touches.
+        The projection itself, or the term at its nonzero rows.
     rows : ndarray (n_rows, size) or None
-        The vectors at these motions.
+        The vectors at these rows; None for the projection itself.
     """
 
     matrix: np.ndarray
@@ -47,13 +47,13 @@ class Block:
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """The same, kept once it has been asked for: few of many terms enter the evaluations."""
+        """The same, cached on first use: few of many terms enter the evaluations."""
         return self.projected()
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedMatrix:
-    """Projection ``V^T A V`` of an affine matrix; a selected term keeps its vectors ``V^T b`` and no matrices.
+    """Projection ``V^T A V`` of an affine matrix; a selected term keeps vectors ``V^T b`` instead of matrices.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class ReducedMatrix:
     size : int
         Number of vectors.
     blocks : tuple of Block
-        One for each term; one of fewer vectors touches only the first ones.
+        One for each term; a smaller one involves only the leading vectors.
     vectors : tuple of mapping from tuple of int to ndarray (size,)
         One mapping for each selected term.
     """
@@ -96,7 +96,7 @@ class ReducedMatrix:
 
     @cached_property
     def _terms_of(self) -> Mapping[str, list[int]]:
-        """Indices of the terms that depend on each parameter: few of many."""
+        """Indices of the terms that depend on each parameter."""
         out: dict[str, list[int]] = {}
         for q, term in enumerate(self.affine.terms):
             for name in term.coefficient.names:
@@ -106,14 +106,14 @@ class ReducedMatrix:
 
 @dataclass(frozen=True, eq=False)
 class ReducedSlope:
-    """A derivative of a reduced matrix, known by what it does to shapes: made whole, hundreds would fill the memory.
+    """Derivative of a reduced matrix as a linear operator: hundreds of dense ones would fill the memory.
 
     Attributes
     ----------
     size : int
         Number of vectors.
     parts : tuple of (float, Block)
-        Factors and what they multiply.
+        Factors and the blocks they multiply.
     picked : tuple of (float, ndarray (size,))
         Factors and vectors b of ``b b^T``.
     """
@@ -123,7 +123,7 @@ class ReducedSlope:
     picked: tuple[tuple[float, np.ndarray], ...] = ()
 
     def __matmul__(self, shapes: np.ndarray) -> np.ndarray:
-        """Times shapes (size,) or (size, m)."""
+        """Product with shapes (size,) or (size, m)."""
         out = np.zeros(shapes.shape, dtype=shapes.dtype)
         for factor, block in self.parts:
             out[: block.size] += factor * (block @ shapes[: block.size])
@@ -132,16 +132,16 @@ class ReducedSlope:
         return out
 
     def __mul__(self, factor: float) -> ReducedSlope:
-        """The same per another unit."""
+        """The derivative times a factor, such as a change of unit."""
         parts = tuple((factor * slope, block) for slope, block in self.parts)
         return ReducedSlope(self.size, parts, tuple((factor * slope, b) for slope, b in self.picked))
 
     def __abs__(self) -> np.ndarray:
-        """Sizes of the entries, (size, size)."""
+        """Absolute values of the entries, (size, size)."""
         return np.abs(self.toarray())
 
     def toarray(self) -> np.ndarray:
-        """The whole matrix, (size, size)."""
+        """The dense matrix, (size, size)."""
         out = np.zeros((self.size, self.size))
         for factor, block in self.parts:
             _add(out, factor, block.projected())
@@ -163,13 +163,13 @@ def reduce_matrix(affine: AffineMatrix, vectors: np.ndarray, known: Sequence[Blo
     affine : AffineMatrix
     vectors : ndarray (n_dof, size)
     known : sequence of Block
-        Projections of the first terms, which touch only motions of the first vectors.
+        Known projections of the first terms, which involve only leading vectors.
     """
     size = vectors.shape[1]
     blocks = list(known)
     for term in affine.terms[len(known) :]:
         matrix = sp.csr_array(term.matrix)
-        active = np.flatnonzero(np.diff(matrix.indptr))  # a part of the model touches few of its motions
+        active = np.flatnonzero(np.diff(matrix.indptr))  # most terms have few nonzero rows
         rows = vectors[active]
         if 2 * len(active) <= size:
             blocks.append(Block(matrix[active][:, active].toarray(), rows))

@@ -1,4 +1,4 @@
-"""What is wrong with a model that came from elsewhere: half a matrix, nothing at a place, a mesh that does not fit."""
+"""Validation of an imported model: symmetry, empty degrees of freedom, consistency of the mesh."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from calib.structure.affine import AffineMatrix, Term
 from calib.structure.model import Mesh, StructuralModel
 
 _ROUNDING = 1e-6
-"""Difference between the two halves of a symmetric matrix, over its largest entry, that assembling may leave."""
+"""Asymmetry that assembly may leave, over the largest entry."""
 _MOTIONS = ("ux", "uy", "uz", "rx", "ry", "rz")
 
 
 def require_sound(model: StructuralModel) -> None:
-    """InputError for a model whose pieces do not fit each other.
+    """InputError for a model with inconsistent parts.
 
-    Its mesh as in `require_mesh`, matrices that are not symmetric, degrees of freedom with neither stiffness nor mass.
+    Checks the mesh as in `require_mesh`, symmetry of the matrices, and that every degree of freedom has stiffness or
+    mass.
     """
     require_mesh(model.mesh, model.dofs.expansion.shape[0] // 6, f"model {model.name}, mesh")
     kinds = {"stiffness": model.stiffness, "damping": model.damping, "mass": model.mass}
@@ -40,10 +41,10 @@ def require_sound(model: StructuralModel) -> None:
 
 
 def require_mesh(mesh: Mesh, n_nodes: int, place: str) -> None:
-    """InputError for a mesh that does not fit itself, or the nodes that the degrees of freedom move.
+    """InputError for a mesh that is inconsistent in itself or with the nodes of the degrees of freedom.
 
     Points are (n_nodes, 3), finite, or all NaN where none is known; lines (n_lines, 2) and faces (n_faces, 4) hold
-    whole numbers of points, and each has one group. There may be no lines and no faces.
+    point numbers, and each has one group. There may be no lines and no faces.
     """
     points = _numbers(mesh.points, 3, "points", "coordinates x, y, z in metres", place)
     if len(points) != n_nodes:
@@ -70,8 +71,7 @@ def _require_elements(given: Any, groups: Any, width: int, names: tuple[str, str
     if len(wrong):
         row, column = wrong[0]
         raise InputError(
-            f"row {row} of {what} names point {nodes[row, column]:g}, but points are whole numbers from 0 to "
-            f"{n_nodes - 1}",
+            f"row {row} of {what} names point {nodes[row, column]:g}, but points are integers from 0 to {n_nodes - 1}",
             place=place,
             remedy=f"correct {what}: numbers of points count from 0",
         )
@@ -86,7 +86,7 @@ def _require_elements(given: Any, groups: Any, width: int, names: tuple[str, str
 
 
 def _numbers(given: Any, width: int, what: str, columns: str, place: str) -> np.ndarray:
-    """A table of numbers, (n, width); a table without rows may have any shape."""
+    """A table of numbers, (n, width); an empty table may have any shape."""
     try:
         found = np.asarray(given)
     except ValueError:  # rows of different lengths
@@ -94,9 +94,9 @@ def _numbers(given: Any, width: int, what: str, columns: str, place: str) -> np.
     if found.dtype.kind in "iuf" and found.size == 0:
         return np.zeros((0, width))
     if found.dtype.kind not in "iuf" or found.ndim != 2 or found.shape[1] != width:
-        told = f"an array of shape {found.shape}" if isinstance(given, np.ndarray) else f"{given!r:.60}"
+        shown = f"an array of shape {found.shape}" if isinstance(given, np.ndarray) else f"{given!r:.60}"
         raise InputError(
-            f"{what} is {told}", place=place, remedy=f"give an array (n_{what}, {width}) of numbers: {columns} a row"
+            f"{what} is {shown}", place=place, remedy=f"give an array (n_{what}, {width}) of numbers: {columns} a row"
         )
     return found
 
@@ -123,7 +123,7 @@ def _require_symmetric(term: Term, kind: str, name: str) -> None:
 
 
 def _touched(matrix: AffineMatrix) -> np.ndarray:
-    """Size of what stands in each row over all terms, whatever their coefficients, (n_dof,)."""
+    """Sum of absolute entries of each row over all terms, whatever their coefficients, (n_dof,)."""
     out = np.zeros(matrix.n_dof)
     for term in matrix.terms:
         out += np.asarray(abs(sp.csr_array(term.matrix)).sum(axis=1)).ravel()
@@ -134,7 +134,7 @@ def _touched(matrix: AffineMatrix) -> np.ndarray:
 
 
 def _dof_words(model: StructuralModel, k: int) -> str:
-    """A degree of freedom by number, node and direction."""
+    """Name of a degree of freedom: number, node and direction."""
     node, direction = int(model.dofs.node[k]), int(model.dofs.direction[k])
     x, y, z = model.mesh.points[node]
     return f"number {k + 1} ({_MOTIONS[direction]} of node {node + 1} at ({x:g}, {y:g}, {z:g}) m)"

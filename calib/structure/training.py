@@ -1,4 +1,4 @@
-"""Choosing the vectors of a reduced basis from full-order modes over the spaces to be searched."""
+"""Training of a reduced basis on full-order modes over parameter spaces."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from calib.errors import InputError, ToleranceError
 from calib.space import ParameterSpace
 from calib.structure.basis import CHECK_COLUMNS, Basis
 from calib.structure.certificate import mode_errors
-from calib.structure.cover import box, covering_points, levels, middle
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel, reference_factor, reference_matrix
 from calib.structure.solve import solve_modes
+from calib.structure.space_filling import box, levels, middle, space_filling_points
 
 _SAFETY = 0.5
-"""The indicator must fall below this part of the tolerance."""
+"""Limit of the error indicator, as a fraction of the tolerance."""
 _POD = 0.5
-"""Squared projection error of every snapshot, in parts of the tolerance."""
+"""Squared projection error of every snapshot, as a fraction of the tolerance."""
 _STATIC = 1e-3
-"""Static vectors nearer than this to the others, in the energy norm, add nothing."""
+"""Static vectors closer than this to the span of the others, in the energy norm, are dropped."""
 _NEAR = 1.15
-"""Modes up to this multiple of the highest frequency wanted are represented: they may come lower elsewhere."""
+"""Modes up to this multiple of the highest wanted frequency are included: they may be lower at other points."""
 _FRESH = 24
-"""Fresh points of each space in a round of checks."""
+"""Validation points of each space in a round of checks."""
 _VERIFIED = 6
-"""Points of a passed round, worst indicators first, solved at full order as well: only that tells missed modes."""
+"""Points of a passed round, worst indicators first, that are verified at full order: only that detects missed modes."""
 _ROUNDS = 16
 
 
 @dataclass(frozen=True)
 class _Target:
-    """Which modes must meet which tolerance."""
+    """Modes that must meet the tolerance."""
 
     count: int
     freq_max: float
     damping_max: float
     tolerance: float
 
-    def judged(self, modes: Modes) -> np.ndarray:
-        """Which modes count, (n_modes,), bool."""
+    def relevant(self, modes: Modes) -> np.ndarray:
+        """Which modes must meet it, (n_modes,), bool."""
         return (modes.natural_freq <= self.freq_max) & (modes.damping_ratio < self.damping_max)
 
 
@@ -58,37 +58,38 @@ def train_basis(
     tolerance: float = 1e-5,
     samples: int | None = None,
 ) -> Basis:
-    """Choose a basis that represents the lowest modes of a model all over some parameter spaces.
+    """Train a basis that represents the lowest modes of a model over whole parameter spaces.
 
-    In this order: static answers to all selected vectors b and to the dampers, proper orthogonal decomposition of
-    snapshots (modes at Latin hypercube points, scaled to equal energy, real and imaginary parts), and the modes at
-    those fresh points where `ReducedModel.indicator` is worst, until a round of fresh points passes and those of its
-    points that look worst agree with the full model, no mode missing. Points that were not solved are vouched for by
-    the indicator only; `calib.structure.certificate` measures.
+    The basis collects, in this order: static responses to all selected vectors b and to the dampers; the proper
+    orthogonal decomposition of snapshots (modes at Latin hypercube points, scaled to equal energy, real and imaginary
+    parts); and the modes at the validation points where `ReducedModel.indicator` is largest, until a round of new
+    points passes and its worst points agree with the full model without a missed mode. Points that were not solved rest
+    on the indicator alone; `calib.structure.certificate` measures the error.
 
     Parameters
     ----------
     model : StructuralModel
     spaces : ParameterSpace or sequence of them
-        Where the basis shall hold, constraints included; whole-number parameters take all of their values.
+        Domain of the basis, constraints included; integer parameters take all of their values.
     count : int
-        Number of modes that will be asked.
+        Number of modes to represent.
     seed : int
         Same seed, same basis on the same machine.
     freq_max, damping_max : float
-        Only modes below this natural frequency (Hz) and damping ratio must meet the tolerance. A nearly critical root
-        is close to defective, so that little may be asked of it.
+        Only modes below this natural frequency (Hz) and damping ratio must meet the tolerance. A nearly critical
+        eigenvalue is almost defective and cannot meet a tight tolerance.
     tolerance : float
-        Relative eigenvalue error; half of it is asked of the indicator. Shapes, MAC and damping ratios err by about its
-        root, strain energy shares by several times that, so that a hundredth of what frequencies need is well spent.
+        Relative eigenvalue error; the indicator must meet half of it. Errors of shapes, MAC and damping ratios are
+        about its square root, those of strain energy shares several times that, so that a hundredth of what frequencies
+        need is worthwhile.
     samples : int, optional
-        Snapshot points of each space; default 8 and 2 for each free parameter, at least as many as a whole-number
+        Snapshot points of each space; default 8 plus 2 for each free parameter, at least as many as an integer
         parameter has values.
 
     Raises
     ------
     InputError
-        When a space does not belong to the model or has no admissible point.
+        When a space does not belong to the model or has no feasible point.
     ToleranceError
         When the tolerance is not reached.
     EvaluationError
@@ -119,12 +120,12 @@ def train_basis(
     )
     growth = Growth(model, basis)
     vectors = growth.statics()
-    points = [p for space in several for p in covering_points(space, samples or _sample_count(space), rng)]
+    points = [p for space in several for p in space_filling_points(space, samples or _sample_count(space), rng)]
     snapshots = np.hstack([growth.snapshots(model.modes(p, count), target) for p in points])
     vectors = np.hstack([vectors, growth.decomposed(snapshots, vectors, _POD * tolerance)])
     basis = replace(basis, vectors=vectors, samples=_rows(basis, points))
     for number in range(1, _ROUNDS + 1):
-        fresh = [p for space in several for p in covering_points(space, _fresh_count(space), rng)]
+        fresh = [p for space in several for p in space_filling_points(space, _fresh_count(space), rng)]
         basis, passed = growth.enriched(basis, fresh, target, number)
         if passed:
             return basis
@@ -136,19 +137,19 @@ def train_basis(
 
 
 def _missed(basis: Basis, tolerance: float) -> str:
-    """By how much the last round of checks failed, and by which of its two measures."""
+    """Failure of the last round of checks, in words."""
     found = basis.checks[basis.checks[:, 0] == _ROUNDS]
     error = float(np.nanmax(found[:, 3], initial=0.0))
     if error > tolerance:
         return f"after {_ROUNDS} rounds of checks: eigenvalues of the full model differ by up to {error:.1e}"
-    asked, indicator = _SAFETY * tolerance, float(found[:, 2].max())
-    return f"after {_ROUNDS} rounds of checks: its indicator, of which {asked:.1e} is asked, reached {indicator:.1e}"
+    required, indicator = _SAFETY * tolerance, float(found[:, 2].max())
+    return f"after {_ROUNDS} rounds of checks: its error indicator of {indicator:.1e} exceeds {required:.1e}"
 
 
 def enrich_basis(model: StructuralModel, basis: Basis, points: Sequence[Mapping[str, float]]) -> Basis:
-    """A next version of a basis that also meets its tolerance at given points, in the order given.
+    """The next version of a basis, which also meets its tolerance at given points, in the order given.
 
-    A basis must not change during a search, since its answers would then depend on their order.
+    Do not change a basis during a search: results would then depend on the order of evaluations.
     """
     growth = Growth(model, basis)
     target = _Target(basis.count, basis.freq_max, basis.damping_max, basis.tolerance)
@@ -162,7 +163,7 @@ def enrich_basis(model: StructuralModel, basis: Basis, points: Sequence[Mapping[
 
 
 class Growth:
-    """The inner product of a basis, and what is made with it."""
+    """Inner product of a basis, and the projections and decompositions in it."""
 
     def __init__(self, model: StructuralModel, basis: Basis):
         self.model = model
@@ -172,16 +173,16 @@ class Growth:
         self.rigid = _rigid_count(model, self.reference) if basis.offset else 0
 
     def _inertia_forces(self) -> np.ndarray:
-        """Forces whose answers are the rigid-body motions and mechanisms of the reference model."""
+        """Forces whose responses are the rigid-body motions and mechanisms of the reference model."""
         mass = self.model.mass(self.model.space.si(self.model.space.complete(self.reference)))
         forces = np.random.default_rng(20110713).standard_normal((self.model.n_dof, self.rigid))
-        for _ in range(12):  # each turn weakens the first vibration mode a hundredfold
+        for _ in range(12):  # each pass reduces the first vibration mode by a factor of 100
             motions = np.linalg.qr(self.factor.solve(forces))[0]
             forces = mass @ motions
         return forces
 
-    def outside(self, vectors: np.ndarray, basis: np.ndarray) -> np.ndarray:
-        """What of vectors is orthogonal to an orthonormal basis in the energy product."""
+    def project_out(self, vectors: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        """Vectors with an orthonormal basis projected out in the energy product."""
         for _ in range(2):
             vectors = vectors - basis @ (basis.T @ (self.matrix @ vectors))
         return vectors
@@ -193,12 +194,12 @@ class Growth:
         energies, turn = la.eigh(vectors.T @ (self.matrix @ vectors))
         kept = energies > max(least, 1e-13 * energies[-1])
         out = vectors @ (turn[:, kept] / np.sqrt(energies[kept]))
-        # Once more: the division has magnified the rounding of small directions.
+        # A second pass, since the division has amplified the rounding error of small directions.
         energies, turn = la.eigh(out.T @ (self.matrix @ out))
         return out @ (turn / np.sqrt(energies)) @ turn.T
 
     def statics(self) -> np.ndarray:
-        """The reference model's answers to all selected vectors and to forces of dampers, and its rigid motions."""
+        """Static responses of the reference model to selected vectors and damper forces, and its rigid-body motions."""
         chosen = [b for term in self.model.stiffness.selected for b in term.vectors.values()]
         forces = [np.column_stack(chosen)] if chosen else []
         if self.rigid:
@@ -206,16 +207,16 @@ class Growth:
         if self.model.is_damped:
             for term in self.model.damping.terms:
                 active = np.unique(term.matrix.indices[term.matrix.data != 0])
-                if len(active) <= 0.1 * self.model.n_dof:  # dampers at places, not damping of the material
+                if len(active) <= 0.1 * self.model.n_dof:  # discrete dampers, not material damping
                     sizes, turn = la.eigh(term.matrix[active][:, active].toarray())
                     columns = np.zeros((self.model.n_dof, np.count_nonzero(sizes > 1e-10 * sizes[-1])))
                     columns[active] = turn[:, sizes > 1e-10 * sizes[-1]]
                     forces.append(columns)
         if not forces:
             return np.zeros((self.model.n_dof, 0))
-        answers = self.factor.solve(np.hstack(forces))
-        answers /= np.sqrt(np.einsum("ij,ij->j", answers, self.matrix @ answers))
-        return self.spanned(answers, _STATIC**2)
+        responses = self.factor.solve(np.hstack(forces))
+        responses /= np.sqrt(np.einsum("ij,ij->j", responses, self.matrix @ responses))
+        return self.spanned(responses, _STATIC**2)
 
     def snapshots(self, modes: Modes, target: _Target) -> np.ndarray:
         """Real columns that span modes, each mode scaled to unit energy; (n_dof, n_modes) or twice as many."""
@@ -223,14 +224,14 @@ class Growth:
         energy = np.einsum("ij,ij->j", shapes.conj(), self.matrix @ shapes).real
         if not modes.is_complex:
             return shapes / np.sqrt(energy)
-        # Turned so that the real part is as large as it can be.
+        # Rotated to the phase that maximises the real part.
         turn = np.exp(-0.5j * np.angle(np.einsum("ij,ij->j", shapes, self.matrix @ shapes)))
         shapes = shapes * (turn / np.sqrt(energy))
         return np.hstack([shapes.real, shapes.imag])
 
     def decomposed(self, snapshots: np.ndarray, basis: np.ndarray, error: float) -> np.ndarray:
-        """Fewest principal directions beside a basis that represent every snapshot to a squared error."""
-        rest = self.outside(snapshots, basis)
+        """Fewest principal directions that, with a basis, represent every snapshot to a squared error."""
+        rest = self.project_out(snapshots, basis)
         gram = rest.T @ (self.matrix @ rest)
         if np.diag(gram).max(initial=0.0) < error:
             return np.zeros((len(rest), 0))
@@ -239,16 +240,16 @@ class Growth:
         left = np.diag(gram)[:, None] - np.cumsum(energies * turn**2, axis=1)
         size = int(np.argmax(left.max(axis=0) < error)) + 1
         size = min(size, int(np.count_nonzero(energies > 1e-13 * energies[0])))
-        return self.spanned(self.outside(rest @ (turn[:, :size] / np.sqrt(energies[:size])), basis), 0.0)
+        return self.spanned(self.project_out(rest @ (turn[:, :size] / np.sqrt(energies[:size])), basis), 0.0)
 
     def widened(self, basis: np.ndarray, vectors: np.ndarray, error: float) -> np.ndarray:
-        """An orthonormal basis with what represents every one of some vectors to a squared error."""
+        """An orthonormal basis, extended to represent given vectors to a squared error."""
         return np.hstack([basis, self.decomposed(vectors, basis, error)])
 
     def enriched(
         self, basis: Basis, points: Sequence[Mapping[str, float]], target: _Target, number: int
     ) -> tuple[Basis, bool]:
-        """The basis with the modes of the worst points added until all points pass, and whether all did at once."""
+        """The basis with modes of the worst points added until all pass, and whether all passed at once."""
         final = np.zeros(len(points))
         waiting = list(range(len(points)))
         passed = True
@@ -256,7 +257,7 @@ class Growth:
             reduced = ReducedModel(self.model, basis)
             for k in waiting:
                 modes = reduced.modes(points[k], target.count)
-                final[k] = np.max(reduced.indicator(points[k], modes)[target.judged(modes)], initial=0.0)
+                final[k] = np.max(reduced.indicator(points[k], modes)[target.relevant(modes)], initial=0.0)
             checks = [(number, basis.size, final[k], np.nan) for k in waiting]
             waiting = [k for k in waiting if final[k] > _SAFETY * target.tolerance]
             worst = [max(waiting, key=lambda k: final[k])] if waiting else []
@@ -273,24 +274,24 @@ class Growth:
             snapshots = [self.snapshots(self.model.modes(points[k], target.count), target) for k in worst]
             grown = self.added(basis.vectors, np.hstack(snapshots), _POD * target.tolerance)
             if grown.shape[1] == basis.size:
-                break  # nothing is left to add: the indicator lies above the true error there
+                break  # nothing is left to add: the indicator overestimates the error there
             samples = np.vstack([basis.samples, _rows(basis, [points[k] for k in worst])])
             basis = replace(basis, vectors=grown, samples=samples)
         return basis, passed
 
     def added(self, basis: np.ndarray, vectors: np.ndarray, least: float) -> np.ndarray:
-        """An orthonormal basis with vectors added, directions of energy below ``least`` left out."""
-        new = self.spanned(self.outside(vectors, basis), least)
-        return np.hstack([basis, self.outside(new, basis)])
+        """An orthonormal basis with vectors added, directions of energy below ``least`` dropped."""
+        new = self.spanned(self.project_out(vectors, basis), least)
+        return np.hstack([basis, self.project_out(new, basis)])
 
 
 def _rigid_count(model: StructuralModel, values: Mapping[str, float]) -> int:
     """Number of rigid-body motions and mechanisms of the reference model."""
-    return sum(root.kind in ("zero", "spin") for root in _reference_modes(model, values).excluded)
+    return sum(eigenvalue.kind in ("zero", "spin") for eigenvalue in _reference_modes(model, values).excluded)
 
 
 def _offset(model: StructuralModel, values: Mapping[str, float]) -> float:
-    """What part of the mass keeps the inner product regular: none, but for rigid-body motions and mechanisms."""
+    """Factor of the mass that keeps the inner product regular; 0 without rigid-body motions and mechanisms."""
     if not _rigid_count(model, values):
         return 0.0
     return float((0.1 * 2 * np.pi * _reference_modes(model, values).natural_freq[0]) ** 2)
@@ -304,14 +305,14 @@ def _reference_modes(model: StructuralModel, values: Mapping[str, float]) -> Mod
 def _check(model: StructuralModel, spaces: Sequence[ParameterSpace], count: int, tolerance: float) -> None:
     place = f"reduced model of {model.name}"
     if count < 1:
-        raise InputError(f"{count} modes are asked", place=place, remedy="ask for at least 1")
+        raise InputError(f"the number of modes is {count}", place=place, remedy="ask for at least 1")
     if not 0 < tolerance < 1:
         raise InputError(f"the tolerance is {tolerance}", place=place, remedy="choose one such as 1e-4")
     if not spaces:
         raise InputError("no parameter space is given", place=place)
     for space in spaces:
         if space.names != model.space.names:
-            raise InputError("a space has other parameters than the model", place=place)
+            raise InputError("the parameters of a space are not those of the model", place=place)
         space.require_feasible()
 
 

@@ -1,4 +1,4 @@
-"""One model with any of its possible effects, ready to be asked for modes."""
+"""A model with any combination of its candidate effects."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from calib.structure.reduced import ReducedModel
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """A base model extended by effects and local changes.
+    """A base model extended by effects and local perturbations.
 
-    Effects that add no degrees of freedom, and all local changes, are terms of one common model, of strength 0 until
-    they are asked for; only those with degrees of freedom of their own need another model.
+    Effects that add no degrees of freedom, and all local perturbations, are terms of one common model, of magnitude 0
+    unless set; only effects with degrees of freedom of their own need another model.
 
     Attributes
     ----------
     model : StructuralModel
         The base model.
-    effects, atoms : tuple of Effect
+    effects, perturbations : tuple of Effect
     basis : Basis or None
         Of the base model, see `calib.structure.effect_basis`; None for full order.
     """
 
     model: StructuralModel
     effects: tuple[Effect, ...]
-    atoms: tuple[Effect, ...]
+    perturbations: tuple[Effect, ...]
     basis: Basis | None = None
     _made: dict[tuple[str, ...], StructuralModel | ReducedModel] = field(init=False, repr=False, default_factory=dict)
 
@@ -43,17 +43,17 @@ class Variants:
 
     @property
     def calls(self) -> None:
-        """None: no function of the user's is asked."""
+        """None: no user function is called."""
         return
 
     @property
     def unproven(self) -> tuple[str, ...]:
-        """None: a term of strength 0 changes nothing."""
+        """Empty: a term of magnitude 0 changes nothing."""
         return ()
 
     def built(self, names: Sequence[str]) -> StructuralModel:
-        """The base model with the named effects and local changes alone, at full order."""
-        own = [e for e in (*self.effects, *self.atoms) if e.name in names]
+        """The base model with only the named effects and local perturbations, at full order."""
+        own = [e for e in (*self.effects, *self.perturbations) if e.name in names]
         return extend(self.model, own) if own else self.model
 
     def added(self, names: Sequence[str]) -> int:
@@ -61,11 +61,11 @@ class Variants:
         return sum(self._added.get(name, 0) for name in names)
 
     def with_effects(self, names: Sequence[str]) -> StructuralModel | ReducedModel:
-        """A model whose parameters include those of the named effects and of every local change.
+        """A model whose parameters include those of the named effects and of every local perturbation.
 
         Raises InputError for an unknown name.
         """
-        known = set(self._added) | {a.name for a in self.atoms}
+        known = set(self._added) | {a.name for a in self.perturbations}
         for name in names:
             if name not in known:
                 raise InputError(f"there is no effect {name!r}", place=f"model {self.model.name}")
@@ -82,8 +82,8 @@ class Variants:
 
     @cached_property
     def _common(self) -> StructuralModel | ReducedModel:
-        """With all effects that add no degrees of freedom, and all local changes."""
-        plain = [*(e for e in self.effects if not self._added[e.name]), *self.atoms]
+        """The model with all effects that add no degrees of freedom, and all local perturbations."""
+        without_dofs = [*(e for e in self.effects if not self._added[e.name]), *self.perturbations]
         if self.basis is None:
-            return extend(self.model, plain)
-        return ReducedModel(self.model, self.basis).extended(plain)
+            return extend(self.model, without_dofs)
+        return ReducedModel(self.model, self.basis).extended(without_dofs)

@@ -31,7 +31,7 @@ def bending_shape(xi: np.ndarray, length: np.ndarray, phi: np.ndarray) -> tuple[
     Parameters
     ----------
     xi : ndarray, broadcast with the others
-        Place along the element, 0..1.
+        Position along the element, 0..1.
     length, phi : ndarray
         Length in m and shear ratio.
 
@@ -212,7 +212,7 @@ def release(stiffness_: np.ndarray, mass_: np.ndarray, released: np.ndarray) -> 
     stiffness_, mass_ : ndarray (n, 12, 12)
         Local axes.
     released : ndarray (12,), bool
-        Local motions that carry no force.
+        Local motions without force.
     """
     t = released_motion(stiffness_, released)
     return congruent(stiffness_, t), congruent(mass_, t)
@@ -224,7 +224,7 @@ def released_motion(stiffness_: np.ndarray, released: np.ndarray) -> np.ndarray:
     t = np.zeros((len(stiffness_), 12, 12))
     t[:, free, free] = 1.0
     k_hh = stiffness_[:, hinged[:, None], hinged]
-    # Releasing both ends of a motion leaves a rigid rotation without stiffness: the least-norm answer is meant there.
+    # Releasing both ends of a motion leaves a rigid rotation without stiffness; it takes the least-norm solution.
     t[:, hinged[:, None], free] = -np.linalg.pinv(k_hh) @ stiffness_[:, hinged[:, None], free]
     return t
 

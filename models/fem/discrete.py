@@ -31,11 +31,11 @@ class Spring:
     direction : (3,) float
         Any length but zero.
     rotational : bool
-        Acts between rotations about ``direction``.
+        Whether it acts between rotations about ``direction``.
     weight : float
-        Multiplies the stiffness or damping value of its term.
+        Factor on the stiffness or damping value of its term.
     name : str
-        Springs of one name and term are one part of the model.
+        Springs of one name and term form one part of the model.
     """
 
     end: End
@@ -92,9 +92,9 @@ class PointMass:
     inertia : (3,) float
         About the global axes through its own centre, kg m2.
     spread : tuple of points
-        Offsets over which the mass is shared out evenly; one zero offset means a point.
+        Offsets over which the mass is distributed evenly; one zero offset means a point.
     name : str
-        Masses of one name are one part of the model.
+        Masses of one name form one part of the model.
     """
 
     at: End
@@ -121,7 +121,7 @@ def mass_matrix(frame: Frame, masses: Sequence[PointMass]) -> sp.csr_array:
 
 @dataclass(frozen=True)
 class FrameLocator:
-    """Finds points of the geometry on a frame, over its free degrees of freedom."""
+    """Motions of points of the geometry over the free degrees of freedom of a frame."""
 
     frame: Frame
     expansion: sp.csr_array
@@ -133,5 +133,5 @@ class FrameLocator:
 
     @cached_property
     def _turned(self) -> sp.csc_array:
-        """The expansion's transpose, made once."""
+        """Transpose of the expansion, computed once."""
         return sp.csc_array(self.expansion.T)

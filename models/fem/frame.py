@@ -1,4 +1,4 @@
-"""Frames: members cut into beam elements, tied together, with points that can be asked for their motion."""
+"""Frames: members cut into beam elements and tied together, with the motion of any point."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from models.fem.nodes import MERGE, NodeTable, assemble
 
 
 class Carrier(NamedTuple):
-    """An element's nearest place to a point: its distance, its nodes and the point's motion over theirs.
+    """Nearest place of an element to a point: its distance, its nodes and the point's motion over theirs.
 
-    ``problem`` tells why the place cannot carry the point.
+    ``problem`` says why the place cannot carry the point.
     """
 
     distance: float
@@ -130,7 +130,7 @@ class Frame:
         ----------
         point : (3,) coordinates in m
         on : str, optional
-            Body or group that carries the point; without it the nearest of all.
+            Body or group that carries the point; by default the nearest of all.
 
         Returns
         -------
@@ -146,7 +146,7 @@ class Frame:
         return rows, nearest.distance
 
     def _nearest(self, p: np.ndarray, on: str | None) -> Carrier:
-        """What carries a point; it is sought once, as each direction of a sensor and of a spring asks for it anew."""
+        """Carrier of a point; kept, since every direction of a sensor and of a spring needs it."""
         key = (float(p[0]), float(p[1]), float(p[2]), on)
         if key not in self._known:
             found = self._carriers(p, on)
@@ -182,7 +182,7 @@ class Frame:
 
     @cached_property
     def _known(self) -> dict[Place, Carrier]:
-        """What carries the points that were asked for."""
+        """Carriers of the points found so far."""
         return {}
 
     @cached_property
@@ -195,7 +195,7 @@ class Frame:
 
     @cached_property
     def _elements_of(self) -> dict[str | None, np.ndarray]:
-        """Indices of the elements of every body and group that has any, and of them all under None."""
+        """Indices of the elements of every body and group that has any, and of all elements under None."""
         return indices_of([(m.body, m.group) for m in self.members], self.member_of)
 
     def _particle_carriers(self, p: np.ndarray, on: str | None) -> list[Carrier]:
@@ -236,7 +236,7 @@ class Frame:
         return DofMap(expansion, kept // 6, kept % 6)
 
     def mesh(self) -> Mesh:
-        """Nodes and lines for pictures."""
+        """Nodes and lines for figures."""
         return Mesh(self.points, self.ends, tuple(self.members[m].group for m in self.member_of))
 
     def beams(
@@ -268,7 +268,7 @@ class Frame:
         return self._assemble(parts)
 
     def _follow(self, e: int, length: np.ndarray) -> np.ndarray:
-        """Local end motions of element ``e`` over those of its nodes: they differ at hinges; shape (12, 12)."""
+        """Local end motions of element ``e`` over those of its nodes, (12, 12); they differ at hinges."""
         follow = np.eye(12)
         elements = np.flatnonzero(self.member_of == self.member_of[e])
         member = self.members[self.member_of[e]]
@@ -314,7 +314,7 @@ class Frame:
 
 
 def indices_of(parts: Sequence[tuple[str, str]], owner: np.ndarray) -> dict[str | None, np.ndarray]:
-    """Indices of the elements of every body and group that has any, and of them all under None.
+    """Indices of the elements of every body and group that has any, and of all elements under None.
 
     Parameters
     ----------
@@ -333,7 +333,7 @@ def indices_of(parts: Sequence[tuple[str, str]], owner: np.ndarray) -> dict[str 
 
 
 def known_groups(wanted: set[str], groups: Iterable[str]) -> None:
-    """Raise InputError for a wanted name that is none of the groups."""
+    """Raise InputError for a wanted name that is not a group."""
     unknown = wanted - set(groups)
     if unknown:
         raise InputError(f"there is no group {sorted(unknown)[0]!r}", place="frame")

@@ -1,4 +1,4 @@
-"""Members, ties and suppressions: what a frame is made of and how it is held."""
+"""Members, ties and suppressions of a frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from models.fem.nodes import MERGE
 from models.fem.section import Section
 
 _MOST_ELEMENTS = 10_000
-"""Of one member; more can only be a mistake."""
+"""Largest number of elements of one member; more is an input error."""
 
 Point = tuple[float, float, float]
 
@@ -41,7 +41,7 @@ class Member:
     released_start, released_end : tuple of int
         Local motions 0..5 (ux, uy, uz, rx, ry, rz) hinged at either end.
     part : str
-        Members of one part are one piece of the model in maps of where it is off; without it the group.
+        Members of one part form one unit for local perturbations; the group by default.
     """
 
     body: str
@@ -91,13 +91,13 @@ class Member:
 
 @dataclass(frozen=True)
 class Particle:
-    """A body that is one node: what swings by itself on springs.
+    """A body of one node, such as an oscillator on springs.
 
     Attributes
     ----------
     body : str
     group : str
-        Under which several of them are suppressed or told apart.
+        Name by which several of them are suppressed or selected.
     point : (3,) coordinates in m
     """
 
@@ -108,7 +108,7 @@ class Particle:
 
 @dataclass(frozen=True)
 class Tie:
-    """Two bodies share some motions (global directions 0..5) at a node that each of them has there."""
+    """Two bodies share some motions (global directions 0..5) at a place where each of them has a node."""
 
     body: str
     other: str

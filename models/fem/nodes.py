@@ -1,4 +1,4 @@
-"""One table of nodes for everything that shares them, and matrices over their motions."""
+"""Table of shared nodes, and assembly of matrices over their motions."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ MERGE = 1e-6
 
 @dataclass
 class NodeTable:
-    """Nodes in the order in which they were first asked for; filled while a structure is numbered."""
+    """Nodes in the order of their first use; filled while a structure is numbered."""
 
     points: list[np.ndarray] = field(default_factory=list)
     bodies: list[str] = field(default_factory=list)
     _near: dict[tuple[str, tuple[int, ...]], list[int]] = field(default_factory=dict)
 
     def number(self, body: str, place: np.ndarray) -> int:
-        """Number of the node of a body at a place (3,), which becomes one if it is none."""
+        """Number of the node of a body at a place (3,); a new node is added if there is none."""
         known = (k for cell in _cells(place) for k in self._near.get((body, cell), ()))
         node = next((k for k in known if np.linalg.norm(self.points[k] - place) <= MERGE), len(self.points))
         if node == len(self.points):

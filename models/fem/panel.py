@@ -1,4 +1,4 @@
-"""Panels: structured pieces of shell between geometry lines, with openings, refined by halving."""
+"""Panels: structured shell patches between geometry lines, with openings, refined by halving."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Cells = tuple[tuple[int, int], tuple[int, int]]
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """A piece of shell on a grid of geometry points.
+    """A shell patch on a grid of geometry points.
 
-    Every cell between neighbouring lines is one element, and ``2**refinement`` by as many of them when refined. New
-    nodes lie on the cell's own bilinear patch, a straight facet where the cell is flat: the geometry, and with it the
-    area, the mass and every attachment, is the same at every refinement. A curved wall is the polygon of its lines;
-    give more lines where that is too coarse.
+    Every cell between neighbouring lines is one element, or ``2**refinement`` by ``2**refinement`` elements when
+    refined. New nodes lie on the cell's own bilinear patch, a plane facet where the cell is flat: the geometry, and
+    with it the area, the mass and every attachment, is the same at every refinement. A curved wall is the polygon of
+    its lines; give more lines where that is too coarse.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Panel:
     along : (3,) float or None
         Reference direction of an orthotropic sheet; None is the u direction of each element.
     part : str
-        Panels of one part are one piece of the model in maps of where it is off; without it the group.
+        Panels of one part form one unit for local perturbations; the group by default.
     """
 
     body: str
@@ -81,11 +81,11 @@ class Panel:
 
     @property
     def place(self) -> str:
-        """How messages call it."""
+        """Label in messages."""
         return f"panel {self.body}/{self.group}"
 
     def _cells(self) -> np.ndarray:
-        """Which cells are there, shape (n_u - 1, n_v - 1)."""
+        """Cells that are not openings (bool), shape (n_u - 1, n_v - 1)."""
         there = np.ones(np.subtract(self.points.shape[:2], 1), dtype=bool)
         for (i, j), (k, m) in self.openings:
             there[i:j, k:m] = False
@@ -117,16 +117,16 @@ class Panel:
         arm: Point = (0.0, 0.0, 0.0),
         part: str = "",
     ) -> tuple[Member, ...]:
-        """Beams on the panel's own nodes along one line, one member for every straight run.
+        """Beams on the panel's own nodes along one line, one member for every straight segment.
 
         Parameters
         ----------
         group, section, up, arm, part
             As of a `Member`.
         u, v : int
-            The line it follows: the points of ``points[u]`` or of ``points[:, v]``; one of the two.
+            Its line: the points of ``points[u]`` or of ``points[:, v]``; one of the two.
         between : (2,) int, optional
-            First and last crossing line; without it all of them.
+            First and last crossing line; all of them by default.
         """
         if (u is None) == (v is None):
             raise InputError("a stiffener follows one line", place=self.place, remedy="name either u or v")
@@ -165,7 +165,7 @@ def sheet_panel(
     along: Point | None = None,
     part: str = "",
 ) -> Panel:
-    """A prismatic panel: an outline carried along a coordinate axis.
+    """A prismatic panel: an outline extruded along a coordinate axis.
 
     Parameters
     ----------

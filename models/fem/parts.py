@@ -1,4 +1,4 @@
-"""The pieces of a model: affine terms of shells, and each piece by itself for maps of where a model is off."""
+"""Parts of a model for local perturbations, and affine terms of shells."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def spring_parts(
     coefficient: Monomial,
     kind: Literal["stiffness", "damping"] = "stiffness",
 ) -> list[Part]:
-    """Every name among the springs (or dampers) as one part."""
+    """One part for every name among the springs (or dampers)."""
     named: dict[str, list[Spring]] = {}
     for spring in springs:
         named.setdefault(spring.name, []).append(spring)
@@ -52,7 +52,7 @@ def spring_parts(
 
 
 def mass_parts(frame: Frame, reduced: Reduced, masses: Iterable[PointMass]) -> list[Part]:
-    """Every name among the point masses as one part."""
+    """One part for every name among the point masses."""
     named: dict[str, list[PointMass]] = {}
     for mass in masses:
         named.setdefault(mass.name, []).append(mass)
@@ -63,7 +63,7 @@ def mass_parts(frame: Frame, reduced: Reduced, masses: Iterable[PointMass]) -> l
 
 
 class ShellCoefficients(NamedTuple):
-    """Coefficients of the shares of `ShellMatrices`, in their order."""
+    """Coefficients of the contributions in `ShellMatrices`, in their order."""
 
     membrane: Monomial
     bending: Monomial
@@ -81,21 +81,21 @@ def shell_coefficients(
     shear_modulus: str | None = None,
     density: str | None = None,
 ) -> ShellCoefficients:
-    """Coefficients that put parameters in the place of a sheet's own values.
+    """Coefficients that replace values of a sheet by parameters.
 
     Parameters
     ----------
     sheet : Sheet
-        The matrices were assembled with its values.
+        The sheet that the matrices were assembled with.
     modulus : str, optional
-        Parameter that takes the place of ``young_modulus``; all other moduli keep their ratio to it.
+        Parameter that replaces ``young_modulus``; all other moduli keep their ratio to it.
     thickness, rmi : str, optional
-        Parameters that take the place of these values.
+        Parameters that replace these values.
     shear_modulus : str, optional
-        Parameter that takes the place of the shear modulus through the thickness (of the plane along; that across
-        keeps its ratio to it); without it the modulus rules transverse shear as well.
+        Parameter that replaces the shear modulus through the thickness (of the plane along; that across keeps its
+        ratio to it); by default ``modulus`` scales transverse shear as well.
     density : str, optional
-        Parameter that takes the place of the density.
+        Parameter that replaces the density.
     """
 
     def of(*given: tuple[str | None, float, float]) -> Monomial:
@@ -128,9 +128,9 @@ def shell_terms(
     shear_modulus: str | None = None,
     density: str | None = None,
 ) -> tuple[list[Term], list[Term]]:
-    """Stiffness and mass of a group of panels as affine terms; shares with one coefficient are one term.
+    """Stiffness and mass of a group of panels as affine terms; contributions with equal coefficients are one term.
 
-    Raises InputError when a parameter is to replace a value in which the group's panels differ. For the parameters see
+    Raises InputError when a parameter would replace a value in which the group's panels differ. For the parameters see
     `shell_coefficients`.
     """
     sheets = [p.sheet for p in structure.panels if p.group == group]
@@ -140,7 +140,7 @@ def shell_terms(
         shell_coefficients(sheet, modulus, thickness, rmi, shear_modulus, density) != coefficients for sheet in sheets
     ):
         raise InputError(
-            "its panels differ in a value that a parameter is to replace",
+            "its panels differ in a value that a parameter would replace",
             place=f"group {group!r}",
             remedy="give them different groups",
         )
@@ -160,7 +160,7 @@ def _terms(
 
 
 def shell_parts(structure: Structure, reduced: Reduced, coefficients: Mapping[str, ShellCoefficients]) -> list[Part]:
-    """Stiffness, bending apart, and own mass of every named part of the panels.
+    """Membrane, bending and shear stiffness, each as a part, and own mass of every named part of the panels.
 
     ``coefficients`` of groups that carry a parameter.
     """

@@ -22,7 +22,7 @@ class Sheet:
     young_modulus, density : float
         Pa (along), kg/m3.
     poisson_ratio : float
-        Contraction across over stretch along, for a pull along.
+        Contraction across over extension along, for a load along.
     young_modulus_across : float or None
         Pa; None is the same as along.
     shear_modulus : float or None
@@ -39,7 +39,7 @@ class Sheet:
         rotation of the membrane; 1 is the value of Hughes and Brezzi (1989). Finely meshed twisted walls become too
         soft by less than 0.1 % at 0.1, by 1.5 % at 0.01 and 16 % at 0.001. Coarse meshes become too stiff: a
         hemisphere of 8 x 8 elements by 10 % at 0.1 and 48 % at 1, a wall with windows and pillars one element wide
-        by 1 % more at 0.1 than at 0.01 and 7 % more at 1; finer meshes feel it less.
+        by 1 % more at 0.1 than at 0.01 and 7 % more at 1; finer meshes are less affected.
     """
 
     thickness: float
@@ -72,14 +72,14 @@ class Sheet:
         stiffer = self.young_modulus / self._across
         if not (self.poisson_ratio**2 < stiffer and (not self.is_isotropic or -1 < self.poisson_ratio <= 0.5)):
             raise InputError(
-                f"poisson_ratio is {self.poisson_ratio}, no stable material has that",
+                f"poisson_ratio is {self.poisson_ratio}; no stable material has that",
                 place="sheet",
                 remedy="keep it within -1 and 0.5, or its square below E along / E across for an orthotropic sheet",
             )
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether no direction within the wall differs from another."""
+        """Whether the material is isotropic within the wall."""
         return self.young_modulus_across is None and self.shear_modulus is None and self.shear_modulus_through is None
 
     @property

@@ -3,9 +3,9 @@
 Membrane: bilinear with the incompatible modes of Taylor, Beresford and Wilson (1976, QM6), exact in the in-plane
 bending of a rectangle. Bending: bilinear rotations with the assumed transverse shear of Bathe and Dvorkin (1985,
 MITC4), free of shear locking. Drilling: rotations about the normal are tied to the in-plane rotation by the penalty of
-Hughes and Brezzi (1989); that rotation counts the incompatible modes as well (Ibrahimbegovic and Wilson 1991), so
-in-plane bending pays nothing for the tie. A warped quadrilateral is projected on its mean plane and rigid arms lead
-from its nodes to the projected corners, so that rigid motions strain nothing.
+Hughes and Brezzi (1989); that rotation includes the incompatible modes (Ibrahimbegovic and Wilson 1991), so that the
+penalty does not stiffen in-plane bending. A warped quadrilateral is projected on its mean plane and rigid arms lead
+from its nodes to the projected corners, so that rigid motions cause no strain.
 
 Local motions are ``(ux, uy, uz, rx, ry, rz)`` at the four corners in turn, z along the normal.
 """
@@ -30,7 +30,7 @@ _IN_PLANE = (6 * np.arange(4)[:, None] + np.array([0, 1])).ravel()
 _DRILL = 6 * np.arange(4) + 5
 _PLATE = (6 * np.arange(4)[:, None] + np.array([2, 3, 4])).ravel()
 _FLATTEST = 1e-6
-"""Least parallelogram at a corner over the area of the element."""
+"""Smallest parallelogram at a corner over the area of the element."""
 
 
 def shape(at: np.ndarray) -> np.ndarray:
@@ -66,7 +66,7 @@ class Quads:
 
     @cached_property
     def reach(self) -> np.ndarray:
-        """How far the corners lie from the centre at most, shape (n,), m."""
+        """Largest distance of a corner from the centre, shape (n,), m."""
         return np.asarray(np.linalg.norm(self.corners, axis=2).max(axis=1))
 
     @property
@@ -77,12 +77,12 @@ class Quads:
 
     @staticmethod
     def joined(parts: Sequence[Quads]) -> Quads:
-        """All of them, one after the other."""
+        """Concatenation of several sets."""
         none = Quads(np.zeros((0, 4, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 4, 3)))
         return Quads(*(np.concatenate([getattr(q, f.name) for q in (none, *parts)]) for f in fields(Quads)))
 
     def some(self, which: np.ndarray) -> Quads:
-        """Only those at ``which``."""
+        """The elements at ``which``."""
         return Quads(self.corners[which], self.centre[which], self.axes[which], self.arms[which])
 
     def jacobian(self, at: np.ndarray) -> np.ndarray:
@@ -114,7 +114,7 @@ def quads(nodes: np.ndarray, along: np.ndarray | None = None, place: str = "shel
     Raises
     ------
     InputError
-        For corners that coincide, lie on a line, or go round in no convex turn; for ``along`` square to an element.
+        For corners that coincide, lie on a line, or form no convex quadrilateral; for ``along`` normal to an element.
     """
     centre = nodes.mean(axis=1)
     normal = np.cross(nodes[:, 2] - nodes[:, 0], nodes[:, 3] - nodes[:, 1])
@@ -127,7 +127,7 @@ def quads(nodes: np.ndarray, along: np.ndarray | None = None, place: str = "shel
     flat = x - np.einsum("ei,ei->e", x, normal)[:, None] * normal
     length = np.linalg.norm(flat, axis=1)
     _refuse(
-        length <= 1e-6 * np.linalg.norm(x, axis=1), centre, place, "is square to the panel's direction along",
+        length <= 1e-6 * np.linalg.norm(x, axis=1), centre, place, "is normal to the panel's direction along",
         "choose a direction within the wall",
     )  # fmt: skip
     flat = flat / length[:, None]
@@ -149,7 +149,7 @@ def _refuse(
 
 
 class Stiffness(NamedTuple):
-    """The four shares of the stiffness, whose sum it is.
+    """The four contributions to the stiffness; their sum is the stiffness.
 
     Membrane, shear and drilling grow with the thickness and bending with its cube; all grow with the moduli. Shapes
     are (n, 24, 24) for elements, or those of whole models.
@@ -162,7 +162,7 @@ class Stiffness(NamedTuple):
 
 
 def stiffness(elements: Quads, sheet: Sheet) -> Stiffness:
-    """Element stiffness in local axes, each share of shape (n, 24, 24)."""
+    """Element stiffness in local axes, each contribution of shape (n, 24, 24)."""
     free = _in_plane(elements, sheet, 0.0)
     tied = _in_plane(elements, sheet, sheet.drilling)
     return Stiffness(free, _bending(elements, sheet.bending), _shear(elements, sheet.shear), tied - free)
@@ -259,7 +259,7 @@ def mass(elements: Quads, per_area: float, rotary: float = 0.0) -> np.ndarray:
     per_area : float
         kg/m2.
     rotary : float
-        Rotary inertia per area about the local x and y axes, kg; about the normal a sheet has none.
+        Rotary inertia per area about the local x and y axes, kg; there is none about the normal.
     """
     area = np.linalg.det(elements.jacobian(_GAUSS))
     products = np.einsum("pi,pj->pij", shape(_GAUSS), shape(_GAUSS))

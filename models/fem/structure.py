@@ -18,14 +18,14 @@ from models.fem import shell, surface
 from models.fem.frame import Carrier, Frame, indices_of, known_groups
 from models.fem.nodes import MERGE, NodeTable, assemble
 from models.fem.panel import Panel
-from models.fem.spider import Spider
+from models.fem.rbe3 import Rbe3
 
 
 class ShellMatrices(NamedTuple):
-    """Shares of the matrices of shells, each (n_full, n_full), at the values of their sheets.
+    """Contributions to the matrices of shells, each (n_full, n_full), at the values of their sheets.
 
-    With the thickness t and one factor on all moduli: membrane, shear and drilling follow E t, bending RMI E t^3, mass
-    t and rotary inertia t^3.
+    With the thickness t and a common factor E on all moduli: membrane, shear and drilling are proportional to E t,
+    bending to RMI E t^3, mass to t and rotary inertia to t^3.
     """
 
     membrane: sp.csr_array
@@ -37,7 +37,7 @@ class ShellMatrices(NamedTuple):
 
     @property
     def stiffness(self) -> sp.csr_array:
-        """Sum of the four shares."""
+        """Sum of the four contributions."""
         return sp.csr_array(self.membrane + self.bending + self.shear + self.drilling)
 
 
@@ -45,20 +45,20 @@ class ShellMatrices(NamedTuple):
 class Structure(Frame):
     """Members and panels, ties and suppressions, cut into elements.
 
-    Members and panels of one body share the nodes where they meet. A node on an element's edge that is no corner of it
-    would leave a gap, so it is refused.
+    Members and panels of one body share the nodes where they meet. A node on an element's edge that is not a corner of
+    it would leave a gap and is refused.
 
     Attributes
     ----------
     panels : tuple of Panel
-    spiders : tuple of Spider
-        Attachments that springs, masses and sensors find by name.
+    rbe3s : tuple of Rbe3
+        Distributing couplings; springs, masses and sensors attach to them by name.
     reach : float
-        Farthest beside a free edge at which a panel still carries a point, m.
+        Largest distance beside a free edge at which a panel still carries a point, m.
     """
 
     panels: tuple[Panel, ...] = ()
-    spiders: tuple[Spider, ...] = ()
+    rbe3s: tuple[Rbe3, ...] = ()
     reach: float = 0.05
     corners: np.ndarray = field(init=False, repr=False, compare=False)
     panel_of: np.ndarray = field(init=False, repr=False, compare=False)
@@ -66,10 +66,10 @@ class Structure(Frame):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        taken = Counter([*self.groups, *set(self.bodies), *(s.name for s in self.spiders)])
-        for spider in self.spiders:
-            if taken[spider.name] > 1:
-                raise InputError("another part has its name", place=f"spider {spider.name!r}", remedy="rename it")
+        taken = Counter([*self.groups, *set(self.bodies), *(s.name for s in self.rbe3s)])
+        for rbe3 in self.rbe3s:
+            if taken[rbe3.name] > 1:
+                raise InputError("another part has its name", place=f"RBE3 {rbe3.name!r}", remedy="rename it")
         nodes = self.points[self.corners]
         flat = [shell.quads(nodes[self.panel_of == k], _along(p), p.place) for k, p in enumerate(self.panels)]
         object.__setattr__(self, "_quads", shell.Quads.joined(flat))
@@ -102,7 +102,7 @@ class Structure(Frame):
         if len(bad):
             x, y, z = self.points[node[bad[0]]]
             raise InputError(
-                f"the node at ({x:.4g}, {y:.4g}, {z:.4g}) lies on the edge of a shell element and is no corner of it",
+                f"the node at ({x:.4g}, {y:.4g}, {z:.4g}) is on the edge of a shell element but is not a corner of it",
                 place=f"body {self.bodies[node[bad[0]]]}",
                 remedy="give panels and members that meet the same lines and the same refinement there",
             )
@@ -116,18 +116,18 @@ class Structure(Frame):
 
     @property
     def parts(self) -> frozenset[str]:
-        """Names of everything that carries points: bodies, groups and spiders."""
-        return super().parts | {s.name for s in self.spiders}
+        """Names of everything that carries points: bodies, groups and RBE3s."""
+        return super().parts | {s.name for s in self.rbe3s}
 
     def motion(self, point: Sequence[float] | np.ndarray, on: str | None = None) -> tuple[np.ndarray, float]:
         """Six motions (6, n_full) of a point, and the length in m of the rigid arm that ties it to the structure.
 
-        Any point may be asked of a spider, at no distance: it is a rigid body that reaches as far as its user says.
-        For everything else, and for panels alike, see `Frame.motion`. InputError for a point beside a panel's edge.
+        An RBE3 is a rigid body: it carries any point, at a distance of 0. For all other parts, panels included, see
+        `Frame.motion`. InputError for a point beside a panel's edge.
         """
-        for spider in self.spiders:
-            if spider.name == on:
-                return spider.motion(self, np.asarray(point, dtype=float)), 0.0
+        for rbe3 in self.rbe3s:
+            if rbe3.name == on:
+                return rbe3.motion(self, np.asarray(point, dtype=float)), 0.0
         return super().motion(point, on)
 
     def _touched(self, wanted: set[str]) -> np.ndarray:
@@ -157,16 +157,16 @@ class Structure(Frame):
 
     @cached_property
     def _shells_of(self) -> dict[str | None, np.ndarray]:
-        """Indices of the shells of every body and group that has any, and of them all under None."""
+        """Indices of the shells of every body and group that has any, and of all shells under None."""
         return indices_of([(p.body, p.group) for p in self.panels], self.panel_of)
 
     @cached_property
     def _taken(self) -> dict[str | None, shell.Quads]:
-        """Shells of the parts that were asked for."""
+        """Shells of the parts used so far."""
         return {}
 
     def _quads_of(self, on: str | None) -> shell.Quads:
-        """Those shells themselves, taken out once."""
+        """The shells of a part, selected once."""
         if on not in self._taken:
             self._taken[on] = self._quads.some(self._shells_of[on])
         return self._taken[on]
@@ -174,7 +174,7 @@ class Structure(Frame):
     # -- degrees of freedom and matrices -------------------------------------------------------------------------------
 
     def mesh(self) -> Mesh:
-        """Nodes, lines and faces for pictures; lines are the members, and the edges of shells that no member covers."""
+        """Nodes, lines and faces for figures; lines are the members, and the edges of shells that no member covers."""
         frame = super().mesh()
         edges = surface.edges(self.corners)
         owner = np.repeat(self.panel_of, 4)

@@ -1,4 +1,4 @@
-"""The place on shell elements that is nearest to a point, and how it moves."""
+"""Nearest place on shell elements to a point, and its motion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Foot(NamedTuple):
     edge : int
         Edge 0..3 (from corner k to the next) it lies on; -1 inside the element.
     beside : float
-        How far the point lies beside the element, measured in its plane, m.
+        In-plane distance of the point from the element, m.
     """
 
     element: int

@@ -1,8 +1,8 @@
 """The bogie: frame, wheelsets, axle boxes, primary suspension and connecting rods.
 
-Axes: x longitudinal, y up, z transverse (left positive), origin at the bogie's centre on top of rail. Printed in the
-case study are the lengths of girders and crossbars and the kinematic constraints; sections, places and masses are lost
-there and one coherent set is assumed (see `ASSUMPTIONS`).
+Axes: x longitudinal, y up, z transverse (left positive), origin at the bogie's centre on top of rail. The case study
+gives the lengths of girders and crossbars and the kinematic constraints; sections, places and masses are lost there and
+one coherent set is assumed (see `ASSUMPTIONS`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SIDES = (("left", 1.0), ("right", -1.0))
 ENDS = (("front", 1.0), ("rear", -1.0))
 
 LOST = "lost in the case study; one coherent plausible set whose modes fall near the surviving figures"
-"""Why a number that no surviving figure tells is what it is."""
+"""Reason given for a number that no surviving figure gives."""
 
 _TABLE_2 = "Table 2 is lost; one coherent plausible set whose modes fall near the surviving figures"
 
@@ -72,12 +72,12 @@ ASSUMPTIONS: tuple[Assumption, ...] = (
 
 @dataclass(frozen=True)
 class Bogie:
-    """Parts of one bogie, ready to be put into a frame.
+    """Parts of one bogie for a frame.
 
     Attributes
     ----------
     members, ties, suppressions
-        Beams and how they hang together.
+        Beams and their connections.
     masses : tuple of PointMass
     springs : mapping from str to tuple of Spring
         ``primary``, ``rod_upper``, ``rod_lower``, ``rail`` carry parameters; ``suspension_fixed`` holds constant ones.
@@ -101,7 +101,7 @@ def bogie(size: float, distributed: bool = False) -> Bogie:
     size : float
         Largest element length, m.
     distributed : bool
-        Share point masses out over the length of what they stand for, instead of one point.
+        Distribute point masses over the length of the components they represent.
     """
     return Bogie(
         _members(size), _ties(), _suppressions(), _masses(distributed), _springs(), _dampers(),
@@ -163,7 +163,7 @@ def _members(size: float) -> tuple[Member, ...]:
 
 
 def _ties() -> tuple[Tie, ...]:
-    """The axle box turns freely about the axle and shares every other motion of the axle's end."""
+    """The axle box rotates freely about the axle and shares every other motion of the axle's end."""
     return tuple(
         Tie(f"axle_{end}", box_name(end, side), (s * AXLE_X, AXLE_Y, t * AXLE_END), (UX, UY, UZ, RX, RY))
         for end, s in ENDS

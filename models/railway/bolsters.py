@@ -1,8 +1,8 @@
-"""What stands between a bogie's frame and the floor: bolsters, secondary suspension, tilting rods, yaw dampers.
+"""Connection of a bogie's frame to the floor: bolsters, secondary suspension, tilting rods, yaw dampers.
 
 Axes and origin as in `models.railway.bogie`. The load bolster rests on the secondary springs, the tilting bolster
-hangs above it on rods, and four pads carry the car's floor. Printed in the case study are the stiffness and damping
-values and the kinematic constraints; sections, places and masses are lost there and assumed (see `ASSUMPTIONS`).
+hangs above it on rods, and four pads carry the car's floor. The case study gives the stiffness and damping values and
+the kinematic constraints; sections, places and masses are lost there and assumed (see `ASSUMPTIONS`).
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from calib.structure.model import Assumption
 from models.fem.discrete import PointMass, Spring
 from models.fem.member import Member, Point, Suppression
+from models.fem.rbe3 import Rbe3
 from models.fem.section import Section
-from models.fem.spider import Spider
 from models.railway.bogie import GIRDER_Y, GIRDER_Z, LOST, RY, SEAT_X, SIDES, UX, UZ
 
 FLOOR_Y = 1.15
 FLOOR_X, FLOOR_Z = (-0.50, 0.0, 0.50), (0.70, 1.10)
-"""Lines of the floor, from the bogie's centre, whose crossings carry the feet of everything below."""
+"""Lines of the floor, from the bogie's centre, whose crossings carry the feet of the parts below."""
 
 LOAD_BOLSTER_Y, LOAD_BOLSTER_TIP = 0.86, 1.17
 TILTING_BOLSTER_Y, TILTING_BOLSTER_TIP = 1.04, 0.90
@@ -56,8 +56,8 @@ class Bolsters:
 
     Attributes
     ----------
-    members, suppressions, masses, spiders
-        As of a structure; the spiders stand on the group ``base`` of the car.
+    members, suppressions, masses, rbe3s
+        As of a structure; the RBE3s stand on the group ``base`` of the car.
     springs : mapping from str to tuple of Spring
         ``secondary`` and ``rod_tilting`` carry parameters; ``floor_fixed`` holds constant ones.
     dampers : mapping from str to tuple of Spring
@@ -69,11 +69,11 @@ class Bolsters:
     masses: tuple[PointMass, ...]
     springs: dict[str, tuple[Spring, ...]]
     dampers: dict[str, tuple[Spring, ...]]
-    spiders: tuple[Spider, ...]
+    rbe3s: tuple[Rbe3, ...]
 
 
 def bolsters(size: float, outward: float = 1.0) -> Bolsters:
-    """Bolsters, secondary suspension and yaw dampers of a bogie, with the spiders on the floor that they act on.
+    """Bolsters, secondary suspension and yaw dampers of a bogie, with the RBE3s that attach them to the floor.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def bolsters(size: float, outward: float = 1.0) -> Bolsters:
         1 or -1: direction along x towards the near end of the car, where the yaw-damper brackets stand.
     """
     suppressed = Suppression((UX, UZ, RY), groups=("load_bolster", "tilting_bolster"))
-    return Bolsters(_members(size, outward), (suppressed,), _masses(), _springs(), _dampers(outward), _spiders())
+    return Bolsters(_members(size, outward), (suppressed,), _masses(), _springs(), _dampers(outward), _rbe3s())
 
 
 def _members(size: float, outward: float) -> tuple[Member, ...]:
@@ -171,11 +171,11 @@ def _dampers(outward: float) -> dict[str, tuple[Spring, ...]]:
     return {"secondary": tuple(secondary), "yaw": tuple(yaw)}
 
 
-def _spiders() -> tuple[Spider, ...]:
+def _rbe3s() -> tuple[Rbe3, ...]:
     out = []
     for side, s in SIDES:
         feet = [(x, FLOOR_Y, s * z) for x in FLOOR_X for z in FLOOR_Z]
-        out.append(Spider(f"floor_{side}", "base", tuple(feet)))
-        out.append(Spider(f"floor_front_{side}", "base", tuple(f for f in feet if f[0] >= 0)))
-        out.append(Spider(f"floor_rear_{side}", "base", tuple(f for f in feet if f[0] <= 0)))
+        out.append(Rbe3(f"floor_{side}", "base", tuple(feet)))
+        out.append(Rbe3(f"floor_front_{side}", "base", tuple(f for f in feet if f[0] >= 0)))
+        out.append(Rbe3(f"floor_rear_{side}", "base", tuple(f for f in feet if f[0] <= 0)))
     return tuple(out)

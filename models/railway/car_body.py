@@ -1,7 +1,7 @@
 """The car body: base, side walls with windows and doors, cover and end walls as shells, its frames as beams.
 
-Printed in the case study are the equivalent thicknesses, modulus and density of the panels and what their ratios of
-moments of inertia mean; the frames' sections are assumed (see `ASSUMPTIONS`). Frames carry what would otherwise hang
+The case study gives the equivalent thicknesses, modulus and density of the panels and the meaning of their ratios of
+moments of inertia; the frames' sections are assumed (see `ASSUMPTIONS`). Frames carry loads that would otherwise depend
 on the mesh: moments of a pillar go into rails and posts, those of the floor into cross-beams.
 """
 
@@ -48,7 +48,7 @@ SHEETS = {
     "cover": _sheet(8.8e-3, 300.0),
     "ends": _sheet(10.3e-3, 90.0),
 }
-"""Sheet of every group of panels, at the adopted parameters."""
+"""Sheet of every group of panels, at the nominal parameters."""
 
 
 def _section(area: float, in_plane: float, out_of_plane: float, torsion: float) -> Section:
@@ -81,8 +81,8 @@ PILLAR_WALL = Section(
     1e-6, SHEETS["walls"].rmi * PILLAR_WIDTH * SHEETS["walls"].thickness ** 3 / 12, 1e-9, 1e-9, E_ALUMINIUM,
     NU_ALUMINIUM, 0.0, shear_coefficient=1e6,
 )  # fmt: skip
-"""The wall's strip between two windows as a beam that only bends across the wall; the ratio of moments of inertia
-drives it as it drives the panels."""
+"""The wall's strip between two windows as a beam that only bends across the wall; its stiffness is proportional to the
+ratio of moments of inertia, like that of the panels."""
 
 _UP: Point = (0.0, 1.0, 0.0)
 _ALONG: Point = (1.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Lines of the car body: where panels meet, windows and doors end, frames stand and equipment hangs.
+"""Geometry lines of the car body: joints of panels, edges of windows and doors, frames and equipment.
 
 Axes: x longitudinal, y up, z transverse (left positive), origin mid-car on top of rail. Every line is geometry: a
 finer mesh halves the cells between them. Length, width and height are public; all else is assumed.
@@ -52,8 +52,8 @@ ASSUMPTIONS: tuple[Assumption, ...] = (
 def stations() -> dict[str, tuple[float, ...]]:
     """Lines across the car, x in m, of the zones ``rear``, ``windows`` and ``front``, which share their first and last.
 
-    The cells of a window are all alike: shells with linear rotations and beams follow the bending between pillars best
-    that way.
+    All cells of a window have the same size: shells with linear rotations and beams then represent the bending between
+    pillars best.
     """
     first, last = PILLARS[0], PILLARS[-1]
     windows = tuple(float(x) for x in np.linspace(first, last, round((last - first) / _CELL) + 1))

@@ -1,4 +1,4 @@
-"""What the bogie's frame may lack: soft joints and girder ends, masses that nobody modelled."""
+"""Effects of the bogie's frame: soft joints and girder ends, unmodelled masses."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ _REASON = "where such parts usually sit"
 
 
 def frame_effects() -> tuple[Effect, ...]:
-    """Effects of the frame, its joints and what hangs on it."""
+    """Effects of the frame, its joints and the masses on it."""
     return (
         Effect(
             name="crossbar_joint",
             title="Soft joints between crossbars and girders",
             lacks="The crossbars keep their full section up to the girders' axes.",
             look_for="Cracked or skipped welds, access holes and thin webs where the crossbars meet the girders.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "crossbar_joint", 0.0, 0.0, 0.95, "-", prior_sd=0.5,
                 description="share of the stiffness in bending and torsion lost over 0.15 m at all four joints",
             ),
@@ -56,7 +56,7 @@ def frame_effects() -> tuple[Effect, ...]:
             title="Soft girder ends",
             lacks="The girder ends keep plane sections and their full walls from the crossbars to the axles.",
             look_for="Cut-outs, thin walls or warping of the girders between crossbar and axle box.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "girder_end", 0.0, 0.0, 0.95, "-", prior_sd=0.2,
                 description="share of the stiffness in bending and torsion lost between crossbar and axle, all four",
             ),
@@ -67,15 +67,15 @@ def frame_effects() -> tuple[Effect, ...]:
             title="Unmodelled mass at the middle of the front crossbar",
             lacks="The additional mass of the crossbars is spread evenly over both of them.",
             look_for="Brackets, pipes, ballast or test equipment at the middle of the front crossbar.",
-            strength=Parameter("crossbar_mass", 0.0, 0.0, 600.0, "kg", prior_sd=100.0, description="mass of it"),
+            magnitude=Parameter("crossbar_mass", 0.0, 0.0, 600.0, "kg", prior_sd=100.0, description="mass of it"),
             build=_crossbar_mass,
         ),
         Effect(
             name="brake_unit",
             title="Brake unit hung elastically on the front crossbar",
-            lacks="What the crossbars carry moves rigidly with them.",
+            lacks="Everything on the crossbars moves rigidly with them.",
             look_for="A brake unit on rubber bushes at the left of the front crossbar: knock on it and listen.",
-            strength=Parameter("brake_unit", 0.1, 0.1, 500.0, "kg", prior_sd=80.0, description="mass of the unit"),
+            magnitude=Parameter("brake_unit", 0.1, 0.1, 500.0, "kg", prior_sd=80.0, description="mass of the unit"),
             build=_brake_unit,
             nuisance=(
                 Parameter(
@@ -109,11 +109,11 @@ def _girder_end(model: StructuralModel) -> Addition:
 
 
 def _turned(model: StructuralModel, one: Place, other: Place, section: Section, twist: int) -> list[np.ndarray]:
-    """Turning of one end of a straight stretch against the other, times the root of the stiffness against it.
+    """Relative rotations of the ends of a straight segment, times the root of the stiffness against them.
 
-    A stretch of length L stores ``E I/L`` of its bending energy in the mean curvature and ``G J/L`` of the energy of
-    torsion in the mean twist: at most all of it, by the inequality of Cauchy and Schwarz. Losing a share of that leaves
-    a stiffness that is nowhere negative, and is the same wherever the elements end.
+    A segment of length L stores bending energy with the stiffness ``E I/L`` in the mean curvature and torsion energy
+    with ``G J/L`` in the mean twist: at most all of it, by the inequality of Cauchy and Schwarz. Losing a share of that
+    leaves a stiffness that is nowhere negative and does not depend on the mesh.
     """
     length = float(np.linalg.norm(np.subtract(other[1], one[1])))
     rigidity = {RY: section.young_modulus * section.i_y, twist: section.shear_modulus * section.torsion}

@@ -1,4 +1,4 @@
-"""What the test rig may lack: give of its actuators, and what distribution and elastic blocks do besides carrying."""
+"""Effects of the test rig: flexibility of the actuators, tilting stiffness and damping of the blocks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def rig_effects() -> tuple[Effect, ...]:
             title="Actuators and their frame give way",
             lacks="The actuators hold the distribution blocks almost rigidly.",
             look_for="Motion of the actuators' frame, oil columns under pressure, clearances in their joints.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "actuator_flexibility", 0.0, 0.0, 200.0, "mm/MN", prior_sd=10.0,
                 description="flexibility in series with the support at each actuator",
             ),
@@ -31,7 +31,7 @@ def rig_effects() -> tuple[Effect, ...]:
             title="Elastic blocks resist tilting across",
             lacks="The elastic blocks carry vertical force but no moment about the longitudinal axis.",
             look_for="Width of the elastic blocks, and whether they stand on their whole face.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "block_tilt", 0.0, 0.0, 2000.0, "kNm/rad", prior_sd=150.0,
                 description="stiffness of one elastic block against tilting about the longitudinal axis",
             ),
@@ -42,7 +42,7 @@ def rig_effects() -> tuple[Effect, ...]:
             title="Elastic blocks dissipate",
             lacks="The elastic blocks of the secondary suspension are elastic without loss.",
             look_for="Warmth of the rubber after running; its loss angle from the supplier.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "block_damping", 0.0, 0.0, 200.0, "kNs/m", prior_sd=15.0,
                 description="vertical damping of one elastic block",
             ),
@@ -69,7 +69,7 @@ def _block_tilt(model: StructuralModel) -> Addition:
             block: Place = (f"block_{side}", (x, BLOCK_Y, s * BLOCK_Z))
             girder: Place = ("girder_centre", (x, GIRDER_Y, s * BLOCK_Z))
             rows.append(between(model, block, girder, RX))
-    # Two halves of a block, as its vertical stiffness.
+    # Two halves of a block, as for its vertical stiffness.
     return Addition(stiffness=(outer_term("block_tilt", rows, parameter("block_tilt", 0.5)),))
 
 

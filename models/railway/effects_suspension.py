@@ -1,4 +1,4 @@
-"""What primary suspension, wheelsets and connecting rods may lack."""
+"""Effects of primary suspension, wheelsets and connecting rods."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             title="Primary springs of one corner stiffer or softer",
             lacks="All four corners have the same primary springs.",
             look_for="A wrong, broken or shimmed spring at the front left axle box; unequal heights of the corners.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "primary_uneven", 0.0, -0.9, 2.0, "-", prior_sd=0.15,
                 description="relative change of the front left primary springs",
             ),
@@ -45,7 +45,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             title="One primary damper weak",
             lacks="All four primary dampers work alike.",
             look_for="A leaking front left damper: oil on its body, a stroke without resistance by hand.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "weak_damper", 0.0, 0.0, 1.0, "-", prior_sd=0.4,
                 description="share of its damping that the front left damper has lost",
             ),
@@ -56,7 +56,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             title="Soft mounts of the primary dampers",
             lacks="The dampers are fixed rigidly at both ends, so that they dissipate at any frequency.",
             look_for="Soft or worn rubber bushes and thin brackets at the eyes of the primary dampers.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "damper_mount", 0.2, 0.2, 5000.0, "mm/MN", prior_sd=200.0,
                 description="flexibility in series with each primary damper",
             ),
@@ -68,7 +68,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             title="Unequal wheel-rail contact of the front axle",
             lacks="All wheels stand equally firmly on their rails.",
             look_for="Unequal wheel loads, a gap under a rail pad or dirt on the rail at the front axle.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "wheel_contact", 0.0, -0.95, 0.95, "-", prior_sd=0.3,
                 description="relative stiffening of the front left contact, and softening of the front right one",
             ),
@@ -79,7 +79,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             title="Wheels roll as the axles move lengthwise",
             lacks="Axles move lengthwise without turning their wheels.",
             look_for="Whether the wheels are free to roll: brakes released, no wedges, clean rails.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "rolling_wheels", 0.0, 0.0, 1.3, "-", prior_sd=0.5,
                 description="share of the wheels' polar inertia that turns with the lengthwise motion",
             ),
@@ -90,7 +90,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             title="Gear case off the middle of the front axle",
             lacks="The gear case sits in the middle of the axle.",
             look_for="Where the gear case really sits: measure from either wheel, to the left positive.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "gear_case_offset", 0.0, -1e3 * GEAR_CASE_REACH, 1e3 * GEAR_CASE_REACH, "mm", prior_sd=150.0,
                 description="place of the gear case across the bogie",
             ),
@@ -101,7 +101,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             title="Torque link between gear case and front crossbar",
             lacks="The gear case touches nothing but the axle.",
             look_for="A reaction link with rubber bushes between gear case and front crossbar.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "torque_link", 0.0, 0.0, 10_000.0, "kN/m", prior_sd=300.0, description="its vertical stiffness"
             ),
             build=_torque_link,
@@ -111,7 +111,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             title="Rubber bushes of the connecting rods dissipate",
             lacks="The connecting rods are elastic without loss.",
             look_for="Warm, cracked or oil-soaked rubber bushes at the ends of the connecting rods.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "rod_damping", 0.0, 0.0, 50.0, "kNs/m", prior_sd=2.0, description="damping along each rod"
             ),
             build=_rod_damping,
@@ -121,7 +121,7 @@ def suspension_effects() -> tuple[Effect, ...]:
             title="Bushes of the connecting rods resist turning",
             lacks="The connecting rods carry force along their own line only, as between frictionless hinges.",
             look_for="Seized or over-tightened joints and wide rubber bushes at the ends of the connecting rods.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "stiff_bushes", 0.0, 0.0, 500.0, "kNm/rad", prior_sd=15.0,
                 description="stiffness of each bush against turning about the transverse axis",
             ),
@@ -153,7 +153,7 @@ def _damper_mount(model: StructuralModel) -> Addition:
 
 
 def _rolling_wheels(model: StructuralModel) -> Addition:
-    """Rolling couples a wheel's turning to its motion, ``ux = r rz``: its polar inertia acts as a mass ``J/r^2``."""
+    """Rolling couples a wheel's rotation to its motion, ``ux = r rz``: its polar inertia acts as a mass ``J/r^2``."""
     wheels = [m for m in bogie(1.0).masses if m.name.startswith("wheel ")]
     rows = [np.sqrt(m.inertia[2]) / AXLE_Y * motion(model, m.at, UX) for m in wheels]
     return Addition(mass=(outer_term("rolling_wheels", rows, parameter("rolling_wheels")),))
@@ -166,7 +166,7 @@ def _gear_case_offset(model: StructuralModel) -> Addition:
 
 
 def _gear_case(model: StructuralModel) -> PointMass:
-    """The gear case as this model has it: at one point or shared out along the axle."""
+    """The gear case of this model: at one point or distributed along the axle."""
     (part,) = (p for p in model.parts if p.name == GEAR_CASE)
     for distributed in (False, True):
         (case,) = (m for m in bogie(1.0, distributed).masses if m.name == GEAR_CASE)
@@ -177,7 +177,7 @@ def _gear_case(model: StructuralModel) -> PointMass:
 
 
 def _carried(model: StructuralModel, case: PointMass, shift: float) -> np.ndarray:
-    """Motions of the gear case where it sits off its place across the bogie, each times the root of its inertia."""
+    """Motions of the gear case when it is shifted across the bogie, each times the root of its inertia."""
     return np.array(
         [
             np.sqrt(weight / len(case.spread)) * motion(model, (case.at[0], (x, y, z + shift)), direction)
@@ -202,7 +202,7 @@ def _rod_damping(model: StructuralModel) -> Addition:
 
 
 def _stiff_bushes(model: StructuralModel) -> Addition:
-    """Both ends of a rod turn against its own line, whose slope is the motion across it over its length."""
+    """Both ends of a rod rotate against its axis, whose slope is the relative transverse motion over its length."""
     rows = []
     for box, bracket in _rods():
         x, y, _ = np.subtract(bracket[1], box[1]).tolist()

@@ -1,7 +1,7 @@
-"""What hangs under the floor, stands on the roof and fills the car: equipment and passenger seats.
+"""Equipment under the floor and on the roof, passenger seats and couplers.
 
 The case study has equipment as point masses and every seat as an oscillator of one degree of freedom; items, masses and
-places are lost there and assumed (see `ASSUMPTIONS`). The coupler carries nothing: it is where a neighbour may pull.
+places are lost there and assumed (see `ASSUMPTIONS`). The couplers carry no load unless a neighbouring car is attached.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 from calib.structure.model import Assumption
 from models.fem.discrete import PointMass, Spring
 from models.fem.member import Particle, Point, Suppression
-from models.fem.spider import Spider
+from models.fem.rbe3 import Rbe3
 from models.railway.bogie import ENDS, RX, RY, RZ, UX, UZ
 from models.railway.bolsters import FLOOR_Y
 from models.railway.car_lines import COVER, DOOR, HALF_LENGTH
@@ -64,58 +64,56 @@ ASSUMPTIONS: tuple[Assumption, ...] = (
 
 
 class Equipment(NamedTuple):
-    """Point masses and the spiders they stand on."""
+    """Point masses and the RBE3s they stand on."""
 
     masses: tuple[PointMass, ...]
-    spiders: tuple[Spider, ...]
+    rbe3s: tuple[Rbe3, ...]
 
 
 def equipment() -> Equipment:
     """Equipment under the floor and on the roof; its feet stand on crossings of the panels' lines."""
-    masses, spiders = [], []
+    masses, rbe3s = [], []
     roof_y, roof_z = COVER[_ROOF_LINE]
     places = [("base", FLOOR_Y, UNDER_Z, UNDER_Y, i) for i in UNDER_FLOOR]
     places += [("cover", roof_y, roof_z, ROOF_Y, i) for i in ON_ROOF]
     for panel, y, z, height, item in places:
         feet = _feet((item.x, y, 0.0), item.half, z)
-        spiders.append(Spider(item.name, panel, feet))
+        rbe3s.append(Rbe3(item.name, panel, feet))
         masses.append(PointMass((item.name, (item.x, height, 0.0)), item.mass, name=item.name))
-    return Equipment(tuple(masses), tuple(spiders))
+    return Equipment(tuple(masses), tuple(rbe3s))
 
 
 class Seats(NamedTuple):
-    """Seats as particles that move upright only, on springs and dampers, or as masses on the floor."""
+    """Seats as particles that move vertically only, on springs and dampers, or as masses on the floor."""
 
     particles: tuple[Particle, ...]
     suppressions: tuple[Suppression, ...]
     masses: tuple[PointMass, ...]
-    spiders: tuple[Spider, ...]
+    rbe3s: tuple[Rbe3, ...]
     springs: tuple[Spring, ...]
 
 
 def passenger_seats(sprung: bool = True) -> Seats:
-    """All seats; ``springs`` serve stiffness and damping alike. Those that are not sprung move with the floor."""
-    particles, masses, spiders, springs = [], [], [], []
+    """All seats; ``springs`` hold for stiffness and damping alike. Seats that are not sprung move with the floor."""
+    particles, masses, rbe3s, springs = [], [], [], []
     for k, x in enumerate(SEAT_X):
         third = ("rear", "middle", "front")[k * 3 // len(SEAT_X)]
         for j, z in enumerate(SEAT_Z):
             name, seat, floor = f"seat_{k + 1}{'abcd'[j]}", (x, SEAT_Y, z), (x, FLOOR_Y, z)
             foot = (f"floor_{name}", floor)
-            spiders.append(Spider(foot[0], "base", _feet(floor, *SEAT_FOOT)))
+            rbe3s.append(Rbe3(foot[0], "base", _feet(floor, *SEAT_FOOT)))
             masses.append(PointMass((name, seat) if sprung else foot, SEAT_MASS, name=f"seats {third}"))
             if sprung:
                 particles.append(Particle(name, "seat", seat))
                 springs.append(Spring((name, seat), foot, (0, 1, 0), name=f"seats {third}"))
     held = (Suppression((UX, UZ, RX, RY, RZ), groups=("seat",)),) if sprung else ()
-    return Seats(tuple(particles), held, tuple(masses), tuple(spiders), tuple(springs))
+    return Seats(tuple(particles), held, tuple(masses), tuple(rbe3s), tuple(springs))
 
 
-def couplers() -> tuple[Spider, ...]:
-    """Where the couplers of both ends sit on the car's frame; each moves as its feet do on average."""
+def couplers() -> tuple[Rbe3, ...]:
+    """Attachments of the couplers at both ends of the car's frame; each follows the mean motion of its feet."""
     middle, half = (HALF_LENGTH + _BEHIND_DOOR) / 2, (HALF_LENGTH - _BEHIND_DOOR) / 2
-    return tuple(
-        Spider(f"coupler_{end}", "base", _feet((s * middle, FLOOR_Y, 0.0), half, COUPLER_Z)) for end, s in ENDS
-    )
+    return tuple(Rbe3(f"coupler_{end}", "base", _feet((s * middle, FLOOR_Y, 0.0), half, COUPLER_Z)) for end, s in ENDS)
 
 
 def _feet(centre: Point, half_x: float, half_z: float) -> tuple[Point, ...]:

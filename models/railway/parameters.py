@@ -17,22 +17,22 @@ CAR: tuple[Parameter, ...] = (
     Parameter(
         "K_secondary_front", 256.4, 242.0, 270.8, "kN/m",
         description="vertical stiffness of one secondary spring of the front bogie", symbol="KS1", source=_TABLE_1,
-        assumed="adopted value (printed mean taken)",
+        assumed="nominal value (printed mean taken)",
     ),
     Parameter(
         "K_secondary_rear", 256.4, 242.0, 270.8, "kN/m",
         description="vertical stiffness of one secondary spring of the rear bogie", symbol="KS2", source=_TABLE_1,
-        assumed="adopted value (printed mean taken)",
+        assumed="nominal value (printed mean taken)",
     ),
     Parameter(
         "c_secondary", 35.0, 28.0, 42.0, "kNs/m",
         description="one secondary damper", symbol="cS", source=_TABLE_1,
-        assumed="adopted value (printed mean taken) and limits (mean -/+ 20 %)",
+        assumed="nominal value (printed mean taken) and limits (mean -/+ 20 %)",
     ),
     Parameter(
         "c_yaw", 400.0, 320.0, 480.0, "kNs/m",
         description="one yaw damper", symbol="cAL", source=_TABLE_1,
-        assumed="adopted value (printed mean taken) and limits (mean -/+ 20 %)",
+        assumed="nominal value (printed mean taken) and limits (mean -/+ 20 %)",
     ),
     Parameter(
         "K_rod_tilting", 20_000.0, 5_000.0, 35_000.0, "kN/m",
@@ -51,17 +51,17 @@ CAR: tuple[Parameter, ...] = (
     Parameter(
         "RMI_base", 225.0, 50.0, 400.0,
         description="ratio of moments of inertia of the base: real panel over equivalent sheet", symbol="RMIb",
-        source=_TABLE_1, assumed="adopted value (printed mean taken)",
+        source=_TABLE_1, assumed="nominal value (printed mean taken)",
     ),
     Parameter(
         "RMI_walls", 90.0, 20.0, 160.0,
         description="ratio of moments of inertia of side and end walls", symbol="RMIp", source=_TABLE_1,
-        assumed="adopted value (printed mean taken) and limits",
+        assumed="nominal value (printed mean taken) and limits",
     ),
     Parameter(
         "RMI_cover", 300.0, 100.0, 500.0,
         description="ratio of moments of inertia of the cover", symbol="RMIc", source=_TABLE_1,
-        assumed="adopted value (printed mean taken) and limits",
+        assumed="nominal value (printed mean taken) and limits",
     ),
     Parameter(
         "m_base", 70.0, 50.0, 90.0, "%",
@@ -103,17 +103,17 @@ BOGIE: tuple[Parameter, ...] = (
     Parameter(
         "K_primary", 564.0, 451.0, 677.0, "kN/m",
         description="vertical stiffness of one primary spring", symbol="KP", source=_TABLE_3,
-        assumed="adopted value (printed mean taken) and limits (mean -/+ 20 %)",
+        assumed="nominal value (printed mean taken) and limits (mean -/+ 20 %)",
     ),
     Parameter(
         "c_primary", 18.0, 14.4, 21.6, "kNs/m",
         description="one primary damper", symbol="cP", source=_TABLE_3,
-        assumed="adopted value (printed mean taken) and limits (mean -/+ 20 %)",
+        assumed="nominal value (printed mean taken) and limits (mean -/+ 20 %)",
     ),
     Parameter(
         "K_rod_upper", 6.5, 5.0, 8.0, "MN/m",
         description="upper connecting rod of the axle box", symbol="Kbls", source=_TABLE_3,
-        assumed="adopted value (printed mean taken) and limits",
+        assumed="nominal value (printed mean taken) and limits",
     ),
     Parameter(
         "K_rod_lower", 25.0, 20.0, 30.0, "MN/m",
@@ -127,7 +127,7 @@ BOGIE: tuple[Parameter, ...] = (
     Parameter(
         "m_girder_centre", 75.0, 0.0, 150.0, "kg/m",
         description="additional mass of the girders between the crossbars", symbol="Mlc", source=_TABLE_3,
-        assumed="adopted value (printed mean taken)",
+        assumed="nominal value (printed mean taken)",
     ),
     Parameter(
         "m_girder_ends", 38.0, 0.0, 60.0, "kg/m",
@@ -136,7 +136,7 @@ BOGIE: tuple[Parameter, ...] = (
     Parameter(
         "m_crossbar", 70.8, 0.0, 250.0, "kg/m",
         description="additional mass of the crossbars", symbol="Mt", source=_TABLE_3,
-        assumed="adopted value (so that the added masses sum to the printed 842 kg)",
+        assumed="nominal value (so that the added masses sum to the printed 842 kg)",
     ),
     Parameter(
         "m_axle", 271.0, 0.0, 542.0, "kg/m", distribution="fixed",
@@ -154,7 +154,7 @@ RIG: tuple[Parameter, ...] = (
     Parameter(
         "K_contact", 25_250.0, 500.0, 50_000.0, "kN/m",
         description="contact between elastic and distribution block, x and z", symbol="Kbtl", source=_TABLE_5,
-        assumed="adopted value (printed mean taken)",
+        assumed="nominal value (printed mean taken)",
     ),
     Parameter(
         "pos_long_left", 5.0, 2.0, 8.0, integer=True,

@@ -51,7 +51,7 @@ def bogie_on_rig(element_size: float = 0.075, distributed: bool = False) -> Stru
     element_size : float
         Largest beam length, m.
     distributed : bool
-        Consistent instead of lumped added masses, and point masses shared out over the length they stand for.
+        Consistent instead of lumped added masses, and point masses distributed over the length they represent.
 
     Returns
     -------
@@ -150,7 +150,7 @@ def _rig_springs() -> tuple[tuple[Spring, ...], tuple[Spring, ...], tuple[Spring
 
 
 def _support(frame: Frame, dofs: DofMap, side: str, s: float) -> SelectedTerm:
-    """The actuator's vertical support, at one of 7 x 3 places."""
+    """The actuator's vertical support, at one of 7 x 3 positions."""
     vectors: dict[tuple[int, ...], np.ndarray] = {}
     for position in range(2, 9):
         for lateral in (-1, 0, 1):

@@ -1,4 +1,4 @@
-"""A bogie with its bolsters, put in its place under the car."""
+"""A bogie with its bolsters at its place under the car."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 
 from models.fem.discrete import End, PointMass, Spring
 from models.fem.member import Member, Point, Suppression, Tie
-from models.fem.spider import Spider
+from models.fem.rbe3 import Rbe3
 from models.railway.bogie import bogie
 from models.railway.bolsters import bolsters
 
 
 @dataclass(frozen=True)
 class RunningGear:
-    """Parts of one bogie with bolsters; every body, group and spider bears the bogie's name before its own.
+    """Parts of one bogie with bolsters; names of bodies, groups and RBE3s have the bogie's name as prefix.
 
     Attributes
     ----------
-    members, ties, suppressions, masses, spiders
+    members, ties, suppressions, masses, rbe3s
         As of a structure.
     springs : mapping from str to tuple of Spring
         ``primary``, ``rod_upper``, ``rod_lower``, ``rail``, ``secondary``, ``rod_tilting`` carry parameters;
@@ -32,7 +32,7 @@ class RunningGear:
     masses: tuple[PointMass, ...]
     springs: dict[str, tuple[Spring, ...]]
     dampers: dict[str, tuple[Spring, ...]]
-    spiders: tuple[Spider, ...]
+    rbe3s: tuple[Rbe3, ...]
 
 
 def running_gear(name: str, x: float, size: float, distributed: bool = False) -> RunningGear:
@@ -59,7 +59,7 @@ def running_gear(name: str, x: float, size: float, distributed: bool = False) ->
         tuple(put.mass(m) for m in (*own.masses, *above.masses)),
         {key: tuple(put.spring(s) for s in some) for key, some in springs.items()},
         {key: tuple(put.spring(s) for s in some) for key, some in dampers.items()},
-        tuple(put.spider(s) for s in above.spiders),
+        tuple(put.rbe3(s) for s in above.rbe3s),
     )
 
 
@@ -74,7 +74,7 @@ class _Place:
     def part(self, name: str) -> str:
         return f"{self.name}_{name}"
 
-    def told(self, name: str) -> str:
+    def label(self, name: str) -> str:
         return f"{self.name} bogie, {name}" if name else ""
 
     def end(self, end: End) -> End:
@@ -83,7 +83,7 @@ class _Place:
     def member(self, m: Member) -> Member:
         return replace(
             m, body=self.part(m.body), group=self.part(m.group), start=self.point(m.start), end=self.point(m.end),
-            through=tuple(self.point(p) for p in m.through), part=self.told(m.part),
+            through=tuple(self.point(p) for p in m.through), part=self.label(m.part),
         )  # fmt: skip
 
     def tie(self, t: Tie) -> Tie:
@@ -96,11 +96,11 @@ class _Place:
         )  # fmt: skip
 
     def mass(self, m: PointMass) -> PointMass:
-        return replace(m, at=self.end(m.at), name=self.told(m.name))
+        return replace(m, at=self.end(m.at), name=self.label(m.name))
 
     def spring(self, s: Spring) -> Spring:
         other = None if s.other is None else self.end(s.other)
-        return replace(s, end=self.end(s.end), other=other, name=self.told(s.name))
+        return replace(s, end=self.end(s.end), other=other, name=self.label(s.name))
 
-    def spider(self, s: Spider) -> Spider:
+    def rbe3(self, s: Rbe3) -> Rbe3:
         return replace(s, name=self.part(s.name), feet=tuple(self.point(f) for f in s.feet))

@@ -46,13 +46,13 @@ ASSUMPTIONS: tuple[Assumption, ...] = (
                "the case study spreads them uniformly"),
     Assumption("structural damping", "none", "-", "the case study names dampers only"),
 )  # fmt: skip
-"""What the assembly itself assumes."""
+"""Assumptions of the assembly itself."""
 
 _RULES = {
     group: {"modulus": "E_aluminium", "thickness": f"t_{kind}", "rmi": f"RMI_{kind}", "density": "rho_aluminium"}
     for group, kind in (("base", "base"), ("walls", "walls"), ("cover", "cover"), ("ends", "walls"))
 }
-"""Parameters that take the place of values of every group of panels, as `shell_coefficients` names them."""
+"""Parameters that replace values of every group of panels, as `shell_coefficients` names them."""
 
 _SHARES = {"m_base": "base", "m_walls": "walls", "m_cover": "cover"}
 
@@ -70,15 +70,15 @@ _STEEL = ("girder_centre", "girder_end", "crossbar", "axle", "box", "load_bolste
 
 @dataclass(frozen=True)
 class Assembly:
-    """Everything of the vehicle before matrices.
+    """Parts of the vehicle before matrices are assembled.
 
     Attributes
     ----------
     structure : Structure
     masses : tuple of PointMass
     springs, dampers : mapping from str to tuple of Spring
-        By the parameter that drives them; ``suspension_fixed``, ``floor_fixed`` and ``seats`` have none. Only seats
-        that are sprung have an entry.
+        By their parameter; ``suspension_fixed``, ``floor_fixed`` and ``seats`` have none. Only sprung seats have an
+        entry.
     """
 
     structure: Structure
@@ -88,7 +88,7 @@ class Assembly:
 
 
 SeatMounting = Literal["sprung", "rigid"]
-"""How the seats stand on the floor."""
+"""Mounting of the seats on the floor."""
 
 
 def assembly(refine: int = 1, distributed: bool = False, seats: SeatMounting = "sprung") -> Assembly:
@@ -109,7 +109,7 @@ def assembly(refine: int = 1, distributed: bool = False, seats: SeatMounting = "
         suppressions=(*(s for g in gears for s in g.suppressions), *seated.suppressions),
         particles=seated.particles,
         panels=body.panels,
-        spiders=(*fitted.spiders, *seated.spiders, *couplers(), *(s for g in gears for s in g.spiders)),
+        rbe3s=(*fitted.rbe3s, *seated.rbe3s, *couplers(), *(s for g in gears for s in g.rbe3s)),
     )
     springs = {
         "K_primary": both("primary"),
@@ -139,14 +139,14 @@ def vehicle(refine: int = 1, distributed: bool = False, seats: SeatMounting = "s
     Parameters
     ----------
     refine : int
-        1, 2, 4, ...: into how many every edge of shells and frames is cut; attachments, openings and panel edges keep
-        their coordinates. Beams of the bogies are cut finer as well.
+        1, 2, 4, ...: number of pieces of every edge of shells and frames; attachments, openings and panel edges keep
+        their coordinates. Beams of the bogies are refined as well.
     distributed : bool
-        Consistent instead of lumped added masses of the bogies, and their point masses shared out over what they stand
-        for.
+        Consistent instead of lumped added masses of the bogies, and their point masses distributed over the length they
+        represent.
     seats : {"sprung", "rigid"}
-        Each seat an oscillator of one degree of freedom, or its mass on the floor without a spring. Equipment always
-        stands rigidly on its feet.
+        Each seat is an oscillator of one degree of freedom, or a mass on the floor without a spring. Equipment is
+        always rigid on its feet.
 
     Returns
     -------
@@ -230,7 +230,7 @@ def _gear_mass(structure: Structure, reduced: Reduced, distributed: bool) -> lis
 
 
 def _coefficient(name: str, of_seats: float) -> Monomial:
-    """The parameter itself; springs without one carry their stiffness as a weight, except for the seats."""
+    """The parameter itself; springs without one have their stiffness as a weight, except for the seats."""
     if name in _NO_PARAMETER:
         return Monomial(of_seats if name == "seats" else 1.0)
     return parameter(name)

@@ -1,4 +1,4 @@
-"""What the car body may lack: soft joints and corners, glass that carries, damping, its neighbour and its weight."""
+"""Effects of the car body: soft joints and corners, window panes in shear, damping, coupling and gravity."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from models.railway.equipment import COUPLER_Y
 
 JOINT_WIDTH = BASE_Z[-1] - BASE_Z[-2]
 STRETCHES = 3
-"""Into how many a softened strip or half pillar is cut: a bending moment that falls to nothing along a stretch keeps a
-quarter of its energy out of the mean curvature, and of three stretches 3 % only."""
+"""Number of segments of a softened strip or half pillar: for a bending moment that falls linearly to zero, the mean
+curvature misses a quarter of the energy with one segment and 3 % with three."""
 DAMPING_FREQ = 10.0
 
 _FULL = (("E_aluminium", 1.0),)
 
 
 def body_effects() -> tuple[Effect, ...]:
-    """Effects of the car body and of what pulls at it as a whole."""
+    """Effects of the car body and of forces on it as a whole."""
     return (
         Effect(
             name="floor_joint",
             title="Soft joint between side walls and floor",
             lacks="Floor and cross-beams keep their full bending stiffness up to the side walls.",
             look_for="Bolted or riveted joints, access holes and thin webs where cross-beams and floor meet the walls.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "floor_joint", 0.0, 0.0, 0.95, "-", prior_sd=0.4,
                 description="share of the stiffness in bending across that is lost over 0.30 m along both walls",
             ),
@@ -47,7 +47,7 @@ def body_effects() -> tuple[Effect, ...]:
             title="Window corners soft in shear",
             lacks="The window pillars keep their full section up to the rails over and under the windows.",
             look_for="Cut-outs, tapered pillars, cracks or missing gussets at the corners of the windows.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "window_corners", 0.0, 0.0, 0.95, "-", prior_sd=0.4,
                 description="share of the pillars' bending stiffness in the wall lost from their middle to both ends",
             ),
@@ -58,7 +58,7 @@ def body_effects() -> tuple[Effect, ...]:
             title="Bonded window panes carry shear",
             lacks="The windows are open holes.",
             look_for="Panes bonded all round with stiff adhesive instead of sitting in a soft rubber profile.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "window_glass", 0.0, 0.0, 200.0, "MN/m", prior_sd=3.0,
                 description="shear modulus times thickness of a pane with its bond",
             ),
@@ -69,7 +69,7 @@ def body_effects() -> tuple[Effect, ...]:
             title="The car body dissipates",
             lacks="The car body is elastic without loss.",
             look_for="Damping layers, insulation, linings and floor coverings that are glued on or rub.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "body_damping", 0.0, 0.0, 10.0, "%", prior_sd=0.7,
                 description="damping ratio of the aluminium body at 10 Hz, in proportion to frequency",
             ),
@@ -80,7 +80,7 @@ def body_effects() -> tuple[Effect, ...]:
             title="Coupling to the neighbouring car",
             lacks="Both ends of the car are free.",
             look_for="Whether the car was tested uncoupled: coupler, gangway and cables at the rear end.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "neighbour_coupling", 0.0, 0.0, 5000.0, "kN/m", prior_sd=150.0,
                 description="stiffness of the rear coupler against rising, and the same lengthwise",
             ),
@@ -91,7 +91,7 @@ def body_effects() -> tuple[Effect, ...]:
             title="The body's weight tips it",
             lacks="The body's weight does no work when the body rolls.",
             look_for="Height of the centre of gravity: the moment is weight times height over the lateral links.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "tipping", 0.0, 0.0, 600.0, "kNm/rad", prior_sd=150.0,
                 description="moment that tips the body over its angle of roll",
             ),
@@ -101,11 +101,11 @@ def body_effects() -> tuple[Effect, ...]:
 
 
 def _floor_joint(model: StructuralModel) -> Addition:
-    """A stretch of length b keeps at most ``E I/b`` of its energy in its mean curvature (Cauchy-Schwarz).
+    """The mean curvature of a segment of length b has a stiffness of at most ``E I/b`` (Cauchy-Schwarz).
 
-    Across a sheet, I is that of a beam: curvature along may follow freely, which frees ``1 - nu^2``. Each cell between
-    two lines is looked at in two places a quarter from its ends: of a turn that is linear between nodes the sum of
-    squares there is at most the mean square.
+    Across a sheet, I is that of a beam: the curvature along is free, which gives the factor ``1 - nu^2``. Each cell
+    between two lines is evaluated at two places a quarter from its ends: for a rotation that is linear between nodes,
+    the sum of squares there is at most the mean square.
     """
     sheet, length = SHEETS["base"], JOINT_WIDTH / STRETCHES
     bending = shell_coefficients(sheet, "E_aluminium", "t_base", "RMI_base").bending
@@ -129,7 +129,7 @@ def _floor_joint(model: StructuralModel) -> Addition:
 
 
 def _across(model: StructuralModel, part: str, x: float, side: float) -> list[np.ndarray]:
-    """How the floor turns about the longitudinal axis along every stretch from a wall to where the joint ends."""
+    """Relative rotation of the floor about the longitudinal axis over every segment from a wall to the joint's end."""
     places: list[Place] = [
         (part, (x, FLOOR_Y, side * z)) for z in np.linspace(BASE_Z[-1], BASE_Z[-2], STRETCHES + 1).tolist()
     ]
@@ -137,7 +137,7 @@ def _across(model: StructuralModel, part: str, x: float, side: float) -> list[np
 
 
 def _window_corners(model: StructuralModel) -> Addition:
-    """A stretch keeps at most ``E I/L`` of its energy in its mean curvature; no load acts between a pillar's ends."""
+    """The mean curvature of a segment has a stiffness of at most ``E I/L``; no load acts between a pillar's ends."""
     rows, middle = [], (SILL + HEADER) // 2
     for x in PILLARS:
         group = "post" if x in (PILLARS[0], PILLARS[-1]) else "pillar"

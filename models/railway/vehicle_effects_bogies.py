@@ -1,4 +1,4 @@
-"""What the vehicle's bogies, their pivots and the track may lack."""
+"""Effects of the vehicle's bogies, their pivots and the track."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
             title="The track gives way",
             lacks="The rails stand on rigid ground.",
             look_for="Soft rail pads, ballast, or a workshop floor that gives under the rails.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "track_compliance", 0.0, 0.0, 100.0, "mm/MN", prior_sd=8.0,
                 description="flexibility in series with the contact of each wheel",
             ),
@@ -35,7 +35,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
             title="Soft bushes of the front bogie's connecting rods",
             lacks="The connecting rods of both bogies are alike, bushes included.",
             look_for="New, soft or cracked rubber bushes at the axle-box rods of the front bogie.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "rod_bushes", 0.0, 0.0, 500.0, "mm/MN", prior_sd=40.0,
                 description="flexibility in series with each axle-box rod of the front bogie",
             ),
@@ -46,7 +46,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
             title="Soft bush of a tilting rod",
             lacks="All tilting rods are alike, bushes included.",
             look_for="Wear or clearance in the joints of the front left tilting rod.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "tilting_rod_bush", 0.0, 0.0, 1000.0, "mm/MN", prior_sd=20.0,
                 description="flexibility in series with the front bogie's left tilting rod",
             ),
@@ -57,7 +57,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
             title="Unmodelled mass on the front load bolster",
             lacks="The load bolsters carry nothing but themselves.",
             look_for="Brackets, valves, pipes or test equipment on the load bolster of the front bogie.",
-            strength=Parameter("bolster_mass", 0.0, 0.0, 1500.0, "kg", prior_sd=200.0, description="mass of it"),
+            magnitude=Parameter("bolster_mass", 0.0, 0.0, 1500.0, "kg", prior_sd=200.0, description="mass of it"),
             build=_bolster_mass,
         ),
         Effect(
@@ -65,7 +65,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
             title="Centre pivots resist turning",
             lacks="The bogies turn freely about their centre pivots.",
             look_for="Side bearers with friction, tight pivots, hoses and cables between bogie and floor.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "pivot_yaw", 0.0, 0.0, 1000.0, "MNm/rad", prior_sd=2.0,
                 description="stiffness of each pivot against turning about the upright axis",
             ),
@@ -89,7 +89,7 @@ def _tilting_rod_bush(model: StructuralModel) -> Addition:
 
 
 def _bolster_mass(model: StructuralModel) -> Addition:
-    """A bolster moves upright and turns, no more."""
+    """A bolster has vertical motion and rotations only."""
     row = motion(model, ("front_load_bolster", (BOGIE_X, LOAD_BOLSTER_Y, 0.0)), UY)
     return Addition(
         mass=(outer_term("bolster_mass", [row], parameter("bolster_mass")),),
@@ -98,7 +98,7 @@ def _bolster_mass(model: StructuralModel) -> Addition:
 
 
 def _pivot_yaw(model: StructuralModel) -> Addition:
-    """The bogies' frames do not yaw in this model: the floor turns against the ground."""
+    """The bogies' frames do not yaw in this model: the pivot acts between floor and ground."""
     rows = []
     for bogie, x in BOGIES:
         places: list[Place] = [(f"{bogie}_floor_{side}", (x, FLOOR_Y, s * PAD_Z)) for side, s in SIDES]

@@ -1,4 +1,4 @@
-"""What equipment and seats of the vehicle may lack: soft mounts, and places off the middle of the car."""
+"""Effects of equipment and seats of the vehicle: soft mounts, and places off the middle of the car."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from models.railway.equipment import SEAT_X, SEAT_Z, UNDER_FLOOR, equipment, pas
 
 UNIT_RATIO, SEAT_RATIO = 0.03, 0.07
 SIDEWAYS = 0.7
-"""Stiffness of rubber mounts sideways over that upright."""
+"""Lateral over vertical stiffness of rubber mounts."""
 RATIO_SD, SIDEWAYS_SD, DROP_SD = 0.015, 0.2, 0.15
-"""Prior standard deviations: damping ratio, stiffness sideways over that upright, height of the centre in m."""
+"""Prior standard deviations: damping ratio, lateral over vertical stiffness, height of the centre in m."""
 BOXES = {"traction converter": (2.4, 0.7, 1.8), "front roof unit": (2.4, 0.3, 1.8)}
-"""Sides along x, y and z in m of boxes of even density that turn as the units do."""
+"""Sides along x, y and z in m of boxes of uniform density with the rotary inertia of the units."""
 OFFSET_REACH, CARRYING = 0.4, "floor_beam"
 SEAT_WAVES = 4
-"""Along the car seats move in polynomials of up to this degree, across it alike or against each other."""
+"""Largest degree of the polynomials along the car in which seats move; across it, in phase or antiphase."""
 
 _BOX = "just beyond its feet, as high as there is room"
-_SAG = "by how much it presses its mounts down by its own weight; 1 mm is 15.8 Hz, 4 mm 7.9 Hz"
+_SAG = "static deflection of its mounts under its own weight; 1 mm is 15.8 Hz, 4 mm 7.9 Hz"
 
 
 def equipment_effects() -> tuple[Effect, ...]:
-    """Effects of what the car carries."""
+    """Effects of equipment and seats."""
     return (
         _hung(
             "hung_converter", "traction converter", (-0.4, 0.4),
@@ -52,9 +52,9 @@ def equipment_effects() -> tuple[Effect, ...]:
             title="Passenger seats bounce on the floor",
             lacks="The seats move rigidly with the floor.",
             look_for="Light seat frames on few fixings: push a seat down, let go and watch it.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "soft_seats", 0.005, 0.005, 8.0, "mm", prior_sd=0.8,
-                description="by how much a seat presses its frame down by its own weight; 0.5 mm is 22 Hz, 4 mm 7.9 Hz",
+                description="static deflection of a seat's frame under its own weight; 0.5 mm is 22 Hz, 4 mm 7.9 Hz",
             ),
             build=_soft_seats,
             grid=tuple({"soft_seats": sag} for sag in (0.1, 0.3, 0.5, 1.0, 1.7, 3.1, 5.9)),
@@ -64,7 +64,7 @@ def equipment_effects() -> tuple[Effect, ...]:
             title="Under-floor equipment off the middle",
             lacks="Everything under the floor sits in the middle of the car.",
             look_for="Where the heavy units really hang, to the left positive; unequal wheel loads left and right.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "equipment_offset", 0.0, -1e3 * OFFSET_REACH, 1e3 * OFFSET_REACH, "mm", prior_sd=100.0,
                 description="place across the car of everything that hangs under its floor",
             ),
@@ -74,23 +74,23 @@ def equipment_effects() -> tuple[Effect, ...]:
 
 
 def _hung(name: str, item: str, drop: tuple[float, float], title: str, lacks: str, look_for: str) -> Effect:
-    """A unit that moves on mounts at its feet; its centre may be lower than the model has it, within ``drop`` in m."""
+    """A unit on elastic mounts at its feet; its centre may be lower than in the model, within ``drop`` in m."""
     return Effect(
         name=name, title=title, lacks=lacks, look_for=look_for,
-        strength=Parameter(name, 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
+        magnitude=Parameter(name, 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
         build=partial(_unit, name=name, item=item),
         nuisance=(
             Parameter(
                 f"{name}_drop", 0.0, *drop, "m", prior_sd=DROP_SD,
-                description="height by which its centre is lower than the model has it",
+                description="height by which its centre is lower than in the model",
             ),
             Parameter(
                 f"{name}_sideways", SIDEWAYS, 0.3, 1.5, "-", prior_sd=SIDEWAYS_SD,
-                description="stiffness of its mounts sideways over that upright",
+                description="lateral over vertical stiffness of its mounts",
             ),
             Parameter(
                 f"{name}_damping", UNIT_RATIO, 0.005, 0.15, "-", prior_sd=RATIO_SD,
-                description="damping ratio of its mounts upright",
+                description="vertical damping ratio of its mounts",
             ),
         ),
         grid=tuple(
@@ -103,28 +103,28 @@ def _hung(name: str, item: str, drop: tuple[float, float], title: str, lacks: st
 def _unit(model: StructuralModel, name: str, item: str) -> Addition:
     fitted = equipment()
     (unit,) = (m for m in fitted.masses if m.name == item)
-    (spider,) = (s for s in fitted.spiders if s.name == item)
+    (rbe3,) = (s for s in fitted.rbe3s if s.name == item)
     box = BOXES[item]
     x, y, z = ((np.sum(np.square(box)) - np.square(box)) / 12).tolist()
-    body = MountedBody(unit.mass, np.subtract(spider.feet, unit.at[1]), UY, (x, y, z))
+    body = MountedBody(unit.mass, np.subtract(rbe3.feet, unit.at[1]), UY, (x, y, z))
     carrier = np.array([motion(model, unit.at, direction) for direction in (UX, UY, UZ, RX, RY, RZ)])
     loose = body.let_go(carrier, name, f"{name}_drop", f"{name}_sideways", f"{name}_damping")
     assumed = (
         Assumption(f"{item}: damping ratio on its mounts", f"{UNIT_RATIO} +- {RATIO_SD}", "-", "rubber"),
-        Assumption(f"{item}: mounts", "at its feet", "-", "as the model has them"),
-        Assumption(f"{item}: sides of a box that turns as it does", ", ".join(f"{c:g}" for c in box), "m", _BOX),
+        Assumption(f"{item}: mounts", "at its feet", "-", "as in the model"),
+        Assumption(f"{item}: sides of a box of its rotary inertia", ", ".join(f"{c:g}" for c in box), "m", _BOX),
         Assumption(
-            f"{item}: its centre lower than the model has it", f"0 +- {DROP_SD}", "m", "where it is heavy is open"
+            f"{item}: its centre lower than in the model", f"0 +- {DROP_SD}", "m", "its mass distribution is unknown"
         ),
         Assumption(
-            f"{item}: mounts, sideways over upright stiffness", f"{SIDEWAYS} +- {SIDEWAYS_SD}", "-", "rubber blocks"
+            f"{item}: mounts, lateral over vertical stiffness", f"{SIDEWAYS} +- {SIDEWAYS_SD}", "-", "rubber blocks"
         ),
     )
     return replace(loose, assumptions=assumed)
 
 
 def _soft_seats(model: StructuralModel) -> Addition:
-    """All seats together in a few smooth patterns: by themselves they would be 60 modes at one frequency."""
+    """All seats together in a few smooth patterns: separately they would add 60 modes at one frequency."""
     if "seats.y" in model.clusters:
         raise InputError(
             "the model's seats are sprung already", place="seats", remedy='set seats = "rigid" in model_options'
@@ -139,15 +139,15 @@ def _soft_seats(model: StructuralModel) -> Addition:
 
 
 def _equipment_offset(model: StructuralModel) -> Addition:
-    """All feet move across the car, along the cross-beams that they stand on."""
+    """All feet are shifted across the car, along the cross-beams that they stand on."""
     under, fitted = {item.name for item in UNDER_FLOOR}, equipment()
-    spiders = {spider.name: spider for spider in fitted.spiders}
+    rbe3s = {rbe3.name: rbe3 for rbe3 in fitted.rbe3s}
 
     def carried(shift: float) -> np.ndarray:
         rows: list[np.ndarray] = []
         for unit in fitted.masses:
             if unit.name in under:
-                old = spiders[unit.name]
+                old = rbe3s[unit.name]
                 moved = replace(old, feet=tuple((x, y, z + shift) for x, y, z in old.feet))
                 feet = np.array([[motion(model, (CARRYING, foot), d) for d in (UX, UY, UZ)] for foot in moved.feet])
                 centre = np.add(unit.at[1], (0.0, 0.0, shift))

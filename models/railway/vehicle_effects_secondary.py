@@ -1,4 +1,4 @@
-"""What the vehicle's secondary suspension and the way from there to the floor may lack."""
+"""Effects of the vehicle's secondary suspension and of the pads between bolsters and floor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def secondary_effects() -> tuple[Effect, ...]:
             title="Anti-roll bars between frames and bolsters",
             lacks="Frame and load bolster roll against each other on the secondary springs alone.",
             look_for="A torsion bar with levers and links between each bogie frame and its bolster.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "anti_roll_bar", 0.0, 0.0, 20.0, "MNm/rad", prior_sd=0.4,
                 description="stiffness of one bar against roll, one in each bogie",
             ),
@@ -36,7 +36,7 @@ def secondary_effects() -> tuple[Effect, ...]:
             title="Secondary dampers uneven left and right",
             lacks="All secondary dampers work alike.",
             look_for="Leaking or wrong dampers on one side of the car; oil on a body, a stroke without resistance.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "damper_asymmetry", 0.0, -1.0, 1.0, "-", prior_sd=0.3,
                 description="relative gain of the secondary dampers on the left, and loss of those on the right",
             ),
@@ -47,7 +47,7 @@ def secondary_effects() -> tuple[Effect, ...]:
             title="Secondary springs of the front bogie uneven left and right",
             lacks="The secondary springs of a bogie are alike.",
             look_for="Wrong, broken or shimmed springs; unequal heights of the load bolster left and right.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "secondary_asymmetry", 0.0, -0.9, 0.9, "-", prior_sd=0.1,
                 description="relative gain of the front bogie's left springs, and loss of its right ones",
             ),
@@ -58,15 +58,15 @@ def secondary_effects() -> tuple[Effect, ...]:
             title="Air springs beside the secondary springs",
             lacks="The secondary suspension has springs with dampers beside them, but none in series.",
             look_for="Air bellows with a reservoir behind an orifice or a long pipe at the secondary springs.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "air_spring", 0.0, 0.0, 3000.0, "kN/m", prior_sd=150.0,
-                description="by how much each side of a bogie is stiffer when the orifice lets nothing through",
+                description="stiffness added to each side of a bogie when the orifice is blocked",
             ),
             build=_air_spring,
             nuisance=(
                 Parameter(
                     "air_spring_freq", 1.5, 0.2, 10.0, "Hz", prior_sd=1.5,
-                    description="frequency at which the orifice is as stiff as that",
+                    description="frequency at which the orifice is as stiff as the added stiffness",
                 ),
             ),
             grid=tuple({"air_spring": 150.0, "air_spring_freq": f} for f in (0.4, 1.5, 5.0)),
@@ -76,7 +76,7 @@ def secondary_effects() -> tuple[Effect, ...]:
             title="Soft mounts of the yaw dampers",
             lacks="The yaw dampers are fixed rigidly to bracket and floor.",
             look_for="Soft or worn rubber bushes at the eyes of the yaw dampers.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "yaw_damper_mount", 0.2, 0.2, 2000.0, "mm/MN", prior_sd=60.0,
                 description="flexibility in series with each yaw damper",
             ),
@@ -88,7 +88,7 @@ def secondary_effects() -> tuple[Effect, ...]:
             title="Floor pads on the left softer",
             lacks="All pads between tilting bolsters and floor are alike.",
             look_for="Aged, oil-soaked or wrong rubber pads on the left of the car.",
-            strength=Parameter(
+            magnitude=Parameter(
                 "soft_pads", 0.0, 0.0, 0.95, "-", prior_sd=0.25,
                 description="share of the stiffness that the pads on the left have lost",
             ),
@@ -99,8 +99,8 @@ def secondary_effects() -> tuple[Effect, ...]:
             title="Floor pads dissipate",
             lacks="The pads between tilting bolsters and floor are elastic without loss.",
             look_for="Loss angle of the pads' rubber from the supplier; pads that are warm after running.",
-            strength=Parameter(
-                "pad_damping", 0.0, 0.0, 200.0, "kNs/m", prior_sd=5.0, description="upright damping of one pad"
+            magnitude=Parameter(
+                "pad_damping", 0.0, 0.0, 200.0, "kNs/m", prior_sd=5.0, description="vertical damping of one pad"
             ),
             build=_pad_damping,
         ),
@@ -123,7 +123,7 @@ def _air_spring(model: StructuralModel) -> Addition:
 
 
 def _sides(model: StructuralModel, bogie: str, x: float) -> list[np.ndarray]:
-    """How far the load bolster of a bogie rises off the frame, left and right."""
+    """Vertical motion of a bogie's load bolster relative to the frame, left and right."""
     places = [(x, LOAD_BOLSTER_Y, s * LOAD_BOLSTER_TIP) for _, s in SIDES]
     return [between(model, (f"{bogie}_load_bolster", p), (f"{bogie}_frame", p), UY) for p in places]
 

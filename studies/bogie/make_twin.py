@@ -1,15 +1,16 @@
-"""Makes the synthetic measurement of the bogie on its rig: a twin of the test, since no raw data were published.
+"""Synthetic measurement of the bogie on its rig: a twin of the test, since no raw data were published.
 
     python studies/bogie/make_twin.py TRUTH.json
 
-The twin is not the fitted mathematics: its mesh is three times finer, its masses are distributed instead of lumped, and
-its sensors sit up to 5 mm off their nominal places. Its parameter values are drawn by a seed within the limits of the
-study's search and written to TRUTH.json, which nothing under ``calib``, ``models`` or ``studies`` ever reads. Seeds are
-tried in turn until the initial model is off by about as much as in the case study (10.6 % mean frequency error), the
-primary springs are stiffer than first assumed (as found there), and all eight modes can be told apart.
+The twin differs from the fitted model (no inverse crime): its mesh is three times finer, its masses are distributed
+instead of lumped, and its sensors sit up to 5 mm off their nominal places. Its parameter values are drawn by a seed
+within the limits of the study's search and written to TRUTH.json, which nothing under ``calib``, ``models`` or
+``studies`` reads. Seeds are tried in turn until the initial model is off by about as much as in the case study (10.6 %
+mean frequency error), the primary springs are stiffer than first assumed (as found there), and all eight modes can be
+identified.
 
-The scatter of the *mean* of the five repeats is 0.5 % of the natural frequency, 7 % of the damping ratio and 2.5 % of
-the shape's largest modulus in real and imaginary part; one repeat scatters sqrt(5) times as much.
+The standard deviation of the *mean* of the five repeats is 0.5 % of the natural frequency, 7 % of the damping ratio and
+2.5 % of the shape's largest modulus in real and imaginary part; that of one repeat is sqrt(5) times as large.
 """
 
 from __future__ import annotations
@@ -39,15 +40,15 @@ MODES = tuple(f"{k}BT" for k in range(1, 9))
 REPEATS = 5
 STD_FREQ, STD_DAMPING, STD_SHAPE = 0.005, 0.07, 0.025
 SENSOR_ERROR = 0.005
-UNSELECTED_SCATTER = 0.05
+UNSELECTED_STD = 0.05
 INITIAL_ERROR = (0.103, 0.109)
 
 
 def sensors() -> tuple[Sensor, ...]:
     """The 30 measured directions with their nominal places (m) and the parts that carry them.
 
-    Four of them sit on the outer arms of the axle boxes: only the boxes' own rotation tells the upper from the lower
-    connecting rods, which act on all wheelset frequencies in nearly the same proportion.
+    Four of them sit on the outer arms of the axle boxes: only the rotation of the boxes separates the upper from the
+    lower connecting rods, which act on all wheelset frequencies in nearly the same proportion.
     """
     places: list[tuple[str, tuple[float, float, float], str]] = []
     for z in (1.05, -1.05):
@@ -65,7 +66,7 @@ def sensors() -> tuple[Sensor, ...]:
 
 
 def moved(layout: tuple[Sensor, ...], rng: np.random.Generator) -> tuple[Sensor, ...]:
-    """The same sensors where they really sit: anywhere within a ball of 5 mm."""
+    """The sensors at their true places, displaced within a ball of 5 mm."""
     out = []
     for sensor in layout:
         step = rng.standard_normal(3)
@@ -77,16 +78,16 @@ def moved(layout: tuple[Sensor, ...], rng: np.random.Generator) -> tuple[Sensor,
 
 
 def draw(space: ParameterSpace, selected: ParameterSpace, rng: np.random.Generator) -> dict[str, float]:
-    """Selected parameters anywhere within the search; the other continuous ones within 5 % of their adopted values."""
+    """True values: selected parameters within the search, other continuous ones within 5 % of their nominal values."""
     truth = selected.complete(sample(selected, 1, int(rng.integers(2**31))).points[0])
     for parameter in space.parameters:
         if parameter.name not in selected.free_names and not parameter.integer:
-            truth[parameter.name] = parameter.value * (1 + UNSELECTED_SCATTER * rng.uniform(-1, 1))
+            truth[parameter.name] = parameter.value * (1 + UNSELECTED_STD * rng.uniform(-1, 1))
     return truth
 
 
 def eight_modes(twin: StructuralModel, truth: dict[str, float], nominal: np.ndarray, rows: np.ndarray) -> Modes | None:
-    """The twin's modes in the order of the nominal shapes; None when they cannot be told apart."""
+    """The twin's modes in the order of the nominal shapes; None when they cannot be identified."""
     modes = twin.modes(truth, 10)
     similar = mac(nominal, rows @ modes.shapes)
     best = similar.argmax(axis=1)
@@ -95,14 +96,14 @@ def eight_modes(twin: StructuralModel, truth: dict[str, float], nominal: np.ndar
     return modes.subset(best)
 
 
-def scattered(modes: Modes, shapes: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One test: frequencies, damping, complex shapes (n_sensors, n_modes) with their scatter, in arbitrary phases."""
+def noisy(modes: Modes, shapes: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One repeat with noise: frequencies, damping, complex shapes (n_sensors, n_modes) of arbitrary phases."""
     grow = np.sqrt(REPEATS)
     natural = modes.natural_freq * np.exp(STD_FREQ * grow * rng.standard_normal(modes.n_modes))
     damping = modes.damping_ratio * np.exp(STD_DAMPING * grow * rng.standard_normal(modes.n_modes))
     shapes = shapes / np.abs(shapes).max(axis=0)
-    scatter = rng.standard_normal(shapes.shape) + 1j * rng.standard_normal(shapes.shape)
-    return natural, damping, (shapes + STD_SHAPE * grow * scatter) * np.exp(2j * np.pi * rng.random(modes.n_modes))
+    noise = rng.standard_normal(shapes.shape) + 1j * rng.standard_normal(shapes.shape)
+    return natural, damping, (shapes + STD_SHAPE * grow * noise) * np.exp(2j * np.pi * rng.random(modes.n_modes))
 
 
 def write_measurement(
@@ -114,11 +115,11 @@ def write_measurement(
     rng: np.random.Generator,
     title: str = "bogie test",
 ) -> None:
-    """All repeats of a test and the table of its sensors."""
+    """Write all repeats of a test and the table of its sensors."""
     into.mkdir(parents=True, exist_ok=True)
     for k in range(1, REPEATS + 1):
         path = into / f"repeat_{k}.uff"
-        natural, damping, complex_shapes = scattered(modes, shapes, rng)
+        natural, damping, complex_shapes = noisy(modes, shapes, rng)
         write_uff(
             path, names=names, natural_freq=natural, damping_ratio=damping, sensors=layout, shapes=complex_shapes,
             title=f"SYNTHETIC twin of the {title}, {path.stem}",
@@ -129,7 +130,7 @@ def write_measurement(
 
 
 class Twin(NamedTuple):
-    """A twin drawn, before it is measured.
+    """A twin with its true values, before it is measured.
 
     Attributes
     ----------
@@ -139,11 +140,11 @@ class Twin(NamedTuple):
         Mean frequency error of the initial model.
     modes : Modes
     shapes : ndarray (n_sensors, n_modes)
-        At the sensors where they really sit.
+        At the true places of the sensors.
     layout : tuple of Sensor
-        Where they are said to sit.
+        Nominal places of the sensors.
     rng : Generator
-        Goes on with the scatter of the test.
+        Generator of the measurement noise.
     """
 
     seed: int
@@ -156,7 +157,7 @@ class Twin(NamedTuple):
 
 
 def drawn(first: int = 1) -> Twin:
-    """The twin of the first seed, from a given one on, that makes a study."""
+    """The twin of the first seed, from a given one on, that meets the criteria."""
     twin = bogie_on_rig(element_size=0.025, distributed=True)
     settings = read_settings(HERE / "study.toml")
     space = sensitivity_space(twin.space, settings, lambda *keys: "study.toml", {})
@@ -179,7 +180,7 @@ def drawn(first: int = 1) -> Twin:
 
 
 def write_truth(path: Path, names: tuple[str, ...], twin: Twin) -> None:
-    """What a measurement was made from, where nothing that answers ever reads it."""
+    """Write the true values behind a measurement to a file that no analysis reads."""
     content = {
         "seed": twin.seed,
         "parameters": twin.truth,
@@ -195,7 +196,7 @@ def write_truth(path: Path, names: tuple[str, ...], twin: Twin) -> None:
 def write_twin(
     what: str, home: Path, names: tuple[str, ...], draw_from: Callable[[int], Twin], title: str = "bogie test"
 ) -> None:
-    """Draw a truth, measure the twin five times, write truth and repeats, all as the command line says.
+    """Draw true values, measure the twin five times, write truth and repeats; arguments from the command line.
 
     Parameters
     ----------
@@ -204,9 +205,9 @@ def write_twin(
     home : Path
         Folder of the study.
     names : tuple of str
-        Of the modes.
+        Names of the modes.
     draw_from : callable
-        The twin of the first seed, from a given one on, that makes a study.
+        Gives the twin of the first seed, from a given one on, that meets the criteria.
     title : str
     """
     arguments = argparse.ArgumentParser(description=what)

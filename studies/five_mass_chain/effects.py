@@ -21,7 +21,7 @@ def library():
         title="Bracket on mass 1",
         lacks="Mass 1 was weighed without the bracket that holds the shaker's rod.",
         look_for="The bracket, its bolts and the end of the rod.",
-        strength=Parameter("bracket_mass_1", 0.0, 0.0, 1.0, "kg", prior_sd=0.1),
+        magnitude=Parameter("bracket_mass_1", 0.0, 0.0, 1.0, "kg", prior_sd=0.1),
         build=bracket,
     )
     return (*chain_effects(), own)

@@ -1,15 +1,15 @@
-"""Makes the synthetic measurement of the five-mass chain, with one effect that the study's model lacks.
+"""Synthetic measurement of the five-mass chain, with one effect that the study's model lacks.
 
     python studies/five_mass_chain/make_twin.py TRUTH.json
 
-The twin is not the fitted mathematics: its springs have mass and are ten pieces each, so that it has fifty masses. What
-was weighed as mass 1 to 5 includes half of the springs next to it. Stiffnesses, damping, the effect and its strength
-are drawn by a seed and written to TRUTH.json, which nothing under ``calib``, ``models`` or ``studies`` ever reads. Any
-effect is drawn but the foundation's give, which no such data can tell from a soft spring 1.
+The twin differs from the fitted model (no inverse crime): its springs have mass and are ten pieces each, so that it has
+fifty masses. Each of the nominal masses 1 to 5 includes half of the adjacent springs. Stiffnesses, damping, the effect
+and its magnitude are drawn by a seed and written to TRUTH.json, which nothing under ``calib``, ``models`` or
+``studies`` reads. Any effect but the soft foundation may be drawn; that one is collinear with a soft spring 1.
 
-Ten repeats scatter so that the standard deviation of their mean is 0.2 % of the frequency, 5 % of the damping ratio and
-0.01 of the shape, each response by itself; the deviations in the table are found from the repeats, pooled over the
-responses of each kind.
+The noise of the ten repeats is independent for each response, with a standard deviation of their mean of 0.2 % of the
+frequency, 5 % of the damping ratio and 0.01 of the shape; the standard deviations in the table are estimated from the
+repeats, pooled over the responses of each kind.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ SPRING_MASS = 0.002
 REPEATS = 10
 STD_FREQ, STD_DAMPING, STD_SHAPE = 0.002, 0.05, 0.01
 INVISIBLE = ("soft_foundation",)
-STRENGTH = (1.0, 3.0)
-"""Range of the strength, over its plausible size."""
+MAGNITUDE = (1.0, 3.0)
+"""Range of the magnitude, over its plausible size."""
 
 
 def draw(rng: np.random.Generator, hidden: str | None = None) -> dict[str, float]:
-    """True values: springs within 5 %, damping within 15 %, one effect; ``hidden`` names it, empty for none."""
+    """True values: springs to 5 %, damping to 15 % (standard deviations), one effect (``hidden``; empty for none)."""
     truth = {f"k{i}": float(1 + 0.05 * rng.standard_normal()) for i in range(1, MASSES + 1)}
     truth["damping"] = float(np.exp(0.15 * rng.standard_normal()))
     library = {e.name: e for e in chain_effects() if e.name not in INVISIBLE}
     if hidden is None:
         hidden = str(rng.choice(list(library)))
     if hidden:
-        truth[hidden] = float(library[hidden].plausible * rng.uniform(*STRENGTH))
+        truth[hidden] = float(library[hidden].plausible * rng.uniform(*MAGNITUDE))
         truth |= {q.name: float(q.value + 0.5 * q.prior_width * rng.uniform(-1, 1)) for q in library[hidden].nuisance}
     return truth
 
 
 def twin_responses(truth: Mapping[str, float]) -> dict[str, float]:
-    """What the twin would show without scatter."""
+    """Noise-free responses of the twin."""
     get = truth.get
     size = MASSES * PIECES + 1
     stiffness, damping, mass = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
@@ -85,16 +85,16 @@ def twin_responses(truth: Mapping[str, float]) -> dict[str, float]:
 def _five_modes(
     stiffness: np.ndarray, damping: np.ndarray, mass: np.ndarray, main: list[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Roots and shapes of the lowest five modes in which the chain moves more than what hangs on it."""
+    """Eigenvalues and shapes of the lowest five modes in which the chain has more energy than the hung mass."""
     n = len(mass)
     state = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / mass[:, None], -damping / mass[:, None]]])
-    roots, vectors = np.linalg.eig(state)
-    upper = np.flatnonzero(roots.imag > 0)
-    upper = upper[np.argsort(np.abs(roots[upper]))]
+    eigenvalues, vectors = np.linalg.eig(state)
+    upper = np.flatnonzero(eigenvalues.imag > 0)
+    upper = upper[np.argsort(np.abs(eigenvalues[upper]))]
     at = np.array(main) - 1
     energy = mass[:, None] * np.abs(vectors[:n, upper]) ** 2
     chain = upper[energy[: MASSES * PIECES].sum(axis=0) > 0.5 * energy.sum(axis=0)][:MASSES]
-    return roots[chain], vectors[:n][np.ix_(at, chain)]
+    return eigenvalues[chain], vectors[:n][np.ix_(at, chain)]
 
 
 def measure(exact: Mapping[str, float], rng: np.random.Generator) -> dict[str, tuple[float, float]]:
@@ -112,7 +112,7 @@ def measure(exact: Mapping[str, float], rng: np.random.Generator) -> dict[str, t
 
 
 def main() -> None:
-    """Draw a truth, measure the twin, write truth and responses."""
+    """Draw true values, measure the twin, write truth and responses."""
     arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     arguments.add_argument("truth", type=Path, help="where the hidden values are written")
     arguments.add_argument("--seed", type=int, default=3, help="of the draw (default 3)")
@@ -132,7 +132,7 @@ def main() -> None:
     content = {
         "seed": given.seed,
         "effect": own[0],
-        "strength": {name: truth[name] for name in own},
+        "magnitude": {name: truth[name] for name in own},
         "parameters": {name: value for name, value in truth.items() if name not in own},
         "responses": exact,
     }

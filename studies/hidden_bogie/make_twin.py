@@ -1,13 +1,12 @@
-"""Makes the synthetic measurements of the three blind studies: something is missing, nothing is, or no candidate is it.
+"""Synthetic measurements of the three blind bogie studies: an effect of the library, none, or one outside the library.
 
     python studies/hidden_bogie/make_twin.py effect TRUTH.json --into studies/hidden_bogie/measured
     python studies/hidden_bogie/make_twin.py nothing TRUTH.json --into studies/hidden_bogie_none/measured
     python studies/hidden_bogie/make_twin.py outside TRUTH.json --into studies/hidden_bogie_outside/measured
 
 The twin is that of ``studies/bogie`` (mesh three times finer, distributed masses, sensors off by up to 5 mm, the same
-noise) with nine modes; its actuators stand at any of the places 3 to 7. What else is drawn, and what makes a study, is
-told in ``studies/blind_twin.py``. What it was made from is written to TRUTH.json, which nothing that answers ever
-reads.
+noise) with nine modes; its actuators stand at any of the places 3 to 7. ``studies/blind_twin.py`` describes what else
+is drawn and the criteria. The true values are written to TRUTH.json, which no analysis reads.
 """
 
 from __future__ import annotations

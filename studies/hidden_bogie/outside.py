@@ -1,4 +1,4 @@
-"""Changes of the bogie that its library of effects does not hold: what a twin may have and no candidate is."""
+"""Changes of the bogie outside its library of effects: a twin may have them, but no candidate represents them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Build = Callable[[StructuralModel], Addition]
 
 
 def outside_effects() -> tuple[Effect, ...]:
-    """Four designs; the plausible size of each is a change that an inspection would call clear."""
+    """Four designs; the plausible size of each is a change that an inspection would clearly find."""
     return (
         design(
             "heavy_rear", "Heavier rear half of the frame", 0.0, 3.0, 0.4, "share added to its steel",
@@ -42,13 +42,13 @@ def outside_effects() -> tuple[Effect, ...]:
 
 
 def design(name: str, title: str, lower: float, upper: float, plausible: float, words: str, build: Build) -> Effect:
-    """A change by its name, limits and plausible size."""
-    strength = Parameter(name, 0.0, lower, upper, "-", prior_sd=plausible, description=words)
-    return Effect(name, title, "It has no such difference.", "It is no candidate.", strength, build)
+    """Effect of a change with given name, limits and plausible size."""
+    magnitude = Parameter(name, 0.0, lower, upper, "-", prior_sd=plausible, description=words)
+    return Effect(name, title, "It has no such difference.", "It is no candidate.", magnitude, build)
 
 
 def scaled(name: str, kind: PartKind, parts: Sequence[str]) -> Build:
-    """Stiffness or mass of some parts, changed in proportion."""
+    """Relative change of stiffness or mass of some parts."""
 
     def build(model: StructuralModel) -> Addition:
         terms = tuple(scaled_part(model, kind, part, name) for part in parts)
@@ -58,9 +58,9 @@ def scaled(name: str, kind: PartKind, parts: Sequence[str]) -> Build:
 
 
 def _skew_block(model: StructuralModel) -> Addition:
-    """Off-diagonal stiffness between the vertical and the lateral strain of the left block."""
-    adopted = model.space.si(model.space.values)
-    size = 0.25 * (adopted["K_block"] + adopted["K_contact"])
+    """Coupling stiffness between the vertical and the lateral deformation of the left block."""
+    nominal = model.space.si(model.space.values)
+    size = 0.25 * (nominal["K_block"] + nominal["K_contact"])
     total = sp.csr_array((model.n_dof, model.n_dof))
     for x in (-BLOCK_HALF, BLOCK_HALF):
         above, below = ("block_left", (x, BLOCK_Y, BLOCK_Z)), ("girder_centre", (x, GIRDER_Y, BLOCK_Z))

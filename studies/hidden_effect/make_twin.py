@@ -1,4 +1,4 @@
-"""Makes the synthetic measurements of the five blind studies of the whole vehicle.
+"""Synthetic measurements of the five blind studies of the whole vehicle.
 
     python studies/hidden_effect/make_twin.py effect TRUTH.json --into studies/hidden_effect/measured
     python studies/hidden_effect/make_twin.py nothing TRUTH.json --into studies/hidden_none/measured
@@ -7,10 +7,10 @@
     python studies/hidden_effect/make_twin.py noise TRUTH.json --into studies/hidden_noise/measured
 
 The twin has every edge of its shells halved, finer beams and distributed masses, like that of ``studies/vehicle``; it
-shows the twelve modes measured there. Its hung units are those of ``units.py``.
-For ``noise`` nothing is hidden, but the repeats show only half of the scatter:
-the rest is an error that they share. What else is drawn, and what makes a study, is told in ``studies/blind_twin.py``.
-What it was made from is written to TRUTH.json, which nothing that answers ever reads.
+shows the twelve modes measured there. Its hung units are those of ``units.py``. For ``noise`` nothing is hidden, but
+the repeats show only half of the true standard deviation: the rest is an error that they share.
+``studies/blind_twin.py`` describes what else is drawn and the criteria. The true values are written to TRUTH.json,
+which no analysis reads.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Changes of the vehicle that its library of effects does not hold: what a twin may have and no candidate is."""
+"""Changes of the vehicle outside its library of effects: a twin may have them, but no candidate represents them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ designs = module_of(Path(__file__).resolve().parents[1] / "hidden_bogie" / "outs
 
 
 def outside_effects() -> tuple[Effect, ...]:
-    """Four designs; the plausible size of each is a change that an inspection would call clear."""
+    """Four designs; the plausible size of each is a change that an inspection would clearly find."""
     return (
         designs.design(
             "soft_rear_wall", "Right side wall softer in the rear", -0.8, 0.0, 0.4, "relative change of its membrane",

@@ -1,6 +1,6 @@
-"""Hung units as the twin has them: held against turning, as stiff sideways as upright.
+"""Hung units of the twin: held against rotation, as stiff laterally as vertically.
 
-The library's units rock and are softer sideways, so that what is hidden is not what is looked for.
+The library's units rock and are softer laterally, so that the hidden effect differs from its candidate.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ITEMS = {"hung_converter": "traction converter", "hung_roof_unit": "front roof u
 
 
 def of_the_twin(library: Sequence[Effect]) -> tuple[Effect, ...]:
-    """The library with such units in the place of its own."""
+    """The library with these units instead of its own."""
     return tuple(_held(effect) if effect.name in ITEMS else effect for effect in library)
 
 

@@ -1,25 +1,26 @@
-"""Makes the synthetic measurement of the whole vehicle: a twin of the test, since no raw data were published.
+"""Synthetic measurement of the whole vehicle: a twin of the test, since no raw data were published.
 
     python studies/vehicle/make_twin.py TRUTH.json
 
-The twin is not the fitted mathematics: every edge of its shells is halved and its bogies' beams are cut finer, the
-bogies' masses are distributed, and its sensors sit up to 5 mm off their nominal places. It stands on the bogies that
-``studies/bogie`` measured, drawn anew from the same seed. The selected parameters are drawn within the limits of the
-study's search, the car's other uncertain ones within 5 % of their adopted values; what the case study calls
-deterministic (modulus, density, thicknesses) keeps its value. All are written to TRUTH.json, which nothing under
-``calib``, ``models`` or ``studies`` ever reads.
+The twin differs from the fitted model (no inverse crime): every edge of its shells is halved, its bogies' beams are cut
+finer, the bogies' masses are distributed, and its sensors sit up to 5 mm off their nominal places. It stands on the
+bogies that ``studies/bogie`` measured, drawn again from the same seed. The selected parameters are drawn within the
+limits of the study's search, the car's other uncertain ones within 5 % of their nominal values; parameters that the
+case study calls deterministic (modulus, density, thicknesses) keep their values. All are written to TRUTH.json, which
+nothing under ``calib``, ``models`` or ``studies`` reads.
 
 Seeds are tried in turn until the front secondary springs are stiffer than the rear ones and the walls' ratio of
-moments of inertia has fallen (as found in the case study), the model with the true bogies and else its adopted values
-is off by at least 10 % in mean frequency over the five modes that enter, and the named modes can be told apart: each
-looks like its own nominal one, and no other mode is near those of the car in frequency. The 20 % of the case study
-cannot be had: within the limits of the search the initial error is 4.5 % in the median of 800 draws and 12.5 % at most,
-since 3C and 5C hardly depend on what is searched. No seed is chosen by what any search makes of it.
+moments of inertia is below its nominal value (as found in the case study), the model with the true bogies and otherwise
+nominal values is off by at least 10 % in mean frequency over the five modes that enter, and the named modes can be
+identified: each resembles its own nominal one, and no other mode is near those of the car in frequency. The 20 % of the
+case study cannot be reached: within the limits of the search the initial error is 4.5 % in the median of 800 random
+points and 12.5 % at most, since 3C and 5C hardly depend on the parameters of the search. No result of a search enters
+the choice of the seed.
 
 Twelve modes are measured: the six of the car, and the bogies' bouncing, rolling and pitching, each in phase and
-antiphase. The study withholds all but five.
+antiphase. The study holds out all but five.
 
-Noise is that of the bogie's twin.
+The noise is that of the bogie's twin.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ def sensors() -> tuple[Sensor, ...]:
 
 
 def templates(layout: tuple[Sensor, ...]) -> np.ndarray:
-    """What the modes look like at the sensors, if only roughly; (n_sensors, n_modes)."""
+    """Approximate mode shapes at the sensors, (n_sensors, n_modes)."""
     x, y, z = np.array([s.point for s in layout]).T
     on = np.array([s.on for s in layout])
     rising = 1.0 * ((on == "car") & np.array([s.direction == "y" for s in layout]))
@@ -88,17 +89,18 @@ def templates(layout: tuple[Sensor, ...]) -> np.ndarray:
 
 
 def named(model: StructuralModel, values: dict[str, float], layout: tuple[Sensor, ...]) -> tuple[Modes, np.ndarray]:
-    """The named modes and their shapes at the sensors, found by what they look like."""
+    """The named modes and their shapes at the sensors, identified by their MAC with `templates`."""
     modes = model.modes(values, SOLVED)
     shapes = model.sensor_rows(layout) @ modes.shapes
     similar = mac(templates(layout), shapes)
-    similar[: len(CAR), modes.natural_freq > THIRD_BENDING] = 0.0  # it looks more like the first than this itself
+    # the third bending mode has a higher MAC with the template of the first one than the first one itself
+    similar[: len(CAR), modes.natural_freq > THIRD_BENDING] = 0.0
     index = linear_sum_assignment(-similar)[1]
     return modes.subset(index), shapes[:, index]
 
 
 def found(modes: Modes, shapes: np.ndarray, nominal: np.ndarray) -> np.ndarray | None:
-    """Which modes are the named ones, by their nominal shapes; None when they cannot be told apart."""
+    """Indices of the named modes, by their nominal shapes; None when they cannot be identified."""
     similar = mac(nominal, shapes)
     car = similar[: len(CAR)].argmax(axis=1)
     if len(set(car)) < len(CAR) or similar[: len(CAR)].max(axis=1).min() < ALIKE:
@@ -115,7 +117,7 @@ def found(modes: Modes, shapes: np.ndarray, nominal: np.ndarray) -> np.ndarray |
 
 
 def admissible(space: ParameterSpace, truth: dict[str, float]) -> bool:
-    """Whether values keep the constraints and lie on the side of the adopted ones where the case study found them."""
+    """Whether values keep the constraints and differ from the nominal ones in the direction of the case study."""
     point = np.array([truth[name] for name in space.free_names])
     return bool(
         np.all(space.violation(point) == 0)
@@ -125,7 +127,7 @@ def admissible(space: ParameterSpace, truth: dict[str, float]) -> bool:
 
 
 def drawn(first: int = 1) -> bogie.Twin:
-    """The twin of the first seed, from a given one on, that makes a study."""
+    """The twin of the first seed, from a given one on, that meets the criteria."""
     coarse, layout = vehicle(), sensors()
     settings = read_settings(HERE / "study.toml")
     assert settings.adopted is not None
@@ -144,7 +146,7 @@ def drawn(first: int = 1) -> bogie.Twin:
         index = found(modes, coarse.sensor_rows(layout) @ modes.shapes, nominal)
         if index is None or _error(initial, modes.subset(index)) < INITIAL_ERROR:
             continue
-        # The finer mesh decides; the coarse one spares solving it for every seed.
+        # The finer mesh decides; the coarse one screens the seeds at less cost.
         twin = vehicle(refine=2, distributed=True)
         rows, modes = twin.sensor_rows(bogie.moved(layout, rng)), twin.modes(truth, SOLVED)
         index = found(modes, rows @ modes.shapes, nominal)
@@ -154,7 +156,7 @@ def drawn(first: int = 1) -> bogie.Twin:
         error = _error(initial, twelve)
         if error >= INITIAL_ERROR:
             return bogie.Twin(seed, truth, error, twelve, rows @ twelve.shapes, layout, rng)
-    raise SystemExit("no seed gave an initial model as far off as asked")
+    raise SystemExit("no seed gave an initial model as far off as required")
 
 
 def _error(initial: Modes, modes: Modes) -> float:

@@ -4,10 +4,10 @@
     python tests/benchmarks/chain_rates.py --runs 40 --bare
     python tests/benchmarks/chain_rates.py --runs 40 --bare --outside
 
-Every run draws springs, damping, the strength of the hidden effect and the scatter anew; seeds are fixed. With --bare
-masses and single dampers are inside the function and no parameter is declared fixed, as in most functions of users.
-With --outside the hidden effect is taken out of the library, or nothing is hidden and the measurement is at fault:
-whatever effect is named then is wrong; "rival left in" says that the fault is told beside it.
+Every run draws springs, damping, the magnitude of the hidden effect and the standard deviation anew; seeds are fixed.
+With --bare masses and single dampers are inside the function and no parameter is declared fixed, as in most functions
+of users. With --outside the hidden effect is taken out of the library, or nothing is hidden and the measurement is at
+fault: whatever effect is named then is wrong; "competing model left in" says that the fault is told beside it.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from dataclasses import replace
 import numpy as np
 from rates_subject import ROOT
 
+from calib.analyses.function_hypotheses import function_hypotheses
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.response_residual import ResponseResidual
 from calib.function import FunctionModel
 from calib.loading import module_of
 from calib.missing.explain import Settings, explain
-from calib.questions.function_hypotheses import function_hypotheses
 from calib.space import ParameterSpace
 from calib.study import Study
 
@@ -41,7 +41,7 @@ FAULTS: dict[str, tuple[str, float, float]] = {
     "frequency too high": ("freq", 0.05, 0.20),
 }
 """Kind of response that is off by a constant, and the range of it."""
-COLUMNS = ("right", "with a false one", "rival left in", "none or partial", "nothing", "wrong")
+COLUMNS = ("right", "with a false one", "competing model left in", "none or partial", "nothing", "wrong")
 
 
 def main() -> None:
@@ -104,7 +104,7 @@ def _outcome(verdict: str, untold: tuple[str, ...], hidden: str) -> str:
         return "wrong"
     if len(untold) == 1:
         return "right"
-    return "with a false one" if verdict == "two_effects" else "rival left in"
+    return "with a false one" if verdict == "two_effects" else "competing model left in"
 
 
 if __name__ == "__main__":

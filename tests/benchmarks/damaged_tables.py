@@ -23,15 +23,15 @@ from functools import partial
 from pathlib import Path
 
 from calib import cli
+from calib.analyses.sensitivity import selected_by_measures
+from calib.analyses.staged import values_found
+from calib.analyses.versions import write_versions
 from calib.errors import InputError
 from calib.loading import module_of
 from calib.measurement.csv_format import read_responses_csv
 from calib.measurement.read import read_modes
-from calib.questions.phases import values_found
-from calib.questions.sensitivity import selected_by_measures
-from calib.questions.versions import write_versions
 from calib.report.draw import draw_all
-from calib.report.html.answers import Answers
+from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.report.html.write import sections
 from calib.results import Results
@@ -165,7 +165,7 @@ class Bench:
         for name in filter(None, (*given.files, *given.shapes, given.sensors)):
             self.read += [(study / name, modes)] * 8
 
-    def trial(self, number: int, seed: int = 1) -> tuple[str, str]:
+    def damage(self, number: int, seed: int = 1) -> tuple[str, str]:
         """The outcome of one damaged table, and which it was."""
         rng = random.Random(f"{seed}/{number}")
         # Telling and drawing take a hundred times as long as reading.
@@ -188,7 +188,7 @@ class Bench:
 
 def _told(folder: Path) -> object:
     """Everything that stands on the page."""
-    answers = Answers(folder, "Damaged", True)
+    answers = StudyResults(folder, "Damaged", True)
     return summary(answers), sections(answers)
 
 
@@ -210,7 +210,7 @@ def answer(folder: Path, study: Path, *questions: str) -> tuple[Path, Path]:
     silent = unittest.mock.patch.object(cli, "draw_all", return_value=[])
     with contextlib.redirect_stdout(io.StringIO()), silent:
         for question in questions:
-            assert cli.answer([question, str(copy), "--results", str(folder / "results")]) == 0
+            assert cli.execute([question, str(copy), "--results", str(folder / "results")]) == 0
     return copy, folder / "results" / study.name
 
 
@@ -226,7 +226,7 @@ def main(count: int) -> int:
         bench = Bench(folder, answer(folder, mast, *everything), answer(folder, chain, "compare", "explain"))
         for number in range(count):
             try:
-                counts[bench.trial(number)[0]] += 1
+                counts[bench.damage(number)[0]] += 1
             except Exception:
                 counts["traceback"] += 1
                 print(f"--- {number}\n{traceback.format_exc(limit=-4)}", flush=True)

@@ -27,9 +27,9 @@ from subject import study_of
 
 from calib.sampling import sample
 from calib.structure.basis import CHECK_COLUMNS, Basis
-from calib.structure.cover import box, covering_points, middle
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
+from calib.structure.space_filling import box, middle, space_filling_points
 from calib.structure.training import Growth
 from calib.study import Study
 from models.railway import vehicle
@@ -99,7 +99,7 @@ def basis_from(study: Study, model: StructuralModel, samples: int) -> Basis:
     space, count, settings = study.search_space, study.problem.mode_count, study.settings.reduction
     window = study.problem.freq_window
     lower, upper = box([space])
-    points = covering_points(space, samples, np.random.default_rng(settings.seed))
+    points = space_filling_points(space, samples, np.random.default_rng(settings.seed))
     basis = Basis(
         vectors=np.zeros((model.n_dof, 0)), model_fingerprint=model.fingerprint, names=model.space.names,
         reference=middle(lower, upper), lower=lower, upper=upper, offset=0.0, count=count,

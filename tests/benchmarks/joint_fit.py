@@ -2,9 +2,9 @@
 
     python tests/benchmarks/joint_fit.py [--bogie studies/bogie] [--vehicle studies/vehicle] [--table FILE]
 
-Both ways are least squares at full order with the same measurements, limits and priors; whole numbers are those of the
+Both ways are least squares at full order with the same measurements, limits and priors; integers are those of the
 bogie's own fit. The staged one holds the bogie's parameters at what that fit has found, and tells standard deviations
-that include what it left open; the joint one begins at the adopted values. Values that the synthetic measurements were
+that include what it left open; the joint one begins at the nominal values. Values that the synthetic measurements were
 made from stand beside both, and enter neither.
 """
 
@@ -23,7 +23,7 @@ import pandas as pd
 from calib.correlation.residual import ModalResidual
 from calib.inference.gauss_newton import fit
 from calib.inference.identify import Posterior, posterior
-from calib.inference.whole_numbers import fit_mixed
+from calib.inference.integers import fit_mixed
 from calib.joint import JointProblem
 from calib.problem import Problem
 from calib.space import ParameterSpace

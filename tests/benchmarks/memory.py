@@ -22,12 +22,12 @@ from page import Page
 from stopwatch import short, spent
 from subject import STUDIES, study_of
 
+from calib.analyses.case import objective_of
+from calib.analyses.places import open_evaluator
+from calib.analyses.reduction import reduction_of
 from calib.inference.cases import Case, run_case
 from calib.inference.genetic import GeneticSettings
 from calib.ledger import Ledger
-from calib.questions.case import objective_of
-from calib.questions.places import open_evaluator
-from calib.questions.reduction import reduction_of
 from calib.results import Results
 from calib.sampling import sample
 

@@ -6,10 +6,10 @@
 One of two effects is hidden in turn that the first test can hardly tell apart: on the bogie of ``studies/hidden_bogie``
 a mass on its left girder, at its middle or ahead of it, tested without sensors on the frame; on the vehicle of
 ``studies/hidden_effect`` seats that bounce or a car body that dissipates, tested with few sensors on the car. Each run
-measures the twin (another mesh, displaced sensors, the mean of five repeats with its scatter as stated), explains, and,
-where the answer is one of the two or both, measures what the advice puts first, keeps the old data, and explains again.
-Every line is appended to ``results/next_.../runs.jsonl``; started again it goes on. The table compares the log odds
-promised for the true effect with those that came out.
+measures the twin (another mesh, displaced sensors, the mean of five repeats with its standard deviation as stated),
+explains, and, where the answer is one of the two or both, measures what the recommendation puts first, keeps the old
+data, and explains again. Every line is appended to ``results/next_.../runs.jsonl``; started again it goes on. The table
+compares the log odds promised for the true effect with those that came out.
 """
 
 from __future__ import annotations
@@ -35,69 +35,69 @@ from next_twin import REPEATS, Twin
 from rates_subject import ROOT
 from rates_world import World
 
+from calib.analyses.experimental_design import modal_design
+from calib.analyses.hypotheses import ModelHypotheses
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import Sensor
-from calib.missing.advice import advise
+from calib.missing.candidate_measurement import Option
+from calib.missing.competing import sharpness
 from calib.missing.explain import explain
-from calib.missing.findings import Findings, Trial
-from calib.missing.option import Option
+from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.recommendation import advise
 from calib.missing.refits import DEFAULT, Refits
-from calib.missing.rivals import sharpness
-from calib.questions.hypotheses import ModelHypotheses
-from calib.questions.prospects import modal_prospects
 
 
 def run(twin: Twin) -> dict[str, Any]:
-    """Measure, explain, follow the advice, explain again."""
+    """Measure, explain, follow the recommendation, explain again."""
     case, modes = twin.case, twin.case.modes
-    row: dict[str, Any] = {"number": twin.number, "hidden": twin.hidden, "strength": twin.values[twin.hidden]}
+    row: dict[str, Any] = {"number": twin.number, "hidden": twin.hidden, "magnitude": twin.values[twin.hidden]}
     whole = twin.measured()
     first = twin.hypotheses(whole.without([m for m in modes if m in whole.names], case.sensors))
     found = explain(first)
     row |= {"verdict": found.verdict, "credible": list(found.credible)}
-    rivals = None
-    if found.names_something and set(found.credible) & set(case.rivals):
-        rivals = sorted(refitted(found, first, case.rivals), key=lambda t: -t.ln_evidence)
-    if rivals is None:
+    competing = None
+    if found.names_something and set(found.credible) & set(case.competing):
+        competing = sorted(refitted(found, first, case.competing), key=lambda t: -t.ln_evidence)
+    if competing is None:
         return row
-    withheld = {m: float(f) for m, f in zip(whole.names, whole.natural_freq, strict=True) if m in modes}
-    now = rivals[0].ln_evidence - rivals[1].ln_evidence
+    held_out = {m: float(f) for m, f in zip(whole.names, whole.natural_freq, strict=True) if m in modes}
+    now = competing[0].ln_evidence - competing[1].ln_evidence
     candidates = [g.effect for g in found.groups]
-    prospects = modal_prospects(
-        first, rivals, candidates, found.base_check.named, found.noise_scale, withheld, seed=twin.number
+    design = modal_design(
+        first, competing, candidates, found.base_adequacy.named, found.noise_scale, held_out, seed=twin.number
     )
-    table = advise(prospects)
+    table = advise(design)
     # A computed mode that the twin's test has no name for cannot be measured here.
-    possible = table[(table["kind"] != "mode") | table["option"].str.startswith("mode ")]
+    possible = table[(table["kind"] != "mode") | table["measurement"].str.startswith("mode ")]
     best = possible.iloc[0]
-    option = next(o for o in prospects.options if o.name == best["option"])
-    after = measured_next(twin, first, rivals[0], option)
+    option = next(o for o in design.measurements if o.name == best["measurement"])
+    after = measured_next(twin, first, competing[0], option)
     again = explain(after)
-    sign = 1.0 if rivals[0].names[0] == twin.hidden else -1.0
-    second = refitted(again, after, [t.names[0] for t in rivals])
+    sign = 1.0 if competing[0].names[0] == twin.hidden else -1.0
+    second = refitted(again, after, [t.names[0] for t in competing])
     realised = second[0].ln_evidence - second[1].ln_evidence
     return row | {
-        "option": option.name, "kind": option.kind, "now": sign * now, "promised": float(best["ln_bayes"]),
+        "measurement": option.name, "kind": option.kind, "now": sign * now, "promised": float(best["ln_bayes"]),
         "low": float(best["ln_bayes_low"]), "high": float(best["ln_bayes_high"]), "chance": float(best["chance"]),
         "realised": sign * realised, "verdict_after": again.verdict, "credible_after": list(again.credible),
-        "evaluations": found.evaluations, "scale": again.noise_scale, "p_fit": again.base_check.p_fit,
+        "evaluations": found.evaluations, "scale": again.noise_scale, "p_fit": again.base_adequacy.p_fit,
     }  # fmt: skip
 
 
-def refitted(found: Findings, hypotheses: ModelHypotheses, names: Sequence[str]) -> list[Trial]:
+def refitted(found: Explanation, hypotheses: ModelHypotheses, names: Sequence[str]) -> list[CandidateFit]:
     """Fits with each of the two effects to the end, in the order of the names.
 
     One that the decision did not fit begins at a third of its plausible size, well inside its range: at 0 an effect
     with nuisance parameters has no slope.
     """
     fits = Refits(hypotheses, replace(DEFAULT, budget=math.inf), found.noise_scale, lambda words: None)
-    known = {t.names[0]: t.state.values for t in found.singles}
+    known = {t.names[0]: t.fit.values for t in found.singles}
     plausible = {e.name: e.plausible for e in hypotheses.effects}
-    starts = {name: known.get(name, {**found.base.state.values, name: plausible[name] / 3}) for name in names}
-    return [fits.trial((name,), starts[name], whole=1) for name in names]
+    starts = {name: known.get(name, {**found.base.fit.values, name: plausible[name] / 3}) for name in names}
+    return [fits.candidate_fit((name,), starts[name], whole=1) for name in names]
 
 
-def measured_next(twin: Twin, first: ModelHypotheses, trial: Trial, option: Option) -> ModelHypotheses:
+def measured_next(twin: Twin, first: ModelHypotheses, candidate_fit: CandidateFit, option: Option) -> ModelHypotheses:
     """What was measured together with what the option adds."""
     case, space, extra, repeats = twin.case, first.space, [], REPEATS
     held = list(case.modes)
@@ -109,7 +109,7 @@ def measured_next(twin: Twin, first: ModelHypotheses, trial: Trial, option: Opti
         places = re.findall(r"\(([-\d.]+), ([-\d.]+), ([-\d.]+)\) (\w+)", option.name)
         extra = [Sensor(900 + k, d, (float(x), float(y), float(z))) for k, (x, y, z, d) in enumerate(places)]
     for name, sd in option.prior_sd.items():
-        told = 1 / sharpness(trial.state, name, sd)
+        told = 1 / sharpness(candidate_fit.fit, name, sd)
         result = twin.values[name] + told * np.random.default_rng([11, twin.number]).standard_normal()
         p = space[name]
         weights = np.array([1 / p.prior_width**2, 1 / told**2])
@@ -124,14 +124,17 @@ def report(rows: Sequence[Mapping[str, Any]]) -> None:
     print(f"{'run':>4} {'hidden':12} {'before':18} {'now':>6} {'promised (8 of 10)':>22} {'realised':>9}  after")
     for r in rows:
         text = f"{r['number']:4d} {r['hidden']:12} {r['verdict']:18}"
-        if "option" in r:
+        if "measurement" in r:
             spread = f"{r['promised']:.1f} ({r['low']:.1f} to {r['high']:.1f})"
             after = f"{r['verdict_after']} {' '.join(r['credible_after'])}"
-            text += f" {r['now']:6.1f} {spread:>22} {r['realised']:9.1f}  {after} [{r['option'][:48]}]"
+            text += f" {r['now']:6.1f} {spread:>22} {r['realised']:9.1f}  {after} [{r['measurement'][:48]}]"
         print(text)
     for title, kept in (
-        ("all that were followed", [r for r in rows if "option" in r]),
-        ("of these not told apart before", [r for r in rows if "option" in r and r["verdict"] == "indistinguishable"]),
+        ("all that were followed", [r for r in rows if "measurement" in r]),
+        (
+            "of these not told apart before",
+            [r for r in rows if "measurement" in r and r["verdict"] == "indistinguishable"],
+        ),
     ):
         if not kept:
             continue

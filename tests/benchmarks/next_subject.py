@@ -23,7 +23,7 @@ class Case:
     ----------
     subject : Subject
         What is measured.
-    strengths : mapping from str to (float, float)
+    magnitudes : mapping from str to (float, float)
         The two effects, which are hidden in turn, and between which multiples of its plausible size each is drawn.
     modes, sensors : tuple of str
         What the first test leaves out.
@@ -32,15 +32,15 @@ class Case:
     """
 
     subject: Subject
-    strengths: Mapping[str, tuple[float, float]]
+    magnitudes: Mapping[str, tuple[float, float]]
     modes: tuple[str, ...]
     sensors: tuple[str, ...]
     added: tuple[Effect, ...] = field(default=())
 
     @property
-    def rivals(self) -> tuple[str, ...]:
+    def competing(self) -> tuple[str, ...]:
         """Names of the two effects."""
-        return tuple(self.strengths)
+        return tuple(self.magnitudes)
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class _Mass:
 
 def _mass(name: str, x: float) -> Effect:
     """A mass on the left girder of the bogie."""
-    strength = Parameter(name, 0.0, 0.0, 600.0, "kg", prior_sd=150.0)
+    magnitude = Parameter(name, 0.0, 0.0, 600.0, "kg", prior_sd=150.0)
     title = f"Mass on the left girder at x = {x:g} m"
-    return Effect(name, title, "It is left out.", "Look there.", strength, _Mass(name, x))
+    return Effect(name, title, "It is left out.", "Look there.", magnitude, _Mass(name, x))
 
 
 CASES = {

@@ -12,9 +12,9 @@ from next_subject import Case
 from rates_scenarios import OWN
 from rates_world import World
 
+from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.residual import ModalResidual
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.questions.hypotheses import ModelHypotheses
 from calib.space import ParameterSpace
 
 REPEATS = 5
@@ -39,14 +39,14 @@ class Twin:
     @property
     def hidden(self) -> str:
         """The effect."""
-        return self.case.rivals[self.number % len(self.case.rivals)]
+        return self.case.competing[self.number % len(self.case.competing)]
 
     @cached_property
     def values(self) -> dict[str, float]:
         """The truth."""
         rng = np.random.default_rng([7, self.number])
         values: dict[str, float] = self.world.specimen.draw(rng)
-        factor = float(rng.uniform(*self.case.strengths[self.hidden]))
+        factor = float(rng.uniform(*self.case.magnitudes[self.hidden]))
         drawn: dict[str, float] = self.world.maker.blind.draw_effect(self.world.effects[self.hidden], factor, rng)
         return values | drawn
 
@@ -63,7 +63,9 @@ class Twin:
         shapes = shapes / np.abs(shapes[:known]).max(axis=0)
         freq, damping = modes.natural_freq, modes.damping_ratio
         std = np.full(shapes.shape, twin.STD_SHAPE)
-        std[known:] *= np.maximum(np.abs(shapes).max(axis=0), 1.0)  # the scatter is a part of the largest motion
+        std[known:] *= np.maximum(
+            np.abs(shapes).max(axis=0), 1.0
+        )  # the standard deviation is a part of the largest motion
         size, noise = math.sqrt(REPEATS / repeats), self._noise(len(names), known, len(extra), repeats)
         freq = freq * np.exp(twin.STD_FREQ * size * noise[0])
         damping = damping * np.exp(twin.STD_DAMPING * size * noise[1])
@@ -85,5 +87,5 @@ class Twin:
 
     def hypotheses(self, measured: MeasuredModes, space: ParameterSpace | None = None) -> ModelHypotheses:
         """The question of the blind studies, asked of what was measured."""
-        problem = self.world.specimen.problem(measured, withheld=False)
+        problem = self.world.specimen.problem(measured, held_out=False)
         return ModelHypotheses(ModalResidual(problem), self.world.libraries[OWN], space or self.world.space)

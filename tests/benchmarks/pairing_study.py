@@ -6,10 +6,10 @@ Not part of the test run. Usage, from the root of the repository:
 
 prints a table and writes it with a figure (``pairing_study.csv``, ``pairing_study.png``) into the folder.
 
-The bogie at its adopted values plays the measured structure: eight modes at all its sensors. At random points of the
-study's two parameter spaces the truth is known by following every mode along the straight line from the adopted values
+The bogie at its nominal values plays the measured structure: eight modes at all its sensors. At random points of the
+study's two parameter spaces the truth is known by following every mode along the straight line from the nominal values
 to the point, in at least that many steps; one is halved until consecutive mass-weighted shapes agree (MAC above 0.9).
-Actuators, whose places are whole numbers, move along the line as a support whose stiffness fades from one place to the
+Actuators, whose places are integers, move along the line as a support whose stiffness fades from one place to the
 other. Where a mode meets another one so closely that even the smallest step turns its shape, the line is ambiguous and
 left out of the score. Modes may also exchange their characters slowly (veering), so that a mode ends more like the
 beginning of another one than like its own; such lines are scored, and counted apart.
@@ -178,7 +178,7 @@ def follow(line: Line, modes: np.ndarray, steps: int) -> Followed:
 
 @dataclass(frozen=True)
 class Measured:
-    """The model at its adopted values, measured: its modes in the order of the study's measured ones."""
+    """The model at its nominal values, measured: its modes in the order of the study's measured ones."""
 
     names: tuple[str, ...]
     numbers: np.ndarray
@@ -189,19 +189,19 @@ class Measured:
 
     @staticmethod
     def of(study: Study) -> Measured:
-        """Noise-free, with the scatter of the study's own measurement kept beside."""
+        """Noise-free, with the standard deviation of the study's own measurement kept beside."""
         found = study.problem.compare(study.model.space.values)
         numbers, given = found.pairing.model_index, found.measured
         if np.any(numbers < 0):
-            raise SystemExit("at the adopted values not every measured mode has a partner, so none can be named")
+            raise SystemExit("at the nominal values not every measured mode has a partner, so none can be named")
         shapes = found.sensor_shapes[:, numbers]
         shapes = shapes / shapes[np.abs(shapes).argmax(axis=0), np.arange(len(numbers))]
         freq = found.modes.natural_freq[numbers]
-        scatter = freq * np.nan_to_num(given.freq_std / given.natural_freq)
-        return Measured(given.names, numbers, freq, shapes, scatter, np.nan_to_num(given.shape_std))
+        std = freq * np.nan_to_num(given.freq_std / given.natural_freq)
+        return Measured(given.names, numbers, freq, shapes, std, np.nan_to_num(given.shape_std))
 
     def noisy(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies and shapes with the measurement's scatter."""
+        """Frequencies and shapes with the measurement's standard deviation."""
         parts = rng.standard_normal((2, *self.shapes.shape)) * self.shape_std
         return self.freq + rng.standard_normal(len(self.freq)) * self.freq_std, self.shapes + parts[0] + 1j * parts[1]
 
@@ -333,7 +333,7 @@ def main() -> None:
         print(
             f"{name} space: {given.samples} samples, {(~clear).mean():.1%} ambiguous, "
             f"{lines.loc[clear, 'veered'].mean():.1%} of the others with veering, "
-            f"{lines.loc[clear, 'order_changed'].mean():.1%} in another order than at the adopted values; "
+            f"{lines.loc[clear, 'order_changed'].mean():.1%} in another order than at the nominal values; "
             f"smallest step {lines['smallest_step'].min():.4f}, "
             f"ends found with a MAC of {lines['found'].min():.5f} or more"
         )

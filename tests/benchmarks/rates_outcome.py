@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.measurement.modal import MeasuredModes
-from calib.missing.findings import Check, Findings, Trial
+from calib.missing.explanation import AdequacyTests, CandidateFit, Explanation
 
 NAMING = ("effect", "indistinguishable", "two_effects")
 
@@ -22,11 +22,11 @@ class Measured:
     Attributes
     ----------
     values : dict
-        Parameters, strengths, nuisance parameters.
+        Parameters, magnitudes, nuisance parameters.
     parameters_of : mapping from str to tuple of str
         Effects of the twin, and the names of their parameters.
     clean, whole : MeasuredModes
-        Without noise, and as measured; nothing is withheld.
+        Without noise, and as measured; nothing is held_out.
     """
 
     values: Mapping[str, float]
@@ -45,7 +45,7 @@ class Measured:
         return {n: v for n, v in self.values.items() if n not in others}
 
 
-def outcome(found: Findings, measured: Measured) -> dict[str, Any]:
+def outcome(found: Explanation, measured: Measured) -> dict[str, Any]:
     """What was found, and whether it is right.
 
     ``right``: the true effect (its group) is in the printed set and the best, or both of two are named; ``part``: one
@@ -56,30 +56,33 @@ def outcome(found: Findings, measured: Measured) -> dict[str, Any]:
     true = {stands[name] for name in measured.hidden if name in stands}
     named = found.verdict in NAMING
     best = list(found.chosen.names) if found.chosen is not None else []
+    pairs = [t for t in found.candidate_fits if len(t.names) > 1]
+    base = found.base_adequacy
     row: dict[str, Any] = {
         "verdict": found.verdict, "credible": list(found.credible), "best": best,
         "outcome": _judged(found.verdict, set(found.credible), best, true) if named else found.verdict,
         "z": _expected_score(found, measured, stands),
         "groups": {g.effect.name: list(g.names[1:]) for g in found.groups if g.others},
-        "p_named": found.base_check.p_named, "p_atoms": found.base_check.p_atoms, "p_fit": found.base_check.p_fit,
-        "p_family": found.base_check.p_family, "measured_scale": found.measured_scale,
+        "p_named": base.p_named, "p_perturbations": base.p_perturbations, "p_fit": base.p_fit,
+        "p_family": base.p_family,
+        "measured_scale": found.measured_scale,
         "noise_scale": found.noise_scale, "evaluations": found.evaluations,
         "begun_anew": found.begun_anew,
-        "base_misfit": round(found.base.state.misfit, 1),
-        "trials": [_told(t, found) for t in (*found.singles[:4], *[t for t in found.trials if len(t.names) > 1][:3])],
-        "atom": None if found.atom is None else _told(found.atom, found),
+        "base_misfit": round(found.base.fit.misfit, 1),
+        "candidate_fits": [_row(t, found) for t in (*found.singles[:4], *pairs[:3])],
+        "perturbation": None if found.perturbation is None else _row(found.perturbation, found),
     }  # fmt: skip
-    row["kinds"] = _chances(found.base_check)
-    if found.chosen_check is not None:
-        after = found.chosen_check
+    row["kinds"] = _chances(found.base_adequacy)
+    if found.chosen_adequacy is not None:
+        after = found.chosen_adequacy
         row["kinds_after"] = _chances(after)
-        row["after"] = {"p_named": after.p_named, "p_atoms": after.p_atoms, "p_fit": after.p_fit}
-        row["after"] |= {"named": _largest(after.named), "atom": _largest(after.atoms)}
-    whole = [p.name for p in found.base.state.question.space.free if p.integer]
-    moved = {n: found.base.state.values[n] for n in whole}
+        row["after"] = {"p_named": after.p_named, "p_perturbations": after.p_perturbations, "p_fit": after.p_fit}
+        row["after"] |= {"named": _largest(after.named), "perturbation": _largest(after.perturbations)}
+    whole = [p.name for p in found.base.fit.fit_problem.space.free if p.integer]
+    moved = {n: found.base.fit.values[n] for n in whole}
     row["places_right"] = all(measured.values[n] == v for n, v in moved.items())
     if found.chosen is not None:
-        row["places_right_after"] = all(measured.values[n] == found.chosen.state.values[n] for n in moved)
+        row["places_right_after"] = all(measured.values[n] == found.chosen.fit.values[n] for n in moved)
     return row
 
 
@@ -93,28 +96,28 @@ def _judged(verdict: str, credible: set[str], best: list[str], true: set[str]) -
     return "second" if credible & true else "wrong"
 
 
-def _expected_score(found: Findings, measured: Measured, stands: Mapping[str, str]) -> list[float]:
-    """Of every true effect: its fingerprint at the base fit times its strength, or the largest score seen on a grid."""
-    named, out = found.base_check.named, []
+def _expected_score(found: Explanation, measured: Measured, stands: Mapping[str, str]) -> list[float]:
+    """Of every true effect: its signature at the base fit times its magnitude, or the largest score on a grid."""
+    named, out = found.base_adequacy.named, []
     for name in measured.hidden:
         owner = stands.get(name)
         if owner is None or owner not in named.owners:
             out.append(float("nan"))
             continue
         k = named.best(owner)
-        out.append(float(named.strength[k] if named.points[k] else named.size[k] * abs(measured.values[name])))
+        out.append(float(named.magnitude[k] if named.points[k] else named.size[k] * abs(measured.values[name])))
     return [round(v, 2) for v in out]
 
 
-def _told(trial: Trial, found: Findings) -> dict[str, Any]:
-    own = {n: trial.state.values[n] for e in trial.effects for n in e.names}
+def _row(one: CandidateFit, found: Explanation) -> dict[str, Any]:
+    own = {n: one.fit.values[n] for e in one.effects for n in e.names}
     return {
-        "names": list(trial.names), "ln_bayes": round(found.ln_bayes(trial), 2), "implausible": trial.implausible,
-        "values": own, "misfit": round(trial.state.misfit, 1),
+        "names": list(one.names), "ln_bayes": round(found.ln_bayes(one), 2), "implausible": one.implausible,
+        "values": own, "misfit": round(one.fit.misfit, 1),
     }  # fmt: skip
 
 
-def _chances(check: Check) -> dict[str, float]:
+def _chances(check: AdequacyTests) -> dict[str, float]:
     """Of the misfit of each kind, and of the worst shape of one mode."""
     shapes = check.modes[check.modes["kind"] == "shape"]
     worst = shapes.loc[shapes["p"].idxmin()]
@@ -125,5 +128,5 @@ def _chances(check: Check) -> dict[str, float]:
 def _largest(scores: Any) -> list[Any]:
     if not len(scores.owners):
         return []
-    k = int(np.argmax(scores.strength))
+    k = int(np.argmax(scores.magnitude))
     return [scores.owners[k], round(float(scores.z[k]), 2)]

@@ -15,7 +15,7 @@ from calib.structure.extend import Addition
 from calib.structure.model import Part, StructuralModel
 
 OWN, FIFTY = "own", "fifty"
-STRENGTHS = {"S": 0.5, "M": 1.0, "L": 2.0}
+MAGNITUDES = {"S": 0.5, "M": 1.0, "L": 2.0}
 ANY = ("any",)
 """Any effect of the library, drawn for each run."""
 _SEED = 20260501
@@ -33,12 +33,12 @@ class Scenario:
         Which rates it counts for.
     effects : tuple of str
         What the twin has and the base model lacks.
-    strength : float
+    magnitude : float
         Over the plausible size.
     removed : bool
         Whether those effects are taken out of the library.
     noise : float
-        Scatter of the mean over what the repeats show.
+        Standard deviation of the mean over what the repeats show.
     library : str
     each : int
         Runs a round.
@@ -47,7 +47,7 @@ class Scenario:
     name: str
     group: str
     effects: tuple[str, ...] = ()
-    strength: float = 1.0
+    magnitude: float = 1.0
     removed: bool = False
     noise: float = 1.0
     library: str = OWN
@@ -66,10 +66,10 @@ def scenarios(subject: Subject, library: Sequence[Effect]) -> tuple[Scenario, ..
         Scenario("noise", "noise", noise=2.0, each=3),
         Scenario("noise/any/L", "noise_effect", ANY, 2.0, noise=2.0, each=3),
     ]
-    out += [Scenario(f"{e.name}/{s}", "single", (e.name,), f) for s, f in STRENGTHS.items() for e in library]
-    out += [Scenario(f"outside/{n}/{s}", "outside", (n,), f) for s, f in STRENGTHS.items() for n in subject.outside]
-    out += [Scenario(f"without/{e.name}/{s}", "removed", (e.name,), STRENGTHS[s], True) for s in "ML" for e in library]
-    out += [Scenario(f"{a}+{b}/{s}", "pair", (a, b), STRENGTHS[s]) for s in "ML" for a, b in subject.pairs]
+    out += [Scenario(f"{e.name}/{s}", "single", (e.name,), f) for s, f in MAGNITUDES.items() for e in library]
+    out += [Scenario(f"outside/{n}/{s}", "outside", (n,), f) for s, f in MAGNITUDES.items() for n in subject.outside]
+    out += [Scenario(f"without/{e.name}/{s}", "removed", (e.name,), MAGNITUDES[s], True) for s in "ML" for e in library]
+    out += [Scenario(f"{a}+{b}/{s}", "pair", (a, b), MAGNITUDES[s]) for s in "ML" for a, b in subject.pairs]
     return tuple(out)
 
 
@@ -99,14 +99,14 @@ def fifty_effects(model: StructuralModel, count: int) -> tuple[Effect, ...]:
         taken.add(key)
         name = f"local_{len(out) + 1}"
         lower = -0.9 if rng.random() < 0.5 else 0.0
-        strength = Parameter(name, 0.0, lower, 3.0, "-", prior_sd=float(rng.uniform(0.15, 0.5)))
-        out.append(Effect(name, ", ".join(key), "nothing", "nothing", strength, _Scaled(name, chosen)))
+        magnitude = Parameter(name, 0.0, lower, 3.0, "-", prior_sd=float(rng.uniform(0.15, 0.5)))
+        out.append(Effect(name, ", ".join(key), "nothing", "nothing", magnitude, _Scaled(name, chosen)))
     return tuple(out)
 
 
 @dataclass(frozen=True)
 class _Scaled:
-    """Some parts of a model times a strength."""
+    """Some parts of a model times a magnitude."""
 
     name: str
     parts: tuple[Part, ...]

@@ -58,8 +58,8 @@ def score(row: Row) -> float:
     """Expected score of what is hidden, of the less visible one of two.
 
     It is the length of the change of the data that the parameters cannot absorb, at the true parameters and without
-    noise. For small effects that is the fingerprint's length times the strength; effects that saturate change the data
-    by much less than their fingerprint at strength 0 promises, and no test can see more than the change.
+    noise. For small effects that is the fingerprint's length times the magnitude; effects that saturate change the data
+    by much less than their fingerprint at magnitude 0 promises, and no test can see more than the change.
     """
     return float(min(row["visible"], default=0.0))
 
@@ -152,18 +152,22 @@ def chance_of(rate: Rate) -> float:
 
 
 def _numbers(rows: Sequence[Row]) -> None:
-    ratios = [r["phi_over_true"] for r in rows if r["group"] == "single" and "phi_over_true" in r and score(r) >= 4]
+    ratios = [
+        r["magnitude_over_true"]
+        for r in rows
+        if r["group"] == "single" and "magnitude_over_true" in r and score(r) >= 4
+    ]
     null = [r for r in rows if r["group"] == "nothing"]
     print()
     if ratios:
-        print(f"strength over truth, score >= 4: median {np.median(ratios):.3f} (within 5 %), n {len(ratios)}")
-    for group in ("withheld_sensors", "withheld_modes"):
+        print(f"magnitude over truth, score >= 4: median {np.median(ratios):.3f} (within 5 %), n {len(ratios)}")
+    for group in ("held_out_sensors", "held_out_modes"):
         some = [(r[f"{group}_before"], r[f"{group}_after"]) for r in rows if f"{group}_after" in r]
         if some:
             before, after = (np.array([pair[k][0] / pair[k][1] for pair in some]) for k in (0, 1))
             print(f"{group}: rms over expected {_rms(before):.3f} before, {_rms(after):.3f} after, n {len(some)}")
     if null:
-        for key in ("p_named", "p_atoms", "p_family", "p_fit"):
+        for key in ("p_named", "p_perturbations", "p_family", "p_fit"):
             p = np.array([r[key] for r in null])
             shares = ", ".join(f"{100 * np.mean(p < a):.1f} % < {a:g}" for a in (0.01, 0.05, 0.2))
             print(f"{key:9s} with nothing missing: {shares} (n {len(p)})")
@@ -216,13 +220,13 @@ def _complaint(r: Row) -> str:
 
 
 def _show(r: Row, words: str) -> None:
-    print(f"- {r['scenario']} #{r['number']}: {words}; truth {r['strengths']}, z {r['z']}, visible {r['visible']}")
+    print(f"- {r['scenario']} #{r['number']}: {words}; truth {r['magnitudes']}, z {r['z']}, visible {r['visible']}")
     print(
         f"    {r['verdict']} {r['best']} of {r['credible']}; base p named {r['p_named']:.2g}, "
-        f"atoms {r['p_atoms']:.2g}, fit {r['p_fit']:.2g}; scale {r['measured_scale']:.2f}; places {r['places_right']}"
-        f", {r.get('places_right_after')}; after {r.get('after')}"
+        f"perturbations {r['p_perturbations']:.2g}, fit {r['p_fit']:.2g}; scale {r['measured_scale']:.2f}; "
+        f"places {r['places_right']}, {r.get('places_right_after')}; after {r.get('after')}"
     )
-    for t in (*r["trials"], *([r["atom"]] if r["atom"] else [])):
+    for t in (*r["candidate_fits"], *([r["perturbation"]] if r["perturbation"] else [])):
         print(f"    {' + '.join(t['names'])}: ln B {t['ln_bayes']}, {t['values']} {t['implausible']}")
 
 

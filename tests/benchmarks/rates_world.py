@@ -20,31 +20,31 @@ from rates_outcome import Measured, outcome
 from rates_scenarios import FIFTY, OWN, Scenario, fifty_effects
 from rates_subject import ROOT, Subject
 
+from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.library import kept_basis
+from calib.analyses.reduction import Wanted
+from calib.correlation.held_out import held_out_errors
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
-from calib.correlation.unused import withheld_errors
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.loading import module_of
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 from calib.missing.explain import explain
-from calib.missing.findings import Findings
+from calib.missing.explanation import Explanation
 from calib.missing.profile import profile_interval
-from calib.questions.hypotheses import ModelHypotheses
-from calib.questions.library import kept_basis
-from calib.questions.reduction import Wanted
 from calib.space import ParameterSpace
-from calib.structure.atoms import atoms
 from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
+from calib.structure.perturbations import perturbations
 from calib.structure.variants import Variants
 from calib.study import Study
 
 ANSWERING = (
     "calib/missing", "calib/structure", "calib/correlation", "calib/inference", "calib/measurement", "models",
-    "calib/problem.py", "calib/questions/hypotheses.py", "calib/effect.py", "calib/space.py", "calib/mac.py",
+    "calib/problem.py", "calib/analyses/hypotheses.py", "calib/effect.py", "calib/space.py", "calib/mac.py",
     "calib/limits.py", "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py",
     "tests/benchmarks/rates_outcome.py",
 )  # fmt: skip
@@ -137,9 +137,9 @@ class World:
     @cached_property
     def libraries(self) -> dict[str, Variants]:
         """The model with each library of effects."""
-        held = self.study.settings.withheld.sensors
+        held = self.study.settings.held_out.sensors
         used = [s for s in self.specimen.layout if s.name not in held]
-        local = tuple(a.effect for a in atoms(self.model, used, self.space.values, 10.0))
+        local = tuple(a.effect for a in perturbations(self.model, used, self.space.values, 10.0))
         own = self.library
         many = (*own, *fifty_effects(self.model, 50 - len(own)))
         basis = self._basis("own", self.model, self.space, own, local)
@@ -186,11 +186,11 @@ class World:
         values = self.specimen.draw(rng)
         hidden = tuple(self.effects[name] for name in scenario.hidden(rng, self.library))
         for effect in hidden:
-            values |= self.maker.blind.draw_effect(effect, scenario.strength, rng)
+            values |= self.maker.blind.draw_effect(effect, scenario.magnitude, rng)
         names, modes, shapes = self._solved(hidden, values, rng)
         clean = self.specimen.noiseless(names, modes, shapes)
         modes, shapes = self.maker.blind.set_up_errors(modes, shapes, scenario.noise, rng)
-        repeats = [self._repeat(names, self.maker.blind.twin.scattered(modes, shapes, rng)) for _ in range(5)]
+        repeats = [self._repeat(names, self.maker.blind.twin.noisy(modes, shapes, rng)) for _ in range(5)]
         return Measured(values, {e.name: e.names for e in hidden}, clean, self._combined(repeats))
 
     def _solved(
@@ -234,7 +234,7 @@ class World:
             found = explain(hypotheses)
             row |= outcome(found, measured)
             if row["outcome"] == "right" and len(measured.hidden) == 1:
-                row |= self._strength(found, measured) | self._withheld(found, hypotheses, measured)
+                row |= self._magnitude(found, measured) | self._held_out(found, hypotheses, measured)
         except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
             row |= {"verdict": "failed", "outcome": "failed", "error": f"{type(fault).__name__}: {fault}"}
         return row | {"seconds": round(time.perf_counter() - started, 2)}
@@ -244,40 +244,40 @@ class World:
         problem = self.specimen.problem(measured.clean)
         problem = replace(problem, model=self.specimen.fine, mode_count=self._twin_modes)
         asked = ModelHypotheses(ModalResidual(problem), self.twin, self.space)
-        without = asked.question(()).pair
+        without = asked.fit_problem(()).pair
         size = [
-            self.maker.blind.change_seen(without, asked.question((e.name,)).pair, self.space, measured.only(e))
+            self.maker.blind.change_seen(without, asked.fit_problem((e.name,)).pair, self.space, measured.only(e))
             / scenario.noise
             for e in hidden
         ]
         values = {n: round(v, 5) for n, v in measured.values.items() if n in self.space.free_names}
-        strengths = {n: measured.values[n] for e in hidden for n in e.names}
+        magnitudes = {n: measured.values[n] for e in hidden for n in e.names}
         return {
-            "hidden": list(measured.hidden), "strengths": strengths, "parameters": values,
+            "hidden": list(measured.hidden), "magnitudes": magnitudes, "parameters": values,
             "visible": [round(v, 2) for v in size], "modes": len(measured.clean.names),
         }  # fmt: skip
 
-    def _strength(self, found: Findings, measured: Measured) -> dict[str, Any]:
+    def _magnitude(self, found: Explanation, measured: Measured) -> dict[str, Any]:
         (name,) = measured.hidden
-        trial, true = found.chosen, measured.values[name]
-        if trial is None or name not in trial.names:
+        candidate_fit, true = found.chosen, measured.values[name]
+        if candidate_fit is None or name not in candidate_fit.names:
             return {}
-        low, high = profile_interval(trial.state, name)
+        low, high = profile_interval(candidate_fit.fit, name)
         return {
-            "phi": trial.state.values[name], "phi_over_true": trial.state.values[name] / true,
+            "magnitude": candidate_fit.fit.values[name], "magnitude_over_true": candidate_fit.fit.values[name] / true,
             "interval": [low, high], "covers": bool(low <= true <= high),
         }  # fmt: skip
 
-    def _withheld(self, found: Findings, hypotheses: ModelHypotheses, measured: Measured) -> dict[str, Any]:
-        trial = found.chosen
-        assert trial is not None
+    def _held_out(self, found: Explanation, hypotheses: ModelHypotheses, measured: Measured) -> dict[str, Any]:
+        candidate_fit = found.chosen
+        assert candidate_fit is not None
         out: dict[str, Any] = {}
-        for stage, one in (("before", found.base), ("after", trial)):
-            fitted = hypotheses.question(one.names).pair.problem
+        for stage, one in (("before", found.base), ("after", candidate_fit)):
+            fitted = hypotheses.fit_problem(one.names).pair.problem
             whole = self._whole(fitted, measured)
-            state = one.state
-            covariance = state.covariance
-            table = withheld_errors(fitted, whole, state.values, state.names, covariance)
+            fit = one.fit
+            covariance = fit.covariance
+            table = held_out_errors(fitted, whole, fit.values, fit.names, covariance)
             for r in table.itertuples():
                 out[f"{r.group}_{stage}"] = [round(float(r.rms), 3), round(float(r.expected), 3)]
         return out

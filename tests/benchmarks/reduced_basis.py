@@ -22,8 +22,8 @@ from stopwatch import HEADER, Point, compared, in_turn, short, spent
 from subject import STUDIES, study_of
 
 from calib.structure.certificate import certificate
-from calib.structure.cover import covering_points
 from calib.structure.reduced import ReducedModel
+from calib.structure.space_filling import space_filling_points
 from calib.structure.training import train_basis
 
 FRESH_SEED = 20260101
@@ -63,7 +63,7 @@ def main() -> None:
     )
     rng = np.random.default_rng(FRESH_SEED)
     for name, space in spaces.items():
-        on_fresh_points(page, reduced, name, covering_points(space, given.points, rng), count)
+        on_fresh_points(page, reduced, name, space_filling_points(space, given.points, rng), count)
 
 
 def on_fresh_points(page: Page, reduced: ReducedModel, name: str, points: list[Point], count: int) -> None:

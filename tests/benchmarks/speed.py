@@ -26,8 +26,8 @@ from page import Page
 from stopwatch import HEADER, Point, Task, compared, in_turn, short, spent
 from subject import STUDIES, study_of, undamped
 
-from calib.questions.places import open_evaluator
-from calib.questions.reduction import Reduction, reduction_of
+from calib.analyses.places import open_evaluator
+from calib.analyses.reduction import Reduction, reduction_of
 from calib.results import Results
 from calib.sampling import sample
 from calib.study import Study

@@ -1,4 +1,4 @@
-"""A small study with a library of effects, in a current directory of its own, and what a command leaves there."""
+"""A small study with a library of effects, in a current directory of its own, and the results of commands there."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def write_study() -> Callable[..., Path]:
 
 @pytest.fixture(scope="session")
 def asked() -> Callable[..., str]:
-    """Asks a question in a folder and returns what was said."""
+    """Runs a command in a folder and returns its output."""
 
     def ask(folder: Path, *arguments: str) -> str:
         with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()) as said:
-            assert cli.answer(list(arguments)) == 0
+            assert cli.execute(list(arguments)) == 0
         return said.getvalue()
 
     return ask
@@ -37,12 +37,12 @@ def asked() -> Callable[..., str]:
 
 @pytest.fixture
 def drawn() -> None:
-    """Asked for by tests about figures."""
+    """Requested by tests about figures."""
 
 
 @pytest.fixture(autouse=True)
 def undrawn_unless_asked_for(request: pytest.FixtureRequest) -> None:
-    """Figures take longest; most tests are not about them, and what is shared by some has them already."""
+    """Figures take longest, and most tests are not about them; shared folders have them already."""
     if "drawn" not in request.fixturenames:
         request.getfixturevalue("undrawn")
 
@@ -73,7 +73,7 @@ def edit() -> Callable[[Path, str, str], None]:
 
 @pytest.fixture(scope="session")
 def explanation() -> Callable[..., dict[str, Any]]:
-    """What the results of a study tell of its explanation."""
+    """Content of ``explanation.json`` in the results of a study."""
     return lambda name="mast": json.loads(Path("results", name, "explanation.json").read_text())
 
 

@@ -35,7 +35,7 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 @pytest.mark.parametrize(("page", "whole"), [("ascii", True), ("cp1252", False), ("utf-8", False)])
 def test_any_name_can_be_told_in_any_code_page(tmp_path, monkeypatch, page, whole):
-    """Once by a command of its own, of which the others are what writes."""
+    """Once by a whole command; the other cases call its writing functions."""
     folder = tmp_path / "plain"
     folder.mkdir()
     for name, text in (
@@ -55,7 +55,7 @@ def test_any_name_can_be_told_in_any_code_page(tmp_path, monkeypatch, page, whol
         stream = io.TextIOWrapper(io.BytesIO(), page, write_through=True)
         monkeypatch.setattr(sys, "stdout", stream)
         terminal.write_to_any_code_page()
-        assert cli.answer(["compare", "plain"]) == 0
+        assert cli.execute(["compare", "plain"]) == 0
         told = stream.buffer.getvalue().decode(page)
     title, name = ("Bridge \u2212 \u6865\u6881", "f \u2212 \u6865") if page == "utf-8" else ("Bridge - ??", "f - ?")
     assert f"{title}: compare" in told and name in told
@@ -65,5 +65,5 @@ def test_any_name_can_be_told_in_any_code_page(tmp_path, monkeypatch, page, whol
 @pytest.mark.parametrize("arguments", [["compare"], ["report"], ["new"], ["compare", "study", "--results"]])
 def test_a_name_that_no_folder_can_have(tmp_path, monkeypatch, capsys, arguments, name):
     monkeypatch.chdir(tmp_path)
-    assert cli.answer([*arguments, name]) == 2
+    assert cli.execute([*arguments, name]) == 2
     assert capsys.readouterr().err.count("\n") == 1 and not list(tmp_path.iterdir())

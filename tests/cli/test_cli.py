@@ -20,7 +20,7 @@ COMPARISON = [
 ]  # fmt: skip
 PARAMETERS = [
     "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable", "std",
-    "identified", "search_value", "scatter",
+    "identified", "search_value", "std_from",
 ]  # fmt: skip
 SUMMARY = {
     "study", "synthetic", "best_case", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before",
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
 def test_the_schema_is_printed_as_json(capsys):
-    assert cli.answer(["schema"]) == 0
+    assert cli.execute(["schema"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert {tuple(one["required"]) for one in told["anyOf"]} == {("title", "model"), ("base",)}
     assert {"measurement", "tests", "selection", "calibration"} <= set(told["properties"])
@@ -42,7 +42,7 @@ def test_the_schema_is_printed_as_json(capsys):
 def small_mast(folder: Path) -> Path:
     """The example study, small."""
     file = folder / "mast/study.toml"
-    assert cli.answer(["new", str(file.parent)]) == 0
+    assert cli.execute(["new", str(file.parent)]) == 0
     text = file.read_text()
     file.write_text(
         text.replace("generations = 60", f"generations = {GENERATIONS}").replace("samples = 200", "samples = 20")
@@ -57,7 +57,7 @@ def mast(here):
 
 @pytest.fixture(scope="module")
 def whole(asked, tmp_path_factory):
-    """A folder in which everything was asked of the example, and what was said."""
+    """A folder with a whole run of the example, and its output."""
     folder = tmp_path_factory.mktemp("whole")
     small_mast(folder)
     return folder, asked(folder, "run", "mast", "--workers", "1")
@@ -74,7 +74,7 @@ def read(folder: str, name: str) -> pd.DataFrame:
     return pd.read_csv(Path(folder) / name)
 
 
-def test_run_answers_everything_with_the_documented_files(whole):
+def test_run_does_every_analysis_and_writes_the_documented_files(whole):
     folder, out = whole[0] / "results/mast", whole[1]
     for stage in ("before", "after"):
         assert list(read(folder, f"comparison_{stage}.csv")) == COMPARISON
@@ -114,10 +114,10 @@ def test_run_answers_everything_with_the_documented_files(whole):
 
 @pytest.mark.slow
 def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
-    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+    assert cli.execute(["calibrate", "mast", "--workers", "1"]) == 0
     whole = {p.name: p.read_bytes() for p in Path("results/mast").glob("*.csv")}
-    assert cli.answer(["calibrate", "mast", "--quick", "--workers", "1"]) == 0
-    assert cli.answer(["calibrate", "mast", "--case", "A2", "--workers", "1"]) == 0
+    assert cli.execute(["calibrate", "mast", "--quick", "--workers", "1"]) == 0
+    assert cli.execute(["calibrate", "mast", "--case", "A2", "--workers", "1"]) == 0
     assert {p.name: p.read_bytes() for p in Path("results/mast").glob("*.csv")} == whole
     one = read("results/mast/case_A2", "parameters.csv")
     assert set(one["case"]) == {"A2"} and one["spread"].isna().all()
@@ -130,12 +130,12 @@ def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
     assert Path("results/mast/quick/summary.json").exists()
 
 
-def test_asked_again_nothing_is_solved_twice_and_the_answer_is_the_same(answered):
+def test_a_repeated_command_solves_nothing_twice_and_gives_the_same_result(answered):
     first = {
         n: Path("results/mast", n).read_bytes() for n in ("parameters.csv", "comparison_after.csv", "convergence.csv")
     }
     rows = sqlite3.connect("results/mast/ledger.sqlite").execute("select count(*) from evaluation").fetchone()
-    assert cli.answer(["calibrate", "mast", "--workers", "2"]) == 0
+    assert cli.execute(["calibrate", "mast", "--workers", "2"]) == 0
     assert first == {n: Path("results/mast", n).read_bytes() for n in first}
     assert rows == sqlite3.connect("results/mast/ledger.sqlite").execute("select count(*) from evaluation").fetchone()
 
@@ -143,26 +143,26 @@ def test_asked_again_nothing_is_solved_twice_and_the_answer_is_the_same(answered
 def test_a_changed_measurement_makes_old_rows_stale_and_says_so(answered, capsys):
     modes = Path("mast/modes.csv").read_text().replace("1.7117", "1.7217")
     Path("mast/modes.csv").write_text(modes)
-    assert cli.answer(["sensitivity", "mast", "--workers", "1"]) == 0
+    assert cli.execute(["sensitivity", "mast", "--workers", "1"]) == 0
     assert "another state of model or measurement" in capsys.readouterr().out
 
 
 def test_the_measures_can_choose_the_parameters(mast, capsys):
     text = Path("mast/study.toml").read_text()
     Path("mast/study.toml").write_text(text.replace('["E", "m_top", "K_base"]', '"from sensitivity"', 1))
-    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 2
+    assert cli.execute(["calibrate", "mast", "--workers", "1"]) == 2
     assert "calib sensitivity" in capsys.readouterr().err
-    assert cli.answer(["sensitivity", "mast", "--workers", "1"]) == 0
+    assert cli.execute(["sensitivity", "mast", "--workers", "1"]) == 0
     table = read("results/mast", "selection.csv").set_index("parameter")
     table["selected"] = [name != "E" for name in table.index]
     table.to_csv("results/mast/selection.csv")
-    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+    assert cli.execute(["calibrate", "mast", "--workers", "1"]) == 0
     assert set(read("results/mast", "parameters.csv")["parameter"]) == {"m_top", "K_base"}
 
 
 def test_morris_and_sobol_on_request(mast):
     for method, column in (("morris", "mu_star"), ("sobol", "ST")):
-        assert cli.answer(["sensitivity", "mast", "--method", method, "--quick", "--workers", "1"]) == 0
+        assert cli.execute(["sensitivity", "mast", "--method", method, "--quick", "--workers", "1"]) == 0
         table = read("results/mast/quick", f"{method}.csv")
         assert column in table and set(table["parameter"]) == {"E", "m_top", "K_base"}
 
@@ -170,11 +170,11 @@ def test_morris_and_sobol_on_request(mast):
 @pytest.mark.slow
 def test_rows_of_the_reduced_problem_are_not_called_stale(here, capsys):
     question = ["calibrate", str(ROOT / "studies/bogie"), "--quick", "--case", "GB1", "--workers", "1"]
-    assert cli.answer(question) == 0
+    assert cli.execute(question) == 0
     first = capsys.readouterr().out
     rows = sqlite3.connect("results/bogie/ledger.sqlite").execute("select count(distinct fingerprint) from evaluation")
     assert rows.fetchone() == (2,)  # on the basis and at full order
-    assert cli.answer(question) == 0
+    assert cli.execute(question) == 0
     again = capsys.readouterr().out
     assert "another state" not in first + again
 
@@ -186,21 +186,21 @@ def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, unrend
     for figure in (told, *Path("results/mast").glob("*.png")):
         figure.unlink()
     monkeypatch.setattr("calib.correlation.problem.ModalProblem.evaluate", lambda *a: pytest.fail("it solved"))
-    assert cli.answer(["report", "mast"]) == 0
+    assert cli.execute(["report", "mast"]) == 0
     assert len(list(Path("results/mast").glob("*.png"))) >= 8
     assert told.read_bytes() == first and str(told) in capsys.readouterr().out
 
 
-def test_a_single_question_writes_no_report_but_leaves_none_that_is_older(mast, drawn, monkeypatch):
+def test_a_single_analysis_writes_no_report_but_updates_an_older_one(mast, drawn, monkeypatch):
     monkeypatch.setattr("calib.front.study.draw_all", lambda *a: [])
     told = Path("results/mast/report.html")
-    assert cli.answer(["compare", "mast"]) == 0 and not told.exists()
+    assert cli.execute(["compare", "mast"]) == 0 and not told.exists()
     told.write_text("an older one")
-    assert cli.answer(["compare", "mast"]) == 0 and "Mode by mode before calibration" in told.read_text("utf-8")
+    assert cli.execute(["compare", "mast"]) == 0 and "Mode by mode before calibration" in told.read_text("utf-8")
 
 
 def test_results_go_where_they_are_told(mast):
-    assert cli.answer(["compare", "mast", "--results", "out/here"]) == 0
+    assert cli.execute(["compare", "mast", "--results", "out/here"]) == 0
     assert Path("out/here/mast/comparison_before.csv").exists() and not Path("results").exists()
 
 
@@ -210,7 +210,7 @@ def test_the_measured_rig_without_shapes(here, drawn, unrendered, capsys):
         Path("rig/study.toml").read_text().replace("[calibration]", "[calibration]\ngenerations = 6\npopulation = 12")
     )
     Path("rig/study.toml").write_text(text)
-    assert cli.answer(["run", "rig", "--workers", "1"]) == 0
+    assert cli.execute(["run", "rig", "--workers", "1"]) == 0
     out = capsys.readouterr().out
     assert "synthetic" not in out
     assert read("results/rig", "comparison_after.csv")["model_mode"].tolist() == [1, 2, 3, 4]
@@ -219,12 +219,12 @@ def test_the_measured_rig_without_shapes(here, drawn, unrendered, capsys):
 
 
 @pytest.mark.parametrize("verb", ["compare", "sensitivity", "calibrate", "report", "run"])
-def test_every_verb_reads_and_checks_every_file(mast, verb, capsys):
-    assert cli.answer(["compare", "mast"]) == 0
+def test_every_command_reads_and_checks_every_file(mast, verb, capsys):
+    assert cli.execute(["compare", "mast"]) == 0
     before = {p: p.read_bytes() for p in Path("results/mast").iterdir()}
     Path("mast/sensors.csv").write_bytes(b"\x00\xff\xfe rubbish \x80")
     capsys.readouterr()
-    assert cli.answer([verb, "mast"]) == 2
+    assert cli.execute([verb, "mast"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "sensors.csv" in said and "Traceback" not in said
     assert {p: p.read_bytes() for p in Path("results/mast").iterdir()} == before
@@ -241,8 +241,8 @@ def test_every_verb_reads_and_checks_every_file(mast, verb, capsys):
         (["new", "mast"], "not an empty folder"),
     ],
 )
-def test_bad_questions_end_with_code_2_and_one_sentence(mast, arguments, words, capsys):
-    assert cli.answer(arguments) == 2
+def test_bad_commands_end_with_code_2_and_one_sentence(mast, arguments, words, capsys):
+    assert cli.execute(arguments) == 2
     said = capsys.readouterr().err
     assert words in said and "Traceback" not in said
     assert not Path("calib-error.log").exists()
@@ -250,13 +250,13 @@ def test_bad_questions_end_with_code_2_and_one_sentence(mast, arguments, words, 
 
 def test_unwritable_results_are_told(mast, capsys):
     Path("taken").write_text("a file, not a folder")
-    assert cli.answer(["compare", "mast", "--results", "taken"]) == 2
+    assert cli.execute(["compare", "mast", "--results", "taken"]) == 2
     assert "cannot be written" in capsys.readouterr().err
 
 
 def test_unexpected_failures_leave_their_traceback_in_a_log(mast, capsys, monkeypatch):
-    monkeypatch.setattr("calib.questions.compare.compare", lambda *a: 1 / 0)
-    assert cli.answer(["compare", "mast"]) == 1
+    monkeypatch.setattr("calib.analyses.compare.compare", lambda *a: 1 / 0)
+    assert cli.execute(["compare", "mast"]) == 1
     said = capsys.readouterr().err
     assert "Traceback" not in said and "ZeroDivisionError" in said
     assert "Traceback" in Path("calib-error.log").read_text()
@@ -264,7 +264,7 @@ def test_unexpected_failures_leave_their_traceback_in_a_log(mast, capsys, monkey
 
 def test_help_texts_read_well(capsys):
     for verb in ("new", "compare", "sensitivity", "calibrate", "extend", "report", "run"):
-        assert cli.answer([verb, "--help"]) == 0
+        assert cli.execute([verb, "--help"]) == 0
         assert "Usage: calib" in capsys.readouterr().out
 
 
@@ -282,7 +282,7 @@ def test_a_suspicious_sensor_is_named_before_comparing(here, capsys, monkeypatch
         return replace(study, problem=replace(study.problem, measured=replace(measured, shapes=shapes)))
 
     monkeypatch.setattr("calib.study.Study.load", staticmethod(tampered))
-    assert cli.answer(["compare", str(ROOT / "studies/bogie")]) == 0
+    assert cli.execute(["compare", str(ROOT / "studies/bogie")]) == 0
     warnings = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Check this sensor")]
     assert len(warnings) == 2
     assert any("104y" in line and "revers" in line for line in warnings)
@@ -293,7 +293,7 @@ def test_a_suspicious_sensor_is_named_before_comparing(here, capsys, monkeypatch
 def test_a_model_that_always_fails_is_told(mast, capsys):
     text = Path("mast/study.toml").read_text().replace("mode_count = 6", "mode_count = 500")
     Path("mast/study.toml").write_text(text)
-    assert cli.answer(["compare", "mast"]) == 2
+    assert cli.execute(["compare", "mast"]) == 2
     assert "500" in capsys.readouterr().err
 
 
@@ -317,8 +317,8 @@ def build():
 
 
 @pytest.mark.parametrize("method", ["genetic", "gauss-newton"])
-def test_whole_numbers_have_no_standard_deviation(here, capsys, method):
-    """Only whole steps of them mean anything; the next ones fit millions of times worse here."""
+def test_integers_have_no_standard_deviation(here, capsys, method):
+    """Only their integer values have a meaning; the neighbouring ones fit millions of times worse here."""
     Path("steps").mkdir()
     Path("steps/model.py").write_text(STEPS)
     Path("steps/measured.csv").write_text("response,value,std\ns,4.5,0.01\np,4.5,0.01\nq,9.0,0.01\n")
@@ -328,7 +328,7 @@ def test_whole_numbers_have_no_standard_deviation(here, capsys, method):
         "[calibration]\npopulation = 20\ngenerations = 10\nstarts = 2\n"
         'cases = [{ name = "A1", seed = 1 }]\n'
     )
-    assert cli.answer(["calibrate", "steps", "--workers", "1", "--method", method]) == 0
+    assert cli.execute(["calibrate", "steps", "--workers", "1", "--method", method]) == 0
     words = next(x.split() for x in capsys.readouterr().out.splitlines() if x.startswith("n  "))
     assert words[:3] == ["n", "3", "–"]
     (folder,) = {p.parent for p in Path("results/steps").rglob("verdicts.csv")}

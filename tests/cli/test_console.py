@@ -1,4 +1,4 @@
-"""What is said on the terminal."""
+"""Terminal output of the command."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.analyses.sensitivity import Screening
 from calib.console import PRINTING
-from calib.questions.sensitivity import Screening
 from calib.results import Results
 
 
@@ -31,7 +31,7 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
         ("indistinguishable", ["guy"], ["guy", "lamp"], ""),
     ],
 )
-def test_only_what_has_no_rival_is_to_be_added(capsys, verdict, names, untold, added):
+def test_only_an_effect_without_a_competing_model_is_added(capsys, verdict, names, untold, added):
     chosen = SimpleNamespace(names=names)
     found = SimpleNamespace(verdict=verdict, chosen=chosen, untold=untold)
     PRINTING.may_add(SimpleNamespace(file=Path("mast/study.toml")), found)

@@ -1,4 +1,4 @@
-"""What ``calib explain``, ``extend`` and ``report`` refuse, in one sentence and with nothing left behind."""
+"""Bad input of ``calib explain``, ``extend`` and ``report``: one sentence, and nothing left behind."""
 
 import json
 from pathlib import Path
@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from calib import cli
-from calib.questions import reduction
+from calib.analyses import reduction
 
 
 def refused(arguments, capsys, *words):
     """Exit code 2, one sentence with all words, nothing but empty folders behind."""
     capsys.readouterr()
-    assert cli.answer(arguments) == 2
+    assert cli.execute(arguments) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and said.startswith("calib: ") and "Traceback" not in said
     for word in words:
@@ -24,10 +24,10 @@ def refused(arguments, capsys, *words):
 
 def test_a_study_without_effects_is_told_the_place(guyed, capsys, edit, explanation):
     edit(guyed, 'effects = "effects.py:library"\n', "")
-    assert cli.answer(["explain", "mast"]) == 0
+    assert cli.execute(["explain", "mast"]) == 0
     found = explanation()
     assert found["verdict"] == "none_explains" and found["effects"] == [] and found["p_family"] < 0.01
-    assert found["local_change"]["name"] in Path("results/mast/atoms.csv").read_text()
+    assert found["local_perturbation"]["name"] in Path("results/mast/perturbations.csv").read_text()
     assert "0 effects" in capsys.readouterr().out
 
 
@@ -39,7 +39,7 @@ def test_a_model_that_has_all_effects_lacks_nothing_more(guyed, edit, explanatio
         text[text.index("selection = [") :].split("]")[0],
         f'{text[text.index("selection = [") :].split("]")[0]}, "guy"',
     )
-    assert cli.answer(["explain", "mast"]) == 0
+    assert cli.execute(["explain", "mast"]) == 0
     assert explanation()["verdict"] == "nothing_detectable"
 
 
@@ -85,7 +85,7 @@ def test_an_unknown_effect_is_no_extension(guyed, capsys, files):
 
 
 def test_an_effect_in_the_model_is_no_extension(guyed, capsys):
-    assert cli.answer(["extend", "mast", "guy", "--into", "mast_2"]) == 0
+    assert cli.execute(["extend", "mast", "guy", "--into", "mast_2"]) == 0
     refused(["extend", "mast_2", "guy", "--into", "mast_3"], capsys, "in the model already", "the effects it lacks are")
     assert not Path("mast_3").exists()
 

@@ -1,4 +1,4 @@
-"""``calib run`` of a study that names effects: explained, extended, calibrated again, and told from end to end."""
+"""``calib run`` of a study with a library of effects: explained, extended, calibrated again, and reported."""
 
 import json
 import re
@@ -10,20 +10,20 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from calib import cli
-from calib.questions import calibrate as calibration
+from calib.analyses import calibrate as calibration
 from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
 FOLDER, OWN = Path("results/mast/quick"), Path("results/mast_extended/quick")
-UNSEEN = ("withheld_sensors", "withheld_modes")
+UNSEEN = ("held_out_sensors", "held_out_modes")
 RUN = ["run", "mast", "--quick", "--workers", "1"]
 
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
 def quick(folder: Path, write_study, asked, edit, hidden) -> str:
-    """What a quick run of a mast says; one mode and two sensors are withheld."""
+    """Output of a quick run of a mast; one mode and two sensors are held out."""
     study = write_study(folder / "mast", hidden)
     edit(study, *HELD)
     edit(study, "[calibration]", "[sensitivity]\nsamples = 12\n\n[calibration]")
@@ -32,7 +32,7 @@ def quick(folder: Path, write_study, asked, edit, hidden) -> str:
 
 @pytest.fixture(scope="module")
 def lacking(write_study, asked, edit, tmp_path_factory):
-    """A folder with the run of a mast with a guy rope that its model lacks, nothing drawn, and what was said."""
+    """A folder with the run of a mast with a guy rope that its model lacks, without figures, and its output."""
     folder = tmp_path_factory.mktemp("lacking")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calib.front.study.draw_all", lambda *a: [])
@@ -42,18 +42,18 @@ def lacking(write_study, asked, edit, tmp_path_factory):
 
 @pytest.fixture
 def within(lacking, tmp_path, monkeypatch):
-    """A copy of that folder as the current one, and what was said."""
+    """A copy of that folder as the current one, and its output."""
     shutil.copytree(lacking[0], tmp_path / "copy")
     monkeypatch.chdir(tmp_path / "copy")
     return lacking[1]
 
 
 def tables(folder: Path) -> dict[str, bytes]:
-    """Every table below a folder, without what tells of seconds."""
+    """Every table below a folder, without times."""
     return {str(p): p.read_bytes() for p in sorted(folder.rglob("*.csv"))}
 
 
-def test_what_is_named_is_added_and_withheld_errors_fall(within):
+def test_what_is_named_is_added_and_held_out_errors_fall(within):
     study = Study.load(FOLDER / "mast_extended")
     assert study.settings.with_effects == ("guy",) and "guy" in study.search_space.free_names
     errors = pd.read_csv(FOLDER / "added_errors.csv").set_index(["group", "stage"])
@@ -69,14 +69,14 @@ def test_what_is_named_is_added_and_withheld_errors_fall(within):
     assert guy["low"] < 12000.0 < guy["high"] and guy["high"] - guy["low"] < 2000.0 and added["quick"] is True
     found = pd.read_csv(FOLDER / "added_parameters.csv").set_index("parameter")
     assert list(found.index[found["added"]]) == ["guy"] and found.loc["guy", "after"] == pytest.approx(guy["value"])
-    # Without the rope another parameter had to stand in for it.
-    shift = (found["before"] - found["adopted"]).abs() > (found["after"] - found["adopted"]).abs()
+    # Without the rope another parameter had to compensate for it.
+    shift = (found["before"] - found["nominal"]).abs() > (found["after"] - found["nominal"]).abs()
     assert shift["E"] and shift["K_base"]
     modes = pd.read_csv(FOLDER / "added_modes.csv").set_index("mode")
-    assert modes["withheld"]["B3x"] and abs(modes["error_after"]["B1x"]) < abs(modes["error_before"]["B1x"])
+    assert modes["held_out"]["B3x"] and abs(modes["error_after"]["B1x"]) < abs(modes["error_before"]["B1x"])
 
 
-def test_the_story_is_said_in_order_with_its_numbers(within):
+def test_the_output_is_in_order_with_its_numbers(within):
     heads = [
         line.split(": ")[1].split("  ")[0] for line in within.splitlines() if line.endswith("[synthetic measurement]")
     ]
@@ -84,10 +84,10 @@ def test_the_story_is_said_in_order_with_its_numbers(within):
     assert heads == verbs
     end = within[within.index("before and after  [synthetic") :]
     added = json.loads((FOLDER / "added.json").read_text())
-    assert added["sentence"] in end and "Both are quick looks" in end
-    assert "With it the model fits better and predicts better what no fit has seen." in end
+    assert added["sentence"] in end and "Both are quick runs" in end
+    assert "With it the model fits better and predicts held-out data better." in end
     errors = pd.read_csv(FOLDER / "added_errors.csv").set_index(["group", "stage"])
-    for words, group in {"used data": "fit", "withheld sensors": UNSEEN[0], "withheld modes": UNSEEN[1]}.items():
+    for words, group in {"used data": "fit", "held-out sensors": UNSEEN[0], "held-out modes": UNSEEN[1]}.items():
         before, after = errors.loc[(group, "before")], errors.loc[(group, "after")]
         (line,) = [x for x in end.splitlines() if x.startswith(f"{words}  ")]
         assert line.removeprefix(words).split()[:4] == [
@@ -98,24 +98,24 @@ def test_the_story_is_said_in_order_with_its_numbers(within):
 
 
 @pytest.mark.slow
-def test_pictures_and_reports_of_both_are_drawn_and_drawn_anew(within, drawn, monkeypatch):
+def test_figures_and_reports_of_both_are_drawn_and_redrawn(within, drawn, monkeypatch):
     monkeypatch.setattr("calib.correlation.problem.ModalProblem.compare", lambda *a: pytest.fail("it solved"))
-    assert cli.answer(["report", "mast"]) == 0
+    assert cli.execute(["report", "mast"]) == 0
     assert (FOLDER / "added_errors.png").stat().st_size > 5000 and (OWN / "comparison.png").exists()
     page = (FOLDER / "report.html").read_text()
-    assert 'id="errors"' in page and "What was added, and the error before and after" in page
-    assert "predicts better what no fit has seen" in page and "a quick look" in page
+    assert 'id="errors"' in page and "Prediction errors before and after adding the effects" in page
+    assert "predicts held-out data better" in page and "a quick look" in page
     assert "mast_extended" in page and (OWN / "report.html").exists()
     for figure in [*Path("results").rglob("*.png"), *Path("results").rglob("report.html")]:
         figure.unlink()
-    assert cli.answer(["report", "mast"]) == 0
+    assert cli.execute(["report", "mast"]) == 0
     assert (FOLDER / "report.html").read_text() == page and (OWN / "report.html").exists()
 
 
 def test_the_same_run_again_says_the_same(lacking, monkeypatch):
     monkeypatch.chdir(lacking[0])
     before = tables(Path("results"))
-    assert cli.answer(RUN) == 0
+    assert cli.execute(RUN) == 0
     assert tables(Path("results")) == before
     assert sorted(p.name for p in FOLDER.glob("mast_extended*")) == ["mast_extended"]
 
@@ -132,14 +132,14 @@ def test_an_interrupted_run_is_completed_by_the_same_command(within, monkeypatch
         return calibrate(*given, **more)
 
     monkeypatch.setattr(calibration, "calibrate", stopped)
-    assert cli.answer(RUN) == 130 and calls == ["mast", "mast_extended"]
+    assert cli.execute(RUN) == 130 and calls == ["mast", "mast_extended"]
     assert not (FOLDER / "added.json").exists() and not list(Path("results").rglob(".*"))
-    assert cli.answer(RUN) == 0
+    assert cli.execute(RUN) == 0
     assert tables(Path("results")) == whole
 
 
-def test_a_later_question_takes_away_what_rested_on_the_earlier_one(within):
-    assert cli.answer(["calibrate", "mast", "--quick", "--workers", "1"]) == 0
+def test_a_later_analysis_removes_what_rested_on_the_earlier_one(within):
+    assert cli.execute(["calibrate", "mast", "--quick", "--workers", "1"]) == 0
     assert not list(FOLDER.glob("added*"))
 
 
@@ -156,7 +156,7 @@ def test_a_calibration_that_ends_elsewhere_than_the_explanation_says_so(within, 
     calibrate = calibration.calibrate
 
     def astray(study, *given, **more):
-        """As a search that stays where the rope is too stiff."""
+        """A search that stays where the rope is too stiff."""
         text = study.file.read_text()
         if "guy" in study.search_space.free_names and "limits = [20000" not in text:
             text = re.sub(r"begin_at = .*\n", "", text)  # it is within no such limits
@@ -165,15 +165,15 @@ def test_a_calibration_that_ends_elsewhere_than_the_explanation_says_so(within, 
         return calibrate(study, *given, **more)
 
     monkeypatch.setattr(calibration, "calibrate", astray)
-    assert cli.answer(RUN) == 0
+    assert cli.execute(RUN) == 0
     told = json.loads((FOLDER / "added.json").read_text())["sentence"]
     own = json.loads((FOLDER / "explanation.json").read_text())["chosen_values"]["guy"]
-    assert f"The explanation's own fit has {own:.3g} N/m of guy: this calibration ended elsewhere" in told
+    assert f"The explanation fitted guy = {own:.3g} N/m; this calibration ended elsewhere" in told
 
 
-def test_where_nothing_is_missing_the_run_says_so_and_ends(here, write_study, asked, edit):
+def test_where_nothing_is_missing_the_run_reports_it_and_ends(here, write_study, asked, edit):
     out = quick(here, write_study, asked, edit, {})
-    words = "Nothing is missing that these data could show, so nothing is added and the story ends here."
+    words = "These data show no missing effect, so nothing is added."
     assert words in out.splitlines() and "before and after" not in out
     assert json.loads((FOLDER / "added.json").read_text())["sentence"] == words
     assert not list(FOLDER.glob("mast_extended*")) and not Path("results/mast_extended").exists()
@@ -187,22 +187,22 @@ def test_a_study_without_effects_is_run_as_ever(here, asked):
     assert ": extend" not in out and not (FOLDER / "added.json").exists() and (FOLDER / "summary.json").exists()
 
 
-def test_the_extended_study_can_be_moved_and_gone_on_with(within):
+def test_the_extended_study_can_be_moved_and_run(within):
     shutil.move(FOLDER / "mast_extended", "mast_2")
-    assert cli.answer(["explain", "mast_2"]) == 0
+    assert cli.execute(["explain", "mast_2"]) == 0
     assert json.loads(Path("results/mast_2/explanation.json").read_text())["verdict"] == "nothing_detectable"
-    assert cli.answer(["report", "mast"]) == 0  # what was moved away is not missed
+    assert cli.execute(["report", "mast"]) == 0  # what was moved away is not missed
 
 
 @pytest.mark.slow
 def test_a_model_without_matrices_is_run_to_the_end_too(here, asked):
-    """Nothing is withheld there, so what is left out in turn is the judge."""
+    """Nothing is held out there, so leave-one-out data decide."""
     truth = json.loads((ROOT / "tests/truth/five_mass_chain.json").read_text())
     out = asked(here, "run", str(ROOT / "studies/five_mass_chain"), "--quick", "--workers", "1")
     assert "With it the model fits better and predicts data left out in turn better." in out
     (effect,) = json.loads(Path("results/five_mass_chain/quick/added.json").read_text())["effects"]
-    strength = truth["strength"][truth["effect"]]
-    assert effect["name"] == truth["effect"] and effect["low"] < strength < effect["high"]
+    magnitude = truth["magnitude"][truth["effect"]]
+    assert effect["name"] == truth["effect"] and effect["low"] < magnitude < effect["high"]
     assert not Path("results/five_mass_chain/quick/added_modes.csv").exists()
 
 
@@ -210,6 +210,6 @@ def test_a_command_computes_on_one_thread(here, monkeypatch):
     seen = []
     monkeypatch.setattr(cli, "write_example", lambda folder: seen.append(threadpool_info()) or [])
     with threadpool_limits(2):
-        assert cli.answer(["new", "mast"]) == 0
+        assert cli.execute(["new", "mast"]) == 0
         assert {pool["num_threads"] for pool in threadpool_info()} == {2}
     assert seen[0] and {pool["num_threads"] for pool in seen[0]} == {1}

@@ -1,4 +1,4 @@
-"""A chain of masses that moves along and across: small enough to know its answers, rich enough to be confused."""
+"""A chain of masses that moves along and across: small enough for closed forms, rich enough for ambiguous pairs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ N = 6
 
 @dataclass(frozen=True)
 class NodeLocator:
-    """Sensors sit on the nodes (k, 0, 0); odd degrees of freedom point across."""
+    """Sensors are at the nodes (k, 0, 0); odd degrees of freedom are transverse."""
 
     n: int
 

@@ -6,7 +6,7 @@ import pytest
 from calib.correlation.compare import BEYOND, UNKNOWN, UNPAIRED, WITHIN
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
-from calib.correlation.scatter import USUAL
+from calib.correlation.standard_deviations import USUAL
 from calib.mac import mac
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0}
@@ -15,7 +15,7 @@ OFF = {"k_along": 40.0, "k_across": 11.0, "c_end": 300.0}
 
 @pytest.fixture
 def found(build, twin):
-    """A model off the truth, compared with a twin whose modes come in another order."""
+    """A wrong model compared with synthetic measurements whose modes are in another order."""
     model = build()
     return ModalProblem(model, twin(model, TRUTH, order=(2, 0, 1, 4)), mode_count=6).compare(OFF)
 
@@ -48,7 +48,7 @@ def test_comparison_table_has_its_columns_and_signed_errors(found):
     )
 
 
-def test_the_numbers_of_model_modes_their_order_and_far_pairs_are_told(build, twin):
+def test_the_numbers_of_model_modes_their_order_and_far_pairs_are_reported(build, twin):
     model = build()
     measured = twin(model, TRUTH, order=(2, 0, 1, 4))
     near = ModalProblem(model, measured, mode_count=6).compare(TRUTH)
@@ -151,8 +151,8 @@ def test_frequencies_alone_have_tables(build, twin):
 
 
 @pytest.mark.parametrize("real", [False, True])
-def test_a_perfect_model_stays_in_its_scatter(build, twin, real):
-    """Over many noisy twins the scatter is 1 on average, and about one comparison in twenty lies beyond.
+def test_a_correctly_specified_model_stays_within_its_uncertainty(build, twin, real):
+    """Over many noisy twins ``in_std`` is 1 on average, and about one comparison in twenty exceeds its limit.
 
     Of the standard deviations the twins make the first part, the floors of the fit the second.
     """
@@ -172,7 +172,7 @@ def test_a_perfect_model_stays_in_its_scatter(build, twin, real):
         allowed.append(found.noise_mac())
         reached.append(found.pairing.mac)
         for row in found.where_it_fails().itertuples():
-            numbers[row.kind].append(row.in_scatter)
+            numbers[row.kind].append(row.in_std)
             beyond[row.kind].append(row.verdict == BEYOND)
     for kind, values in numbers.items():
         if kind == "damping" and real:
@@ -185,20 +185,20 @@ def test_a_perfect_model_stays_in_its_scatter(build, twin, real):
     assert 1 - np.mean(reached) == pytest.approx(made["shape"] ** 2 * (1 - np.mean(allowed)), rel=0.05)
 
 
-def test_a_wrong_model_is_told_where(build, twin):
+def test_a_wrong_model_is_located(build, twin):
     model = build()
     measured = twin(model, TRUTH, noise=0.02, seed=3)
     wrong = ModalProblem(model, measured, mode_count=6).compare({**TRUTH, "k_across": 10.5})
     table = wrong.where_it_fails()
-    scatter = table["in_scatter"].to_numpy()
-    assert list(table.columns) == ["kind", "what", "value", "in_scatter", "verdict"]
-    assert np.all(np.diff(scatter) <= 0) and table.loc[0, "kind"] == "frequency" and table.loc[0, "verdict"] == BEYOND
+    ratio = table["in_std"].to_numpy()
+    assert list(table.columns) == ["kind", "what", "value", "in_std", "verdict"]
+    assert np.all(np.diff(ratio) <= 0) and table.loc[0, "kind"] == "frequency" and table.loc[0, "verdict"] == BEYOND
     error = wrong.comparison_table().set_index("mode")["freq_error"]
     worst = table.iloc[0]
     assert worst["value"] == pytest.approx(error[worst["what"]])
     std = np.hypot(0.005, USUAL.freq)
-    assert worst["in_scatter"] == pytest.approx(np.log1p(worst["value"]) / std, rel=0.02)
-    assert f"The worst is the frequency of {worst['what']}, {worst['in_scatter']:.1f} times its scatter." in (
+    assert worst["in_std"] == pytest.approx(np.log1p(worst["value"]) / std, rel=0.02)
+    assert f"The worst is the frequency of {worst['what']}, {worst['in_std']:.1f} times its standard deviation." in (
         wrong.sentence()
     )
 
@@ -210,13 +210,14 @@ def test_twice_the_damper_is_a_damping_failure(build, twin):
     assert table.loc[:3, "kind"].tolist() == ["damping"] * 4  # all four, before everything else
     np.testing.assert_allclose(table.loc[:3, "value"], np.log(2.0), atol=0.3)
     assert (table.loc[:3, "verdict"] == BEYOND).all()
-    np.testing.assert_allclose(table.loc[:3, "in_scatter"], np.log(2.0) / 0.07, rtol=0.4)
+    np.testing.assert_allclose(table.loc[:3, "in_std"], np.log(2.0) / 0.07, rtol=0.4)
 
 
-def test_few_repeats_widen_what_counts_as_scatter(build, twin):
+def test_few_repeats_raise_the_limit(build, twin):
     model = build()
     measured = twin(model, TRUTH, noise=0.02, seed=3)
-    # 2.4 standard deviations: beyond for a known scatter, within for one pooled from 2 repeats of 4 modes (limit 2.8).
+    # 2.4 standard deviations: significant for a known standard deviation, not for one pooled from 2 repeats of 4 modes
+    # (limit 2.8).
     exact = model.modes(TRUTH, 4).natural_freq
     measured = dataclasses.replace(measured, natural_freq=exact * 1.012, freq_std=0.005 * exact)
     verdicts = []
@@ -229,20 +230,20 @@ def test_few_repeats_widen_what_counts_as_scatter(build, twin):
 
 @pytest.mark.parametrize("repeats", [1, 5, 20])
 @pytest.mark.parametrize("real", [False, True])
-def test_the_tables_and_the_fit_tell_one_standard_deviation(build, twin, repeats, real):
-    """Frequency and damping are the rows of the residual; sensors, where all scatter alike, its mean squares."""
+def test_the_tables_and_the_fit_have_the_same_standard_deviation(build, twin, repeats, real):
+    """Frequency and damping are the rows of the residual; sensors, with equal standard deviations, its mean squares."""
     model = build(damped=not real)
     measured = twin(model, TRUTH, noise=0.02, seed=3, real=real)
     freq_std = measured.freq_std * np.array([0.5, 1.0, 1.5, 2.0])
     measured = dataclasses.replace(measured, freq_std=freq_std, n_repeats=repeats)
     problem = ModalProblem(model, measured, mode_count=6)
     found, residual = problem.compare(OFF), ModalResidual(problem)
-    table = found.where_it_fails().set_index(["kind", "what"])["in_scatter"]
+    table = found.where_it_fails().set_index(["kind", "what"])["in_std"]
     whitened = list(zip(residual.rows, residual.of(found), strict=True))
     for row, value in whitened:
         if row.kind != "shape":
             assert table[row.kind, row.mode] == pytest.approx(abs(value))
-    assert found.scatter.shape == pytest.approx(residual.scatter.shape)
+    assert found.std.shape == pytest.approx(residual.std.shape)
     shares = np.abs(found.aligned_shapes) ** 2
     shares /= shares.sum(axis=0)
     parts = 1 if real else 2
@@ -255,8 +256,8 @@ def test_the_tables_and_the_fit_tell_one_standard_deviation(build, twin, repeats
         assert table["sensor", sensor.name] == pytest.approx(np.sqrt(mean), rel=1e-6)
 
 
-def test_a_sensor_to_which_shapes_are_scaled_is_not_judged_by_rounding(build, twin):
-    """Where every repeat is scaled to one sensor, this one does not scatter."""
+def test_a_sensor_to_which_shapes_are_scaled_is_not_tested_on_rounding_error(build, twin):
+    """Where every repeat is scaled to one sensor, its standard deviation is 0."""
     model = build()
     measured = twin(model, TRUTH, noise=0.02, seed=3)
     shape_std = measured.shape_std.copy()
@@ -264,13 +265,13 @@ def test_a_sensor_to_which_shapes_are_scaled_is_not_judged_by_rounding(build, tw
     for repeats in (5, 20):
         still = dataclasses.replace(measured, shape_std=shape_std, n_repeats=repeats)
         table = ModalProblem(model, still, mode_count=6).compare(OFF).where_it_fails()
-        assert table["in_scatter"].max() < 100
+        assert table["in_std"].max() < 100
 
 
-def test_unknown_scatter_is_said_and_not_judged(found):
+def test_unknown_std_is_reported_and_not_tested(found):
     table = found.where_it_fails()
-    assert set(table["verdict"]) == {UNKNOWN} and table["in_scatter"].isna().all()
-    assert "scatter of the measurement is unknown" in found.sentence()
+    assert set(table["verdict"]) == {UNKNOWN} and table["in_std"].isna().all()
+    assert "standard deviation of the measurement is unknown" in found.sentence()
 
 
 def test_a_sensor_fault_is_found_at_its_sensor(build, twin):

@@ -14,7 +14,7 @@ def test_vanishing_damping_reaches_the_undamped_shares(build):
     a, _ = strain_energy_shares(stiffness, real.shapes, free.clusters)
     b, _ = strain_energy_shares(stiffness, barely.shapes, free.clusters)
     np.testing.assert_allclose(a, b, atol=1e-8)
-    assert np.max(a) > 0.9  # the clusters do tell the modes apart
+    assert np.max(a) > 0.9  # the clusters do distinguish the modes
     strongly, _ = strain_energy_shares(stiffness, damped.modes({"c_end": 190.0}, 4).shapes, free.clusters)
     assert np.max(np.abs(strongly - a)) > 1e-4
 
@@ -23,7 +23,7 @@ def test_a_mode_without_strain_has_no_share(build):
     model = build(grounded=False)
     stiffness = model.matrices({})[0]
     rigid = np.zeros((model.n_dof, 3))
-    # The whole chain moves along, to within the rounding of an eigensolver.
+    # The whole chain moves along, to within the rounding error of an eigensolver.
     rigid[::2, 0] = np.linalg.eigh(stiffness.toarray()[::2, ::2])[1][:, 0]
     assert rigid[:, 0] @ stiffness @ rigid[:, 0] != 0
     rigid[0, 1] = 1.0

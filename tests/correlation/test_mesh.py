@@ -14,7 +14,7 @@ def test_points_are_numbered_as_the_elements_name_them():
     assert table["point"].tolist() == [0, 1, 2, 3, 4]
 
 
-def test_edges_of_faces_are_told_by_their_faces_and_members_by_themselves():
+def test_edges_of_faces_are_omitted_and_members_are_listed():
     text = elements_table(MESH).to_csv(index=False)
     assert text.splitlines() == ["group,a,b,c,d", "mast,3,4,,", "sill,2,3,,", "wall,0,1,2,3"]
 
@@ -25,7 +25,7 @@ def test_a_model_of_lines_has_no_faces():
     assert table[["c", "d"]].isna().all(axis=None)
 
 
-def test_what_has_no_place_is_left_out():
+def test_points_without_coordinates_are_omitted():
     points = POINTS.copy()
     points[4] = np.nan
     mesh = Mesh(points, LINES, MESH.groups, MESH.faces, MESH.face_groups)

@@ -1,4 +1,4 @@
-"""Modes and plain responses in one fit: a structure whose modes and whose weight were measured."""
+"""Modes and scalar responses in one fit: a structure whose modes and whose weight were measured."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +9,7 @@ from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.inference.identify import posterior
-from calib.inference.whole_numbers import fit_mixed
+from calib.inference.integers import fit_mixed
 from calib.joint import JointProblem
 from calib.missing.goodness import goodness, overall
 from calib.problem import Problem
@@ -23,7 +23,7 @@ class At:
     prior_sd: np.ndarray
 
 
-def test_modes_and_plain_responses_are_fitted_together(build, twin):
+def test_modes_and_scalar_responses_are_fitted_together(build, twin):
     model, truth = build(), {"k_along": 46.0, "k_across": 12.5, "mass": 8.5, "c_end": 500.0}
     space = model.space.freeze({"c_end": 500.0})
     modes = Problem(ModalResidual(ModalProblem(model, twin(model, truth), mode_count=6)), space)
@@ -43,7 +43,7 @@ def test_modes_and_plain_responses_are_fitted_together(build, twin):
     alone = posterior(names, modes.jacobian(found.values, names), np.full(len(names), np.inf))
     both = posterior(names, slope, np.full(len(names), np.inf))
     k = names.index("mass")
-    assert both.std[k] < 0.05 / 6 * 1.001 and alone.std[k] > 10 * both.std[k]  # modes tell ratios to mass only
+    assert both.std[k] < 0.05 / 6 * 1.001 and alone.std[k] > 10 * both.std[k]  # modes determine ratios to mass only
     labels, freq, change = joint.frequencies(found.values, names)
     assert len(labels) == len(freq) == len(change) > 3 and change.shape[1] == len(names)
     assert {row.test for row in joint.rows} == {"modes", "scale"} and len(joint.rows) == len(slope)

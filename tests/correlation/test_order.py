@@ -1,4 +1,4 @@
-"""Frequencies without shapes: which measured mode is which mode of the model."""
+"""Pairing without shapes, by the order of frequencies."""
 
 import itertools
 
@@ -38,20 +38,20 @@ def test_a_mode_that_the_model_lacks_shifts_no_other(extra):
     assert found == [*range(extra), -1, *range(extra, 6)]
 
 
-def test_rigid_body_modes_near_zero_are_no_partners():
+def test_rigid_body_modes_near_zero_are_not_paired():
     for few in (1, 2, 7):
         rigid = [1e-5, 2e-4, 1e-3, 2e-3, 0.3, 0.6]
         assert partners(TRUE[:few], [*rigid, *(1.05 * TRUE)]) == list(range(6, 6 + few))
 
 
-def test_one_mode_that_is_far_off_keeps_its_place():
+def test_one_mode_with_a_large_error_keeps_its_place():
     model = TRUE.copy()
     model[2] *= 1.13
     assert partners(TRUE, model) == list(range(7))
     assert partners([10.0], [14.0]) == [0]
 
 
-def test_nothing_to_pair_is_no_trouble():
+def test_empty_lists_are_accepted():
     assert partners([], TRUE) == [] and partners(TRUE, []) == [-1] * 7
     assert partners([3.0], [0.0, 3.1]) == [1]
 

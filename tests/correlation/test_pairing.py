@@ -32,7 +32,7 @@ def test_no_other_one_to_one_choice_above_the_threshold_is_better(seed, n, m):
 
 
 def test_a_pair_below_the_threshold_cannot_take_a_partner_away():
-    # The largest plain sum is 0.29 + 0.29 > 0.5, which would leave nobody paired.
+    # The largest unrestricted sum is 0.29 + 0.29 > 0.5, which would leave nobody paired.
     found = pair([[0.50, 0.29], [0.29, 0.0]])
     assert found.model_index.tolist() == [0, -1]
     assert found.unpaired_measured.tolist() == [1]
@@ -50,7 +50,7 @@ def test_without_energy_nothing_is_paired_even_at_threshold_zero():
     assert pair([[0.0, 0.0]], threshold=0.0).model_index.tolist() == [-1]
 
 
-def test_more_measured_than_model_modes_and_ties_are_no_trouble():
+def test_more_measured_than_model_modes_and_ties_are_accepted():
     assert sorted(pair(np.full((3, 2), 0.5)).model_index.tolist()) == [-1, 0, 1]
     assert pair(np.full((2, 2), 0.5)).margin.tolist() == [0.0, 0.0]
     assert pair(np.zeros((2, 0))).model_index.tolist() == [-1, -1]
@@ -63,22 +63,22 @@ def test_pairs_follow_the_modes_through_order_sign_scale_and_phase(seed):
     measured = model[:, [3, 0, 4]] + 0.1 * rng.standard_normal((8, 3))
     order, shuffle = rng.permutation(5), rng.permutation(3)
     names = ["a", "b", "c"]
-    plain = mac(measured, model)
+    criterion = mac(measured, model)
     factors = rng.uniform(0.1, 10, 5) * np.exp(2j * np.pi * rng.uniform(size=5))
     other = mac((measured * [-1, 1j, 7])[:, shuffle], (model * factors)[:, order])
-    first = pair_by_shape(plain, plain, names)
+    first = pair_by_shape(criterion, criterion, names)
     second = pair_by_shape(other, other, names)
     assert first.model_index.tolist() == [3, 0, 4]
     assert order[second.model_index].tolist() == first.model_index[shuffle].tolist()
     np.testing.assert_allclose(second.margin, first.margin[shuffle], atol=1e-10)
 
 
-def test_repeated_roots_with_any_mixture_of_their_shapes_pair_without_a_crash():
+def test_repeated_eigenvalues_with_any_mixture_of_their_shapes_pair_without_a_crash():
     t = np.radians(45)
     mixed = np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]])
     found = pair(mac(np.eye(2), mixed))
     assert sorted(found.model_index.tolist()) == [0, 1]
-    assert np.max(np.abs(found.margin)) < 1e-12  # the margin tells that the choice means nothing
+    assert np.max(np.abs(found.margin)) < 1e-12  # the margin shows that the choice is arbitrary
 
 
 def test_the_users_choice_comes_first():
@@ -104,7 +104,7 @@ def test_an_impossible_choice_is_refused(override, words):
         pair(np.full((2, 2), 0.5), override=override)
 
 
-def test_only_candidates_are_paired_and_rivals():
+def test_only_candidates_are_paired_and_count_for_the_margin():
     found = pair([[0.9, 0.6, 0.5]], candidates=np.array([False, True, True]))
     assert found.model_index.tolist() == [1] and found.margin[0] == pytest.approx(0.1)
 
@@ -124,7 +124,7 @@ def test_order_pairs_ascending_frequencies_inside_the_window():
 
 
 def test_a_pair_of_far_frequencies_gives_way_to_a_nearer_one():
-    """With few sensors a mode a hundred times higher may have the very same shape there."""
+    """With few sensors a mode a hundred times higher may have the same shape there."""
     emac = np.array([[0.90, 0.99, 0.1], [0.1, 0.0, 0.8]])
     far = np.log([[1.1, 200.0, 4.0], [0.3, 50.0, 1.0]])
     assert pair(emac).model_index.tolist() == [1, 2]
@@ -140,7 +140,7 @@ def test_frequencies_within_a_factor_of_two_change_no_pair(seed):
     assert pair(emac, log_ratio=near).model_index.tolist() == pair(emac).model_index.tolist()
 
 
-def test_a_factor_common_to_all_pairs_is_no_reason_against_them():
+def test_a_factor_common_to_all_pairs_does_not_exclude_them():
     """Frequencies in rad/s, or of a model in other units."""
     ratio = np.log(np.outer(1 / np.array([3.0, 5.0, 8.0]), 2 * np.pi * np.array([3.1, 4.9, 8.1])))
     emac = 0.9 * np.eye(3) + 0.35 * np.eye(3, k=1)

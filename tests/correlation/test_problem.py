@@ -15,7 +15,7 @@ TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0}
 CLUSTERS = {"M1": ("across",), "M2": ("along", "across")}
 
 
-def test_a_perfect_model_answers_with_the_truth(build, twin):
+def test_a_perfect_model_returns_the_truth(build, twin):
     model = build()
     measured = twin(model, TRUTH, order=(2, 0, 1, 4))
     problem = ModalProblem(model, measured, mode_count=6)
@@ -32,20 +32,20 @@ def test_a_perfect_model_answers_with_the_truth(build, twin):
     assert problem.evaluate({})["natural_freq_M1"] != pytest.approx(found["natural_freq_M1"], rel=1e-3)
 
 
-def test_modes_that_are_solved_already_are_solved_again_only_where_more_are_asked(build, twin, monkeypatch):
+def test_modes_that_are_solved_already_are_solved_again_only_where_more_are_requested(build, twin, monkeypatch):
     model = build()
     problem = ModalProblem(model, twin(model, TRUTH, order=(2, 0, 1, 4)), mode_count=6)
     solved, found = model.modes(TRUTH, 6), problem.compare(TRUTH)
-    fewer, asked = model.modes(TRUTH, 5), []
+    fewer, requested = model.modes(TRUTH, 5), []
     modes = type(model).modes
-    monkeypatch.setattr(type(model), "modes", lambda *given: asked.append(given[2]) or modes(*given))
+    monkeypatch.setattr(type(model), "modes", lambda *given: requested.append(given[2]) or modes(*given))
     same, more = problem.compare(TRUTH, solved), problem.compare(TRUTH, fewer)
-    assert asked == [6] and same.modes is solved and more.modes.n_modes == 6
+    assert requested == [6] and same.modes is solved and more.modes.n_modes == 6
     for one in (same, more):
         assert one.comparison_table().equals(found.comparison_table())
 
 
-def test_a_reduced_model_answers_as_the_full_one(build, twin):
+def test_a_reduced_model_returns_the_responses_of_the_full_one(build, twin):
     model = build(n=20)
     measured = twin(model, TRUTH, order=(2, 0, 1, 4))
     reduced = ReducedModel(model, train_basis(model, model.space, 6, seed=1, tolerance=1e-6))
@@ -59,16 +59,16 @@ def test_a_reduced_model_answers_as_the_full_one(build, twin):
     np.testing.assert_allclose(tables[1].iloc[:, 2:], tables[0].iloc[:, 2:], atol=1e-3)
 
 
-def test_energy_tells_apart_what_a_single_direction_cannot(build, twin):
-    """Seen across only, a mode along the chain leaks a shape that looks like a mode across it."""
+def test_energy_distinguishes_modes_that_a_single_direction_cannot(build, twin):
+    """Measured only transversely, a longitudinal mode of the chain resembles a transverse one."""
     model = build()
     measured = twin(model, TRUTH, order=(0, 1, 2), directions="y")
-    plain = ModalProblem(model, measured, mode_count=6).compare(TRUTH)
+    default = ModalProblem(model, measured, mode_count=6).compare(TRUTH)
     energy = ModalProblem(
         model, measured, mode_clusters={m: ("across",) for m in measured.names}, mode_count=6
     ).compare(TRUTH)
     share = np.divide(energy.emac, energy.mac)
-    np.testing.assert_allclose(plain.emac, plain.mac)
+    np.testing.assert_allclose(default.emac, default.mac)
     assert np.allclose(share, share[0])  # the same clusters for every measured mode
     along = share[0] < 0.5
     assert along.any() and not along.all()
@@ -111,7 +111,7 @@ def test_frequencies_alone_are_paired_in_order(build, twin):
 def test_too_few_model_modes_fail_the_point(build, twin):
     model = build(n=3)
     measured = twin(model, {}, order=(0, 1))
-    with pytest.raises(EvaluationError, match="only 6 vibration modes, 7 were asked"):
+    with pytest.raises(EvaluationError, match="only 6 vibration modes, 7 were requested"):
         ModalProblem(model, measured, mode_count=7).evaluate({})
 
 
@@ -143,19 +143,19 @@ def test_a_sensor_off_the_model_is_refused_at_once(build, twin):
         ModalProblem(model, dataclasses.replace(measured, sensors=far))
 
 
-class Elsewhere:
+class OtherLocator:
     """Another geometry on the same matrices."""
 
     def row(self, point, direction, on=None):
         return np.full(12, 1.0 + direction), 0.0
 
 
-def test_the_fingerprint_follows_everything_that_matters_and_nothing_else(build, twin):
+def test_the_fingerprint_changes_with_everything_that_matters_and_nothing_else(build, twin):
     model = build()
     measured = twin(model, TRUTH)
-    plain = ModalProblem(model, measured, CLUSTERS)
+    default = ModalProblem(model, measured, CLUSTERS)
     assert (
-        plain.fingerprint == ModalProblem(build(), twin(build(), TRUTH), dict(reversed(CLUSTERS.items()))).fingerprint
+        default.fingerprint == ModalProblem(build(), twin(build(), TRUTH), dict(reversed(CLUSTERS.items()))).fingerprint
     )
     others = [
         ModalProblem(build(n=5), twin(build(n=5), TRUTH), CLUSTERS),
@@ -167,15 +167,15 @@ def test_the_fingerprint_follows_everything_that_matters_and_nothing_else(build,
         ModalProblem(model, measured, CLUSTERS, override={"M1": 2}),
     ]
     shifted = tuple(dataclasses.replace(s, on="here") for s in measured.sensors)
-    moved = dataclasses.replace(model, locator=Elsewhere())
+    moved = dataclasses.replace(model, locator=OtherLocator())
     others.append(ModalProblem(moved, measured, CLUSTERS))
     others.append(ModalProblem(model, dataclasses.replace(measured, sensors=shifted), CLUSTERS))
     units = model.space.replace("k_along", unit="N/m", value=4e4, lower=2e4, upper=8e4)
     others.append(ModalProblem(dataclasses.replace(model, space=units), measured, CLUSTERS))
-    assert len({p.fingerprint for p in [plain, *others]}) == len(others) + 1
+    assert len({p.fingerprint for p in [default, *others]}) == len(others) + 1
 
 
-def test_a_problem_travels_to_other_processes(build, twin):
+def test_a_problem_can_be_pickled(build, twin):
     model = build()
     problem = ModalProblem(dataclasses.replace(model, locator=None), twin(model, {}, shapes=False), mode_count=5)
     copy = pickle.loads(pickle.dumps(problem))
@@ -192,7 +192,7 @@ def function_problem(function, targets=None):
     return FunctionProblem(SPACE, function, targets or {"sum": (4.0, 0.1), "product": (5.0, None)}, "v1")
 
 
-def test_a_function_is_asked_with_complete_values_in_their_own_units():
+def test_a_function_receives_complete_values_in_their_own_units():
     problem = function_problem(lambda v: {"product": v["a"] * v["b"], "sum": v["a"] + v["b"], "more": np.float64(1)})
     assert problem.evaluate({"b": 4.0}) == {"product": 8.0, "sum": 6.0, "more": 1.0}
     assert problem.fingerprint == "v1"
@@ -209,13 +209,13 @@ def test_a_function_is_asked_with_complete_values_in_their_own_units():
         ({"sum": "fast", "product": 1.0}, "not a number"),
     ],
 )
-def test_an_incomplete_answer_fails_the_point(answer, words):
+def test_an_incomplete_result_fails_the_point(answer, words):
     with pytest.raises(EvaluationError, match=words):
         function_problem(lambda v: answer).evaluate({})
 
 
 @pytest.mark.parametrize("targets", [{"sum": (math.nan, None)}, {"sum": (1.0, 0.0)}, {"sum": (1.0, -1.0)}])
-def test_targets_must_be_numbers_with_a_positive_scatter(targets):
+def test_targets_must_be_numbers_with_a_positive_standard_deviation(targets):
     with pytest.raises(InputError):
         function_problem(lambda v: v, targets)
     with pytest.raises(InputError, match="no target"):

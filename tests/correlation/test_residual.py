@@ -1,4 +1,4 @@
-"""The whitened residual: what its rows say, and its derivatives against central differences."""
+"""The whitened residual: its rows, and its derivatives against central differences."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import pytest
 
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual, Row
-from calib.correlation.scatter import Floors, scatter_of
+from calib.correlation.standard_deviations import Floors, std_for
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.space import Parameter
@@ -45,19 +45,19 @@ def test_rows_and_a_perfect_model(build, twin):
     np.testing.assert_allclose(residual.residual(TRUTH), 0.0, atol=1e-6)
     away = residual.residual(AWAY)
     modes, measured = residual.problem.compare(AWAY), residual.problem.measured
-    np.testing.assert_allclose(away[:4] * residual.scatter.freq, -np.log1p(modes.freq_error))
+    np.testing.assert_allclose(away[:4] * residual.std.freq, -np.log1p(modes.freq_error))
     ratio = modes.paired(modes.modes.damping_ratio) / measured.damping_ratio
-    np.testing.assert_allclose(away[4:8] * residual.scatter.damping, -np.log(ratio))
+    np.testing.assert_allclose(away[4:8] * residual.std.damping, -np.log(ratio))
     np.testing.assert_array_equal(residual.kinds == "shape", np.arange(residual.n_rows) >= 8)
 
 
-def test_what_stands_under_a_root_has_a_slope_where_it_is_nothing(build, twin):
-    """A Maxwell branch: its coupling grows with the root of its stiffness, the modes with the stiffness itself."""
+def test_a_parameter_under_a_square_root_has_a_derivative_at_0(build, twin):
+    """A Maxwell branch: its coupling grows with the square root of its stiffness k, the modes with k."""
     model = build()
     row = np.eye(model.n_dof)[3] - np.eye(model.n_dof)[9]
-    strength, corner = Parameter("k", 0.0, 0.0, 5.0, "kN/m", prior_sd=1.0), Parameter("f", 2.0, 0.5, 9.0, "Hz")
+    magnitude, corner = Parameter("k", 0.0, 0.0, 5.0, "kN/m", prior_sd=1.0), Parameter("f", 2.0, 0.5, 9.0, "Hz")
     branch = Effect(
-        "k", "k", "", "", strength, lambda m: maxwell_branches([row], "k", "f"), (corner,), ({"k": 1.0, "f": 2.0},)
+        "k", "k", "", "", magnitude, lambda m: maxwell_branches([row], "k", "f"), (corner,), ({"k": 1.0, "f": 2.0},)
     )
     problem = ModalProblem(extend(model, [branch]), twin(model, TRUTH), mode_count=9)
     residual = ModalResidual(problem)
@@ -84,7 +84,7 @@ def test_jacobian_at_full_agreement(build, twin, damped, real):
         )
     else:
         values = TRUTH
-    # A damping of nothing, or next to nothing, has no difference to compare with.
+    # Zero or very small damping has no accurate difference to compare with.
     pick = [0, 1, 2, 3] if damped and not real else [0, 1, 3]
     found, expected = residual.jacobian(values, NAMES), numeric(residual, values)
     scale = np.abs(expected[:, pick]).max(axis=0)
@@ -106,8 +106,8 @@ def test_gradient_is_exact_far_from_agreement(build, twin, real):
 def test_scale_and_phase_of_shapes_do_not_matter(build, twin):
     residual = made(build, twin, noise=0.05)
     measured = residual.problem.measured
-    turned = dataclasses.replace(measured, shapes=measured.shapes * np.exp(1j * np.arange(4)))
-    other = ModalResidual(dataclasses.replace(residual.problem, measured=turned))
+    rotated = dataclasses.replace(measured, shapes=measured.shapes * np.exp(1j * np.arange(4)))
+    other = ModalResidual(dataclasses.replace(residual.problem, measured=rotated))
     a, b = residual.residual(AWAY), other.residual(AWAY)
     assert a @ a == pytest.approx(b @ b, rel=1e-9)
     ja, jb = residual.jacobian(AWAY, NAMES), other.jacobian(AWAY, NAMES)
@@ -119,7 +119,7 @@ def test_missing_entries_are_left_out(build, twin):
     measured = residual.problem.measured
     shapes, ratio = measured.shapes.copy(), measured.damping_ratio.copy()
     shapes[3, 1] = np.nan
-    shapes[1:, 2] = np.nan  # one sensor alone says nothing
+    shapes[1:, 2] = np.nan  # a single sensor carries no information
     ratio[0], ratio[1] = np.nan, 0.0
     part = dataclasses.replace(measured, shapes=shapes, damping_ratio=ratio)
     problem = dataclasses.replace(residual.problem, measured=part, override={"M3": 3})
@@ -138,7 +138,7 @@ def test_an_unpaired_mode_costs_more_than_any_partner(build, twin):
     assert len(lost)
     assert narrow.rows == residual.rows
     vector = narrow.residual(TRUTH)
-    assert vector[lost[0]] == pytest.approx(1 / narrow.scatter.freq[lost[0]])
+    assert vector[lost[0]] == pytest.approx(1 / narrow.std.freq[lost[0]])
     mine = [k for k, row in enumerate(narrow.rows) if row.mode == narrow.problem.measured.names[lost[0]]]
     np.testing.assert_array_equal(narrow.jacobian(TRUTH, NAMES)[mine], 0.0)
     assert vector @ vector > 100 * (residual.residual(AWAY) @ residual.residual(AWAY)) / residual.n_rows
@@ -149,7 +149,7 @@ def test_frequency_rows(build, twin):
     labels, freq, jacobian = residual.frequencies(AWAY, NAMES, residual.solve)
     assert labels == ("M2", "M3", "M1", "model 4", "model 5", "model 6", "model 7", "model 8")
     np.testing.assert_allclose(freq, residual.problem.compare(AWAY).modes.natural_freq)
-    whole = residual.jacobian(AWAY, NAMES)[:3] * residual.scatter.freq[:, None]
+    whole = residual.jacobian(AWAY, NAMES)[:3] * residual.std.freq[:, None]
     np.testing.assert_allclose(jacobian[[2, 0, 1]], -whole)
     # All stiffness and mass together: every undamped frequency depends on their ratio only.
     undamped = made(build, twin, damped=False)
@@ -157,7 +157,7 @@ def test_frequency_rows(build, twin):
     np.testing.assert_allclose(slope[:, 0], -0.5 / AWAY["mass"], rtol=1e-9)
 
 
-# -- scatter -----------------------------------------------------------------------------------------------------------
+# -- standard deviations -----------------------------------------------------------------------------------------------
 
 
 def with_std(build, twin, repeats):
@@ -173,36 +173,36 @@ def with_std(build, twin, repeats):
 
 
 def widened(repeats):
-    """Factor on a standard deviation of its own from so many repeats (JCGM 101:2008, 6.4.9.4)."""
+    """Widening factor of a standard deviation from so many repeats (JCGM 101:2008, 6.4.9.4)."""
     return np.sqrt((repeats - 1) / (repeats - 3))
 
 
 def test_few_repeats_are_pooled_and_many_are_not(build, twin):
     few, many = with_std(build, twin, 5), with_std(build, twin, 100)
     none = Floors(freq=0.0, damping=0.0, shape=0.0)
-    pooled, single = scatter_of(few, none), scatter_of(many, none)
+    pooled, single = std_for(few, none), std_for(many, none)
     np.testing.assert_allclose(single.freq, widened(100) * many.freq_std / many.natural_freq)
     np.testing.assert_allclose(single.shape, widened(100) * many.shape_std)
     np.testing.assert_allclose(pooled.freq, np.sqrt(np.mean((many.freq_std / many.natural_freq) ** 2)))
     np.testing.assert_allclose(pooled.damping, np.sqrt(np.mean((single.damping / widened(100)) ** 2)))
     np.testing.assert_allclose(pooled.shape, np.sqrt(np.sum(many.shape_std**2) / (4 * 11)))
     given = with_std(build, twin, 1)  # by a file
-    np.testing.assert_allclose(scatter_of(given, none).freq, given.freq_std / given.natural_freq)
-    own = scatter_of(few, none, pool=False).freq
+    np.testing.assert_allclose(std_for(given, none).freq, given.freq_std / given.natural_freq)
+    own = std_for(few, none, pool=False).freq
     np.testing.assert_allclose(own, widened(5) * few.freq_std / few.natural_freq)
 
 
-def test_floors_and_unknown_scatter(build, twin):
+def test_floors_and_unknown_std(build, twin):
     many = with_std(build, twin, 100)
     floors = Floors(freq=0.003, damping=0.04, shape=0.01)
     own = widened(100) * many.freq_std / many.natural_freq
-    np.testing.assert_allclose(scatter_of(many, floors).freq, np.hypot(own, 0.003))
+    np.testing.assert_allclose(std_for(many, floors).freq, np.hypot(own, 0.003))
     bare = twin(build(), TRUTH)
-    unknown = scatter_of(bare)
+    unknown = std_for(bare)
     np.testing.assert_allclose(unknown.freq, np.hypot(5e-3, 2e-4))
     np.testing.assert_allclose(unknown.damping, np.hypot(0.10, 0.02))
     np.testing.assert_allclose(unknown.shape, np.hypot(0.03, 5e-3))
     part = dataclasses.replace(many, freq_std=np.array([np.nan, 0.1, 0.1, 0.1]))
-    assert np.isfinite(scatter_of(part).freq).all()
+    assert np.isfinite(std_for(part).freq).all()
     with pytest.raises(InputError, match="unknown_freq is 0"):
         Floors(unknown_freq=0.0)

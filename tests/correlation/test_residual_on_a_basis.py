@@ -23,7 +23,7 @@ def pair():
 def test_residual_and_jacobian_agree_with_full_order(pair):
     _, names, full, reduced = pair
     values = {"K_primary": 700.0, "pos_long_left": 6.0}
-    assert np.abs(full.residual(values) - reduced.residual(values)).max() < 0.05  # in units of the scatter
+    assert np.abs(full.residual(values) - reduced.residual(values)).max() < 0.05  # in standard deviations
     exact, near = full.jacobian(values, names), reduced.jacobian(values, names)
     assert np.all(np.linalg.norm(exact - near, axis=0) < 5e-3 * np.linalg.norm(exact, axis=0))
 

@@ -1,4 +1,4 @@
-"""Which measured shapes are those of a rigid body."""
+"""Detection of rigid-body shapes."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def moved(translation, rotation):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_any_rigid_body_motion_is_told_as_such(seed):
+def test_any_rigid_body_motion_is_detected(seed):
     rng = np.random.default_rng(seed)
     shape = moved(rng.normal(size=3), rng.normal(size=3)) * np.exp(0.7j)
     share, looks = rigid_share(np.column_stack([shape, rng.normal(size=len(shape))]), SENSORS)
@@ -28,7 +28,7 @@ def test_any_rigid_body_motion_is_told_as_such(seed):
     assert looks.tolist() == [True, False] and share[1] < 0.9
 
 
-def test_sensors_without_a_place_or_a_value_say_nothing():
+def test_sensors_without_coordinates_or_values_are_ignored():
     shape = moved([0, 1, 0], [0, 0, 0.3]).astype(complex)
     shape[3] = np.nan
     nowhere = (*SENSORS[:-1], Sensor(4, "rz"))
@@ -38,7 +38,7 @@ def test_sensors_without_a_place_or_a_value_say_nothing():
     assert np.isnan(rigid_share(np.ones((1, 1)), [Sensor(1, "x")])[0]).all()
 
 
-def test_as_many_sensors_as_motions_prove_nothing():
+def test_as_many_sensors_as_motions_give_no_detection():
     few = SENSORS[:6]
     share, looks = rigid_share(np.random.default_rng(0).normal(size=(6, 1)), few)
     assert share[0] == pytest.approx(1.0, abs=0.5) and not looks[0]

@@ -1,4 +1,4 @@
-"""Sensors that break the very pairs by which they would be found."""
+"""Sensor faults that break the pairs needed to detect them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +34,7 @@ def found_with(example, change):
     return found.pairing, [(f.kind, set(f.sensors)) for f in suspicious_sensors(changed, found)]
 
 
-def turned(*sensors):
+def inverted(*sensors):
     def change(shapes, names):
         shapes[[names.index(s) for s in sensors]] *= -1
         return shapes
@@ -42,18 +42,18 @@ def turned(*sensors):
     return change
 
 
-def test_the_example_as_it_is_accuses_nobody(example):
-    pairing, findings = found_with(example, turned())
+def test_the_example_has_no_findings(example):
+    pairing, findings = found_with(example, inverted())
     assert not len(pairing.unpaired_measured) and findings == []
 
 
 @pytest.mark.parametrize("sensor", ["2x", "2z", "3x", "4x", "4z"])
-def test_a_turned_sensor_is_named_though_it_breaks_a_pair(example, sensor):
-    assert found_with(example, turned(sensor))[1] == [("flipped", {sensor})]
+def test_an_inverted_sensor_is_named_though_it_breaks_a_pair(example, sensor):
+    assert found_with(example, inverted(sensor))[1] == [("flipped", {sensor})]
 
 
 def test_the_pair_of_the_second_mode_is_indeed_broken(example):
-    assert found_with(example, turned("2x"))[0].unpaired_measured.tolist() == [2]
+    assert found_with(example, inverted("2x"))[0].unpaired_measured.tolist() == [2]
 
 
 def test_exchanged_sensors_are_named_though_they_exchange_partners(example):
@@ -66,18 +66,18 @@ def test_exchanged_sensors_are_named_though_they_exchange_partners(example):
     assert pairing.model_index.tolist() == [3, 0, 1, 2] and findings == [("swapped", {"1x", "4x"})]
 
 
-def test_a_dead_and_a_turned_sensor_are_both_named(example):
+def test_a_dead_and_an_inverted_sensor_are_both_named(example):
     def change(shapes, names):
         shapes[names.index("3x")] = 0.0
-        return turned("2x")(shapes, names)
+        return inverted("2x")(shapes, names)
 
     pairing, findings = found_with(example, change)
     assert len(pairing.unpaired_measured)
     assert findings == [("dead", {"3x"}), ("flipped", {"2x"})]
 
 
-def test_a_mode_that_the_model_lacks_accuses_nobody(example):
-    """An unpaired mode whose shape the model does not have is the model's affair."""
+def test_a_mode_that_the_model_lacks_gives_no_findings(example):
+    """An unpaired mode that the model lacks is a model error, not a sensor fault."""
     rng = np.random.default_rng(3)
 
     def foreign(shapes, names):
@@ -89,13 +89,13 @@ def test_a_mode_that_the_model_lacks_accuses_nobody(example):
 
 
 @pytest.mark.parametrize("name", ["bogie", "hidden_bogie"])
-def test_the_shipped_measurements_accuse_nobody(name):
+def test_the_shipped_measurements_have_no_findings(name):
     study = Study.load(STUDIES / name)
     found = study.problem.compare(study.model.space.values)
     assert suspicious_sensors(study.problem, found) == ()
 
 
-def test_shapes_that_have_nothing_in_common_accuse_hardly_anyone(build):
+def test_unrelated_shapes_give_hardly_any_findings(build):
     model, rng, accused = build(), np.random.default_rng(4), 0
     sensors = tuple(Sensor(k + 1, d, (float(k), 0.0, 0.0)) for k in range(3) for d in "xy")
     freq = model.modes(model.space.values, 5).natural_freq

@@ -11,13 +11,13 @@ MODEL = np.array([3.1, 8.7, 9.4, 21.0, 33.0, 47.0, 58.0])
 @pytest.mark.parametrize("factor", [2 * math.pi, 60.0, 1e3, 1e6])
 @pytest.mark.parametrize("by_shape", [True, False])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_known_factor_is_told_on_either_side(factor, by_shape, seed):
+def test_a_known_factor_is_reported_on_either_side(factor, by_shape, seed):
     rng = np.random.default_rng(seed)
     seen = np.sort(rng.choice(len(MODEL), 4, replace=False)) if by_shape else np.arange(4)
     measured = MODEL[seen] * np.exp(0.05 * rng.normal(size=4)) * factor
     mac = np.full((4, len(MODEL)), 0.1)
     mac[np.arange(4), seen] = 0.9
-    mac[3] = 0.2  # one that finds no partner
+    mac[3] = 0.2  # one without a partner
     given = mac if by_shape else None
     word = f"{factor:.3g}"
     assert word in frequency_hint(measured, MODEL, given)
@@ -41,13 +41,13 @@ def test_ordinary_errors_give_no_hint():
     assert hints <= 10
 
 
-def test_responses_far_from_the_model_are_told():
+def test_responses_far_from_the_model_are_reported():
     model = {"freq_1": 1.0, "freq_2": 2.0, "freq_3": 3.0, "mass": 1200.0, "sag": 0.003, "none": 0.0}
     assert response_hints({name: 1.3 * value for name, value in model.items()}, model) == ()
     (sag,) = response_hints(model | {"sag": 3.0}, model)
     assert "sag" in sag and "1000" in sag
     (mass,) = response_hints(model | {"mass": 1.2e-3}, model)
     assert "mass" in mass and "1e+06" in mass
-    turned = {name: value * (2 * math.pi if name.startswith("freq") else 1.0) for name, value in model.items()}
-    (radians,) = response_hints(turned, model)
+    scaled = {name: value * (2 * math.pi if name.startswith("freq") else 1.0) for name, value in model.items()}
+    (radians,) = response_hints(scaled, model)
     assert "freq_" in radians and "rad/s" in radians

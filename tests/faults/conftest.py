@@ -1,4 +1,4 @@
-"""The whole command on a small study, in processes that can be stopped, and what a run leaves behind."""
+"""The whole command on a small study, in processes that can be stopped, and the files of a run."""
 
 import contextlib
 import json
@@ -34,7 +34,7 @@ SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 
 def model():
     return FunctionModel("plain", SPACE, answer)
 """
-PLAIN_STUDY = """
+SCALAR_STUDY = """
 title = "Plain"
 model = "model.py:model"
 selection = ["a", "b"]
@@ -75,7 +75,7 @@ def plain(here):
     def make(function: str) -> Path:
         folder = Path("plain")
         folder.mkdir()
-        (folder / "study.toml").write_text(PLAIN_STUDY)
+        (folder / "study.toml").write_text(SCALAR_STUDY)
         (folder / "model.py").write_text(PLAIN.format(function=function))
         (folder / "measured.csv").write_text("response,value,std\ny,3.0,0.1\nz,1.0,0.1\n")
         return folder
@@ -190,7 +190,7 @@ class Runner:
                 os.setuid(user)
             asked.draw_all = draw_all if draw else lambda *given: []
             prepare()
-            code = cli.answer(list(arguments))
+            code = cli.execute(list(arguments))
         except BaseException:
             traceback.print_exc()
         finally:
@@ -223,7 +223,7 @@ def without_seconds(value):
 
 @dataclass(frozen=True)
 class Left:
-    """What a run left in its folder, without what the clock gave it."""
+    """Files of a run in its folder, without times."""
 
     rows: tuple
     history: tuple
@@ -255,7 +255,7 @@ def ledger_rows(path: Path) -> tuple[tuple, tuple]:
 
 @pytest.fixture(scope="session")
 def calibrated(tmp_path_factory) -> tuple[Path, float]:
-    """Where ``calib calibrate mast --workers 1`` was asked and nothing went wrong, without figures; its seconds."""
+    """Folder of an undisturbed ``calib calibrate mast --workers 1``, without figures; its seconds."""
     folder = tmp_path_factory.mktemp("whole")
     with contextlib.chdir(folder):
         write_example(Path("mast"))
@@ -283,7 +283,7 @@ def answered(calibrated, mast) -> Path:
 
 
 def unfinished(folder: Path) -> list[str]:
-    """Drafts that somebody did not finish."""
+    """Unfinished drafts."""
     return [p.name for p in folder.rglob(".*") if p.is_file()]
 
 

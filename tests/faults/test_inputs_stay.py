@@ -1,4 +1,4 @@
-"""Whatever is asked and wherever results go, no file that calib did not write is replaced or deleted."""
+"""Whatever is run and wherever results go, no file that calib did not write is replaced or deleted."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process", "undrawn")
 
 @pytest.fixture
 def sums(plain) -> Path:
-    """A study of plain responses whose measurement has the name of a result, ``measured.csv``."""
+    """A study of scalar responses whose measurement has the name of a result, ``measured.csv``."""
     return plain(FUNCTION)
 
 
@@ -44,7 +44,7 @@ def contents(*folders: Path | str) -> dict[Path, bytes]:
 def refused(capsys, *arguments: str) -> str:
     """The one sentence of a command that must end with code 2."""
     capsys.readouterr()
-    assert cli.answer(list(arguments)) == 2
+    assert cli.execute(list(arguments)) == 2
     text = capsys.readouterr().err
     assert text.count("\n") == 1 and text.startswith("calib: ") and text.endswith(".\n"), text
     return text
@@ -60,7 +60,7 @@ def test_results_beside_studies_are_refused(sums, capsys, verb):
     before = contents(".")
     proposed = remedy(refused(capsys, verb, "plain", "--results", "."))
     assert contents(".") == before
-    assert cli.answer(["compare", "plain", "--results", proposed]) == 0
+    assert cli.execute(["compare", "plain", "--results", proposed]) == 0
     assert {p: b for p, b in contents(".").items() if p in before} == before
 
 
@@ -89,10 +89,10 @@ def test_however_the_place_is_spelled(sums, capsys, monkeypatch, verb, way):
 
 
 def test_a_study_that_was_extended_into_the_results(library, capsys):
-    """Asked with all defaults."""
-    assert cli.answer(["compare", "mast"]) == 0
+    """Run with all defaults."""
+    assert cli.execute(["compare", "mast"]) == 0
     capsys.readouterr()
-    assert cli.answer(["extend", "mast", "guy", "--into", "results/mast2"]) == 0
+    assert cli.execute(["extend", "mast", "guy", "--into", "results/mast2"]) == 0
     command = capsys.readouterr().out.splitlines()[-1].partition("calib ")[2].split()
     before = contents("results/mast2", "mast")
     refused(capsys, "report", "results/mast2")
@@ -100,7 +100,7 @@ def test_a_study_that_was_extended_into_the_results(library, capsys):
         proposed = remedy(refused(capsys, verb, "results/mast2"))
         assert contents("results/mast2", "mast") == before
     assert command[:2] == ["calibrate", "results/mast2"] and command[-1] == proposed
-    assert cli.answer(["compare", *command[1:]]) == 0
+    assert cli.execute(["compare", *command[1:]]) == 0
     assert contents("results/mast2", "mast") == before
     assert Path(proposed, "mast2", "comparison_before.csv").is_file()
 
@@ -121,11 +121,11 @@ def test_files_of_the_user_where_results_would_go(sums, capsys):
     assert contents("results/plain/quick") == {
         Path("results/plain/quick") / p.relative_to("plain"): b for p, b in contents("plain").items()
     }
-    assert cli.answer(["compare", "plain"]) == 0
+    assert cli.execute(["compare", "plain"]) == 0
 
 
 def test_inputs_among_the_results(sums, capsys):
-    assert cli.answer(["compare", "plain"]) == 0
+    assert cli.execute(["compare", "plain"]) == 0
     shutil.move("plain/measured.csv", "results/plain/mine.csv")
     text = Path("plain/study.toml").read_text()
     Path("plain/study.toml").write_text(text.replace('"measured.csv"', '"../results/plain/mine.csv"'))
@@ -133,7 +133,7 @@ def test_inputs_among_the_results(sums, capsys):
     for verb in VERBS:
         assert "mine.csv" in refused(capsys, verb, "plain")
     assert contents(".") == before
-    assert cli.answer(["compare", "plain", "--results", "other"]) == 0
+    assert cli.execute(["compare", "plain", "--results", "other"]) == 0
 
 
 @pytest.mark.parametrize("name", ["measured.csv", "record.json", "parameters.png", "report.html"])
@@ -142,54 +142,54 @@ def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monk
         monkeypatch.setattr("calib.front.study.draw_all", draw_all)
     if name.endswith(".html"):
         monkeypatch.setattr("calib.front.study.write_report", write_report)
-    assert cli.answer(["calibrate", "plain", "--workers", "1"]) == 0
-    assert cli.answer(["report", "plain"]) == 0
+    assert cli.execute(["calibrate", "plain", "--workers", "1"]) == 0
+    assert cli.execute(["report", "plain"]) == 0
     file = Path("results/plain", name)
     mine = [b"mine, by that name", b"mine again"]
     for content in mine:
         file.write_bytes(content)
-        assert cli.answer(["compare", "plain"]) == 0
-        assert cli.answer(["report", "plain"]) == 0
+        assert cli.execute(["compare", "plain"]) == 0
+        assert cli.execute(["report", "plain"]) == 0
         assert file.read_bytes() != content
     kept = {p: p.read_bytes() for p in file.parent.glob(f"*{KEPT}*")}
     assert sorted(kept.values()) == sorted(mine)
     said = capsys.readouterr().out
     assert all(said.count(str(p)) == 1 for p in kept)
-    assert cli.answer(["report", "plain"]) == 0
+    assert cli.execute(["report", "plain"]) == 0
     said = capsys.readouterr().out
     assert not [p for p in kept if str(p) in said]
 
 
 def test_what_calib_wrote_is_replaced(sums):
-    assert cli.answer(["calibrate", "plain"]) == 0
+    assert cli.execute(["calibrate", "plain"]) == 0
     text = Path("plain/measured.csv").read_text()
     Path("plain/measured.csv").write_text(text.replace("3.0", "3.1"))
     names = set(contents("results"))
-    assert cli.answer(["calibrate", "plain"]) == 0
+    assert cli.execute(["calibrate", "plain"]) == 0
     assert set(contents("results")) == names and not list(Path("results/plain").glob(f"*{KEPT}*"))
 
 
 def test_two_studies_of_one_name(sums, capsys):
     shutil.copytree("plain", "other/plain")
-    assert cli.answer(["calibrate", "plain"]) == 0
+    assert cli.execute(["calibrate", "plain"]) == 0
     before = contents("results")
     for verb in VERBS:
         text = refused(capsys, verb, "other/plain")
         assert str(Path("plain/study.toml").resolve()) in text and OWNER in text
     assert contents("results") == before
-    assert cli.answer(["compare", "other/plain", "--results", "others"]) == 0
+    assert cli.execute(["compare", "other/plain", "--results", "others"]) == 0
 
 
 def test_a_study_moved_together_with_its_results(sums):
-    assert cli.answer(["compare", "plain"]) == 0
+    assert cli.execute(["compare", "plain"]) == 0
     Path("moved").mkdir()
     shutil.move("plain", "moved/plain")
     shutil.move("results", "moved/results")
-    assert cli.answer(["compare", "moved/plain", "--results", "moved/results"]) == 0
+    assert cli.execute(["compare", "moved/plain", "--results", "moved/results"]) == 0
 
 
 def test_results_of_earlier_versions_stay_as_they_are(sums, capsys):
-    assert cli.answer(["calibrate", "plain"]) == 0
+    assert cli.execute(["calibrate", "plain"]) == 0
     Path("results/plain", LOG).unlink()
     before = contents(".")
     for verb in VERBS:

@@ -1,4 +1,4 @@
-"""Models that end their process or never answer, without a word about workers: rows, and the command goes on."""
+"""Models that end their process or never return, with default workers: failed rows, and the command goes on."""
 
 import json
 import sqlite3
@@ -85,5 +85,5 @@ def test_adopted_values_that_end_the_process_are_told(faults, capsys):
     faults("ctypes.string_at(0)")
     study = Path("faults/study.toml")
     study.write_text(study.read_text() + "[parameters.a]\nvalue = 2.9\n")
-    assert cli.answer(["compare", "faults"]) == 2
+    assert cli.execute(["compare", "faults"]) == 2
     assert WORKER_DIED in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Models given as matrices of another program: half a matrix, empty places, no elements to draw, or a wrong mesh."""
+"""Models given as matrices of another program: half a matrix, zero rows, no elements to draw, or a wrong mesh."""
 
 import shutil
 from dataclasses import replace
@@ -33,7 +33,7 @@ def bare(here):
 @pytest.mark.parametrize("half", ["upper", "lower"])
 def test_half_a_matrix_is_refused(bare, capsys, half):
     folder = bare(f'half = "{half}"')
-    assert cli.answer(["compare", str(folder)]) == 2
+    assert cli.execute(["compare", str(folder)]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and f"only the {half} half" in said and "'springs' of the stiffness" in said
     assert not Path("results").exists() or not list(Path("results").rglob("*.csv"))
@@ -74,12 +74,12 @@ def test_an_empty_degree_of_freedom_is_named(bare):
 
 
 @pytest.mark.parametrize(("shape", "verbs"), [("[0, 2]", ["run"]), ("[0]", ["compare", "report"])])
-def test_a_mesh_without_elements_can_be_asked_everything(bare, capsys, request, shape, verbs):
+def test_a_mesh_without_elements_allows_every_analysis(bare, capsys, request, shape, verbs):
     if verbs == ["run"]:  # the figures of the other case are drawn to the last pixel
         request.getfixturevalue("unrendered")
     folder = bare(f"shape = {shape}")
     for verb in verbs:
-        assert cli.answer([verb, str(folder)]) == 0, capsys.readouterr().err
+        assert cli.execute([verb, str(folder)]) == 0, capsys.readouterr().err
     made = {path.name for path in Path("results/bare").iterdir()}
     assert {"report.html", "model.png"} <= made and not Path("calib-error.log").exists()
 
@@ -132,7 +132,7 @@ def test_a_mesh_that_does_not_fit_is_the_users_to_mend(mast, capsys, lines):
     changed = f"mesh=(lambda q: __import__('dataclasses').replace(q, lines={lines}))(frame.mesh()),"
     assert text.count("mesh=frame.mesh(),") == 1
     file.write_text(text.replace("mesh=frame.mesh(),", changed))
-    assert cli.answer(["compare", str(mast)]) == 2
+    assert cli.execute(["compare", str(mast)]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "model mast, mesh" in said and "study.toml" in said
     assert not Path("calib-error.log").exists() and not list(Path().glob("results/**/*.csv"))

@@ -1,4 +1,4 @@
-"""Models that misbehave: every fault is a row with a clear message, and the study goes on."""
+"""Models that fail: every fault is a row with a clear message, and the study goes on."""
 
 import json
 import sqlite3
@@ -121,11 +121,11 @@ def check_rows(last: int) -> None:
 
 def test_every_fault_in_this_process_is_a_row(faulty, here):
     faulty(11)
-    assert cli.answer(["sensitivity", "faulty", "--workers", "1"]) == 0
+    assert cli.execute(["sensitivity", "faulty", "--workers", "1"]) == 0
     check_rows(11)
-    assert len(evaluations()) == 25  # and the adopted values
+    assert len(evaluations()) == 25  # and the nominal values
     assert Path.cwd() == here and Path("results/faulty/sensitivity.csv").exists()
-    assert cli.answer(["calibrate", "faulty", "--workers", "1"]) == 0
+    assert cli.execute(["calibrate", "faulty", "--workers", "1"]) == 0
     summary = json.loads(Path("results/faulty/summary.json").read_text())
     assert summary["evaluations"] == 48 and summary["failed"] > 0
     assert not Path("calib-error.log").exists() and not list(Path().rglob("run/results"))
@@ -136,26 +136,26 @@ def test_every_fault_in_worker_processes_is_a_row(faulty):
     faulty(14)
     study = Path("faulty/study.toml")
     study.write_text(study.read_text().replace("[calibration]", "[calibration]\ntime_limit = 2.0", 1))
-    assert cli.answer(["sensitivity", "faulty", "--workers", "2"]) == 0
+    assert cli.execute(["sensitivity", "faulty", "--workers", "2"]) == 0
     check_rows(14)
     assert len(evaluations()) == 31
-    assert cli.answer(["calibrate", "faulty", "--workers", "2"]) == 0
+    assert cli.execute(["calibrate", "faulty", "--workers", "2"]) == 0
     check_rows(14)
 
 
-def test_a_model_that_fails_at_its_adopted_values(plain, capsys):
+def test_a_model_that_fails_at_its_nominal_values(plain, capsys):
     plain("def answer(values):\n    import sys\n    sys.exit(0)")
     for verb in ("compare", "calibrate", "run"):
         capsys.readouterr()
-        assert cli.answer([verb, "plain"]) == 2
+        assert cli.execute([verb, "plain"]) == 2
         said = capsys.readouterr().err
-        assert "at its adopted values: SystemExit: 0 (model.py, line " in said and said.count("\n") == 1
+        assert "at its nominal values: SystemExit: 0 (model.py, line " in said and said.count("\n") == 1
 
 
 def test_a_model_that_leaves_for_another_directory(plain, here, monkeypatch):
     monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
     plain("import os\ndef answer(values):\n    os.chdir('/')\n    return {'y': values['a'], 'z': values['b']}")
-    assert cli.answer(["run", "plain", "--workers", "1"]) == 0
+    assert cli.execute(["run", "plain", "--workers", "1"]) == 0
     assert Path.cwd() == here and Path("results/plain/summary.json").exists()
 
 
@@ -197,7 +197,7 @@ def points(*xs):
     return [{"x": float(x)} for x in xs]
 
 
-def test_a_point_that_hangs_is_given_up(slow, tmp_path):
+def test_a_point_that_hangs_is_abandoned(slow, tmp_path):
     with Evaluator(slow, 2, time_limit=0.5) as evaluator:
         outcomes = evaluator.evaluate(points(1, 2, -1, 3, -2, 4, 5, 6))
         again = evaluator.evaluate(points(7, 1))
@@ -216,7 +216,9 @@ def test_a_point_that_hangs_is_given_up(slow, tmp_path):
     late = [o for o in outcomes if o.status == "failed"]
     assert all(o.transient and o.seconds >= 0.5 for o in late)
     asked = (tmp_path / "log").read_text().split()
-    assert asked.count("-1") == 1 and asked.count("-2") <= 2  # giving up once is enough; a neighbour may begin anew
+    assert (
+        asked.count("-1") == 1 and asked.count("-2") <= 2
+    )  # abandoning one point is enough; its neighbour may be restarted
 
 
 def test_hanging_and_dying_in_one_batch(slow):

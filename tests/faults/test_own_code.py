@@ -13,7 +13,7 @@ LOG = Path("calib-error.log")
 
 def told(capsys, *arguments):
     capsys.readouterr()
-    assert cli.answer(list(arguments)) == 2
+    assert cli.execute(list(arguments)) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "Traceback" not in said
     return said
@@ -80,8 +80,8 @@ from calib.effect import Effect
 from calib.space import Parameter
 
 def library():
-    strength = Parameter("bend", 0.0, -1.0, 1.0, prior_sd=0.5)
-    return (Effect("bend", "a bend", "It is straight.", "Bends.", strength, lambda model: {build}),)
+    magnitude = Parameter("bend", 0.0, -1.0, 1.0, prior_sd=0.5)
+    return (Effect("bend", "a bend", "It is straight.", "Bends.", magnitude, lambda model: {build}),)
 """
 
 
@@ -153,7 +153,7 @@ RESPONSES = {1: 3.2, 2: 5.5, 3: 7.1, 4: 9.9, 5: 16.0}
 
 @pytest.fixture
 def bent(plain):
-    """Makes the plain study with five responses and a library whose first effect fails wherever it is asked."""
+    """Makes the plain study with five responses and a library whose first effect fails everywhere."""
 
     def make(count: int, head: str = "") -> Path:
         folder = plain(
@@ -181,7 +181,7 @@ def test_an_exception_in_the_only_effect(bent, capsys):
 
 def test_an_exception_in_one_effect_of_several(bent, undrawn, capsys):
     folder = bent(2)
-    assert cli.answer(["explain", str(folder)]) == 0
+    assert cli.execute(["explain", str(folder)]) == 0
     assert fault_of(folder) in " ".join(capsys.readouterr().out.split())
     assert "# here" in LOG.read_text() and "NameError" in LOG.read_text()
 

@@ -33,7 +33,7 @@ def one_sentence(text: str) -> bool:
 def told(capsys, *arguments: str) -> str:
     """The complaint of a command that must end with code 2."""
     capsys.readouterr()
-    assert cli.answer(list(arguments)) == 2
+    assert cli.execute(list(arguments)) == 2
     text = capsys.readouterr().err
     assert one_sentence(text) and "Traceback" not in text and not Path("calib-error.log").exists()
     return text
@@ -61,13 +61,13 @@ def shared(monkeypatch):
 
 @pytest.fixture
 def weak():
-    """Whom a run must be for permissions to bind."""
+    """An unprivileged user, to whom permissions apply."""
     return NOBODY if os.geteuid() == 0 else None
 
 
 @pytest.fixture
 def prepared(shared: Path, calibrated, weak) -> dict[str, bytes]:
-    """The files of a study's results that belong to the weak user, answered once; something is left to be asked."""
+    """Results of a study after one analysis, owned by the unprivileged user."""
     home = calibrated[0]
     shutil.copytree(home / "mast", "mast")
     shutil.copytree(home / "results", "results")
@@ -114,7 +114,7 @@ def test_results_of_a_study_whose_folder_may_not_be_read(prepared, shared, runne
 
 
 def test_results_replaced_by_a_file(mast, capsys):
-    assert cli.answer(["compare", "mast"]) == 0
+    assert cli.execute(["compare", "mast"]) == 0
     shutil.rmtree(FOLDER)
     FOLDER.write_text("a file")
     for verb in ("compare", "sensitivity", "calibrate", "run"):
@@ -136,7 +136,7 @@ def test_results_replaced_by_a_file_while_running(mast, capsys, monkeypatch):
     assert "cannot be written" in told(capsys, "calibrate", "mast", "--workers", "1")
     assert FOLDER.read_text() == "a file"
     FOLDER.unlink()
-    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+    assert cli.execute(["calibrate", "mast", "--workers", "1"]) == 0
 
 
 # -- full disks --------------------------------------------------------------------------------------------------------
@@ -252,11 +252,11 @@ def test_a_damaged_ledger(answered, capsys, damage, words):
     assert tables == {n: before[n] for n in tables}
 
 
-def test_without_its_damaged_ledger_a_study_is_answered_anew(answered, capsys):
+def test_without_its_damaged_ledger_a_study_is_evaluated_again(answered, capsys):
     LEDGER.write_bytes(b"no database at all")
     told(capsys, "calibrate", "mast", "--workers", "1")
     LEDGER.rename("away.sqlite")
-    assert cli.answer(["calibrate", "mast", "--workers", "1"]) == 0
+    assert cli.execute(["calibrate", "mast", "--workers", "1"]) == 0
 
 
 def test_damaged_rows(answered, capsys):
@@ -305,4 +305,4 @@ def test_a_study_edited_while_running(mast, capsys, monkeypatch, workers, old, n
         assert words in told(capsys, "calibrate", "mast", "--workers", workers)
         assert not Path("results/mast/parameters.csv").exists()
         file.write_text(file.read_text().replace(new, old, 1))
-    assert cli.answer(["calibrate", "mast", "--workers", workers]) == 0
+    assert cli.execute(["calibrate", "mast", "--workers", workers]) == 0

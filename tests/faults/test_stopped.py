@@ -127,7 +127,7 @@ def test_interrupted_again_while_leaving(mast, runner, left, whole):
         run = runner.fork("calibrate", "mast", "--workers", "2")
         run.until((FOLDER / "ledger.sqlite-wal").exists)
         time.sleep(0.3)
-        for _ in range(40):  # as an impatient hand, until it is over
+        for _ in range(40):  # Ctrl-C again and again, until it is over
             run.send(signal.SIGINT, everybody=True)
             time.sleep(draw.uniform(0.0, 0.02))
         assert run.wait() == 130, run.err
@@ -166,12 +166,12 @@ def test_a_stop_loses_only_what_is_under_way(plain, runner, rows, undrawn, monke
 
     run = runner.fork("sensitivity", "plain", "--workers", str(workers), "--quick")
     run.until(lambda: answered() >= 7)
-    before = answered()  # what was answered by now has come home when the next ones are under way
+    before = answered()  # outcomes so far have arrived when the next points are in progress
     run.until(lambda: answered() >= before + workers)
     run.send(sign, everybody=sign == signal.SIGINT)
     run.wait()
     assert run.code == (130 if sign == signal.SIGINT else -sign)
-    assert len(rows(ledger)[0]) >= before - workers  # those may still be on their way home
+    assert len(rows(ledger)[0]) >= before - workers  # those may not have arrived yet
     assert run.nobody_left()
     kept, asked = len(rows(ledger)[0]), answered()
     again = runner.fork("sensitivity", "plain", "--workers", "2", "--quick")
@@ -181,7 +181,7 @@ def test_a_stop_loses_only_what_is_under_way(plain, runner, rows, undrawn, monke
     model = Path("plain/model.py")
     model.write_text(model.read_text().replace("time.sleep", ""))
     monkeypatch.setattr("calib.front.study.isolated", lambda study: study)
-    assert cli.answer(["sensitivity", "plain", "--workers", "1", "--quick", "--results", "whole"]) == 0
+    assert cli.execute(["sensitivity", "plain", "--workers", "1", "--quick", "--results", "whole"]) == 0
     folders = Path("results/plain/quick"), Path("whole/plain/quick")
     tables = [{p.name: p.read_bytes() for p in folder.glob("*.csv")} for folder in folders]
     assert tables[0] == tables[1]

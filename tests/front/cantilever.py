@@ -1,7 +1,7 @@
 """A cantilever that bends in two planes, by Euler-Bernoulli elements: modes by numpy alone, and its matrices.
 
-It stands on a spring against rotation, carries a mass at its tip and a dashpot, and may have a prop on the way. What
-is measured is synthetic: a mesh four times as fine, other parameters, noise and repeats.
+It stands on a rotational spring, carries a mass at its tip and a dashpot, and may have a prop along its length. The
+measurement is synthetic: a mesh four times as fine, other parameters, noise and repeats.
 """
 
 import numpy as np
@@ -93,7 +93,7 @@ BEAM = Beam(ELEMENTS)
 
 
 def bends(v):
-    """The model as a function: what a user's own code would be."""
+    """The model as a function, as in a user's own code."""
     freq, ratio, shapes = BEAM.modes(v, 14)
     return {"natural_freq": freq, "damping_ratio": ratio, "shapes": shapes}
 
@@ -149,8 +149,8 @@ def measured(prop=0.0, n_modes=8, repeats=6, seed=3, sensors=SENSORS, **true):
 
 
 def _effect(name, unit, sd, upper, build):
-    strength = calib.Parameter(name, 0.0, 0.0, upper, unit, prior_sd=sd)
-    return calib.Effect(name, name, "it is left out", "whether it is there", strength, build)
+    magnitude = calib.Parameter(name, 0.0, 0.0, upper, unit, prior_sd=sd)
+    return calib.Effect(name, name, "it is left out", "whether it is there", magnitude, build)
 
 
 def effects_of_function():
@@ -205,7 +205,7 @@ sensors = "sensors.csv"
 repeats = 6
 std_of = "mean"
 synthetic = true
-[withheld]
+[held_out]
 modes = ["m8"]
 [pairing]
 mode_count = 14

@@ -19,8 +19,8 @@ def test_the_script_of_the_documents_names_what_is_missing(tmp_path, monkeypatch
     names = runpy.run_path(str(ROOT / "docs/from_python.py"))
     why, fit, better = names["why"], names["fit"], names["better"]
     assert why.verdict == "effect" and [e.name for e in why.named] == ["brake_unit"]
-    assert fit.judgement.fits is False and better.judgement.fits
+    assert fit.statistics.fits is False and better.statistics.fits
     before, after = (one.errors.set_index("group")["rms"] for one in (fit, better))
-    assert after["withheld_modes"] < before["withheld_modes"] and after["left_out"] < before["left_out"]
+    assert after["held_out_modes"] < before["held_out_modes"] and after["left_out"] < before["left_out"]
     assert os.path.getsize("frequency_errors.png") > 10_000 and Path("report.html").stat().st_size > 100_000
     assert Path("results/bogie/quick/verdicts.csv").is_file()

@@ -1,4 +1,4 @@
-"""The front door: problems, tests and answers in a notebook's words give what a study in a folder gives."""
+"""The Python interface: problems and tests in memory give the results of a study in a folder."""
 
 import doctest
 import importlib
@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import calib
+from calib.analyses.calibrate import calibrate
+from calib.analyses.compare import comparison_at
+from calib.analyses.explain import explain
 from calib.ledger import Ledger
-from calib.questions.calibrate import calibrate
-from calib.questions.compare import answer_at
-from calib.questions.explain import explain
 from calib.results import Results
 from models.five_mass_chain import five_mass_chain
 from models.four_storey_rig import four_storey_rig
@@ -51,13 +51,13 @@ def explained(chain, library):
 
 def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
     study = calib.Study.load(STUDIES / "four_storey_rig").loaded
-    own = answer_at(study, study.model.space.values)
+    own = comparison_at(study, study.model.space.values)
     assert rig.compare().table.equals(own.table)
     fit = rig.calibrate(STOREYS, starts=3)
     results = Results.at(tmp_path, "rig")
     with Ledger.open(results.path / "ledger.sqlite") as ledger:
-        found = calibrate(study, results, ledger, method="gauss-newton").best.judgement
-    assert fit.judgement.criterion == pytest.approx(found.criterion, abs=1e-3)
+        found = calibrate(study, results, ledger, method="gauss-newton").best.statistics
+    assert fit.statistics.criterion == pytest.approx(found.criterion, abs=1e-3)
     told = found.verdicts(study.search_space, {}).set_index("parameter")
     np.testing.assert_allclose(fit.parameters["value"], told["value"], rtol=1e-3)
     np.testing.assert_allclose(fit.parameters["std"], told["std"], rtol=1e-3)
@@ -69,12 +69,12 @@ def test_a_function_is_explained_as_in_the_study(chain, explained, tmp_path):
     found = explain(study, Results.at(tmp_path, "chain"))
     why = explained
     assert why.verdict == found.verdict == "effect"
-    assert [e.name for e in why.named] == list(found.findings.credible)
+    assert [e.name for e in why.named] == list(found.explanation.credible)
     mine, own = why.explanation.effects.set_index("name"), found.effects.set_index("name")
-    np.testing.assert_allclose(mine["phi"], own["phi"], rtol=0.02)
+    np.testing.assert_allclose(mine["magnitude"], own["magnitude"], rtol=0.02)
     before = chain.calibrate()
     after = why.with_named().calibrate()
-    assert before.judgement.fits is False and after.judgement.fits
+    assert before.statistics.fits is False and after.statistics.fits
     rms = [fit.errors.set_index("group").loc["left_out", "rms"] for fit in (before, after)]
     assert rms[1] < 0.5 * rms[0]
 
@@ -88,7 +88,7 @@ def test_a_missing_effect_of_a_structure_is_named_and_added(tmp_path):
     modes = calib.read_modes(str(folder / "measured/*.uff"), sensors=folder / "measured/sensors.csv", synthetic=True)
     test = calib.ModalTest(
         modes,
-        held_out=(*settings.withheld.modes, *settings.withheld.sensors),
+        held_out=(*settings.held_out.modes, *settings.held_out.sensors),
         clusters=settings.pairing.clusters,
         mode_count=12,
         freq_window=(1.0, 50.0),
@@ -97,11 +97,11 @@ def test_a_missing_effect_of_a_structure_is_named_and_added(tmp_path):
     why = problem.explain(bogie_effects())
     assert why.verdict == "effect" and [e.name for e in why.named] == ["brake_unit"]
     row = why.table.set_index("name").loc["brake_unit"]
-    assert row["phi_low"] < 60 < row["phi_high"]
+    assert row["magnitude_low"] < 60 < row["magnitude_high"]
     better = why.with_named().calibrate()
     before, after = (fit.errors.set_index("group") for fit in (problem.calibrate(), better))
-    assert after.loc["withheld_sensors", "rms"] < 0.6 * before.loc["withheld_sensors", "rms"]
-    assert after.loc["withheld_sensors", "p"] > 0.05 and before.loc["withheld_sensors", "p"] < 1e-6
+    assert after.loc["held_out_sensors", "rms"] < 0.6 * before.loc["held_out_sensors", "rms"]
+    assert after.loc["held_out_sensors", "p"] > 0.05 and before.loc["held_out_sensors", "p"] < 1e-6
 
 
 # -- several tests -----------------------------------------------------------------------------------------------------
@@ -167,7 +167,7 @@ def test_held_out_data_check_a_fit(chain):
     own = calib.Problem(chain.model, replace(test, held_out=tuple(names)))
     fit = own.calibrate()
     groups = fit.errors.set_index("group")
-    assert groups.loc["withheld_responses", "rows"] == 2
+    assert groups.loc["held_out_responses", "rows"] == 2
     assert len(own.posed.rows) == len(test.measured.targets) - 2
     assert not set(names) & {row.sensor for row in own.posed.rows}
 
@@ -181,7 +181,7 @@ def test_an_accuracy_that_comes_with_the_modes_is_told(rig):
 # -- what is shown, and what is refused --------------------------------------------------------------------------------
 
 
-def test_answers_print_their_table_with_every_number(rig):
+def test_results_print_their_table_with_every_number(rig):
     found = rig.compare()
     for text in (str(found), found._repr_html_()):
         assert all(f"{value:.4g}" in text for value in found.table["natural_freq_model"])
@@ -213,7 +213,7 @@ def test_what_does_not_fit_together_is_refused(rig, chain, wrong):
         wrong(rig, chain)
 
 
-def test_nothing_named_is_not_added(explained, library):
+def test_without_a_named_effect_none_is_added(explained, library):
     rest = [e for e in library if e not in explained.named]
     again = explained.with_named().explain(rest)
     assert again.verdict == "nothing_detectable" and again.named == ()
@@ -233,7 +233,7 @@ def test_every_public_name_is_there_and_documented():
         calib.nothing  # noqa: B018
 
 
-def test_importing_the_front_door_imports_nothing_else():
+def test_importing_the_package_imports_nothing_else():
     told = "import sys, calib; print(sorted(m for m in sys.modules if m.split('.')[0] in ('numpy', 'scipy', 'pandas')))"
     found = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"

@@ -1,4 +1,4 @@
-"""A plane frame whose matrices another code has assembled, compared and calibrated in a few lines.
+"""A plane frame with matrices assembled by another code, compared and calibrated in a few lines.
 
 Twelve storeys of four columns, each storey with a stiffness of its own; about a thousand degrees of freedom, no inertia
 of rotation, so that the mass matrix is singular. The measurement is synthetic: a finer mesh, other stiffnesses, noise.
@@ -76,7 +76,7 @@ class Frame:
 
 @pytest.fixture(scope="module")
 def measured():
-    """Eight modes of the finer frame at three columns a floor, with noise that is stated as their scatter."""
+    """Eight modes of the finer frame at three columns per floor, with noise of the stated standard deviation."""
     frame, rng = Frame(7), np.random.default_rng(4)
     truth = {f"EI_{k}": 1.0 for k in range(1, STOREYS + 1)} | {"EI_1": 0.72, "EI_4": 1.18, "EI_9": 0.85}
     whole = sum(truth.get(name, 1.0) * m for name, m in frame.stiffness.items())
@@ -131,4 +131,4 @@ def test_matrices_of_another_code_are_compared_and_calibrated(measured):
     assert after["freq_error"].abs().max() < 4e-3 and after["mac"].min() > 0.97
     off = (fit.parameters["value"] - fit.parameters.index.map(truth)) / fit.parameters["std"]
     assert off.abs().max() < 3.5 and (off**2).mean() < 2.5
-    assert fit.parameters["value"]["EI_1"] < 0.85 and fit.judgement.fits
+    assert fit.parameters["value"]["EI_1"] < 0.85 and fit.statistics.fits

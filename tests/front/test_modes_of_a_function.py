@@ -1,4 +1,4 @@
-"""A function that returns modes at sensors is asked what a model of matrices is asked, and answers the same."""
+"""A function that returns modes at sensors gives the same results as a model of matrices."""
 
 import math
 
@@ -9,7 +9,7 @@ import pytest
 import calib
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
-from calib.structure.modal_answer import modes_from, modes_of, numbers_of
+from calib.structure.modal_result import modes_from, modes_of, numbers_of
 from tests.front.cantilever import (
     ADOPTED,
     BEAM,
@@ -52,10 +52,10 @@ def test_fit_and_standard_deviations_are_those_of_the_matrices(fits):
         assert own.values[name] == pytest.approx(theirs.values[name], abs=1e-3 * std)
         assert own.parameters.loc[name, "std"] == pytest.approx(std, rel=1e-4)
         assert abs(theirs.values[name] - TRUE[name]) < 5 * std
-    assert own.judgement.criterion == pytest.approx(theirs.judgement.criterion, rel=1e-6)
+    assert own.statistics.criterion == pytest.approx(theirs.statistics.criterion, rel=1e-6)
     assert list(own.parameters["identified"]) == list(theirs.parameters["identified"])
     pd.testing.assert_frame_equal(own.errors, theirs.errors, rtol=1e-4)
-    pd.testing.assert_frame_equal(own.judgement.predictions, theirs.judgement.predictions, rtol=1e-4)
+    pd.testing.assert_frame_equal(own.statistics.predictions, theirs.statistics.predictions, rtol=1e-4)
 
 
 def test_held_out_modes_and_sensors_check_a_function_as_they_check_matrices():
@@ -63,7 +63,7 @@ def test_held_out_modes_and_sensors_check_a_function_as_they_check_matrices():
     own, theirs = (
         calib.Problem(make(), test).calibrate(["EI_y", "EI_z"]).errors for make in (as_function, as_matrices)
     )
-    assert {"withheld_modes", "withheld_sensors"} <= set(own["group"])
+    assert {"held_out_modes", "held_out_sensors"} <= set(own["group"])
     pd.testing.assert_frame_equal(own, theirs, rtol=1e-4)
 
 
@@ -82,7 +82,7 @@ def test_several_tests_each_under_its_condition_share_their_parameters():
     assert list(own.errors["test"].unique()) == ["light", "heavy"]
 
 
-def test_no_point_is_asked_twice(test):
+def test_no_point_is_evaluated_twice(test):
     asked = []
 
     def counted(v):
@@ -214,7 +214,7 @@ def changed(**parts):
         (GOOD["natural_freq"], GOOD["shapes"]),
     ],
 )
-def test_what_is_no_answer_is_a_failed_point_with_one_sentence(answer):
+def test_an_invalid_result_is_a_failed_point_with_one_sentence(answer):
     with pytest.raises(calib.EvaluationError) as fault:
         of(answer)
     assert "\n" not in str(fault.value) and len(str(fault.value)) < 160
@@ -266,8 +266,8 @@ def test_a_function_that_fails_in_places_is_fitted_around_them(test):
     fit = calib.Problem(model, test).calibrate(["EI_y", "EI_z", "m_tip"])
     assert fit.values["m_tip"] < 1.6
     assert (
-        fit.judgement.criterion
-        < calib.Problem(model, test).keep(["EI_y", "EI_z", "m_tip"]).judge({}).judgement.criterion
+        fit.statistics.criterion
+        < calib.Problem(model, test).keep(["EI_y", "EI_z", "m_tip"]).judge({}).statistics.criterion
     )
 
 

@@ -1,4 +1,4 @@
-"""What a function of modes lacks is found like what matrices lack."""
+"""Effects missing in a function of modes are found as in a model of matrices."""
 
 from dataclasses import replace
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.questions.function_atoms import modal_function_atoms
-from calib.questions.function_variants import FunctionVariants
+from calib.analyses.function_perturbations import modal_function_perturbations
+from calib.analyses.function_variants import FunctionVariants
 from tests.front.cantilever import (
     ADOPTED,
     SENSORS,
@@ -27,7 +27,7 @@ PROP = 2500.0
 def explained():
     test = calib.ModalTest(measured(prop=PROP), mode_count=14)
     sides = {"function": (as_function(), effects_of_function()), "matrices": (as_matrices(), effects_of_matrices())}
-    return {side: calib.Problem(model, test).explain(effects) for side, (model, effects) in sides.items()}
+    return {adapter: calib.Problem(model, test).explain(effects) for adapter, (model, effects) in sides.items()}
 
 
 def test_a_missing_prop_is_found_as_with_matrices(explained):
@@ -35,15 +35,15 @@ def test_a_missing_prop_is_found_as_with_matrices(explained):
     assert own.verdict == theirs.verdict == "effect"
     assert [e.name for e in own.named] == [e.name for e in theirs.named] == ["prop"]
     mine, other = (why.table.set_index("name") for why in (own, theirs))
-    for column in ("phi", "phi_low", "phi_high", "ln_bayes", "z"):
+    for column in ("magnitude", "magnitude_low", "magnitude_high", "ln_bayes", "z"):
         assert mine.loc["prop", column] == pytest.approx(other.loc["prop", column], rel=1e-3)
-    assert mine.loc["prop", "phi_low"] < PROP < mine.loc["prop", "phi_high"]
+    assert mine.loc["prop", "magnitude_low"] < PROP < mine.loc["prop", "magnitude_high"]
     assert mine.loc["m_mid", "z"] == pytest.approx(other.loc["m_mid", "z"], rel=1e-2)
     np.testing.assert_allclose(own.errors["rms"], theirs.errors["rms"], rtol=1e-3)
 
 
 def test_with_the_prop_the_function_is_fitted_as_the_matrices_are(explained):
-    own, theirs = (explained[side].with_named().calibrate() for side in ("function", "matrices"))
+    own, theirs = (explained[adapter].with_named().calibrate() for adapter in ("function", "matrices"))
     assert "prop" in own.parameters.index
     for name in (*ADOPTED, "prop"):
         std = theirs.parameters.loc[name, "std"]
@@ -67,13 +67,13 @@ def test_an_effect_may_wrap_the_function_instead():
 
         return stiffer
 
-    strength = calib.Parameter("seen", 0.0, -0.1, 0.5, "-", prior_sd=0.01)
-    effect = calib.Effect("seen", "seen", "it is not", "it", strength, build)
+    magnitude = calib.Parameter("seen", 0.0, -0.1, 0.5, "-", prior_sd=0.01)
+    effect = calib.Effect("seen", "seen", "it is not", "it", magnitude, build)
     variants = FunctionVariants(as_function(), (effect,), ())
     model = variants.with_effects(["seen"])
-    for strength in (0.0, 0.02, 0.02, 0.0, 0.04):
-        found = model.modes({"seen": strength}, 14).natural_freq / as_function().modes({}, 14).natural_freq
-        assert found == pytest.approx(1 + strength)
+    for magnitude in (0.0, 0.02, 0.02, 0.0, 0.04):
+        found = model.modes({"seen": magnitude}, 14).natural_freq / as_function().modes({}, 14).natural_freq
+        assert found == pytest.approx(1 + magnitude)
 
 
 @pytest.mark.parametrize(
@@ -88,15 +88,15 @@ def test_an_effect_that_changes_the_base_model_is_refused(changed):
     def build(model):
         return changed
 
-    strength = calib.Parameter("heavier", 0.0, 0.0, 5.0, "kg", prior_sd=0.1)
-    effect = calib.Effect("heavier", "heavier", "it is not", "it", strength, build)
-    with pytest.raises(calib.InputError, match="strength 0"):
+    magnitude = calib.Parameter("heavier", 0.0, 0.0, 5.0, "kg", prior_sd=0.1)
+    effect = calib.Effect("heavier", "heavier", "it is not", "it", magnitude, build)
+    with pytest.raises(calib.InputError, match="magnitude 0"):
         calib.Problem(as_function(), calib.ModalTest(measured(), mode_count=14)).explain([effect])
 
 
 def test_an_effect_that_builds_no_function_is_refused():
-    strength = calib.Parameter("heavier", 0.0, 0.0, 5.0, "kg", prior_sd=0.1)
-    effect = calib.Effect("heavier", "heavier", "it is not", "it", strength, lambda model: 3.0)
+    magnitude = calib.Parameter("heavier", 0.0, 0.0, 5.0, "kg", prior_sd=0.1)
+    effect = calib.Effect("heavier", "heavier", "it is not", "it", magnitude, lambda model: 3.0)
     problem = calib.Problem(as_function(), calib.ModalTest(measured(), mode_count=14))
     for ask in (problem.explain, problem.with_effects):
         with pytest.raises(calib.InputError, match="heavier"):
@@ -132,8 +132,8 @@ def test_the_calls_of_a_function_are_counted_and_none_is_made_twice():
     model = replace(as_function(), function=bending)
     test = calib.ModalTest(measured(prop=PROP), mode_count=14, held_out=["m3", "2y"])
     told = calib.Problem(model, test).explain(effects_of_function()).explanation
-    later = told.figures["evaluations_intervals"] + told.figures["evaluations_advice"]
-    assert len(asked) == len(set(asked)) >= told.findings.evaluations + later > 100
+    later = told.figures["evaluations_intervals"] + told.figures["evaluations_recommendation"]
+    assert len(asked) == len(set(asked)) >= told.explanation.evaluations + later > 100
 
 
 # -- what may be off by itself -----------------------------------------------------------------------------------------
@@ -143,11 +143,11 @@ def test_the_calls_of_a_function_are_counted_and_none_is_made_twice():
 def local():
     own = space().freeze({"c_tip": 4.0})
     model = replace(as_function(), space=own)
-    atoms = modal_function_atoms(model, own, SENSORS)
-    return FunctionVariants(model, (), tuple(a.effect for a in atoms)), atoms
+    perturbations = modal_function_perturbations(model, own, SENSORS)
+    return FunctionVariants(model, (), tuple(a.effect for a in perturbations)), perturbations
 
 
-def test_local_changes_of_a_function_are_held_parameters_kinds_and_faults_of_the_measurement(local):
+def test_local_perturbations_of_a_function_are_held_parameters_kinds_and_faults_of_the_measurement(local):
     names = {a.effect.name for a in local[1]}
     assert "change of c_tip" in names and "change of m_tip" not in names
     assert {"change of m_tip in frequency", "change of m_tip in shape", "scale of damping"} <= names
@@ -155,7 +155,7 @@ def test_local_changes_of_a_function_are_held_parameters_kinds_and_faults_of_the
     assert all(a.effect.of_measurement == (a.kind == "response") for a in local[1])
 
 
-def test_each_local_change_does_what_it_says(local):
+def test_each_local_perturbation_does_what_it_says(local):
     variants, _ = local
     model = variants.with_effects(())
     base, heavier = model.modes({}, 14), as_function().modes({"m_tip": 1.2 * ADOPTED["m_tip"]}, 14)
@@ -179,8 +179,8 @@ def test_a_change_for_one_kind_follows_modes_over_a_crossing():
     """Where bending in y and in z cross, the frequencies of a stiffer plane go with the shapes of that plane."""
     values = {"EI_y": 6900.0, "EI_z": 7000.0}
     model = as_function(**values)
-    atoms = modal_function_atoms(model, model.space, SENSORS)
-    variants = FunctionVariants(model, (), tuple(a.effect for a in atoms))
+    perturbations = modal_function_perturbations(model, model.space, SENSORS)
+    variants = FunctionVariants(model, (), tuple(a.effect for a in perturbations))
     base, moved = (variants.with_effects(()).modes({"change of EI_y in shape": by}, 2) for by in (0.0, 0.05))
     np.testing.assert_allclose(moved.natural_freq, base.natural_freq)
     in_z = [k for k, s in enumerate(SENSORS) if s.direction == "z"]

@@ -1,4 +1,4 @@
-"""Figures and the page of a fit show its tables."""
+"""Figures and the report of a fit show its tables."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def test_parameters_are_drawn_between_their_limits(fit):
     assert set(np.round(places, 6)) <= set(np.round(widths, 6))
 
 
-def test_the_page_holds_every_value(fit, tmp_path):
+def test_the_report_holds_every_value(fit, tmp_path):
     (page,) = fit.report(tmp_path / "report.html")
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     text = page.read_text()
@@ -44,10 +44,10 @@ def test_the_page_holds_every_value(fit, tmp_path):
     assert all(significant(value, 5) in text for value in told["value"])
     ((model, test),) = fit.problem.pairs
     assert f"{model.name} ({test.pair(model).fingerprint})" in text and f"calib {calib.__version__}" in text
-    assert "Not asked" not in text and "http://" not in text.split("<script")[0]
+    assert "Analyses not run" not in text and "http://" not in text.split("<script")[0]
 
 
-def test_several_tests_have_a_page_each(tmp_path):
+def test_several_tests_have_a_report_each(tmp_path):
     space = calib.ParameterSpace((calib.Parameter("k", 3.0, 1.0, 9.0),))
     model = calib.FunctionModel("spring", space, lambda v: {"u": 1 / v["k"], "w": v["k"] ** 2})
     tests = [calib.ResponseTest({"u": (0.25, 0.001), "w": (16.0, 0.1)}, name=name) for name in ("a", "b")]

@@ -1,4 +1,4 @@
-"""Genetic search and sensitivity in a notebook's words: what a study gives, whatever evaluates the points."""
+"""Genetic search and sensitivity of a problem in memory give the results of a study, with any executor."""
 
 import math
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -11,11 +11,11 @@ import pandas as pd
 import pytest
 
 import calib
+from calib.analyses.calibrate import calibrate
+from calib.analyses.places import QUICK_GENERATIONS, QUICK_POPULATION, QUICK_SAMPLES
+from calib.analyses.sensitivity import sensitivity
 from calib.executor import Injected
 from calib.ledger import Ledger
-from calib.questions.calibrate import calibrate
-from calib.questions.places import QUICK_GENERATIONS, QUICK_POPULATION, QUICK_SAMPLES
-from calib.questions.sensitivity import sensitivity
 from calib.results import Results
 from calib.study import Study
 from models.five_mass_chain import five_mass_chain
@@ -74,8 +74,8 @@ def test_a_search_is_that_of_the_study(rig, chain, name, tmp_path):
     assert case.values == own.search.values and case.misfit == own.search.misfit
     assert (case.solved, case.reused, case.failed) == (own.search.solved, own.search.reused, own.search.failed)
     np.testing.assert_array_equal(case.convergence, own.search.convergence)
-    assert fit.judgement.criterion == pytest.approx(own.judgement.criterion, abs=1e-3)
-    for name, value in own.judgement.values.items():
+    assert fit.statistics.criterion == pytest.approx(own.statistics.criterion, abs=1e-3)
+    for name, value in own.statistics.values.items():
         assert fit.values[name] == pytest.approx(value, rel=1e-3)
 
 
@@ -102,7 +102,7 @@ def test_least_squares_follow_from_where_the_cases_ended(rig, found):
     assert list(found.search.table["asked"]) == [SIZE["population"] * SIZE["generations"]] * 2
     assert [case.misfit for case in found.search.best] == sorted(found.search.table["misfit"])
     for case in found.search.cases:
-        assert found.judgement.criterion < rig.keep(STOREYS).judge(case.values).judgement.criterion
+        assert found.statistics.criterion < rig.keep(STOREYS).judge(case.values).statistics.criterion
     assert list(found.parameters.index) == list(STOREYS)
     assert found.search.agreement.sentence in found.sentences[-1] and all(name in str(found) for name in STOREYS)
     assert rig.keep(STOREYS).calibrate().search is None
@@ -130,7 +130,7 @@ def test_joined_problems_are_searched_together(rig):
     assert case.misfit == pytest.approx(alone + modes, rel=1e-9)
 
 
-def test_whole_numbers_are_searched():
+def test_integers_are_searched():
     space = calib.ParameterSpace((calib.Parameter("n", 2, 1, 9, integer=True), calib.Parameter("x", 0.0, -1.0, 1.0)))
     model = calib.FunctionModel("steps", space, lambda v: {"a": 10 * v["n"] + v["x"], "b": 5 + v["x"]})
     problem = calib.Problem(model, calib.ResponseTest({"a": (70.5, 0.01), "b": (5.5, 0.01)}))
@@ -171,7 +171,7 @@ def test_measures_are_those_of_the_study(rig, chain, name, tmp_path):
     for mine, theirs in (
         (found.spearman, own.assessment.spearman),
         (found.partial, own.assessment.partial),
-        (found.influence, own.assessment.influence.table),
+        (found.variance_share, own.assessment.variance_share.table),
     ):
         pd.testing.assert_frame_equal(mine, theirs, check_exact=True)
     assert (found.answer.samples, found.answer.failed, found.answer.unpaired) == (own.samples, own.failed, own.unpaired)
@@ -194,7 +194,7 @@ def test_what_matters_is_selected_and_can_be_fitted():
     only = problem.sensitivity(["q"], samples=50)
     assert list(only.table["parameter"]) == ["q"] and only.spearman.loc["q", "b"] == 1.0
     for text in (str(found), found._repr_html_()):
-        assert all(f"{value:.4g}" in text for value in found.table["max_influence"])
+        assert all(f"{value:.4g}" in text for value in found.table["max_variance_share"])
     assert "\n" not in repr(found)
 
 

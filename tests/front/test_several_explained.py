@@ -1,4 +1,4 @@
-"""Several tests asked together what their models lack; measurements are synthetic, with noise."""
+"""Joint explanation of several tests; measurements are synthetic, with noise."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ STOREYS, MASS, STIFF, GROUND, LOAD = 6, 2000.0, 4e6, 4e5, 1500.0
 
 @pytest.fixture(scope="module")
 def chain():
-    """The chain's measured responses with their scatter as known, whole and cut in two tests, and what each names."""
+    """Explanations of the chain's responses, their standard deviation known, as one test and split in two."""
     read = calib.read_responses(STUDIES / "five_mass_chain/measured.csv")
     given = calib.ResponseTest(read).measured.targets
     library = calib.Study.load(STUDIES / "five_mass_chain").loaded.library
@@ -36,7 +36,7 @@ def chain():
     return [calib.Problem(five_mass_chain(), test).keep(free).explain(library) for test in tests]
 
 
-def test_a_test_cut_in_two_says_the_same(chain):
+def test_a_test_split_in_two_gives_the_same_result(chain):
     whole, cut = chain
     assert whole.verdict == cut.verdict == "effect"
     assert [e.name for e in whole.named] == [e.name for e in cut.named]
@@ -44,14 +44,14 @@ def test_a_test_cut_in_two_says_the_same(chain):
     fitted = own["ln_bayes"].notna()
     np.testing.assert_allclose(mine["z"], own.loc[mine.index, "z"], rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(mine.loc[own.index[fitted], "ln_bayes"], own.loc[fitted, "ln_bayes"], atol=0.02)
-    p = [float(why.explanation.findings.base_check.p_fit) for why in chain]
+    p = [float(why.explanation.explanation.base_adequacy.p_fit) for why in chain]
     assert p[0] == pytest.approx(p[1], rel=1e-3)
     rows = [why.errors.set_index(["group", "stage"]).loc[("fit", "after")] for why in chain]
     assert rows[0]["rms"] == pytest.approx(rows[1]["rms"], rel=1e-3) and rows[0]["rows"] == rows[1]["rows"]
 
 
-def test_what_is_of_one_test_bears_its_name(chain):
-    names = set(chain[1].explanation.findings.base_check.atoms.owners)
+def test_perturbations_of_one_test_bear_its_name(chain):
+    names = set(chain[1].explanation.explanation.base_adequacy.perturbations.owners)
     faults = {name for name in names if name.startswith(("offset", "scale"))}
     assert faults and all(name.endswith(("in test poles", "in test shapes")) for name in faults)
     assert set(chain[1].explanation.tables["response_misfit"]["test"]) == {"poles", "shapes"}
@@ -132,35 +132,35 @@ def test_two_conditions_name_the_effect_more_sharply_than_one(both, tests):
     for found in (alone, why):
         assert found.verdict == "effect" and [e.name for e in found.named] == ["contact_3"]
         row = found.table.set_index("name").loc["contact_3"]
-        assert row["phi_low"] < GROUND < row["phi_high"]
-        width.append(row["phi_high"] - row["phi_low"])
+        assert row["magnitude_low"] < GROUND < row["magnitude_high"]
+        width.append(row["magnitude_high"] - row["magnitude_low"])
     assert width[1] < 0.85 * width[0]
 
 
 def test_the_named_effect_acts_in_both_tests(both):
     problem, why = both
     before, after = problem.calibrate(), why.with_named().calibrate()
-    assert before.judgement.fits is False and after.judgement.fits
+    assert before.statistics.fits is False and after.statistics.fits
     assert after.values["contact_3"] == pytest.approx(GROUND, rel=0.1)
     rms = after.errors.set_index(["group", "test"])["rms"]
     assert max(rms["fit", "empty"], rms["fit", "loaded"]) < 1.3
 
 
-def test_local_changes_are_one_in_all_tests_of_a_model(both, tests):
+def test_local_perturbations_are_one_in_all_tests_of_a_model(both, tests):
     problem, why = both
-    scores = why.explanation.findings.base_check.atoms
+    scores = why.explanation.explanation.base_adequacy.perturbations
     assert len(set(scores.owners)) == 3 + 2 * STOREYS  # springs, own mass and load, and two a sensor
     one = list(scores.owners).index("grounded spring at sensor 3x")
     half = len(problem.posed.rows) // 2
     assert np.abs(scores.raw[:half, one]).max() > 0 and np.abs(scores.raw[half:, one]).max() > 0
     fewer = replace(tests[1], modes=tests[1].modes.without((), ("3x",)))
     sides = _sides(calib.Problem(shear_frame(), [tests[0], fewer]), {"matrices": LIBRARY}, 1)
-    assert "grounded spring at sensor 3x" in {e.name for e in sides["loaded"].hypotheses.atoms}
+    assert "grounded spring at sensor 3x" in {e.name for e in sides["loaded"].hypotheses.perturbations}
 
 
 def test_a_load_that_is_held_differs_by_test(both):
     problem, why = both
-    assert "load" not in problem.space and "load" not in why.explanation.findings.base.state.values
+    assert "load" not in problem.space and "load" not in why.explanation.explanation.base.fit.values
 
 
 # -- several models ----------------------------------------------------------------------------------------------------
@@ -186,8 +186,8 @@ def test_effects_of_joined_problems_are_given_by_model(beside):
     assert why.verdict == "effect" and [e.name for e in why.named] == ["contact_3"]
     assert set(why.table["name"]) == {"contact_1", "contact_3", "contact_5", "soft"}
     fit = why.with_named().calibrate()
-    assert fit.judgement.fits and fit.values["k"] == pytest.approx(1.06 * STIFF, rel=5e-3)
-    names = set(why.explanation.findings.base_check.atoms.owners)
+    assert fit.statistics.fits and fit.values["k"] == pytest.approx(1.06 * STIFF, rel=5e-3)
+    names = set(why.explanation.explanation.base_adequacy.perturbations.owners)
     assert any(name.endswith("(matrices)") for name in names) and any("in test bench" in name for name in names)
 
 

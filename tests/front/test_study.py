@@ -1,4 +1,4 @@
-"""A study in a folder, asked from Python, gives what the command gives."""
+"""A study in a folder, run from Python, gives the results of the command."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ STUDIES = Path(__file__).resolve().parents[2] / "studies"
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
-    """The four-storey rig: asked here, and by the command, each into its own folder; no figures are drawn."""
+    """The four-storey rig: run here, and by the command, each into its own folder; no figures are drawn."""
     root = tmp_path_factory.mktemp("rig")
     study = calib.Study.load(STUDIES / "four_storey_rig", root / "here", workers=1, quick=True)
     there = ["--results", str(root / "there"), "--workers", "1"]
@@ -23,11 +23,11 @@ def rig(tmp_path_factory):
         patch.setattr("calib.front.study.draw_all", lambda *given: [])
         answers = study.compare(), study.sensitivity(), study.calibrate()
         for verb, *more in (("compare",), ("sensitivity", "--quick"), ("calibrate", "--quick")):
-            assert cli.answer([verb, str(STUDIES / "four_storey_rig"), *there[: 4 if more else 2], *more]) == 0
+            assert cli.execute([verb, str(STUDIES / "four_storey_rig"), *there[: 4 if more else 2], *more]) == 0
     return study, answers, root
 
 
-def test_a_study_answers_as_the_command_does(rig):
+def test_a_study_gives_the_results_of_the_command(rig):
     study, (_, sensitivity, calibrated), root = rig
     for name in ("selection.csv", "verdicts.csv", "parameters.csv"):
         mine, own = (pd.read_csv(root / place / "four_storey_rig/quick" / name) for place in ("here", "there"))
@@ -47,12 +47,12 @@ def test_what_is_shown_is_in_the_table(rig):
 def test_the_problem_of_a_study_is_fitted_as_the_study_is(rig):
     study, (_, _, calibrated), _ = rig
     fit = study.problem.calibrate()
-    best = calibrated.of.best.judgement
-    assert fit.judgement.criterion == pytest.approx(best.criterion, rel=1e-3)
+    best = calibrated.of.best.statistics
+    assert fit.statistics.criterion == pytest.approx(best.criterion, rel=1e-3)
     assert set(fit.values) >= set(study.loaded.search_space.free_names)
 
 
-def test_the_problem_of_plain_responses_is_that_of_the_study():
+def test_the_problem_of_scalar_responses_is_that_of_the_study():
     study = calib.Study.load(STUDIES / "five_mass_chain")
     problem = study.problem
     assert dict(problem.tests.measured.targets) == dict(study.loaded.whole_targets)
@@ -62,7 +62,7 @@ def test_the_problem_of_plain_responses_is_that_of_the_study():
     )
 
 
-def test_run_asks_everything_and_gives_the_study_to_go_on_with(tmp_path, monkeypatch):
+def test_run_does_every_analysis_and_returns_a_study(tmp_path, monkeypatch):
     monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
     write_example(tmp_path / "mast")
     study = calib.Study.load(tmp_path / "mast", tmp_path / "results", workers=1, quick=True)

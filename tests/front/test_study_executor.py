@@ -1,4 +1,4 @@
-"""A study whose points an executor evaluates: tables are those of its own pool; what it does not keep is refused."""
+"""A study evaluated by an executor: tables are those of calib's own pool; unsupported settings are refused."""
 
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 
 import calib
+from calib.analyses.calibrate import calibrate
+from calib.analyses.sensitivity import sensitivity
 from calib.executor import Injected
 from calib.ledger import Ledger
-from calib.questions.calibrate import calibrate
-from calib.questions.sensitivity import sensitivity
 from calib.results import Results
 from calib.study import Study
 

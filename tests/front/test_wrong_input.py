@@ -1,4 +1,4 @@
-"""What is wrong in a notebook is told in one sentence, not by a traceback from inside."""
+"""Wrong arguments are refused in one sentence, not by a traceback from inside."""
 
 import numpy as np
 import pandas as pd
@@ -110,7 +110,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
-def test_wrong_input_is_told(wrong):
+def test_wrong_input_is_refused(wrong):
     with pytest.raises(calib.InputError):
         wrong()
 

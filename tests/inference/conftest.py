@@ -1,4 +1,4 @@
-"""A search over a plain function in which points are solved, reused, infeasible and failed."""
+"""A search over a scalar function in which points are solved, reused, infeasible and failed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def model(values: Mapping[str, float]) -> dict[str, float]:
 
 
 class Serial:
-    """An evaluator in this process that remembers what it was asked."""
+    """An evaluator in this process that records its requests."""
 
     isolated = False
 
@@ -59,7 +59,7 @@ class Serial:
 
 @dataclass(frozen=True)
 class Search:
-    """What is searched, and how; every case starts from its own Latin hypercube."""
+    """A search problem with its settings; every case starts from its own Latin hypercube."""
 
     space: ParameterSpace
     objective: ResponseObjective

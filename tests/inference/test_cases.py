@@ -1,4 +1,4 @@
-"""One case of a search: what it asks, what it finds, what its history tells."""
+"""One case of a search: its evaluations, its result and its history."""
 
 import math
 from dataclasses import replace
@@ -27,7 +27,7 @@ def ledger(tmp_path):
 def test_a_case_finds_the_target(ledger, search):
     seen = []
     longer = replace(search, settings=GeneticSettings(population=20, generations=60))
-    result = longer.run(search.cases[0], ledger, search.evaluator(), progress=lambda *told: seen.append(told))
+    result = longer.run(search.cases[0], ledger, search.evaluator(), progress=lambda *state: seen.append(state))
     assert result.misfit < 0.01 and result.misfit == search.objective(result.responses)
     assert result.responses == search.model(result.values) and result.values["g"] == 9.81
     assert search.space.feasible(np.array([[result.values[n] for n in search.space.free_names]])).all()
@@ -40,7 +40,7 @@ def test_a_case_finds_the_target(ledger, search):
     assert seen == [(g, 60, b) for g, b in zip(table["generation"], table["best"], strict=True)]
 
 
-def test_the_history_is_what_was_asked(ledger, search):
+def test_the_history_holds_all_requests(ledger, search):
     evaluator = search.evaluator()
     result = search.run(search.cases[0], ledger, evaluator)
     history = ledger.history(search.run_id(search.cases[0]))
@@ -59,7 +59,7 @@ def test_the_history_is_what_was_asked(ledger, search):
     assert {o.error for o in failed.values()} == {"no convergence"}
 
 
-def test_started_again_it_answers_from_the_ledger(ledger, search, assert_equal):
+def test_started_again_it_reuses_the_ledger(ledger, search, assert_equal):
     evaluator = search.evaluator()
     first, second = search.run(search.cases[0], ledger, evaluator), search.run(search.cases[1], ledger, evaluator)
     count = len(evaluator.points)
@@ -137,7 +137,7 @@ def test_nothing_keeps_the_constraints(ledger, search):
     assert not evaluator.points
 
 
-def test_a_wrong_set_up_is_told(ledger, search):
+def test_a_wrong_set_up_is_refused(ledger, search):
     with pytest.raises(InputError, match="no response 'c'"):
         replace(search, objective=ResponseObjective({"c": 1.0})).run(search.cases[0], ledger, search.evaluator())
 
@@ -160,7 +160,7 @@ def test_violations_of_different_units_compare():
     assert scaled_violation(ParameterSpace(space.parameters), points).tolist() == [0.0] * 5
 
 
-def test_a_problem_that_is_not_unique_is_found_out(ledger, search):
+def test_a_solution_that_is_not_unique_is_detected(ledger, search):
     # Only the product of two parameters is seen.
     space = ParameterSpace((Parameter("p", 2.0, 1.0, 4.0), Parameter("q", 2.0, 1.0, 4.0)))
     settings, objective = GeneticSettings(population=12, generations=40), ResponseObjective({"product": 4.0})

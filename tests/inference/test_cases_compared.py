@@ -69,7 +69,7 @@ def test_several_solutions(search):
         assert words in found.sentence
 
 
-def test_scatter_decides_what_fits_equally_well(search):
+def test_measurement_uncertainty_decides_what_fits_equally_well(search):
     cases = [result("A", 0.10), result("B", 0.19, k=3.5)]
     assert agreement(cases, search.space).verdict == "not settled"
     assert agreement(cases, search.space, level=0.18).verdict == "not settled"

@@ -1,4 +1,4 @@
-"""Killed, stopped and unlucky searches end as one that was not."""
+"""Killed, stopped and failing searches end with the same result as an uninterrupted one."""
 
 import multiprocessing
 import os
@@ -136,16 +136,16 @@ def test_stopped_by_the_keyboard(tmp_path, uninterrupted, search):
     assert len(evaluator.points) == len(uninterrupted[1][0])
 
 
-def test_a_failure_of_the_machine_is_mended_by_the_next_run(tmp_path, uninterrupted, search):
+def test_a_failure_of_the_machine_is_repaired_by_the_next_run(tmp_path, uninterrupted, search):
     class Unlucky(search.evaluator):
         isolated = True
 
         def evaluate(self, points, arrived):
             given = super().evaluate(points)
-            told = [Outcome(o.values, "failed", {}, WORKER_DIED) if k == 3 else o for k, o in enumerate(given)]
-            for outcome in told:
+            outcomes = [Outcome(o.values, "failed", {}, WORKER_DIED) if k == 3 else o for k, o in enumerate(given)]
+            for outcome in outcomes:
                 arrived(outcome)
-            return told
+            return outcomes
 
     path = tmp_path / "ledger.sqlite"
     unlucky = search_all(search, path, Unlucky())

@@ -1,4 +1,4 @@
-"""A search on an approximate model whose best individuals are asked again of a better one."""
+"""A search on an approximate model whose best individuals are evaluated again by an exact one."""
 
 import numpy as np
 
@@ -50,14 +50,14 @@ def test_a_certified_best_holds_what_it_promises(tmp_path):
 
 
 def test_only_would_be_bests_are_certified_and_each_once(tmp_path):
-    asked = []
+    certified = []
 
     def count(outcome):
-        asked.append(tuple(outcome.values.values()))
+        certified.append(tuple(outcome.values.values()))
         return certify(outcome)
 
     result = search(tmp_path, certify=count)
-    assert len(asked) == len(set(asked)) < 0.6 * result.asked
+    assert len(certified) == len(set(certified)) < 0.6 * result.asked
 
 
 def test_a_failure_at_full_order_is_a_failure(tmp_path):

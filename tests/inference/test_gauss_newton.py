@@ -12,21 +12,21 @@ from hypothesis import strategies as st
 
 from calib.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import FitSettings, Prior, fit
-from calib.inference.whole_numbers import fit_mixed
+from calib.inference.integers import fit_mixed
 from calib.space import LinearConstraint, Parameter, ParameterSpace
 
 
 @dataclass
 class Linear:
-    """``matrix @ theta - data``, counting what it is asked."""
+    """``matrix @ theta - data``, recording the points evaluated."""
 
     names: tuple[str, ...]
     matrix: np.ndarray
     data: np.ndarray
-    asked: list = field(default_factory=list)
+    points: list = field(default_factory=list)
 
     def residual(self, values):
-        self.asked.append(dict(values))
+        self.points.append(dict(values))
         return self.matrix @ np.array([values[n] for n in self.names]) - self.data
 
     def jacobian(self, values, names):
@@ -54,7 +54,7 @@ def test_linear_problem_ends_at_the_posterior_mean():
     np.testing.assert_allclose([found.values[n] for n in problem.names], exact, atol=1e-3 * 0.7)
     assert found.converged and found.active_limits == () and found.active_constraints == ()
     assert found.misfit == pytest.approx(found.data_misfit + found.prior_misfit)
-    assert found.evaluations == len(problem.asked) and found.jacobians == found.iterations + 1
+    assert found.evaluations == len(problem.points) and found.jacobians == found.iterations + 1
     assert found.history["misfit"].is_monotonic_decreasing
     np.testing.assert_allclose(found.residual, problem.residual(found.values))
     assert fit(problem, space).values == found.values
@@ -71,13 +71,13 @@ def test_the_prior_can_be_switched_off_or_moved():
     assert moved.values["p0"] == pytest.approx(30.0, abs=1e-3)
 
 
-def best_over_active_sets(problem, walls, space, centre, sd, cost):
-    """Lowest cost of a linear problem: every set of walls is tried as the active one."""
+def best_over_active_sets(problem, limits, space, centre, sd, cost):
+    """Lowest cost of a linear problem: every set of constraints is tried as the active one."""
     hessian = problem.matrix.T @ problem.matrix + np.eye(3) / sd**2
     pull = problem.matrix.T @ problem.data + centre / sd**2
     lowest = math.inf
     for count in range(4):
-        for active in itertools.combinations(walls, count):
+        for active in itertools.combinations(limits, count):
             rows = np.array([row for row, _ in active]).reshape(-1, 3)
             if np.linalg.matrix_rank(rows) < count:
                 continue
@@ -101,9 +101,9 @@ def test_limits_and_constraints_against_all_active_sets(seed, limit, equal):
         return float(np.sum((problem.matrix @ x - problem.data) ** 2) + np.sum((x - 0.3) ** 2) / 0.7**2)
 
     row = np.array([1.0, 2.0, 1.0])
-    walls = [(np.eye(3)[k], v) for k in range(3) for v in (0.0, 2.0)] + [(row, limit)]
+    limits = [(np.eye(3)[k], v) for k in range(3) for v in (0.0, 2.0)] + [(row, limit)]
     assert found.misfit == pytest.approx(cost(x))
-    assert cost(x) <= best_over_active_sets(problem, walls, space, 0.3, 0.7, cost) * (1 + 1e-9) + 1e-8
+    assert cost(x) <= best_over_active_sets(problem, limits, space, 0.3, 0.7, cost) * (1 + 1e-9) + 1e-8
     for k, name in enumerate(space.names):
         assert (f"{name} at its lower limit" in found.active_limits) == (x[k] < 2e-6)
     assert ("sum at its upper limit" in found.active_constraints) == (row @ x > limit - 1e-5)
@@ -113,7 +113,7 @@ def test_every_point_tried_keeps_limits_and_constraints():
     con = LinearConstraint("mass", (("p0", 4.46), ("p1", 3.56), ("p2", 5.26)), 8.0, 12.0)
     space, problem = box(3, [con]), linear(5)
     fit(problem, space, {"p0": 4.0, "p1": 4.0, "p2": 4.0})
-    points = np.array([[v[n] for n in space.names] for v in problem.asked])
+    points = np.array([[v[n] for n in space.names] for v in problem.points])
     assert len(points) > 1 and space.feasible(points).all()
 
 
@@ -201,7 +201,7 @@ def test_a_fit_ends_when_the_promise_is_a_small_part_of_a_large_misfit(rest, set
         assert found.values["p0"] == 1.0 and found.iterations == 0 and found.misfit == 4.0 + rest**2
 
 
-def test_bad_questions():
+def test_bad_problems_are_refused():
     with pytest.raises(InputError, match="no parameter is free"):
         fit(Valley(), box(2).freeze({"p0": 1.0, "p1": 1.0}))
     con = LinearConstraint("mass", (("p0", 1.0), ("p1", 1.0)), 10.0, 11.0)
@@ -214,11 +214,11 @@ def test_bad_questions():
         fit_mixed(Valley(), box(2), [])
 
 
-# -- whole numbers -----------------------------------------------------------------------------------------------------
+# -- integers ----------------------------------------------------------------------------------------------------------
 
 
 class Stations:
-    """Two whole numbers that trade a little with each other and with a continuous parameter."""
+    """Two integers that trade a little with each other and with a continuous parameter."""
 
     def __init__(self, best=(6, 2)):
         self.best = best
@@ -241,7 +241,7 @@ STATIONS = ParameterSpace(
 )
 
 
-def test_whole_numbers_are_found_from_every_start():
+def test_integers_are_found_from_every_start():
     found = fit_mixed(Stations(), STATIONS, [{}, {"a": 8.0, "b": 8.0}, {"a": 2.0, "b": 2.0}])
     for end in (found.best, *found.by_start):
         assert (end.values["a"], end.values["b"]) == (6.0, 2.0)
@@ -256,7 +256,7 @@ def test_whole_numbers_are_found_from_every_start():
     assert all(2 <= a <= 8 and 2 <= b <= 8 for a, b in tried)
 
 
-def test_two_whole_numbers_that_only_move_together():
+def test_two_integers_that_only_move_together():
     class Trade(Stations):
         def residual(self, values):
             return np.array([10 * (values["a"] + values["b"] - 8), values["a"] - 6, values["x"] - 1.3])
@@ -268,18 +268,18 @@ def test_two_whole_numbers_that_only_move_together():
     assert (found.best.values["a"], found.best.values["b"]) == (6.0, 2.0)
 
 
-def test_refits_are_bounded_and_told():
+def test_refits_are_bounded_and_reported():
     found = fit_mixed(Stations(), STATIONS, refits=4)
     assert len(found.combinations) == 4 and found.exhausted == (0,)
     assert not found.complete and fit_mixed(Stations(), STATIONS).complete
 
 
-def test_in_fit_whole_numbers_stay():
+def test_in_fit_integers_stay():
     found = fit(Stations(), STATIONS)
     assert (found.values["a"], found.values["b"]) == (4.0, 5.0) and found.names == ("x",)
 
 
-def test_without_whole_numbers_mixed_is_a_multi_start():
+def test_without_integers_mixed_is_a_multi_start():
     found = fit_mixed(Valley(), box(2, lower=-2.0, upper=2.0), [{"p0": -1.0}, {"p0": 1.5}], Prior.none())
     assert len(found.by_start) == 2 and len(found.combinations) == 2
     assert found.best.values["p0"] == pytest.approx(1.0, abs=0.01)
@@ -299,7 +299,7 @@ def test_failed_starts_are_survived_unless_all_fail():
         fit_mixed(Half(), STATIONS, [{"a": 8.0}])
 
 
-def test_whole_numbers_alone_are_searched_and_keep_the_constraints():
+def test_integers_alone_are_searched_and_keep_the_constraints():
     class Far(Stations):
         def residual(self, values):
             assert values["a"] + values["b"] <= 12

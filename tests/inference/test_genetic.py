@@ -28,22 +28,22 @@ def bowl(x):
 
 
 def play(space, settings, seed=1, misfit=bowl, violation=lambda x: np.zeros(len(x)), initial=None):
-    """All populations asked, (generations, population, n_free), with their misfits."""
+    """All populations, (generations, population, n_free), with their misfits."""
     if initial is None:
         initial = sample(space, settings.population, seed).points
     search = GeneticSearch(space, settings, initial, seed)
-    asked, told = [], []
+    populations, misfits = [], []
     while not search.done:
-        assert search.generation == len(asked) + 1
+        assert search.generation == len(populations) + 1
         x = search.ask()
         np.testing.assert_array_equal(x, search.ask())
-        asked.append(x)
-        told.append(misfit(x))
-        search.tell(told[-1], violation(x))
+        populations.append(x)
+        misfits.append(misfit(x))
+        search.tell(misfits[-1], violation(x))
     assert search.generation == settings.generations
     with pytest.raises(RuntimeError):
         search.ask()
-    return np.array(asked), np.array(told)
+    return np.array(populations), np.array(misfits)
 
 
 def copied(children, parents):
@@ -54,12 +54,12 @@ def copied(children, parents):
 # -- the whole ---------------------------------------------------------------------------------------------------------
 
 
-def test_every_generation_is_asked_whole_starting_with_the_initial_population():
+def test_ask_returns_whole_generations_starting_with_the_initial_population():
     space, settings = box(3), GeneticSettings(population=11, generations=7)
     initial = sample(space, 11, 5).points
-    asked, _ = play(space, settings, initial=initial)
-    assert asked.shape == (7, 11, 3)
-    np.testing.assert_array_equal(asked[0], initial)
+    populations, _ = play(space, settings, initial=initial)
+    assert populations.shape == (7, 11, 3)
+    np.testing.assert_array_equal(populations[0], initial)
     assert GeneticSettings().population * GeneticSettings().generations == 7500
 
 
@@ -78,13 +78,13 @@ def test_same_seed_same_table_whatever_the_global_state():
 def test_finds_the_bottom_of_a_bowl_in_ten_parameters():
     space = box(10, -5.0, 15.0)
     for seed in (1, 2):
-        asked, told = play(space, GeneticSettings(), seed, lambda x: np.sum((x - 2.0) ** 2, axis=1))
-        found = asked.reshape(-1, 10)[np.argmin(told)]
+        populations, misfits = play(space, GeneticSettings(), seed, lambda x: np.sum((x - 2.0) ** 2, axis=1))
+        found = populations.reshape(-1, 10)[np.argmin(misfits)]
         assert np.max(np.abs(found - 2.0)) < 0.02 * 20.0
 
 
 def test_the_elite_is_never_lost():
-    # Crossover and mutation at full strength destroy whatever they touch; only the elite can keep the best.
+    # Crossover and mutation at full rate destroy whatever they touch; only the elite can keep the best.
     settings = GeneticSettings(
         population=8, generations=40, crossover=1.0, mutation=1.0, sigma_start=1.0, sigma_end=1.0
     )
@@ -149,7 +149,7 @@ def written_out(space, settings, seed, misfit, violation, initial):
         broken = violation(x)
         return x[np.lexsort([np.where(broken == 0, misfit(x), np.inf), broken])]
 
-    asked, pool = [np.array(initial, dtype=float)], np.array(initial, dtype=float)
+    populations, pool = [np.array(initial, dtype=float)], np.array(initial, dtype=float)
     for generation in range(2, settings.generations + 1):
         parents, broken = Population.new("X", pool), violation(pool)
         parents.set("F", np.where(broken == 0, misfit(pool), np.inf)[:, None])
@@ -163,10 +163,10 @@ def written_out(space, settings, seed, misfit, violation, initial):
                     known = {tuple(child) for child in children}
                     new = [x for k, x in enumerate(new) if tuple(x) not in known | {tuple(y) for y in new[:k]}]
                 children += list(new)[:missing]
-        asked.append(np.array(children))
+        populations.append(np.array(children))
         places = settings.population - settings.elites
-        pool = np.vstack([ranked(pool)[: settings.elites], ranked(asked[-1])[:places]])
-    return np.array(asked)
+        pool = np.vstack([ranked(pool)[: settings.elites], ranked(populations[-1])[:places]])
+    return np.array(populations)
 
 
 MIXED = ParameterSpace(
@@ -219,14 +219,14 @@ def test_mutations_measured():
     # Every parent in the middle: whatever differs has mutated, far from the limits.
     n, settings = 40, GeneticSettings(population=200, generations=4, sigma_start=0.08, sigma_end=0.02)
     space = box(n, -3.0, 5.0)
-    asked, _ = play(space, settings, initial=np.full((200, n), 1.0), misfit=lambda x: np.zeros(len(x)))
-    moved = asked[1][asked[1] != 1.0]
+    populations, _ = play(space, settings, initial=np.full((200, n), 1.0), misfit=lambda x: np.zeros(len(x)))
+    moved = populations[1][populations[1] != 1.0]
     assert len(moved) / (200 * n) == pytest.approx(0.15, abs=5 * np.sqrt(0.15 * 0.85 / (200 * n)))
     assert moved.mean() == pytest.approx(1.0, abs=0.08)
     for generation, sigma in ((1, 0.08), (2, 0.05), (3, 0.02)):
-        fresh = ~copied(asked[generation], asked[generation - 1])
-        parents = np.unique(asked[generation - 1].ravel())
-        gaps = asked[generation][fresh]
+        fresh = ~copied(populations[generation], populations[generation - 1])
+        parents = np.unique(populations[generation - 1].ravel())
+        gaps = populations[generation][fresh]
         if generation == 1:
             assert np.std(gaps - 1.0) / 8.0 == pytest.approx(sigma, rel=0.1)
         else:
@@ -251,24 +251,24 @@ def test_reflection_stays_inside_and_is_a_mirror(seed, reach):
 
 def test_limits_are_kept_and_do_not_collect_individuals():
     settings = GeneticSettings(population=20, generations=30, mutation=0.5, sigma_start=0.8, sigma_end=0.5)
-    asked, _ = play(box(4), settings)
-    assert np.all((asked >= 0) & (asked <= 1))
-    assert not np.any((asked[1:] == 0) | (asked[1:] == 1))
+    populations, _ = play(box(4), settings)
+    assert np.all((populations >= 0) & (populations <= 1))
+    assert not np.any((populations[1:] == 0) | (populations[1:] == 1))
 
 
-def test_whole_numbers_stay_whole():
+def test_integers_stay_whole():
     mixed = ParameterSpace((Parameter("n", 1, 1, 5, integer=True), Parameter("x", 0.5, 0.0, 1.0)))
     settings = GeneticSettings(population=12, generations=20, sigma_start=0.3, sigma_end=0.3)
-    asked, _ = play(mixed, settings, misfit=lambda x: (x[:, 0] - 4) ** 2 + x[:, 1])
-    assert set(np.unique(asked[..., 0])) <= {1.0, 2.0, 3.0, 4.0, 5.0}
-    assert len(np.unique(asked[1:, :, 0])) == 5
-    assert np.mean(asked[-1][:, 0] == 4.0) > 0.5
-    assert np.all((asked[..., 1] >= 0) & (asked[..., 1] <= 1))
+    populations, _ = play(mixed, settings, misfit=lambda x: (x[:, 0] - 4) ** 2 + x[:, 1])
+    assert set(np.unique(populations[..., 0])) <= {1.0, 2.0, 3.0, 4.0, 5.0}
+    assert len(np.unique(populations[1:, :, 0])) == 5
+    assert np.mean(populations[-1][:, 0] == 4.0) > 0.5
+    assert np.all((populations[..., 1] >= 0) & (populations[..., 1] <= 1))
 
 
 def test_a_space_with_fewer_points_than_individuals():
-    asked, _ = play(box(1, 0.0, 2.0, integer=True), GeneticSettings(population=10, generations=5))
-    assert asked.shape == (5, 10, 1)
+    populations, _ = play(box(1, 0.0, 2.0, integer=True), GeneticSettings(population=10, generations=5))
+    assert populations.shape == (5, 10, 1)
 
 
 # -- mating ------------------------------------------------------------------------------------------------------------
@@ -283,8 +283,8 @@ def test_crossover_measured():
         settings = GeneticSettings(count, 2, crossover=rate, mutation=1.0, sigma_start=1e-6, sigma_end=1e-6)
         crossed, matings = 0, 0
         for seed in range(8):
-            asked, _ = play(box(n), settings, seed, lambda x: np.zeros(len(x)), initial=initial)
-            numbers = np.array([len(np.unique(np.round(child * (count - 1)))) for child in asked[1]])
+            populations, _ = play(box(n), settings, seed, lambda x: np.zeros(len(x)), initial=initial)
+            numbers = np.array([len(np.unique(np.round(child * (count - 1)))) for child in populations[1]])
             assert set(numbers.tolist()) <= {1, 2}
             crossed += np.sum(numbers == 2) / 2
             matings += pairs
@@ -295,23 +295,23 @@ def test_crossover_measured():
 def test_crossover_takes_half_of_the_genes_from_each_parent():
     n = 40
     initial = np.repeat(np.linspace(0, 1, 50)[:, None], n, axis=1)
-    asked, _ = play(box(n), GeneticSettings(50, 2, crossover=1.0, mutation=0.0), initial=initial)
-    shares = [np.mean(child == child.max()) for child in asked[1] if len(np.unique(child)) == 2]
+    populations, _ = play(box(n), GeneticSettings(50, 2, crossover=1.0, mutation=0.0), initial=initial)
+    shares = [np.mean(child == child.max()) for child in populations[1] if len(np.unique(child)) == 2]
     assert len(shares) > 30 and np.mean(shares) == pytest.approx(0.5, abs=0.05)
     assert np.std(shares) == pytest.approx(np.sqrt(0.25 / n), rel=0.4)
 
 
 def test_children_differ_from_each_other():
-    asked, _ = play(box(2), GeneticSettings(population=20, generations=20, mutation=0.05))
-    for children in asked[1:]:
+    populations, _ = play(box(2), GeneticSettings(population=20, generations=20, mutation=0.05))
+    for children in populations[1:]:
         assert len(np.unique(children, axis=0)) == 20
 
 
 def test_better_parents_have_more_children():
     initial = np.linspace(0.01, 0.99, 60)[:, None] * np.ones(6)
-    asked, _ = play(box(6), GeneticSettings(60, 2, mutation=0.0), misfit=lambda x: x[:, 0], initial=initial)
+    populations, _ = play(box(6), GeneticSettings(60, 2, mutation=0.0), misfit=lambda x: x[:, 0], initial=initial)
     # In a tournament of two the better half wins three of four times.
-    assert np.mean(asked[1] < 0.5) == pytest.approx(0.75, abs=0.1)
+    assert np.mean(populations[1] < 0.5) == pytest.approx(0.75, abs=0.1)
 
 
 # -- feasibility -------------------------------------------------------------------------------------------------------
@@ -322,15 +322,15 @@ def test_constraints_are_kept():
         tuple(Parameter(f"p{k}", 0.5, 0.0, 1.0) for k in range(4)),
         (LinearConstraint("sum", tuple((f"p{k}", 1.0) for k in range(4)), 2.0, 2.4),),
     )
-    asked, told = play(
+    populations, misfits = play(
         space,
         GeneticSettings(generations=60),
         misfit=lambda x: x.sum(axis=1),  # pulls over the lower limit
         violation=lambda x: space.violation(x).sum(axis=1),
     )
-    feasible = space.feasible(asked.reshape(-1, 4)).reshape(asked.shape[:2])
+    feasible = space.feasible(populations.reshape(-1, 4)).reshape(populations.shape[:2])
     assert feasible[0].all() and feasible[-20:].mean() > 0.3
-    assert told[feasible].min() < 2.02
+    assert misfits[feasible].min() < 2.02
 
 
 def test_infeasible_individuals_come_last_and_the_least_infeasible_first():
@@ -339,10 +339,10 @@ def test_infeasible_individuals_come_last_and_the_least_infeasible_first():
 
     settings = GeneticSettings(population=20, generations=40)
     initial = np.random.default_rng(1).random((20, 3)) * [0.3, 1.0, 1.0]
-    asked, _ = play(box(3), settings, misfit=lambda x: x[:, 0], violation=violation, initial=initial)
-    assert not np.any(violation(asked[0]) == 0)
-    assert np.mean(violation(asked[-1]) == 0) > 0.5
-    assert asked[-1][:, 0][violation(asked[-1]) == 0].min() < 0.85
+    populations, _ = play(box(3), settings, misfit=lambda x: x[:, 0], violation=violation, initial=initial)
+    assert not np.any(violation(populations[0]) == 0)
+    assert np.mean(violation(populations[-1]) == 0) > 0.5
+    assert populations[-1][:, 0][violation(populations[-1]) == 0].min() < 0.85
 
 
 def test_misfits_of_infeasible_individuals_do_not_matter():
@@ -392,7 +392,7 @@ def test_a_wrong_initial_population():
         GeneticSearch(box(2, 0, 3, integer=True), settings, np.full((4, 2), 0.5), 1)
 
 
-def test_wrong_answers():
+def test_wrong_misfits_are_refused():
     search = GeneticSearch(box(2), GeneticSettings(population=4, generations=2), np.full((4, 2), 0.5), 1)
     with pytest.raises(RuntimeError):
         search.tell(np.zeros(4), np.zeros(4))

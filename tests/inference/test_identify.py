@@ -1,4 +1,4 @@
-"""Posterior scatter, confounded parameters and verdicts, against closed forms and against repeated noise."""
+"""Posterior covariance, confounded parameters and verdicts, against closed forms and against repeated noise."""
 
 import json
 import math
@@ -19,8 +19,8 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.errors import InputError
 from calib.inference.gauss_newton import Prior, fit
 from calib.inference.identify import identify, posterior, prediction_interval
-from calib.inference.verdicts import identified_sentence, parameter_verdicts, whole_number_std
-from calib.inference.whole_numbers import fit_mixed
+from calib.inference.integers import fit_mixed
+from calib.inference.verdicts import identified_sentence, integer_std, parameter_verdicts
 from calib.space import Parameter, ParameterSpace
 from calib.study import Study
 
@@ -48,7 +48,7 @@ def test_posterior_is_the_inverse(seed, n, rows):
 
 
 def test_held_parameters_that_are_not_known_exactly_widen_the_estimates():
-    """Drawn anew each time, but held at their expectation: least squares then scatter by the covariance told."""
+    """Sampled again each time, but held at their expectation: estimates then vary with the reported covariance."""
     rng = np.random.default_rng(11)
     g, h = rng.standard_normal((12, 3)) * [1.0, 50.0, 0.02], rng.standard_normal((12, 2))
     found = posterior("abc", g, np.full(3, np.inf), h)
@@ -62,7 +62,7 @@ def test_held_parameters_that_are_not_known_exactly_widen_the_estimates():
     assert one.std**2 == pytest.approx(1 / 3 + (3 / 3) ** 2) and one.data_share == pytest.approx(2 / 3)
 
 
-def test_what_nothing_is_known_of_is_infinite():
+def test_without_data_and_prior_the_variance_is_infinite():
     found = posterior(["a", "b", "c"], np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 2.0]]), np.full(3, np.inf))
     assert np.isinf(found.std[:2]).all() and found.std[2] == pytest.approx(0.5)
     assert found.correlation[0, 1] == pytest.approx(-1.0) and found.correlation[0, 2] == pytest.approx(0.0)
@@ -85,7 +85,7 @@ def test_a_pair_that_trades_is_named_and_the_third_is_not():
     assert found.confounded[["parameter_a", "parameter_b"]].to_numpy().tolist() == [["a", "b"]]
     assert found.confounded.loc[0, "correlation"] < -0.99
     assert found.confounded.loc[0, "words"] == (
-        "a and b cannot be told apart: raising one and lowering the other hardly changes the data."
+        "a and b are confounded: raising one and lowering the other hardly changes the data."
     )
     assert found.parameters["identified"].tolist() == [False, False, True]
     assert found.parameters.loc[2, "std_of_range"] == pytest.approx(0.025, rel=1e-2)
@@ -97,7 +97,7 @@ def test_a_pair_that_trades_is_named_and_the_third_is_not():
     )
 
 
-def test_a_parameter_that_partly_trades_is_told_with_its_partner():
+def test_a_parameter_that_partly_trades_is_reported_with_its_partner():
     """Sums of a and b are seen better than differences: -0.83 between them, short of confounded."""
     space = box(("a", "b", "c"))
     g = np.array([[1.0, 1.0, 0.0], [0.3, -0.3, 0.0], [0.0, 0.0, 1.0]])
@@ -105,8 +105,8 @@ def test_a_parameter_that_partly_trades_is_told_with_its_partner():
     r = -(1 - 0.09) / (1 + 0.09)  # of the inverse of [[1.09, 0.91], [0.91, 1.09]]
     assert found.trades_with("a") == ("b", pytest.approx(r)) and found.trades_with("b") == ("a", pytest.approx(r))
     assert found.trades_with("c") is None and found.confounded.empty
-    told = parameter_verdicts(space, dict.fromkeys("abc", 5.0), found).set_index("parameter")["sentence"]
-    assert told["a"].endswith("It trades most with b (correlation -0.83).") and "trades" not in told["c"]
+    words = parameter_verdicts(space, dict.fromkeys("abc", 5.0), found).set_index("parameter")["sentence"]
+    assert words["a"].endswith("It trades most with b (correlation -0.83).") and "trades" not in words["c"]
 
 
 def test_identified_parameters_may_correlate():
@@ -138,12 +138,12 @@ def responses(function, targets, space):
 
 
 def chain_space(names, sd=0.1, truth=None):
-    adopted = {f"k{i + 1}": K[i] for i in range(N)} | {f"m{i + 1}": M[i] for i in range(N)}
-    centre = adopted if truth is None else truth
+    nominal = {f"k{i + 1}": K[i] for i in range(N)} | {f"m{i + 1}": M[i] for i in range(N)}
+    centre = nominal if truth is None else truth
     return ParameterSpace(
         tuple(
-            Parameter(n, centre[n], 0.2 * adopted[n], 2.5 * adopted[n], "N/m" if n[0] == "k" else "kg",
-                      prior_sd=sd * adopted[n])
+            Parameter(n, centre[n], 0.2 * nominal[n], 2.5 * nominal[n], "N/m" if n[0] == "k" else "kg",
+                      prior_sd=sd * nominal[n])
             for n in names
         )
     )  # fmt: skip
@@ -153,11 +153,11 @@ def test_a_chain_of_unknown_masses_and_stiffnesses_cannot_be_separated():
     """Equal springs and masses: spring i from the ground stands for mass i from the tip, and all for all."""
     k, m = [1000.0] * N, [1.0] * N
     names = ("k1", "k2", "k3", "m1", "m2", "m3")
-    adopted = dict(zip(names, k + m, strict=True))
-    space = ParameterSpace(tuple(Parameter(n, v, 0.5 * v, 1.5 * v, prior_sd=0.2 * v) for n, v in adopted.items()))
-    freq = chain_freq(adopted, N, k, m)
+    nominal = dict(zip(names, k + m, strict=True))
+    space = ParameterSpace(tuple(Parameter(n, v, 0.5 * v, 1.5 * v, prior_sd=0.2 * v) for n, v in nominal.items()))
+    freq = chain_freq(nominal, N, k, m)
     problem = responses(lambda v: chain_freq(v, N, k, m), {n: (f, 1e-3 * f) for n, f in freq.items()}, space)
-    found = identify(space, names, problem.jacobian(adopted, names), values=adopted)
+    found = identify(space, names, problem.jacobian(nominal, names), values=nominal)
     assert not found.parameters["identified"].any()
     pairs = {frozenset(p) for p in found.confounded[["parameter_a", "parameter_b"]].to_numpy().tolist()}
     assert pairs == {frozenset(p) for p in (("k1", "m3"), ("k2", "m2"), ("k3", "m1"))}
@@ -182,7 +182,7 @@ def test_any_chain_has_a_common_scale_until_one_mass_is_known():
 
 
 def test_a_bad_fit_hides_nothing_from_the_data():
-    """A misfit of 1e4 times the scatter makes parameters less certain; what the data see stays what they see."""
+    """A misfit of 1e4 standard deviations makes parameters less certain, but not their signal in the data."""
     names = ("k1", "k2", "k3")
     space = chain_space(names)
     targets = {n: (f, 1e-3 * f) for n, f in chain_freq({}).items()}
@@ -202,7 +202,7 @@ def test_one_parameter_alone_has_no_common_factor():
     space = box("a", prior_sd=3.0)
     found = identify(space, space.names, np.array([[1e-3]]), values={"a": 5.0})
     assert np.isnan(found.common_scale)
-    assert found.sentences() == tuple(found.directions["words"])  # told once, as a direction
+    assert found.sentences() == tuple(found.directions["words"])  # reported once, as a direction
 
 
 # -- coverage ----------------------------------------------------------------------------------------------------------
@@ -214,7 +214,7 @@ def expected_hits(draws, level=0.95):
 
 
 def test_coverage_of_a_linear_gaussian_problem():
-    """Truths drawn from the prior: the 95 % interval holds 95 % of them, for every parameter."""
+    """True values sampled from the prior: the 95 % interval holds 95 % of them, for every parameter."""
     rng = np.random.default_rng(11)
     draws, s = 2000, np.array([1.0, 0.3, 2.0])
     g = rng.standard_normal((5, 3)) * [1.0, 0.2, 3.0]  # the second one is hardly seen
@@ -233,7 +233,7 @@ def test_coverage_of_a_linear_gaussian_problem():
 
 
 def test_coverage_of_a_spring_mass_chain():
-    """Refitted with fresh noise and fresh truths, intervals of parameters and of a frequency hold what they promise."""
+    """Refits with new noise and true values: intervals of parameters and of a frequency have the stated coverage."""
     rng = np.random.default_rng(12)
     draws, names = 150, ("k1", "k2", "k3")
     hits, predicted = np.zeros(3), 0
@@ -245,13 +245,13 @@ def test_coverage_of_a_spring_mass_chain():
         targets = {n: (exact[n] * (1 + 0.01 * rng.standard_normal()), 0.01 * exact[n]) for n in ("f1", "f3")}
         problem = responses(chain_freq, targets, space)
         found = fit(problem, space, prior=Prior.of(space))
-        scatter = posterior(names, found.jacobian, Prior.of(space).widths(names))
+        known = posterior(names, found.jacobian, Prior.of(space).widths(names))
         error = np.array([found.values[n] - truth[n] for n in names])
-        hits += np.abs(error) <= 1.96 * scatter.std
+        hits += np.abs(error) <= 1.96 * known.std
         whole = responses(chain_freq, {"f2": (exact["f2"], exact["f2"])}, space)
         model = chain_freq(found.values)["f2"]
         slope = -whole.jacobian(found.values, names) * exact["f2"] / model
-        table = prediction_interval(["f2"], np.array([model]), slope, scatter.covariance)
+        table = prediction_interval(["f2"], np.array([model]), slope, known.covariance)
         predicted += bool(table.loc[0, "lower"] <= exact["f2"] <= table.loc[0, "upper"])
     low, high = expected_hits(draws)
     assert np.all((low <= hits) & (hits <= high)), hits
@@ -265,22 +265,22 @@ def test_prediction_interval_by_hand():
     assert math.isinf(table.loc[1, "std"]) and table.loc[1, "lower"] == 0.0
 
 
-# -- whole numbers -----------------------------------------------------------------------------------------------------
+# -- integers ----------------------------------------------------------------------------------------------------------
 
 
-def test_whole_numbers_from_neighbouring_misfits():
-    sure = whole_number_std(np.array([2.0, 3.0, 4.0]), np.array([300.0, 100.0, 250.0]))
+def test_integers_from_neighbouring_misfits():
+    sure = integer_std(np.array([2.0, 3.0, 4.0]), np.array([300.0, 100.0, 250.0]))
     assert sure == pytest.approx(0.0, abs=1e-10)
-    even = whole_number_std(np.array([5, 6]), np.array([7.0, 7.0]))
+    even = integer_std(np.array([5, 6]), np.array([7.0, 7.0]))
     assert even == pytest.approx(0.5)
     # Where many values are likely, the parabola of the misfit gives the usual standard deviation.
     n = np.arange(-30, 31)
-    wide = whole_number_std(n, (n / 4.0) ** 2)
+    wide = integer_std(n, (n / 4.0) ** 2)
     assert wide == pytest.approx(4.0, rel=1e-6)
-    assert whole_number_std(n, (n / 4.0) ** 2, 0.0, 3.0) == pytest.approx(1 / math.hypot(1 / 4, 1 / 3), rel=1e-6)
-    assert whole_number_std([1, 2], [np.inf, 5.0]) == 0.0
+    assert integer_std(n, (n / 4.0) ** 2, 0.0, 3.0) == pytest.approx(1 / math.hypot(1 / 4, 1 / 3), rel=1e-6)
+    assert integer_std([1, 2], [np.inf, 5.0]) == 0.0
     with pytest.raises(InputError, match="no value"):
-        whole_number_std([1, 2], [np.inf, np.inf])
+        integer_std([1, 2], [np.inf, np.inf])
 
 
 # -- verdicts ----------------------------------------------------------------------------------------------------------
@@ -319,14 +319,14 @@ def test_verdicts_say_what_is_wrong():
     assert "Sits on its upper limit: widen it to 14 kg" in table.loc["top", "sentence"]
     assert "The cases differ by 30 % of its range." in table.loc["top", "sentence"]
     assert "the limit is physical" in table.loc["zero", "sentence"]
-    assert "cannot be told apart from low" in table.loc["zero", "sentence"]
+    assert "is confounded with low" in table.loc["zero", "sentence"]
     assert table.loc["place", "sentence"] == "Identified: its other values fit much worse."
     assert table.loc["spot", "suggested_limit"] == 11.0
-    assert "not judged by derivatives" in table.loc["spot", "sentence"]
-    assert table["fits_within_scatter"].all()
-    assert not parameter_verdicts(space, values, found, fits=False)["fits_within_scatter"].any()
+    assert "not assessed by derivatives" in table.loc["spot", "sentence"]
+    assert table["fits_within_std"].all()
+    assert not parameter_verdicts(space, values, found, fits=False)["fits_within_std"].any()
     unknown = parameter_verdicts(space, values, found)
-    assert unknown["fits_within_scatter"].isna().all() and isinstance(unknown, pd.DataFrame)
+    assert unknown["fits_within_std"].isna().all() and isinstance(unknown, pd.DataFrame)
 
 
 # -- the bogie ---------------------------------------------------------------------------------------------------------
@@ -342,18 +342,18 @@ def bogie():
 
 
 def errors_in_std(found, space, truth):
-    scatter = posterior(found.names, found.jacobian, Prior.of(space).widths(found.names))
-    return np.array([found.values[n] - truth[n] for n in found.names]) / scatter.std
+    known = posterior(found.names, found.jacobian, Prior.of(space).widths(found.names))
+    return np.array([found.values[n] - truth[n] for n in found.names]) / known.std
 
 
-def test_the_bogie_is_found_within_its_scatter(bogie):
-    """From the adopted values, actuators at their places: a few iterations, no limit, errors within the intervals."""
+def test_the_bogie_is_found_within_its_standard_deviation(bogie):
+    """From the nominal values, actuators at their places: a few iterations, no limit, errors within the intervals."""
     residual, space, truth = bogie
     places = {n: truth[n] for n in ("pos_long_left", "pos_long_right")}
     found = fit(residual, space, places)
     assert found.converged and found.iterations <= 8 and found.active_limits == ()
-    freedom = residual.n_rows - residual.n_fitted_factors - len(found.names)
-    assert found.data_misfit < stats.chi2.ppf(0.9999, freedom)
+    dof = residual.n_rows - residual.n_fitted_factors - len(found.names)
+    assert found.data_misfit < stats.chi2.ppf(0.9999, dof)
     error = errors_in_std(found, space, truth)
     assert np.all(np.abs(error) < 3.5)
     assert error @ error < 3 * len(error)
@@ -362,10 +362,10 @@ def test_the_bogie_is_found_within_its_scatter(bogie):
 
 
 @pytest.mark.slow
-def test_the_bogies_actuators_are_found_from_the_adopted_places(bogie):
+def test_the_bogies_actuators_are_found_from_the_nominal_places(bogie):
     residual, space, truth = bogie
     found = fit_mixed(residual, space)
     for name in ("pos_long_left", "pos_long_right"):
         assert found.best.values[name] == truth[name]
-        assert whole_number_std(*found.profile(name)) < 0.01
+        assert integer_std(*found.profile(name)) < 0.01
     assert np.all(np.abs(errors_in_std(found.best, space, truth)) < 3.5)

@@ -41,7 +41,7 @@ def test_only_ratios_count(factor, model, mac):
     )
 
 
-def test_plain_responses():
+def test_scalar_responses():
     plain = ResponseObjective({"stiffness": 200.0, "shift": -4.0})
     assert plain({"stiffness": 200.0, "shift": -4.0, "other": 9.0}) == 0.0
     assert plain({"stiffness": 210.0, "shift": -3.0}) == pytest.approx(0.05 + 0.25)

@@ -103,7 +103,7 @@ def test_a_swap_with_an_unmeasured_entry():
 
 
 def test_a_flip_that_changes_little_is_not_claimed():
-    """A sensor on the nodal line of the symmetric modes moves in one mode only: its sign is the model's word alone."""
+    """A sensor on the nodal line of the symmetric modes moves in one mode only: its sign rests on the model alone."""
     model = chain_shapes(np.ones(12), 4)  # 11 masses, the middle one at rest in modes 2 and 4
     assert np.abs(model[5, [1, 3]]).max() < 1e-12
     measured = model[:, [0, 1, 3]].copy()
@@ -168,7 +168,7 @@ def test_the_point_of_scaling_and_unmeasured_sensors_are_not_dead():
     assert check_sensors(measured, model, names(8)) == ()
 
 
-def test_a_sensor_that_disagrees_in_some_modes_only_is_the_models_affair():
+def test_a_sensor_that_disagrees_in_some_modes_only_is_attributed_to_the_model():
     rng = np.random.default_rng(8)
     model = rng.normal(size=(12, 6))
     model[4] = 2.0
@@ -180,7 +180,7 @@ def test_a_sensor_that_disagrees_in_some_modes_only_is_the_models_affair():
     assert finding.sensors == ("4y",)
 
 
-def test_shapes_that_have_nothing_in_common_accuse_hardly_anyone():
+def test_shapes_that_have_nothing_in_common_give_hardly_any_finding():
     """Many sign patterns are tried, and the best of them always fits by chance to some degree."""
     rng = np.random.default_rng(9)
     accused = sum(

@@ -128,7 +128,7 @@ def test_the_sensor_table_gives_places_and_parts(tmp_path):
         "response,value,std,,\np,1.5,0.1,,\nq,-2,,,\n",
     ],
 )
-def test_plain_responses_as_spreadsheets_save_them(tmp_path, text):
+def test_scalar_responses_as_spreadsheets_save_them(tmp_path, text):
     assert read_responses_csv(write(tmp_path, text)) == {"": {"p": (1.5, 0.1), "q": (-2.0, None)}}
 
 

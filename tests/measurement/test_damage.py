@@ -66,7 +66,7 @@ def damaged(data, todo):
     return data
 
 
-def judge(capfd, names, *arguments, **options):
+def check(capfd, names, *arguments, **options):
     try:
         found = read_modes(*arguments, **options)
     except InputError as err:
@@ -86,7 +86,7 @@ def test_damaged_universal_files(whole, tmp_path, capfd, todo, which, together):
     path, good = tmp_path / "damaged.uff", tmp_path / "good.uff"
     path.write_bytes(damaged(whole[which], todo))
     good.write_bytes(whole[which])
-    judge(capfd, ["damaged.uff"], [good, path] if together else [path])
+    check(capfd, ["damaged.uff"], [good, path] if together else [path])
 
 
 @settings(parent=QUICK, max_examples=60)
@@ -94,10 +94,10 @@ def test_damaged_universal_files(whole, tmp_path, capfd, todo, which, together):
 def test_random_bytes(tmp_path, capfd, data, closed):
     path = tmp_path / "damaged.unv"
     path.write_bytes(b"    -1\n    55\n" + data + b"\n    -1\n" if closed else data)
-    judge(capfd, ["damaged.unv"], [path])
+    check(capfd, ["damaged.unv"], [path])
     table = tmp_path / "damaged.csv"
     table.write_bytes(b"mode,freq,freq_kind\n" + data if closed else data)
-    judge(capfd, ["damaged.csv"], [table])
+    check(capfd, ["damaged.csv"], [table])
 
 
 @QUICK
@@ -108,4 +108,4 @@ def test_damaged_tables(tmp_path, capfd, todo, which):
     paths = [tmp_path / name for name in ("modes.csv", "shapes.csv", "places.csv")]
     for path, table in zip(paths, tables, strict=True):
         path.write_bytes(table)
-    judge(capfd, [p.name for p in paths], [paths[0]], shapes=[paths[1]], sensors=paths[2])
+    check(capfd, [p.name for p in paths], [paths[0]], shapes=[paths[1]], sensors=paths[2])

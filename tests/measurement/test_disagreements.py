@@ -16,7 +16,7 @@ SCATTER = 0.01
 
 
 def repeats(seed, count=5, is_complex=True):
-    """Repeats with Gaussian scatter; each mode of each file has its own factor."""
+    """Repeats with Gaussian noise; each mode of each file has its own factor."""
     rng = np.random.default_rng(seed)
     out = []
     for k in range(count):
@@ -91,7 +91,7 @@ def test_a_bad_shape_and_a_bad_entry(bad):
     assert pooled(found) == pytest.approx(pooled(combine_repeats(repeats(9))), rel=0.2)
 
 
-def test_a_bad_frequency_and_its_influence():
+def test_a_bad_frequency_and_its_effect_on_the_mean():
     given = repeats(10)
     given[4].natural_freq[3] *= 1.1
     robust, plain = (combine_repeats(given, pooling=p) for p in ("robust", "plain"))
@@ -105,9 +105,9 @@ def test_a_bad_frequency_and_its_influence():
 
 
 def frequencies(rng, count, modes=5, uneven=0.0):
-    """Frequencies (n_repeats, n_modes) that scatter by 0.2 %, in modes unlike by a factor exp(uneven)."""
-    scatter = 0.002 * np.exp(uneven * rng.normal(size=modes))
-    return np.linspace(8.0, 60.0, modes) * (1 + scatter * rng.normal(size=(count, modes)))
+    """Frequencies (n_repeats, n_modes) with noise of 0.2 %, which differs between modes by a factor exp(uneven)."""
+    std = 0.002 * np.exp(uneven * rng.normal(size=modes))
+    return np.linspace(8.0, 60.0, modes) * (1 + std * rng.normal(size=(count, modes)))
 
 
 def value_places(table, robust=True):
@@ -119,7 +119,7 @@ def value_places(table, robust=True):
 
 @pytest.mark.parametrize(("count", "times", "least"), [(5, 25, 0.95), (5, 10, 0.2), (3, 100, 0.95), (10, 10, 0.9)])
 def test_a_far_frequency_is_left_out(count, times, least):
-    """Five modes: what one far value does to the scatter of its own mode says nothing about that of the others."""
+    """Five modes: an outlier changes the standard deviation of its own mode, but not those of the others."""
     rng, runs, left_out = np.random.default_rng(20), 100, 0
     for _ in range(runs):
         table = frequencies(rng, count)
@@ -196,7 +196,7 @@ def test_rounded_values_are_no_outliers():
 
 
 def test_the_rate_of_false_alarms():
-    """Groups that scatter alike, or unlike by a factor e: at most a few of a hundred tables, whatever their size."""
+    """Groups of equal standard deviation, or different by a factor e: at most a few of a hundred tables of any size."""
     rng = np.random.default_rng(0)
     for uneven, most in ((0.0, 1), (1.0, 4)):
         alarms = 0
@@ -208,7 +208,7 @@ def test_the_rate_of_false_alarms():
 
 @pytest.mark.parametrize(("count", "most"), [(3, 1), (4, 1), (5, 2), (10, 2)])
 def test_groups_by_themselves_are_called_outlying_at_the_level(count, most):
-    """Two groups lend nothing: one step is an exact test but for Bonferroni, several at most double the level."""
+    """Two groups give no prior: one step is an exact test but for Bonferroni, several at most double the level."""
     rng, level, runs = np.random.default_rng(31), 0.05, 800
     rate = np.mean([bool(find_outlying(rng.normal(size=(count, 2, 1)), level=level)) for _ in range(runs)])
     doubt = 3 * np.sqrt(level / runs)

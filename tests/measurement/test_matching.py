@@ -47,11 +47,11 @@ def test_every_column_is_one_mode(seed):
 
 def test_many_repeats_are_scored_a_repeat_at_a_time(monkeypatch):
     """One product of shapes a repeat, however many modes were found: no loop over pairs of modes."""
-    rng, asked = np.random.default_rng(5), []
+    rng, calls = np.random.default_rng(5), []
     repeats = [given(rng, range(len(FREQ)), rng.permutation(len(FREQ))) for _ in range(40)]
-    monkeypatch.setattr(matching, "mac", lambda x, y: asked.append(y.shape[1]) or mac(x, y))
+    monkeypatch.setattr(matching, "mac", lambda x, y: calls.append(y.shape[1]) or mac(x, y))
     index = match(repeats).index
-    assert asked == [len(FREQ) * k for k in range(1, 40)]
+    assert calls == [len(FREQ) * k for k in range(1, 40)]
     truth = [{modes[place] for (_, _, modes), place in zip(repeats, column, strict=True)} for column in index.T]
     assert sorted(map(sorted, truth)) == [[mode] for mode in range(len(FREQ))]
 
@@ -73,9 +73,9 @@ def test_one_mode_missing_and_another_at_the_end(tmp_path):
     assert np.all(np.diag(mac(found.shapes[rows], TRUTH)) > 0.995)
     assert found.counts("freq").tolist() == [4, 4, 3, 4, 4, 1]
     assert np.isnan(found.freq_std[-1])
-    told = [note for note in found.notes if "of 4 repeats" in note]
-    assert ["not in" in note and "2.uff" in note for note in told] == [True, False]
-    assert ["mode 6" in note and "only in" in note and "2.uff" in note for note in told] == [False, True]
+    notes = [note for note in found.notes if "of 4 repeats" in note]
+    assert ["not in" in note and "2.uff" in note for note in notes] == [True, False]
+    assert ["mode 6" in note and "only in" in note and "2.uff" in note for note in notes] == [False, True]
 
 
 def test_frequencies_alone_are_matched_with_gaps():
@@ -85,13 +85,13 @@ def test_frequencies_alone_are_matched_with_gaps():
     assert match(repeats, shapes=False).index.tolist() == [[0, 1, 2, 3, -1], [0, -1, 1, 2, 3]]
 
 
-def test_what_cannot_be_told_is_refused():
+def test_ambiguous_modes_are_refused():
     """Two modes of one frequency and the same shape at the sensors."""
     shapes = np.repeat(TRUTH[:, :1], 2, axis=1).astype(complex)
-    with pytest.raises(InputError, match=r"r1: which modes .* 1 \(10 Hz\), 2 \(10 Hz\) are cannot be told"):
+    with pytest.raises(InputError, match=r"r1: its modes 1 \(10 Hz\), 2 \(10 Hz\) cannot be matched"):
         match([(np.array([10.0, 10.0]), shapes, None)] * 2)
     # the gap may be on either side
-    with pytest.raises(InputError, match="cannot be told"):
+    with pytest.raises(InputError, match="cannot be matched"):
         match([(np.array([10.0, 10.4]), None, None), (np.array([10.2]), None, None)], shapes=False)
 
 

@@ -46,13 +46,13 @@ def test_repeats_of_universal_files(tmp_path):
     np.testing.assert_array_equal(renamed.shapes, found.shapes)
 
 
-def test_a_single_universal_file_has_no_known_scatter(tmp_path):
+def test_a_single_universal_file_has_no_known_std(tmp_path):
     found = read_modes([uff(tmp_path, "one.UNV")])
     assert np.isnan(found.freq_std).all() and np.isnan(found.shape_std).all()
-    assert any("scatter of the frequencies is unknown" in note for note in found.notes)
+    assert any("standard deviation of the frequencies is unknown" in note for note in found.notes)
 
 
-def test_the_sensor_table_wins_over_the_file(tmp_path):
+def test_the_sensor_table_takes_precedence_over_the_file(tmp_path):
     table = csv(tmp_path, "sensors.csv", "node,x,y,z,on\n2,9,8,7,girder\n99,0,0,0,\n")
     found = read_modes([uff(tmp_path, "one.uff")], sensors=table)
     assert {(s.point, s.on) for s in found.sensors if s.node == 2} == {((9.0, 8.0, 7.0), "girder")}
@@ -96,8 +96,8 @@ def test_a_repeat_that_lacks_a_mode_or_a_sensor_is_used_for_the_rest(tmp_path):
     assert found.without(modes=["a"]).counts("shape").shape == (6, 1)
     np.testing.assert_allclose(found.natural_freq, FREQ, atol=0.05)
     assert found.fingerprint != read_modes(files).fingerprint
-    told = " ".join(found.notes)
-    assert "short.uff" in told and "fewer.uff" in told
+    notes = " ".join(found.notes)
+    assert "short.uff" in notes and "fewer.uff" in notes
 
 
 def test_csv_with_shapes_and_places(tmp_path):

@@ -19,7 +19,7 @@ def repeat(shapes, *, freq=(1.0, 2.0, 3.0), names=NAMES, source="r", named=True,
     return Repeat(source, names, named, np.array(freq), nan if freq_std is None else freq_std, nan + 0, nan + 0, given)
 
 
-def test_repeats_that_differ_by_a_complex_factor_have_no_scatter():
+def test_repeats_that_differ_by_a_complex_factor_have_no_standard_deviation():
     rng = np.random.default_rng(1)
     truth = rng.normal(size=(8, 3)) + 1j * rng.normal(size=(8, 3))
     factors = rng.normal(size=(4, 1, 3)) + 1j * rng.normal(size=(4, 1, 3))
@@ -30,7 +30,7 @@ def test_repeats_that_differ_by_a_complex_factor_have_no_scatter():
 
 
 def test_the_deviation_is_that_of_the_mean():
-    """Over many sets of four repeats, the reported deviation agrees with how far the means really scatter."""
+    """Over many sets of four repeats, the reported standard deviation agrees with that of the means."""
     rng = np.random.default_rng(2)
     truth = np.ones((40, 3))
     truth[0] = 3.0  # the largest, to which shapes are scaled
@@ -48,7 +48,7 @@ def test_the_deviation_is_that_of_the_mean():
         assert np.std(np.real(means), axis=0).mean() == pytest.approx(expected, rel=0.06)
 
 
-def test_frequencies_are_averaged_with_their_scatter():
+def test_frequencies_are_averaged_with_their_standard_deviation():
     shapes = np.eye(3)
     out = combine_repeats([repeat(shapes, freq=(10.0 + d, 20.0, 30.0)) for d in (-1.0, 0.0, 1.0)])
     np.testing.assert_allclose(out.natural_freq, [10, 20, 30])
@@ -106,8 +106,8 @@ def test_deviations_of_a_single_file():
         combine_repeats([one], std_of="repeat")
     bare = combine_repeats([repeat(shapes)], std_of="repeat")
     assert np.isnan(bare.freq_std).all()
-    assert any("scatter of the frequencies is unknown" in note for note in bare.notes)
-    assert any("scatter of the shapes is unknown" in note for note in bare.notes)
+    assert any("standard deviation of the frequencies is unknown" in note for note in bare.notes)
+    assert any("standard deviation of the shapes is unknown" in note for note in bare.notes)
 
 
 def test_what_a_repeat_lacks_is_averaged_over_the_others():

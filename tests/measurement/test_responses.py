@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from calib.correlation.responses import response_freedom
+from calib.correlation.responses import response_dof
+from calib.degrees_of_freedom import chance, repeats_dof
 from calib.errors import InputError
-from calib.freedom import chance, repeats_freedom
 from calib.measurement.read import read_modes
 from calib.measurement.responses import read_responses
 
@@ -40,7 +40,7 @@ def test_each_response_is_the_mean_over_the_repeats_that_hold_it(tmp_path):
     assert len([note for note in found.notes if "of 6 repeats" in note]) == 2
 
 
-def test_an_outlier_is_named_with_its_influence(tmp_path):
+def test_an_outlier_is_named_with_its_effect_on_the_mean(tmp_path):
     path = tmp_path / "r.csv"
     kept = table(path, 6, change=lambda k, n, v: 2 * v if (k, n) == (2, "mass") else v)
     robust, plain = (read_responses(path, p) for p in ("robust", "plain"))
@@ -55,13 +55,13 @@ def test_an_outlier_is_named_with_its_influence(tmp_path):
 
 
 def test_a_far_value_is_found_among_those_of_its_own_kind(tmp_path):
-    """Frequencies scatter by 0.1 %, shapes by 0.3 to 2 %: these say nothing about the scatter of a frequency."""
+    """Noise of 0.1 % in frequencies and 0.3 to 2 % in shapes: shapes do not determine the noise of a frequency."""
     path, runs, left_out = tmp_path / "r.csv", 20, 0
     truth = {f"freq_{k}": 4.5 * k for k in range(1, 6)} | {f"shape_{k}": 0.1 + 0.02 * k for k in range(25)}
     for seed in range(runs):
         rng = np.random.default_rng(seed)
-        scatter = {n: 0.001 if n.startswith("freq") else rng.uniform(0.003, 0.02) for n in truth}
-        table = {n: v * (1 + scatter[n] * rng.normal(size=5)) for n, v in truth.items()}
+        std = {n: 0.001 if n.startswith("freq") else rng.uniform(0.003, 0.02) for n in truth}
+        table = {n: v * (1 + std[n] * rng.normal(size=5)) for n, v in truth.items()}
         table["freq_2"][2] *= 1.05
         rows = [f"{n},{v!r},{k}" for n, values in table.items() for k, v in enumerate(values.tolist())]
         path.write_text("response,value,repeat\n" + "\n".join(rows) + "\n")
@@ -144,7 +144,7 @@ def test_few_repeats_are_pooled_over_the_responses_of_a_kind(tmp_path):
     common = (4 * a + 3 * b) / 7
     for name, n in (("freq_1", 5), ("freq_2", 4)):
         assert found.targets[name][1] == pytest.approx(np.mean(kept[name]) * np.sqrt(common / n))
-    # Of the others only one scatters: that of a single repeat stays unknown, and equal repeats take it.
+    # Of the others only one varies: that of a single repeat stays unknown, and equal repeats take it.
     relative = read.targets["mass"][1] / read.targets["mass"][0]
     assert found.targets["mass"][1] == pytest.approx(read.targets["mass"][1])
     assert found.targets["sag"] == read.targets["sag"] and found.targets["sag"][1] is None
@@ -152,7 +152,7 @@ def test_few_repeats_are_pooled_over_the_responses_of_a_kind(tmp_path):
     assert {n: v for n, (v, _) in found.targets.items()} == {n: v for n, (v, _) in read.targets.items()}
 
 
-def test_ten_repeats_and_values_within_their_scatter_are_not_pooled(tmp_path):
+def test_ten_repeats_and_values_within_their_standard_deviation_are_not_pooled(tmp_path):
     path = tmp_path / "r.csv"
     table(path, 10)
     read = read_responses(path)
@@ -167,8 +167,8 @@ def test_ten_repeats_and_values_within_their_scatter_are_not_pooled(tmp_path):
 
 
 @pytest.mark.parametrize(("repeats", "count"), [(2, 8), pytest.param(5, 20, marks=pytest.mark.slow), (10, 40)])
-def test_a_right_model_is_rejected_as_often_as_the_level_says(tmp_path, repeats, count):
-    """Drawn repeats of a known truth, which fits itself: the chance is that of the draws alone."""
+def test_a_correct_model_is_rejected_as_often_as_the_level_says(tmp_path, repeats, count):
+    """Simulated repeats of known true values: the rejection rate is that of the noise alone."""
     path, level, runs = tmp_path / "r.csv", 0.05, 300 if count < 40 else 100
     rng = np.random.default_rng(4)
     truth = np.linspace(5, 50, count)
@@ -180,13 +180,13 @@ def test_a_right_model_is_rejected_as_often_as_the_level_says(tmp_path, repeats,
         path.write_text("response,value,repeat\n" + "\n".join(rows) + "\n")
         found = read_responses(path, "plain").pooled(kinds)
         mean, std = np.array(list(found.targets.values())).T
-        scatter = repeats_freedom(kinds.values(), found.pooled_repeats)["r"]
-        rejected += bool(chance(np.sum(((mean - truth) / std) ** 2), count, scatter) < level)
+        behind = repeats_dof(kinds.values(), found.pooled_repeats)["r"]
+        rejected += bool(chance(np.sum(((mean - truth) / std) ** 2), count, behind) < level)
     assert rejected / runs < level + 3 * np.sqrt(level * (1 - level) / runs)
 
 
 def test_a_claimed_accuracy_is_known_however_few_the_repeats(tmp_path):
-    """Two repeats that scatter by 0.1 % beside a claim of 1 %: five times the claim is a gross misfit."""
+    """Two repeats with noise of 0.1 % beside a claim of 1 %: five times the claim is a gross misfit."""
     path, count, truth = tmp_path / "r.csv", 4, np.array([5.0, 10.0, 20.0, 40.0])
     kinds = {f"r_{k}": "r" for k in range(count)}
     rng, p = np.random.default_rng(5), []
@@ -195,7 +195,7 @@ def test_a_claimed_accuracy_is_known_however_few_the_repeats(tmp_path):
         rows = [f"r_{k},{v!r},{i}" for i, own in enumerate(values.tolist()) for k, v in enumerate(own)]
         path.write_text("response,value,repeat\n" + "\n".join(rows) + "\n")
         found = read_responses(path, "plain").pooled(kinds).claiming(kinds, "1 %")
-        (behind,) = response_freedom(found.targets, found.pooled_repeats, found.shares).values()
+        (behind,) = response_dof(found.targets, found.pooled_repeats, found.shares).values()
         mean, std = np.array(list(found.targets.values())).T
         p.append(float(chance(np.sum(((mean - truth) / std) ** 2), count, behind)))
         assert chance(count * 3.5**2, count, behind) < 0.01 < chance(count * 3.5**2, count, count)

@@ -27,13 +27,13 @@ def read(uff, places, scale=1.0):
     return read_modes([uff], sensors=table)
 
 
-def told(found):
+def notes_of(found):
     return [note for note in found.notes if "sensors.csv" in note]
 
 
 def test_a_table_that_agrees_is_not_mentioned(uff):
     found = read(uff, {n: (x + 0.005, y, z - 0.005) for n, (x, y, z) in PLACES.items()})
-    assert found.misplaced == () and told(found) == []
+    assert found.misplaced == () and notes_of(found) == []
 
 
 def test_a_table_of_other_nodes_is_refused(uff):
@@ -43,12 +43,12 @@ def test_a_table_of_other_nodes_is_refused(uff):
     assert {s.point for s in some.sensors if s.node == 1} == {PLACES[1]}
 
 
-def test_a_place_that_contradicts_is_told_with_its_distance(uff):
+def test_a_contradicting_place_is_reported_with_its_distance(uff):
     found = read(uff, PLACES | {3: (1.5, 1.3, 2.25), 5: (2.6, 1.5, 0.25)})
     assert [one.node for one in found.misplaced] == [3, 5]
     assert [one.distance for one in found.misplaced] == pytest.approx([2.0, 0.1])
     assert {s.point for s in found.sensors if s.node == 3} == {(1.5, 1.3, 2.25)}
-    (note,) = told(found)
+    (note,) = notes_of(found)
     assert "2 of 6" in note and "node 3 by 2 m" in note
 
 
@@ -56,5 +56,5 @@ def test_a_place_that_contradicts_is_told_with_its_distance(uff):
 def test_millimetres_are_recognised(uff, scale, word):
     found = read(uff, PLACES, scale)
     assert len(found.misplaced) == 6
-    (note,) = told(found)
+    (note,) = notes_of(found)
     assert word in note and "millimetres" in note

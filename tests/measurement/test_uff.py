@@ -86,7 +86,7 @@ def test_nodes_that_were_not_measured_in_a_mode_come_back_as_unknown(tmp_path):
     write_uff(tmp_path / "one.unv", **given)
     (repeat,) = drop_unmeasured([read_uff(tmp_path / "one.unv").repeat])
     np.testing.assert_array_equal(np.isnan(repeat.shape_set.shapes.real), np.isnan(given["shapes"].real))
-    given["shapes"][0, 2] = np.nan  # its other direction was measured: zero would be a lie
+    given["shapes"][0, 2] = np.nan  # its other direction was measured: zero would be wrong
     with pytest.raises(InputError, match="node 10 lacks some of its directions"):
         write_uff(tmp_path / "two.unv", **given)
     assert not (tmp_path / "two.unv").exists()
@@ -155,7 +155,7 @@ def test_eigenvalues_of_a_pair_are_one_mode(tmp_path, analysis_type):
     zero = np.zeros(2, dtype=complex)
     below = {"analysis_type": analysis_type, "eig": root.conjugate(), "r1": zero, "r2": shape.conj(), "r3": zero}
     records(path, **below)
-    alone = read_uff(path).repeat  # a mode given by its lower half only is turned over
+    alone = read_uff(path).repeat  # a mode given by its lower half only is conjugated
     records(path, **(below | {"eig": root, "r2": shape}))
     pair = read_uff(path).repeat
     for repeat in (alone, pair):

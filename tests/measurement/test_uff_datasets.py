@@ -35,7 +35,7 @@ def binary_function(data, count=None):
 
 
 @pytest.mark.parametrize("end", [b"\n", b"\r\n"])
-def test_bytes_that_look_like_the_end_of_a_dataset_are_passed_over(tmp_path, end):
+def test_bytes_that_look_like_the_end_of_a_dataset_are_skipped(tmp_path, end):
     path = modes(tmp_path / "one.uff")
     plain = read_uff(path)
     data = b"\x00\x01" + end + b"    -1" + end + b"    55" + end + b"\xff\x1a    -1" + end

@@ -1,4 +1,4 @@
-"""A linear or mildly curved model with Gaussian noise: everything has a closed form and drawing it is cheap."""
+"""A linear or mildly nonlinear model with Gaussian noise: closed forms exist and simulation is cheap."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import pytest
 from calib.effect import Effect
 from calib.errors import EvaluationError
 from calib.missing.explain import explain
-from calib.missing.findings import Findings
+from calib.missing.explanation import Explanation
+from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.rules import RULES
-from calib.missing.state import State, fitted
 from calib.space import Parameter, ParameterSpace
 
 
 @dataclass(frozen=True)
 class Row:
-    """What one number of the data is."""
+    """Label of one value of the data."""
 
     mode: str
     kind: str
@@ -28,7 +28,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Bump:
-    """A response that, as that of a hung mass, is largest in the modes whose place is near a nuisance parameter."""
+    """Signature with a nuisance parameter, largest in the modes whose place is near it, as that of a hung mass."""
 
     direction: np.ndarray
     place: np.ndarray
@@ -43,7 +43,7 @@ class Bump:
 
 
 @dataclass(frozen=True, eq=False)
-class ToyQuestion:
+class ToyProblem:
     """The toy with some effects."""
 
     toy: Toy
@@ -62,10 +62,11 @@ class ToyQuestion:
 
 @dataclass(frozen=True, eq=False)
 class Toy:
-    """Hypotheses about ``y = L + curvature L^2`` with ``L`` the sum of columns times parameters and strengths.
+    """Hypotheses about ``y = L + curvature L^2`` with ``L`` the sum of columns times parameters and magnitudes.
 
-    ``columns`` holds one column for a parameter, effect or atom, or one for each place of a whole-number parameter;
-    ``bumps`` the responses of effects with a nuisance parameter; ``sd`` the scatter that is believed, true is 1.
+    ``columns`` holds one column for a parameter, effect or perturbation, or one for each place of an integer parameter;
+    ``bumps`` the signatures of effects with a nuisance parameter; ``sd`` is the stated standard deviation, the true one
+    is 1.
     """
 
     rows: tuple[Row, ...]
@@ -73,12 +74,12 @@ class Toy:
     columns: Mapping[str, np.ndarray]
     bumps: Mapping[str, Bump]
     effects: tuple[Effect, ...]
-    atoms: tuple[Effect, ...]
+    perturbations: tuple[Effect, ...]
     data: np.ndarray
     sd: np.ndarray
     curvature: float = 0.0
     fitted_factors: Mapping[tuple[str, str], int] = field(default_factory=dict)
-    scatter_freedom: Mapping[str, float] = field(default_factory=dict)
+    std_dof: Mapping[str, float] = field(default_factory=dict)
     fails: Callable[[Mapping[str, float]], bool] = lambda values: False
     count: list[int] = field(default_factory=lambda: [0])
 
@@ -86,10 +87,10 @@ class Toy:
     def evaluations(self) -> int:
         return self.count[0]
 
-    def question(self, names: tuple[str, ...]) -> ToyQuestion:
-        known = {e.name: e for e in (*self.effects, *self.atoms)}
+    def fit_problem(self, names: tuple[str, ...]) -> ToyProblem:
+        known = {e.name: e for e in (*self.effects, *self.perturbations)}
         more = tuple(p for n in names for p in known[n].parameters)
-        return ToyQuestion(self, ParameterSpace(self.base.parameters + more, self.base.constraints))
+        return ToyProblem(self, ParameterSpace(self.base.parameters + more, self.base.constraints))
 
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
         return frozenset()
@@ -120,31 +121,31 @@ class Toy:
         return inner * self.columns[name]
 
     def drawn(self, rng: np.random.Generator, truth: Mapping[str, float] | None = None, noise: float = 1.0) -> Toy:
-        """With data of its own: parameters that no truth is given for come from their prior."""
+        """The toy with simulated data; parameters without a given truth are drawn from their prior."""
         values = {p.name: p.value if p.integer else rng.normal(p.value, p.prior_width) for p in self.base.parameters}
         exact = self.answer({**values, **(truth or {})})
         return replace(self, data=exact + noise * rng.standard_normal(len(self.rows)), count=[0])
 
-    def explained(self, truth: Mapping[str, float], draws: int, seed: int = 1, noise: float = 1.0) -> list[Findings]:
-        """Findings over draws of the data, one after the other from one generator."""
+    def explained(self, truth: Mapping[str, float], draws: int, seed: int = 1, noise: float = 1.0) -> list[Explanation]:
+        """Explanations of simulated data sets, drawn one after the other from one generator."""
         rng = np.random.default_rng(seed)
         return [explain(self.drawn(rng, truth, noise)) for _ in range(draws)]
 
-    def alike(self, name: str, of: str, share: float, seed: int = 1) -> Toy:
-        """With a column of unchanged length whose direction correlates with another's by a share."""
+    def correlated(self, name: str, of: str, share: float, seed: int = 1) -> Toy:
+        """The toy with a column of unchanged length that correlates with another one by ``share``."""
         other = np.random.default_rng(seed).standard_normal(len(self.rows))
         one = self.columns[of]
         other -= one * (one @ other) / (one @ one)
         column = share * one + np.sqrt(1 - share**2) * np.linalg.norm(one) * other / np.linalg.norm(other)
         return replace(self, columns={**self.columns, name: column})
 
-    def calibrated(self, *names: str, start: Mapping[str, float] | None = None, whole: int = 0) -> State:
-        question = self.question(names)
-        return fitted(question, names, {**question.space.values, **(start or {})}, whole)
+    def calibrated(self, *names: str, start: Mapping[str, float] | None = None, whole: int = 0) -> LinearisedFit:
+        fit_problem = self.fit_problem(names)
+        return fitted(fit_problem, names, {**fit_problem.space.values, **(start or {})}, whole)
 
 
 def labels(modes: int, sensors: int, kinds: Sequence[str]) -> tuple[Row, ...]:
-    """A frequency, a damping ratio and the sensors of a shape for every mode, or plain responses."""
+    """A frequency, a damping ratio and the sensors of a shape for every mode, or scalar responses."""
     if not modes:
         return tuple(Row("", "response", f"y{k}") for k in range(sensors))
     out = []
@@ -155,10 +156,10 @@ def labels(modes: int, sensors: int, kinds: Sequence[str]) -> tuple[Row, ...]:
 
 
 def effect(name: str, size: float = 1.0, signed: bool = False, **more: object) -> Effect:
-    """An effect whose plausible strength is ``size``."""
+    """An effect whose plausible magnitude is ``size``."""
     lower = -50.0 * size if signed else 0.0
-    strength = Parameter(name, 0.0, lower, 50.0 * size, prior_sd=size)
-    return Effect(name, name, "lacks it", "look for it", strength, lambda model: None, **more)  # type: ignore[arg-type]
+    magnitude = Parameter(name, 0.0, lower, 50.0 * size, prior_sd=size)
+    return Effect(name, name, "lacks it", "look for it", magnitude, lambda model: None, **more)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="session")
@@ -168,17 +169,17 @@ def make_effect() -> Callable[..., Effect]:
 
 @pytest.fixture(scope="session")
 def toy() -> Callable[..., Toy]:
-    """Parameters P0.., effects E0.., unnamed changes A0.. of random directions, one unit of the size given.
+    """Parameters P0.., effects E0.. and local perturbations A0.. of random directions, one unit of the given size.
 
-    Parameters act on all modes, what may be missing mostly on two. Without unnamed changes nothing would be named: in
-    their place stands one that acts everywhere.
+    Parameters act on all modes, effects and perturbations mostly on two. Without local perturbations no effect would be
+    named: one that acts on all modes takes their place.
     """
 
     def make(
         seed: int = 0,
         parameters: int = 4,
         effects: int = 5,
-        atoms: int = 8,
+        perturbations: int = 8,
         modes: int = 8,
         sensors: int = 10,
         kinds: Sequence[str] = ("frequency", "damping", "shape"),
@@ -207,7 +208,7 @@ def toy() -> Callable[..., Toy]:
             own.append(Parameter("place", 0, 0, places - 1, integer=True))
             columns["place"] = np.column_stack([column(size) for _ in range(places)])
         named = [effect(f"E{k}", signed=f"E{k}" in signed) for k in range(effects)]
-        local = [effect(f"A{k}", signed=True) for k in range(atoms)]
+        local = [effect(f"A{k}", signed=True) for k in range(perturbations)]
         columns |= {e.name: column(size) for e in (*named, *local)}
         bumps = {}
         if bump:
@@ -226,7 +227,7 @@ def toy() -> Callable[..., Toy]:
             columns=columns,
             bumps=bumps,
             effects=tuple(named),
-            atoms=tuple(local),
+            perturbations=tuple(local),
             data=np.zeros(n),
             sd=np.ones(n),
             curvature=curvature,
@@ -237,5 +238,5 @@ def toy() -> Callable[..., Toy]:
 
 @pytest.fixture
 def fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A quarter of the draws behind a chance: enough for a level of 1 %, and drawing takes longest over toys."""
+    """A quarter of the samples behind a p-value: enough for a level of 1 %; sampling takes longest over toys."""
     monkeypatch.setattr("calib.missing.score.RULES", replace(RULES, draws=RULES.draws // 4))

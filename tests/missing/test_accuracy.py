@@ -1,4 +1,4 @@
-"""At which accuracy a verdict would change."""
+"""Accuracy at which a verdict would change."""
 
 from types import SimpleNamespace
 
@@ -11,20 +11,20 @@ from calib.problem import Rows
 
 
 @pytest.mark.parametrize("verdict", ["nothing_detectable", "noise_underestimated"])
-def test_where_nothing_is_missing_no_accuracy_is_asked(verdict):
+def test_no_accuracy_is_tried_where_nothing_is_missing(verdict):
     found = SimpleNamespace(verdict=verdict, noise_scale=2.0)
     table = less_accurate(found, Rows(()), np.zeros(0), 1)
     assert table.empty and sentence(table) == ""
 
 
-def test_an_accuracy_beyond_the_repeats_is_as_good_as_known(toy):
-    """Added to a scatter of a quarter of it, it leaves a fifteenth of the variance to the few repeats."""
+def test_an_assumed_accuracy_counts_as_known_standard_deviation(toy):
+    """Added to a standard deviation of a quarter of it: the few repeats then estimate a small part of the variance."""
     measured = toy().drawn(np.random.default_rng(1), {"E0": 6.0})
     found, rows = explain(measured), measured.rows
 
-    def p_fit(freedom):
-        behind = {row.kind: freedom for row in rows}
-        return less_accurate(found, Rows(rows, {}, behind), np.full(len(rows), 2.5e-4), 1, (1e-3,))["p_fit"][0]
+    def p_fit(dof):
+        std_dof = {row.kind: dof for row in rows}
+        return less_accurate(found, Rows(rows, {}, std_dof), np.full(len(rows), 2.5e-4), 1, (1e-3,))["p_fit"][0]
 
     few, known = p_fit(4.0), p_fit(np.inf)
     assert known < few < 2 * known < 1e-4

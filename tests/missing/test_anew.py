@@ -1,4 +1,4 @@
-"""A large effect is found although the base fit, led astray by it, lies behind a ridge."""
+"""A large effect is found although it has led the base fit into another valley."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -8,20 +8,20 @@ import pytest
 from calib.missing import explain as decision
 from calib.missing.anew import led_astray
 from calib.missing.explain import explain
-from calib.missing.plausible import strain
+from calib.missing.linearised_fit import fitted
+from calib.missing.plausible import pulls
 from calib.missing.rules import RULES
-from calib.missing.state import fitted
 from calib.space import Parameter, ParameterSpace
 
 TRUTH = {"P0": 0.1, "P1": 0.2, "P2": 0.1, "E0": 1.0}
 
 
 def turning(toy, size, radius, prior=1.0):
-    """A toy whose first parameter turns a response on a circle: far from 0 it acts the other way.
+    """A toy whose first parameter moves the response on a circle: far from 0 it acts the other way.
 
-    What E0 does looks nearly as such a turn by 150 degrees.
+    The signature of E0 is nearly that of a rotation by 150 degrees.
     """
-    plain = toy(effects=4, atoms=6, parameters=3)
+    plain = toy(effects=4, perturbations=6, parameters=3)
 
     @dataclass(frozen=True, eq=False)
     class Turning(type(plain)):
@@ -49,19 +49,19 @@ def turning(toy, size, radius, prior=1.0):
 def test_a_large_effect_behind_a_ridge_is_named_and_measured(toy, size, radius, monkeypatch):
     one = turning(toy, size, radius).drawn(np.random.default_rng(1), TRUTH)
     found = explain(one)
-    assert abs(found.base.state.values["P0"]) > 2.4 and found.begun_anew
+    assert abs(found.base.fit.values["P0"]) > 2.4 and found.begun_anew
     assert found.verdict == "effect" and found.credible == ("E0",) and found.noise_scale == 1.0
-    question = one.question(("E0",))
-    from_truth = fitted(question, ("E0",), {**question.space.values, **TRUTH})
-    assert found.chosen.state.misfit == pytest.approx(from_truth.misfit, abs=0.1)
-    assert found.chosen.state.values["E0"] == pytest.approx(1.0, abs=0.1)
-    # From the base fit alone it stays in the wrong valley.
-    monkeypatch.setattr(decision, "led_astray", lambda base, check: False)
+    fit_problem = one.fit_problem(("E0",))
+    from_truth = fitted(fit_problem, ("E0",), {**fit_problem.space.values, **TRUTH})
+    assert found.chosen.fit.misfit == pytest.approx(from_truth.misfit, abs=0.1)
+    assert found.chosen.fit.values["E0"] == pytest.approx(1.0, abs=0.1)
+    # Started from the base fit alone, the fit stays in the wrong valley.
+    monkeypatch.setattr(decision, "led_astray", lambda base, adequacy: False)
     lost = explain(replace(one, count=[0]))
-    assert lost.chosen.state.misfit * lost.noise_scale**2 > from_truth.misfit + 9 and not lost.begun_anew
+    assert lost.chosen.fit.misfit * lost.noise_scale**2 > from_truth.misfit + 9 and not lost.begun_anew
 
 
-def test_beginning_anew_costs_what_it_says(toy):
+def test_refits_from_nominal_values_keep_to_their_budget(toy):
     one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), TRUTH)
     found = explain(one)
     assert found.begun_anew and found.evaluations <= (1 + RULES.anew) * decision.DEFAULT.budget + 20
@@ -69,7 +69,7 @@ def test_beginning_anew_costs_what_it_says(toy):
     assert not least.begun_anew and least.evaluations < 60
 
 
-def test_an_effect_that_is_named_at_once_begins_nowhere_else(toy):
+def test_an_effect_named_at_once_needs_no_refit_from_nominal_values(toy):
     found = explain(toy().drawn(np.random.default_rng(7), {"E1": 3.0}))
     assert found.verdict == "effect" and not found.begun_anew
 
@@ -77,16 +77,16 @@ def test_an_effect_that_is_named_at_once_begins_nowhere_else(toy):
 def test_a_base_model_is_led_astray_by_the_stated_rule(toy):
     made = toy()
     quiet = explain(made.drawn(np.random.default_rng(2), {}))
-    assert not led_astray(quiet.base, quiet.base_check)
-    named = quiet.base_check.named
-    loud = replace(quiet.base_check, named=replace(named, z=named.z + 20.0))
-    assert led_astray(quiet.base, loud) and led_astray(quiet.base, replace(quiet.base_check, p_fit=1e-9))
+    assert not led_astray(quiet.base, quiet.base_adequacy)
+    named = quiet.base_adequacy.named
+    loud = replace(quiet.base_adequacy, named=replace(named, z=named.z + 20.0))
+    assert led_astray(quiet.base, loud) and led_astray(quiet.base, replace(quiet.base_adequacy, p_fit=1e-9))
     pulled = explain(made.drawn(np.random.default_rng(2), {"P3": 6.0, "E1": 1.0}))
-    assert strain(pulled.base.state)["strained"].any() and led_astray(pulled.base, pulled.base_check)
+    assert pulls(pulled.base.fit)["pulled"].any() and led_astray(pulled.base, pulled.base_adequacy)
 
 
-def test_whole_numbers_are_chosen_again(toy):
-    """Behind the ridge another place looks right; the fit that begins anew finds the place too."""
+def test_integers_are_chosen_again(toy):
+    """In the wrong valley another integer fits better; the refit from the nominal values finds the true one."""
     made = turning(toy, 150.0, 30.0)
     rng = np.random.default_rng(5)
     places = 6.0 * rng.standard_normal((len(made.rows), 3)) / np.sqrt(len(made.rows))
@@ -95,5 +95,5 @@ def test_whole_numbers_are_chosen_again(toy):
     one = replace(made, base=space, columns={**made.columns, "place": places})
     one = one.drawn(np.random.default_rng(1), {**TRUTH, "place": 0})
     found = explain(one)
-    assert found.base.state.values["place"] != 0 and found.begun_anew
-    assert found.credible == ("E0",) and found.chosen.state.values["place"] == 0
+    assert found.base.fit.values["place"] != 0 and found.begun_anew
+    assert found.credible == ("E0",) and found.chosen.fit.values["place"] == 0

@@ -1,43 +1,45 @@
-"""A name needs data that could speak against it, and data left out that are predicted no worse."""
+"""An effect is named only with degrees of freedom left and no larger leave-one-out error."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from calib.freedom import effective_freedom
-from calib.inference.left_out import left_out
+from calib.degrees_of_freedom import effective_dof
+from calib.inference.leave_one_out import leave_one_out
 from calib.missing.explain import DEFAULT, _Decision, explain
 from calib.missing.refits import Refits
 
 
-def error(toy, trial):
+def error(toy, candidate_fit):
     groups = [row.mode or row.sensor for row in toy.rows]
-    s = trial.state
-    return np.linalg.norm(left_out(s.residual, s.slope, s.prior_sd, groups).residual)
+    s = candidate_fit.fit
+    return np.linalg.norm(leave_one_out(s.residual, s.slope, s.prior_sd, groups).residual)
 
 
 @pytest.mark.parametrize("seed", [1, 4, 18])
 def test_with_as_many_unknowns_as_data_nothing_is_named(toy, seed):
-    """Three parameters and two effects: with five responses anything fits, with eight something could be wrong."""
+    """Three parameters and two effects: five responses leave no degrees of freedom, eight leave three."""
 
-    def asked(responses):
-        made = toy(seed=seed, modes=0, sensors=responses, parameters=3, effects=5, atoms=0, size=40.0, reach=20.0)
+    def explained(responses):
+        made = toy(
+            seed=seed, modes=0, sensors=responses, parameters=3, effects=5, perturbations=0, size=40.0, reach=20.0
+        )
         return explain(made.drawn(np.random.default_rng(seed), {"E0": 1.0, "E1": 1.0}))
 
-    few, enough = asked(5), asked(8)
+    few, enough = explained(5), explained(8)
     assert few.credible == () and not few.names_something
-    (pair,) = [t for t in few.trials if set(t.names) == {"E0", "E1"}]
-    assert effective_freedom(pair.state.slope, pair.state.prior_sd) < 1
+    (pair,) = [t for t in few.candidate_fits if set(t.names) == {"E0", "E1"}]
+    assert effective_dof(pair.fit.slope, pair.fit.prior_sd) < 1
     assert enough.verdict == "two_effects" and set(enough.credible) == {"E0", "E1"}
-    assert effective_freedom(enough.chosen.state.slope, enough.chosen.state.prior_sd) == pytest.approx(3, abs=0.2)
+    assert effective_dof(enough.chosen.fit.slope, enough.chosen.fit.prior_sd) == pytest.approx(3, abs=0.2)
 
 
 def pulled(toy, seed):
-    """E0 and E1 cancel but for what one mode alone shows, and a little that noise tells of."""
+    """E0 and E1 cancel except in one mode and for a small part that only noise determines."""
     made = toy(
-        seed=seed, modes=4, sensors=3, kinds=("frequency", "shape"), parameters=2, effects=3, atoms=0, size=20.0,
-        signed=("E0", "E1"),
+        seed=seed, modes=4, sensors=3, kinds=("frequency", "shape"), parameters=2, effects=3, perturbations=0,
+        size=20.0, signed=("E0", "E1"),
     )  # fmt: skip
     one = np.array([row.mode == "M1" for row in made.rows])
     rng = np.random.default_rng(seed)
@@ -51,17 +53,17 @@ def pulled(toy, seed):
 @pytest.mark.parametrize("seed", [0, 2, 6, 7, 11])
 def test_two_effects_that_predict_left_out_modes_worse_are_not_named(toy, seed, monkeypatch):
     one = pulled(toy, seed)
-    assert not explain(one).names_something  # one mode alone is wrong, and that explains as much
-    monkeypatch.setattr("calib.missing.explain.wrong_datum", lambda *asked: None)
+    assert not explain(one).names_something  # one mode alone is wrong, which explains as much
+    monkeypatch.setattr("calib.missing.explain.wrong_datum", lambda *given: None)
     found = explain(one)
-    (pair,) = [t for t in found.trials if set(t.names) == {"E0", "E1"}]
+    (pair,) = [t for t in found.candidate_fits if set(t.names) == {"E0", "E1"}]
     rises = error(one, pair) > error(one, found.base)
     assert rises == (seed in (2, 7, 11))
     assert (found.verdict == "two_effects") == (not rises) and (found.credible == ()) == rises
 
 
-def test_what_a_fit_predicts_is_judged_against_the_base_model(toy):
+def test_the_leave_one_out_error_is_compared_with_that_of_the_base_model(toy):
     one = toy().drawn(np.random.default_rng(7), {"E1": 1.5})
     found, decision = explain(one), _Decision(Refits(one, DEFAULT, 1.0, lambda words: None))
-    worse = replace(found.chosen, state=replace(found.chosen.state, residual=20 * found.chosen.state.residual))
+    worse = replace(found.chosen, fit=replace(found.chosen.fit, residual=20 * found.chosen.fit.residual))
     assert decision.predicts(found.chosen, found.base) and not decision.predicts(worse, found.base)

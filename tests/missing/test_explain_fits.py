@@ -1,4 +1,4 @@
-"""Which fits a decision makes, from where, and that nothing else sways it; over toys in which every answer is known."""
+"""Fits and starts of a decision, and their independence of order and history; on toys whose truth is known."""
 
 from dataclasses import replace
 
@@ -7,33 +7,35 @@ import pytest
 
 from calib.errors import EvaluationError
 from calib.missing.explain import Settings, explain
+from calib.missing.linearised_fit import fitted
 from calib.missing.pairs import fit_pairs
-from calib.missing.state import fitted
 
 
-def test_places_follow_what_was_missing_and_come_back(toy):
-    """A whole number that took part of an effect upon itself moves to its neighbour once the effect is added."""
+def test_integers_move_back_once_the_effect_is_added(toy):
+    """An integer that absorbed part of an effect moves back to its neighbour once the effect is added."""
     toy = toy(places=6, effects=3, size=6.0)
     rng = np.random.default_rng(4)
     places = toy.columns["place"].copy()
     places[:, 3] = places[:, 2] + 0.7 * 3 * toy.columns["E2"] + 0.8 * rng.standard_normal(len(toy.rows))
     toy = replace(toy, columns={**toy.columns, "place": places})
     found = explain(toy.drawn(rng, {"place": 2, "E2": 3.0}))
-    assert found.base.state.values["place"] == 3
-    assert found.credible == ("E2",) and found.chosen.state.values["place"] == 2
+    assert found.base.fit.values["place"] == 3
+    assert found.credible == ("E2",) and found.chosen.fit.values["place"] == 2
 
 
-def test_same_seed_same_findings(toy):
+def test_the_same_seed_gives_the_same_explanation(toy):
     toy = toy(bump=True, places=3).drawn(np.random.default_rng(5), {"E1": 1.2, "hung": 1.0, "at": 2.2, "place": 1})
     one, other = explain(toy), explain(replace(toy, count=[0]))
     assert one.verdict == other.verdict and one.credible == other.credible
-    assert one.base_check.p_family == other.base_check.p_family
-    assert [(t.names, t.ln_evidence) for t in one.trials] == [(t.names, t.ln_evidence) for t in other.trials]
-    assert one.chosen.state.values == other.chosen.state.values
+    assert one.base_adequacy.p_family == other.base_adequacy.p_family
+    assert [(t.names, t.ln_evidence) for t in one.candidate_fits] == [
+        (t.names, t.ln_evidence) for t in other.candidate_fits
+    ]
+    assert one.chosen.fit.values == other.chosen.fit.values
 
 
-def test_asking_again_gives_the_same_findings(toy):
-    """What was solved before, by whomever, decides nothing."""
+def test_earlier_evaluations_do_not_change_the_explanation(toy):
+    """Evaluations made before do not matter."""
     toy = toy(signed=("E4",)).drawn(np.random.default_rng(1), {"E0": 1.2, "E4": -1.2})
     settings = Settings(budget=30)
     first = explain(toy, settings)
@@ -42,8 +44,8 @@ def test_asking_again_gives_the_same_findings(toy):
         assert explain(toy, settings).verdict == first.verdict
 
 
-def test_what_single_effects_have_spent_leaves_pairs_their_part(toy, monkeypatch):
-    """Two effects are missing, and the single ones use up the budget: the pair is named as with any budget."""
+def test_pairs_keep_their_part_of_the_budget(toy, monkeypatch):
+    """Two effects are missing and single effects use up the budget: the pair is still named."""
     toy = toy(signed=("E4",)).drawn(np.random.default_rng(1), {"E0": 1.2, "E4": -1.2})
     whole, spent = explain(toy), []
 
@@ -59,18 +61,18 @@ def test_what_single_effects_have_spent_leaves_pairs_their_part(toy, monkeypatch
 
 def test_the_order_of_the_library_does_not_matter(toy):
     toy = toy(signed=("E0",)).drawn(np.random.default_rng(6), {"E0": -1.0, "E3": 0.9})
-    one, other = explain(toy), explain(replace(toy, effects=toy.effects[::-1], atoms=toy.atoms[::-1]))
+    one, other = explain(toy), explain(replace(toy, effects=toy.effects[::-1], perturbations=toy.perturbations[::-1]))
     assert one.verdict == other.verdict and set(one.credible) == set(other.credible)
     assert one.chosen.ln_evidence == pytest.approx(other.chosen.ln_evidence, abs=5e-3)
 
 
-def test_a_base_model_that_cannot_be_solved_is_said(toy):
+def test_a_base_model_that_cannot_be_solved_is_an_error(toy):
     with pytest.raises(EvaluationError):
         explain(replace(toy(), fails=lambda values: True))
 
 
-def test_an_effect_that_can_never_be_solved_is_passed_over(toy):
-    """Of an effect with a nuisance parameter no grid point, of a plain one no fit can be evaluated."""
+def test_an_effect_that_can_never_be_solved_is_skipped(toy):
+    """No grid point can be evaluated for an effect with a nuisance parameter, and no fit for one without."""
     toy = toy(bump=True).drawn(np.random.default_rng(8), {"E1": 1.5})
     toy = replace(toy, fails=lambda values: values.get("hung", 0.0) > 0 or values.get("E0", 0.0) > 0)
     found = explain(toy)
@@ -82,23 +84,23 @@ def test_refits_are_limited(toy):
     assert len(explain(weak, Settings(refits=3)).singles) == 3
     assert len(explain(weak).singles) == 6
     strong = toy(effects=9).drawn(np.random.default_rng(10), {"E1": 3.0})
-    assert [t.names for t in explain(strong).singles] == [("E1",)]  # the others promise next to nothing of it
+    assert [t.names for t in explain(strong).singles] == [("E1",)]  # the predicted gain of the others is negligible
 
 
-def test_evidence_is_that_of_a_fit_from_elsewhere(toy):
+def test_evidence_does_not_depend_on_the_start(toy):
     toy = toy(bump=True).drawn(np.random.default_rng(10), {"hung": 1.5, "at": 2.6})
     found = explain(toy)
-    question = toy.question(("hung",))
+    fit_problem = toy.fit_problem(("hung",))
     misfits = [
-        fitted(question, ("hung",), {**question.space.values, "hung": 1.0, "at": q}).misfit
+        fitted(fit_problem, ("hung",), {**fit_problem.space.values, "hung": 1.0, "at": q}).misfit
         for q in np.linspace(0, 7, 15)
     ]
-    assert found.chosen.state.misfit == pytest.approx(min(misfits), abs=0.01)
+    assert found.chosen.fit.misfit == pytest.approx(min(misfits), abs=0.01)
 
 
 def test_the_second_best_point_of_a_grid_is_tried_too(toy):
-    """The best point is the place of something else; beside the second best may lie what fits better in the end."""
-    toy = toy(bump=True, effects=1, atoms=0)
+    """The best grid point belongs to another effect; a fit from the second best may end lower."""
+    toy = toy(bump=True, effects=1, perturbations=0)
     hung, bump = toy.effects[-1], toy.bumps["hung"]
     hung = replace(hung, grid=tuple({"hung": 2.0, "at": q} for q in (1.0, 4.4)))
     toy = replace(toy, effects=(toy.effects[0], hung), columns={**toy.columns, "decoy": bump.at({"at": 1.0})})
@@ -108,27 +110,27 @@ def test_the_second_best_point_of_a_grid_is_tried_too(toy):
         found = explain(one)
         if found.noise_scale != 1.0:
             continue
-        (trial,) = [t for t in found.singles if t.names == ("hung",)]
-        question = one.question(("hung",))
-        both = [fitted(question, ("hung",), {**found.base.state.values, **point}) for point in hung.grid]
-        assert trial.state.misfit == pytest.approx(min(b.misfit for b in both), abs=0.06)
-        best = found.base_check.named.points[found.base_check.named.best("hung")]
-        second += best["at"] == 1.0 and trial.state.values["at"] > 4.4
+        (candidate_fit,) = [t for t in found.singles if t.names == ("hung",)]
+        fit_problem = one.fit_problem(("hung",))
+        both = [fitted(fit_problem, ("hung",), {**found.base.fit.values, **point}) for point in hung.grid]
+        assert candidate_fit.fit.misfit == pytest.approx(min(b.misfit for b in both), abs=0.06)
+        best = found.base_adequacy.named.points[found.base_adequacy.named.best("hung")]
+        second += best["at"] == 1.0 and candidate_fit.fit.values["at"] > 4.4
     assert second >= 1
 
 
 def test_fits_start_where_a_linear_model_ends(toy):
-    """Two evaluations for the base model, one for each effect that is fitted, for the atom and for fits to the end."""
+    """Two evaluations for the base model, one for each fitted effect, for the perturbation and each refinement."""
     toy = toy().drawn(np.random.default_rng(7), {"E1": 1.5})
     explain(toy)
     assert toy.evaluations <= 6
 
 
-def test_a_base_model_starts_at_the_best_neighbouring_places(toy):
-    """Places on the way to the right one look ever more like it; a first fit from the wrong one absorbs much."""
+def test_the_base_fit_starts_at_the_best_neighbouring_integers(toy):
+    """The nearer a place, the more similar its signature; a first fit from the wrong one absorbs much."""
     toy = toy(places=7, effects=2)
     near = np.exp(-0.5 * (np.subtract.outer(np.arange(7), np.arange(7)) / 3.0) ** 2)
     toy = replace(toy, columns={**toy.columns, "place": 4 * toy.columns["place"] @ near})
     for place in (1, 5, 6):
         for f in toy.explained({"place": place}, 3):
-            assert f.base.state.values["place"] == place and f.verdict == "nothing_detectable"
+            assert f.base.fit.values["place"] == place and f.verdict == "nothing_detectable"

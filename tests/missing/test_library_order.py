@@ -1,4 +1,4 @@
-"""The verdict belongs to the data: no order of the library changes it, and what they tell apart is told apart."""
+"""The verdict does not depend on the order of the library, and a strong signal tells collinear effects apart."""
 
 from dataclasses import replace
 
@@ -12,8 +12,8 @@ from calib.missing.explain import Settings, explain
 
 
 def masses(toy, share, truth, seed=1, size=8.0):
-    """Two distributed masses E0 and E3, either of which may also be too much, whose fingerprints correlate."""
-    made = toy(effects=5, signed=("E0", "E3"), atoms=6, size=size).alike("E3", "E0", share)
+    """Two distributed masses E0 and E3 of either sign, whose signatures correlate."""
+    made = toy(effects=5, signed=("E0", "E3"), perturbations=6, size=size).correlated("E3", "E0", share)
     return made.drawn(np.random.default_rng(seed), truth)
 
 
@@ -25,14 +25,14 @@ def test_what_a_strong_signal_tells_apart_is_named(toy, share, hidden, turned):
     if turned:
         one = replace(one, effects=one.effects[::-1])
     found = explain(one)
-    named = found.base_check.named
+    named = found.base_adequacy.named
     assert abs(named.z[named.best(hidden)]) > 25
     assert found.verdict == "effect" and found.credible == (hidden,)
-    assert found.chosen.state.values[hidden] == pytest.approx(1.5, abs=0.2)
+    assert found.chosen.fit.values[hidden] == pytest.approx(1.5, abs=0.2)
 
 
 @pytest.mark.parametrize("hidden", ["E0", "E3"])
-def test_of_joined_rivals_each_is_fitted(toy, hidden):
+def test_each_effect_of_a_collinear_group_is_fitted(toy, hidden):
     one = masses(toy, 0.997, {hidden: 2.0})
     found = explain(one)
     assert {"E0", "E3"} in [set(g.names) for g in found.groups]
@@ -42,8 +42,8 @@ def test_of_joined_rivals_each_is_fitted(toy, hidden):
 
 @pytest.fixture(scope="module")
 def cases(toy):
-    """Data of every kind: joined, told apart, exactly the same, two effects, few fits, nothing."""
-    same = toy(effects=5, atoms=6)
+    """Cases: grouped, told apart, identical signatures, two effects, few refits, nothing missing."""
+    same = toy(effects=5, perturbations=6)
     same = replace(same, columns={**same.columns, "E4": same.columns["E1"]})
     few = Settings(refits=2)
     return [
@@ -54,13 +54,13 @@ def cases(toy):
         (same.drawn(np.random.default_rng(3), {"E1": 1.3, "E2": 1.3}), Settings()),
         (same.drawn(np.random.default_rng(5), {"E4": 1.3}), few),
         (same.drawn(np.random.default_rng(6), {}), few),
-        (toy(effects=5, bump=True, atoms=6).drawn(np.random.default_rng(7), {"hung": 1.5, "at": 2.6}), few),
+        (toy(effects=5, bump=True, perturbations=6).drawn(np.random.default_rng(7), {"hung": 1.5, "at": 2.6}), few),
     ]
 
 
 @effort(max_examples=20, deadline=None)
 @given(data=st.data())
-def test_every_order_of_the_library_gives_the_same_findings(cases, data):
+def test_every_order_of_the_library_gives_the_same_explanation(cases, data):
     one, settings = data.draw(st.sampled_from(cases))
     order = data.draw(st.permutations(one.effects))
     first, other = (
@@ -69,8 +69,8 @@ def test_every_order_of_the_library_gives_the_same_findings(cases, data):
     )
     assert other.verdict == first.verdict and set(other.credible) == set(first.credible)
     assert {frozenset(g.names) for g in other.groups} == {frozenset(g.names) for g in first.groups}
-    assert {t.names for t in other.trials} == {t.names for t in first.trials}
-    assert other.base_check.p_family == first.base_check.p_family
+    assert {t.names for t in other.candidate_fits} == {t.names for t in first.candidate_fits}
+    assert other.base_adequacy.p_family == first.base_adequacy.p_family
     assert [g.effect.name for g in other.groups] == [
         e.name for e in order if e.name in {g.effect.name for g in other.groups}
     ]

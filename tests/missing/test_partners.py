@@ -1,4 +1,4 @@
-"""Strengths at which an effect is tried for what it pairs."""
+"""Points at which an effect pairs further modes."""
 
 from dataclasses import dataclass, fields
 
@@ -13,11 +13,11 @@ from calib.space import Parameter
 
 
 def effect(lower, upper, nuisance=(), grid=()):
-    strength = Parameter("k", 0.0, lower, upper, "N/m", prior_sd=1e4)
-    return Effect("k", "Spring", "It is left out.", "Look there.", strength, lambda model: None, nuisance, grid)
+    magnitude = Parameter("k", 0.0, lower, upper, "N/m", prior_sd=1e4)
+    return Effect("k", "Spring", "It is left out.", "Look there.", magnitude, lambda model: None, nuisance, grid)
 
 
-def test_decades_about_the_plausible_strength_within_its_limits():
+def test_decades_about_the_plausible_magnitude_within_its_limits():
     assert [p["k"] for p in tried_points(effect(0.0, 2e5))] == [1e2, 1e3, 1e4, 1e5]
     assert [p["k"] for p in tried_points(effect(-2e3, 1e9))] == [-1e3, -1e2, 1e2, 1e3, 1e4, 1e5, 1e6]
 
@@ -31,8 +31,8 @@ def test_nuisance_parameters_are_those_of_the_grid():
 
 @pytest.fixture
 def lost(toy):
-    """A toy of which mode M0 has no partner, whatever it predicts, unless E0 is as strong as 5."""
-    plain = toy(effects=3, atoms=4)
+    """A toy whose mode M0 is unpaired unless the magnitude of E0 is at least 5."""
+    plain = toy(effects=3, perturbations=4)
     first = np.array([row.mode == "M0" for row in plain.rows])
 
     @dataclass(frozen=True, eq=False)
@@ -51,20 +51,20 @@ def lost(toy):
     return Lost(**{f.name: getattr(plain, f.name) for f in fields(plain)}).drawn(np.random.default_rng(1), {"E0": 10.0})
 
 
-def test_what_effects_pair_beside_a_fit_is_charged_to_no_budget(lost):
+def test_the_search_for_pairing_points_is_not_charged(lost):
     fits = Refits(lost, DEFAULT, 1.0, lambda words: None)
-    beside = fits.trial(("E1",), fits.question(("E1",)).space.values)
-    charged, asked = fits.allowance.used, lost.evaluations
-    found = fits.scores(beside.state, [e for e in lost.effects if e.name != "E1"])
-    assert {"E0": 10.0} in found.points and lost.evaluations - asked > 15
-    # All but the change of the data at the point that pairs the mode.
+    beside = fits.candidate_fit(("E1",), fits.fit_problem(("E1",)).space.values)
+    charged, evaluations = fits.allowance.used, lost.evaluations
+    found = fits.scores(beside.fit, [e for e in lost.effects if e.name != "E1"])
+    assert {"E0": 10.0} in found.points and lost.evaluations - evaluations > 15
+    # Only the difference at the point that pairs the mode is charged.
     assert fits.allowance.used - charged == 1
 
 
-def test_effects_are_asked_where_they_pair_from_the_adopted_values_too(lost):
-    """To first order E0 does nothing: only where it pairs the mode is there a start for it."""
+def test_pairing_points_are_starts_from_the_nominal_values_too(lost):
+    """The derivative by E0 is zero: only the point that pairs the mode is a start."""
     fits = Refits(lost, DEFAULT, 1.0, lambda words: None)
     best = min(_starts(fits, lost.effects), key=lambda start: start[0])
     assert best[1] == "E0" and best[2]["E0"] == 10.0
-    (promised,) = {round(p) for p, name, start in _starts(fits, lost.effects) if name == "E0" and start["E0"] == 10.0}
-    assert promised < min(p for p, name, _ in _starts(fits, lost.effects) if name != "E0") - 100
+    (predicted,) = {round(p) for p, name, start in _starts(fits, lost.effects) if name == "E0" and start["E0"] == 10.0}
+    assert predicted < min(p for p, name, _ in _starts(fits, lost.effects) if name != "E0") - 100

@@ -1,4 +1,4 @@
-"""Which fits are tried, and how far: pairs where places were led astray, and the budget."""
+"""Fits of pairs after integers have moved, and the budget."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ VERDICTS = {
 
 @pytest.fixture
 def astray(toy):
-    """Place 2 looks as the right place 1 with E2, but for something that four other effects resemble."""
+    """Place 2 resembles the true place 1 with E2, except for a part that four other effects resemble."""
     made = toy(seed=3, effects=8, places=4)
     places = made.columns["place"].copy()
     resembled = sum(made.columns[f"E{k}"] for k in (3, 4, 5, 6))
@@ -37,47 +37,49 @@ def astray(toy):
 
 
 @pytest.fixture
-def begun(monkeypatch):
-    """Effects and place from which every fit begins."""
-    told, trial = [], Refits.trial
+def started(monkeypatch):
+    """Effects and place at which every fit starts."""
+    starts, candidate_fit = [], Refits.candidate_fit
 
     def telling(fits, names, start, *more, **changes):
-        told.append((names, start.get("place")))
-        return trial(fits, names, start, *more, **changes)
+        starts.append((names, start.get("place")))
+        return candidate_fit(fits, names, start, *more, **changes)
 
-    monkeypatch.setattr(Refits, "trial", telling)
-    return told
+    monkeypatch.setattr(Refits, "candidate_fit", telling)
+    return starts
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_second_effect_is_found_although_places_were_led_astray(astray, begun, monkeypatch, seed):
+def test_a_second_effect_is_found_although_integers_have_moved(astray, started, monkeypatch, seed):
     one = astray.drawn(np.random.default_rng(seed), {"place": 1, "E0": 2.0, "E2": 2.0})
     found = explain(one)
     single = found.singles[0]
-    assert single.names == ("E0",) and single.state.values["place"] == found.base.state.values["place"] == 2
-    beside = scores(single.state, [e for e in one.effects if e.name != "E0"], {})
-    strength = dict(zip(beside.owners, beside.strength, strict=True))
-    assert strength["E2"] < RULES.detectable / 2 and sum(s > strength["E2"] for s in strength.values()) >= PAIRS_OF_BEST
+    assert single.names == ("E0",) and single.fit.values["place"] == found.base.fit.values["place"] == 2
+    beside = scores(single.fit, [e for e in one.effects if e.name != "E0"], {})
+    magnitude = dict(zip(beside.owners, beside.magnitude, strict=True))
+    assert (
+        magnitude["E2"] < RULES.detectable / 2 and sum(s > magnitude["E2"] for s in magnitude.values()) >= PAIRS_OF_BEST
+    )
     assert found.verdict == "two_effects" and set(found.credible) == {"E0", "E2"}
-    values = found.chosen.state.values
+    values = found.chosen.fit.values
     assert values["place"] == 1 and [values["E0"], values["E2"]] == pytest.approx([2.0, 2.0], abs=0.5)
-    assert next(place for names, place in begun if names == ("E0", "E2")) == 1
-    # Asked only where the single effect stands, the second one is not even tried.
-    monkeypatch.setattr(pairs, "neighbours", lambda state: [])
+    assert next(place for names, place in started if names == ("E0", "E2")) == 1
+    # Without neighbouring integers the second effect is not even tried.
+    monkeypatch.setattr(pairs, "neighbours", lambda fit: [])
     blind = explain(replace(one, count=[0]))
-    assert blind.credible == () and not any(t.names == ("E0", "E2") for t in blind.trials)
+    assert blind.credible == () and not any(t.names == ("E0", "E2") for t in blind.candidate_fits)
 
 
-def test_a_pair_of_which_one_has_vanished_is_never_named(toy):
-    """What is missing beside E0 is a negative E1, which cannot be."""
-    made, vanished, named = toy(effects=3, atoms=0), 0, 0
+def test_a_pair_with_a_vanished_effect_is_never_named(toy):
+    """The effect missing beside E0 is a negative E1, which is impossible."""
+    made, vanished, named = toy(effects=3, perturbations=0), 0, 0
     for seed in range(5):
         one = made.drawn(np.random.default_rng(seed), {"E0": 2.0, "E1": -1.5, "E2": 1.0})
         found = explain(one)
         assert "E1" not in found.credible
         decision = _Decision(Refits(one, DEFAULT, 1.0, lambda words: None))
-        for pair in (replace(t, implausible="") for t in found.trials if len(t.effects) == 2):
-            gone = min(pair.state.values[name] for name in pair.names) < 1e-5
+        for pair in (replace(t, implausible="") for t in found.candidate_fits if len(t.effects) == 2):
+            gone = min(pair.fit.values[name] for name in pair.names) < 1e-5
             assert decision.pair([pair], -np.inf, found.groups) == (() if gone else (pair,))
             vanished, named = vanished + gone, named + (not gone)
     assert vanished >= 3 and named >= 3
@@ -86,7 +88,7 @@ def test_a_pair_of_which_one_has_vanished_is_never_named(toy):
 # -- budget ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_budget_counts_from_where_an_explanation_begins(toy):
+def test_the_budget_counts_from_the_start_of_an_explanation(toy):
     one = toy()
     one.count[0] = 7
     fits = Refits(one, Settings(budget=20.0), 1.0, lambda words: None)
@@ -104,16 +106,16 @@ def test_a_small_budget_ends_with_a_verdict_after_about_as_many_evaluations(toy)
     made = toy(seed=3, effects=8, places=6, curvature=0.03)
     made = made.drawn(np.random.default_rng(0), {"place": 3, "E0": 1.0, "E2": 1.0, "E4": 1.0})
 
-    def asked(budget):
+    def explained(budget):
         one = replace(made, count=[1000])
         found = explain(one, Settings(budget=budget))
         assert found.verdict in VERDICTS and found.chosen is not None and found.evaluations == one.evaluations
         return one.evaluations - 1000
 
-    least, whole = asked(0.0), asked(np.inf)
-    assert least < 20 and whole > 68  # what the verdict itself needs, and what there is to try
-    spent = [asked(budget) for budget in (20.0, 30.0, 40.0, 60.0)]
+    least, whole = explained(0.0), explained(np.inf)
+    assert least < 20 and whole > 68  # what the verdict alone needs, and what a full search needs
+    spent = [explained(budget) for budget in (20.0, 30.0, 40.0, 60.0)]
     assert spent == sorted(spent)
     for budget, evaluations in zip((20.0, 30.0, 40.0, 60.0), spent, strict=True):
-        # The scatter is doubted, and so everything, pairs too, is decided twice.
+        # The standard deviation counts as understated, so that everything, pairs too, is decided twice.
         assert budget <= evaluations <= (2 + RULES.anew + 2 * RULES.paired) * budget + 16

@@ -1,4 +1,4 @@
-"""Scores and the family-wise probability of the largest, against closed forms and many draws."""
+"""Scores and the family-wise p-value of the largest, against closed forms and simulation."""
 
 from dataclasses import replace
 
@@ -6,26 +6,26 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import Scores, correlation, family_p, scores
-from calib.missing.state import State
 from calib.problem import Rows
 
 
-def many(toy, state: State, found: Scores, draws: int, seed: int, scale=None) -> np.ndarray:
-    """Scores of data drawn with nothing missing, (m, draws); only the data change in a linear model."""
+def many(toy, fit: LinearisedFit, found: Scores, draws: int, seed: int, scale=None) -> np.ndarray:
+    """Scores of data simulated with nothing missing, (m, draws); only the data change in a linear model."""
     rng = np.random.default_rng(seed)
     e = rng.standard_normal((len(toy.rows), draws)) / (1.0 if scale is None else scale)
-    theta = rng.standard_normal((len(state.names), draws))
-    augmented = np.vstack([e + state.slope * state.prior_sd @ theta, np.zeros_like(theta)])
+    theta = rng.standard_normal((len(fit.names), draws))
+    augmented = np.vstack([e + fit.slope * fit.prior_sd @ theta, np.zeros_like(theta)])
     return found.unit.T @ augmented
 
 
-def critical(found: Scores, toy, level: float, freedom=None) -> float:
-    """Largest score that has a family-wise probability of a level."""
+def critical(found: Scores, toy, level: float, dof=None) -> float:
+    """Score whose family-wise p-value is the level."""
     low, high = 0.0, 60.0
     for _ in range(22):
         middle = 0.5 * (low + high)
-        p = family_p(replace(found, z=np.full(len(found.z), middle)), Rows(toy.rows, {}, freedom or {}), seed=1)
+        p = family_p(replace(found, z=np.full(len(found.z), middle)), Rows(toy.rows, {}, dof or {}), seed=1)
         low, high = (middle, high) if p > level else (low, middle)
     return 0.5 * (low + high)
 
@@ -36,31 +36,31 @@ def test_scores_are_standard_normal_when_nothing_is_missing(toy):
     drawn = []
     for _ in range(150):
         one = toy.drawn(rng)
-        drawn.append(scores(one.calibrated(), (*one.effects, *one.atoms), {}).z)
+        drawn.append(scores(one.calibrated(), (*one.effects, *one.perturbations), {}).z)
     drawn = np.array(drawn)
     assert stats.kstest(drawn.ravel(), "norm").pvalue > 0.01
     np.testing.assert_allclose(drawn.mean(axis=0), 0.0, atol=4 / np.sqrt(150))
     np.testing.assert_allclose(drawn.std(axis=0), 1.0, atol=4 / np.sqrt(300))
-    state = one.calibrated()
-    found = scores(state, (*one.effects, *one.atoms), {})
-    np.testing.assert_allclose(np.cov(many(one, state, found, 20000, 3)), found.unit.T @ found.unit, atol=0.04)
+    fit = one.calibrated()
+    found = scores(fit, (*one.effects, *one.perturbations), {})
+    np.testing.assert_allclose(np.cov(many(one, fit, found, 20000, 3)), found.unit.T @ found.unit, atol=0.04)
 
 
 def test_one_step_is_a_refit_in_a_linear_model(toy):
     toy = toy(signed=("E2",)).drawn(np.random.default_rng(2), {"E0": 1.2, "E2": -0.9})
-    state = toy.calibrated()
-    found = scores(state, toy.effects, {})
-    flat = tuple(replace(e, strength=replace(e.strength, lower=-1e3, upper=1e3, prior_sd=1e5)) for e in toy.effects)
+    fit = toy.calibrated()
+    found = scores(fit, toy.effects, {})
+    flat = tuple(replace(e, magnitude=replace(e.magnitude, lower=-1e3, upper=1e3, prior_sd=1e5)) for e in toy.effects)
     toy = replace(toy, effects=flat)  # neither limits nor a prior
     for k, name in enumerate(found.owners):
         there = toy.calibrated(name)
         assert there.values[name] == pytest.approx(found.z[k] / found.size[k], abs=0.05 / found.size[k])
-        assert state.misfit - there.misfit == pytest.approx(found.z[k] ** 2, abs=6e-3)
+        assert fit.misfit - there.misfit == pytest.approx(found.z[k] ** 2, abs=6e-3)
         assert np.sqrt(there.covariance[-1, -1]) == pytest.approx(1 / found.size[k], rel=1e-6)
-    assert np.argmax(np.abs(found.z)) in (0, 2) and found.z[2] < 0 and found.strength[2] == -found.z[2]
+    assert np.argmax(np.abs(found.z)) in (0, 2) and found.z[2] < 0 and found.magnitude[2] == -found.z[2]
 
 
-def test_gamma_is_the_share_that_parameters_cannot_absorb(toy):
+def test_the_unabsorbed_fraction_is_that_after_projection(toy):
     toy = toy(effects=3, parameters=1, reach=1e4)
     along = toy.columns["P0"] / np.linalg.norm(toy.columns["P0"])
     across = toy.columns["E2"] - along * (along @ toy.columns["E2"])
@@ -68,16 +68,16 @@ def test_gamma_is_the_share_that_parameters_cannot_absorb(toy):
     columns = {**toy.columns, "E0": 5 * along, "E1": 3 * along + 4 * across, "E2": 7 * across}
     toy = replace(toy, columns=columns).drawn(np.random.default_rng(3))
     found = scores(toy.calibrated(), toy.effects, {})
-    np.testing.assert_allclose(found.gamma, [1e-4, 0.8, 1.0], atol=1e-4)
+    np.testing.assert_allclose(found.unabsorbed, [1e-4, 0.8, 1.0], atol=1e-4)
     np.testing.assert_allclose(found.size[1:], [4.0, 7.0], rtol=1e-6)
     assert correlation(found, (1, 2))[0, 1] == pytest.approx(1.0)
 
 
-def test_what_is_absorbed_to_the_last_has_no_score(toy):
+def test_a_fully_absorbed_effect_has_no_score(toy):
     toy = toy(effects=2, reach=1e8)
     toy = replace(toy, columns={**toy.columns, "E0": toy.columns["P1"] * 1e-8}).drawn(np.random.default_rng(3))
     found = scores(toy.calibrated(), toy.effects, {})
-    assert found.size[0] == found.z[0] == found.gamma[0] == 0.0 < found.size[1]
+    assert found.size[0] == found.z[0] == found.unabsorbed[0] == 0.0 < found.size[1]
     assert not found.unit[:, 0].any()
     alone = scores(toy.calibrated(), toy.effects[:1], {})
     assert family_p(alone, toy, seed=1) == 1.0
@@ -87,41 +87,41 @@ def test_what_is_absorbed_to_the_last_has_no_score(toy):
 
 def test_a_column_by_difference_is_the_derivative_of_a_linear_effect(toy, make_effect):
     toy = toy(effects=2).drawn(np.random.default_rng(4), {"E0": 0.5})
-    state = toy.calibrated()
+    fit = toy.calibrated()
     gridded = make_effect("E0", grid=({"E0": 0.3}, {"E0": 4.0}))
-    found = scores(state, (gridded, toy.effects[1]), {"E0": toy.question(("E0",))})
-    plain = scores(state, toy.effects, {})
+    found = scores(fit, (gridded, toy.effects[1]), {"E0": toy.fit_problem(("E0",))})
+    plain = scores(fit, toy.effects, {})
     assert found.owners == ("E1", "E0", "E0") and found.points == ({}, {"E0": 0.3}, {"E0": 4.0})
     for k in (1, 2):
         np.testing.assert_allclose(found.raw[:, k], plain.raw[:, 0], atol=1e-9)
-        assert found.z[k] == pytest.approx(plain.z[0]) and found.gamma[k] == pytest.approx(plain.gamma[0])
+        assert found.z[k] == pytest.approx(plain.z[0]) and found.unabsorbed[k] == pytest.approx(plain.unabsorbed[0])
     assert found.best("E1") == 0 and found.best("E0") in (1, 2)
-    turned = scores(state, (make_effect("E0", grid=({"E0": 4.0}, {"E0": 0.3})),), {"E0": toy.question(("E0",))})
-    assert turned.steps("E0", 1) == [1]  # of one score, but a strength of 4 would go far too far
+    turned = scores(fit, (make_effect("E0", grid=({"E0": 4.0}, {"E0": 0.3})),), {"E0": toy.fit_problem(("E0",))})
+    assert turned.steps("E0", 1) == [1]  # the scores are equal, but a magnitude of 4 is far too large
 
 
-def test_grid_points_show_where_a_nuisance_parameter_lies(toy):
+def test_the_best_grid_point_is_near_the_nuisance_parameter(toy):
     toy = toy(bump=True, effects=1).drawn(np.random.default_rng(5), {"hung": 1.5, "at": 5.0})
-    state = toy.calibrated()
-    found = scores(state, toy.effects, {"hung": toy.question(("hung",))})
+    fit = toy.calibrated()
+    found = scores(fit, toy.effects, {"hung": toy.fit_problem(("hung",))})
     assert found.owners == ("E0", *["hung"] * 8)
     assert found.points[found.best("hung")]["at"] == 5.0
     first, second = found.steps("hung", 2)
     assert first == found.best("hung") and found.points[second]["at"] in (4.0, 6.0)
-    drops = [2 * found.z[k] * found.size[k] - found.size[k] ** 2 for k in range(1, 9)]  # at strength 1
+    drops = [2 * found.z[k] * found.size[k] - found.size[k] ** 2 for k in range(1, 9)]  # at magnitude 1
     assert [first, second] == [1 + k for k in np.argsort(drops)[:-3:-1]]
-    for k in (first, second):  # what the step promises is what the model at that point keeps, its parameters refitted
-        there = toy.question(("hung",)).residual({**state.values, **found.points[k]})
-        assert state.misfit - state.elsewhere({}, there).misfit == pytest.approx(drops[k - 1], abs=4e-3)
+    for k in (first, second):  # the predicted decrease is that of the model at that point, its parameters refitted
+        there = toy.fit_problem(("hung",)).residual({**fit.values, **found.points[k]})
+        assert fit.misfit - fit.relinearised({}, there).misfit == pytest.approx(drops[k - 1], abs=4e-3)
 
 
 def test_points_that_cannot_be_solved_are_left_out(toy):
     toy = toy(bump=True, effects=2).drawn(np.random.default_rng(6))
     bad = replace(toy, fails=lambda values: values.get("at", 0.0) > 4.5 and values.get("hung", 0.0) > 0)
-    found = scores(bad.calibrated(), bad.effects, {"hung": bad.question(("hung",))})
+    found = scores(bad.calibrated(), bad.effects, {"hung": bad.fit_problem(("hung",))})
     assert [p["at"] for p in found.points if p] == [0.0, 1.0, 2.0, 3.0, 4.0]
     worse = replace(toy, fails=lambda values: values.get("hung", 0.0) > 0)
-    assert scores(worse.calibrated(), worse.effects, {"hung": worse.question(("hung",))}).owners == ("E0", "E1")
+    assert scores(worse.calibrated(), worse.effects, {"hung": worse.fit_problem(("hung",))}).owners == ("E0", "E1")
 
 
 @pytest.mark.parametrize("z", [0.5, 1.7, 2.6])
@@ -137,15 +137,15 @@ def test_a_single_candidate_has_the_normal_tail(toy, z, signed):
         assert family_p(replace(found, z=np.array([-z])), toy, seed=1) == pytest.approx(1 - exact, abs=0.02)
 
 
-def test_duplicates_and_what_the_parameters_absorb_change_nothing(toy):
+def test_duplicate_and_absorbed_candidates_do_not_change_the_p_value(toy):
     toy = toy(effects=3, reach=1e8, signed=("E0", "E1", "E2"))
     more = {**toy.columns, "E1": -2.0 * toy.columns["E0"], "E2": toy.columns["P0"] * 1e-7}
     toy = replace(toy, columns=more).drawn(np.random.default_rng(8))
-    state = toy.calibrated()
+    fit = toy.calibrated()
     for z in (1.0, 2.0, 2.8):
         p = []
         for effects in (toy.effects[:1], toy.effects):
-            found = scores(state, effects, {})
+            found = scores(fit, effects, {})
             p.append(family_p(replace(found, z=np.full(len(effects), z)), toy, seed=1))
         assert p[1] == pytest.approx(p[0], abs=4 * np.sqrt(2 * p[0] / 8000))
 
@@ -163,19 +163,19 @@ def test_independent_candidates_multiply(toy):
 @pytest.mark.parametrize("bump", [False, True])
 def test_the_family_keeps_its_level(toy, bump):
     toy = toy(bump=bump, effects=4, signed=("E1",), modes=5, sensors=4).drawn(np.random.default_rng(9))
-    state = toy.calibrated()
-    questions = {"hung": toy.question(("hung",))} if bump else {}
-    found = scores(state, toy.effects, questions)
-    z = many(toy, state, found, 20000, 10)
+    fit = toy.calibrated()
+    fit_problems = {"hung": toy.fit_problem(("hung",))} if bump else {}
+    found = scores(fit, toy.effects, fit_problems)
+    z = many(toy, fit, found, 20000, 10)
     largest = np.where(found.signed[:, None], np.abs(z), z).max(axis=0)
     for level in (0.02, 0.05, 0.3):
         share = np.mean(largest > critical(found, toy, level))
         assert share == pytest.approx(level, abs=4 * np.sqrt(level * (1 / 8000 + 1 / 20000)))
 
 
-def test_p_of_fitted_draws_is_uniform(toy):
-    """The whole way: draw, calibrate, score, test."""
-    toy = toy(effects=3, atoms=0, modes=4, sensors=4, parameters=2)
+def test_p_values_of_simulated_data_are_uniform(toy):
+    """The whole chain: simulate, calibrate, score, test."""
+    toy = toy(effects=3, perturbations=0, modes=4, sensors=4, parameters=2)
     rng = np.random.default_rng(11)
     p = []
     for _ in range(300):
@@ -184,33 +184,33 @@ def test_p_of_fitted_draws_is_uniform(toy):
     assert stats.kstest(p, "uniform").pvalue > 0.01
 
 
-def test_a_scatter_from_few_repeats_needs_students_correction(toy):
+def test_few_repeats_need_the_correction_by_students_t(toy):
     toy = toy(modes=0, sensors=30, effects=3, signed=("E0", "E1", "E2"), reach=30.0)
-    state = toy.calibrated()
-    found = scores(state, toy.effects, {})
-    freedom, draws = 4, 20000
-    scale = np.sqrt(np.random.default_rng(12).chisquare(freedom, draws) / freedom)
-    largest = np.abs(many(toy, state, found, draws, 13, scale)).max(axis=0)
-    right = np.mean(largest > critical(found, toy, 0.05, {"response": freedom}))
+    fit = toy.calibrated()
+    found = scores(fit, toy.effects, {})
+    dof, draws = 4, 20000
+    scale = np.sqrt(np.random.default_rng(12).chisquare(dof, draws) / dof)
+    largest = np.abs(many(toy, fit, found, draws, 13, scale)).max(axis=0)
+    right = np.mean(largest > critical(found, toy, 0.05, {"response": dof}))
     assert right == pytest.approx(0.05, abs=0.013)
     assert np.mean(largest > critical(found, toy, 0.05)) > 0.12
 
 
-def test_every_kind_has_a_scatter_of_its_own(toy):
+def test_every_kind_has_its_own_degrees_of_freedom(toy):
     """A direction within one kind of few repeats follows Student's t; one within another kind is normal."""
     toy = toy(effects=2, reach=1e-6)
     kinds = np.array([row.kind for row in toy.rows])
     columns = {"E0": toy.columns["E0"] * (kinds == "frequency"), "E1": toy.columns["E1"] * (kinds == "shape")}
     toy = replace(toy, columns={**toy.columns, **columns})
-    freedom = {"frequency": 3.0, "damping": 2.0, "shape": np.inf}
-    state = toy.calibrated()
+    dof = {"frequency": 3.0, "damping": 2.0, "shape": np.inf}
+    fit = toy.calibrated()
     for name, exact in (("E0", stats.t.sf(2.5, 3)), ("E1", stats.norm.sf(2.5))):
-        found = replace(scores(state, [e for e in toy.effects if e.name == name], {}), z=np.array([2.5]))
-        p = family_p(found, Rows(toy.rows, {}, freedom), seed=1)
+        found = replace(scores(fit, [e for e in toy.effects if e.name == name], {}), z=np.array([2.5]))
+        p = family_p(found, Rows(toy.rows, {}, dof), seed=1)
         assert p == pytest.approx(exact, abs=4 * np.sqrt(exact / 8000))
 
 
-def test_same_seed_same_probability(toy):
+def test_the_same_seed_gives_the_same_p_value(toy):
     toy = toy().drawn(np.random.default_rng(14))
     found = scores(toy.calibrated(), toy.effects, {})
     first = family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=1)

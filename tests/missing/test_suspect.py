@@ -1,4 +1,4 @@
-"""Single bad data: against fits without them, by their rates, and where two or none are to blame."""
+"""Single bad data: against fits without them, error rates, and cases with two or none."""
 
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -8,16 +8,16 @@ import pandas as pd
 import pytest
 
 from calib.missing.goodness import goodness, overall
-from calib.missing.state import FINE, fitted, linearised
+from calib.missing.linearised_fit import FINE, fitted, linearised
 from calib.missing.suspect import data_of, sentence, suspects
 from calib.problem import Rows
 
 
-def linear(toy, spoilt, seed=1, modes=6, sensors=6):
-    """A fitted right model, with rows moved by so many standard deviations, and the data after that."""
+def linear(toy, wrong, seed=1, modes=6, sensors=6):
+    """A fitted, correctly specified model with some rows moved by so many standard deviations."""
     made = toy(modes=modes, sensors=sensors).drawn(np.random.default_rng(seed))
     data = made.data.copy()
-    for k, size in spoilt.items():
+    for k, size in wrong.items():
         data[k] += size * made.sd[k]
     return replace(made, data=data)
 
@@ -49,23 +49,23 @@ def test_one_bad_value_is_named_and_nothing_else(toy):
     made = linear(toy, {bad: 15.0})
     table = table_of(made)
     assert table["what"][0] == "frequency of M2" and table["explains"][0]
-    guilty = table[table["explains"]]
-    assert set(guilty["what"]) <= {"frequency of M2", "mode M2"}  # the mode holds the value
+    explaining = table[table["explains"]]
+    assert set(explaining["what"]) <= {"frequency of M2", "mode M2"}  # the mode contains the value
     assert "frequency of M2" in sentence(table)
 
 
 def test_the_closed_form_is_a_fit_without_the_datum(toy):
-    """Rows are taken away and the linear fit is made anew."""
+    """Rows are removed and the linear fit is repeated."""
     made = linear(toy, {row_of(toy(modes=6, sensors=6), "M2", "frequency"): 15.0})
     near = made.calibrated()
-    state = near.elsewhere({}, near.residual)
-    table = suspects(state, made).set_index("what")
+    fit = near.relinearised({}, near.residual)
+    table = suspects(fit, made).set_index("what")
     for datum in data_of(made.rows):
         weight = np.ones(len(made.rows))
         weight[datum.rows] = 0.0
-        less = replace(state, residual=weight * state.residual, slope=weight[:, None] * state.slope)
-        alone = less.elsewhere({}, less.residual)
-        assert table["chi2"][datum.what] == pytest.approx(state.misfit - alone.misfit, rel=1e-9, abs=1e-9)
+        less = replace(fit, residual=weight * fit.residual, slope=weight[:, None] * fit.slope)
+        alone = less.relinearised({}, less.residual)
+        assert table["chi2"][datum.what] == pytest.approx(fit.misfit - alone.misfit, rel=1e-9, abs=1e-9)
         if np.isfinite(table["p_fit_without"][datum.what]):
             kept = np.delete(np.arange(len(made.rows)), datum.rows)
             rest = replace(alone, residual=alone.residual[kept], slope=alone.slope[kept])
@@ -77,20 +77,20 @@ def test_a_bad_sensor_is_named(toy):
     plain = toy(modes=6, sensors=6)
     name = next(row.sensor for row in plain.rows if row.kind == "shape")
     rng = np.random.default_rng(3)
-    spoilt = {k: 6.0 * rng.choice([-1, 1]) for k, row in enumerate(plain.rows) if row.sensor == name}
-    table = table_of(linear(toy, spoilt))
+    wrong = {k: 6.0 * rng.choice([-1, 1]) for k, row in enumerate(plain.rows) if row.sensor == name}
+    table = table_of(linear(toy, wrong))
     assert table[table["explains"]]["what"].tolist() == [f"sensor {name}"]
 
 
-def test_two_bad_values_are_not_blamed_on_one(toy):
+def test_two_bad_values_are_not_explained_by_one(toy):
     plain = toy(modes=6, sensors=6)
-    spoilt = {row_of(plain, "M1", "frequency"): 15.0, row_of(plain, "M4", "damping"): -15.0}
-    table = table_of(linear(toy, spoilt))
+    wrong = {row_of(plain, "M1", "frequency"): 15.0, row_of(plain, "M4", "damping"): -15.0}
+    table = table_of(linear(toy, wrong))
     assert len(table) and not table["explains"].any() and sentence(table) == ""
 
 
-def test_where_everything_fits_nobody_is_asked(toy):
-    """And where chance alone makes a fit fail, a datum is blamed at most at the level."""
+def test_nothing_is_suspect_where_everything_fits(toy):
+    """Where a fit fails by chance, a datum is suspect at most at the level."""
     blamed = 0
     for seed in range(150):
         table = table_of(linear(toy, {}, seed, modes=4, sensors=4))
@@ -100,19 +100,19 @@ def test_where_everything_fits_nobody_is_asked(toy):
     assert overall(*goodness(made.calibrated(), made)) > 0.01 and table_of(made).empty
 
 
-def test_a_value_that_a_parameter_follows_nearly_everywhere_is_not_accused(toy):
-    """The search ended eight standard deviations of the value beside the optimum."""
+def test_a_value_absorbed_by_a_parameter_is_not_suspect(toy):
+    """The search ended eight standard deviations of the value away from the optimum."""
     made = linear(toy, {})
-    state = made.calibrated()
+    fit = made.calibrated()
     k = row_of(made, "M0", "frequency")
-    slope = np.where(np.arange(len(made.rows))[:, None] == k, 0.0, state.slope)
+    slope = np.where(np.arange(len(made.rows))[:, None] == k, 0.0, fit.slope)
     own = 100.0 * (np.arange(len(made.rows)) == k)
     own[row_of(made, "M1", "frequency")] = 10.0
     slope = np.column_stack([slope, own])
-    residual = np.where(np.arange(len(made.rows)) == k, 8.0, state.residual)
-    fit = _Fit(residual, slope, np.append(state.prior_sd, np.inf))
-    assert overall(*goodness(fit, made)) < 0.01
-    table = suspects(fit, made)
+    residual = np.where(np.arange(len(made.rows)) == k, 8.0, fit.residual)
+    optimum = _Fit(residual, slope, np.append(fit.prior_sd, np.inf))
+    assert overall(*goodness(optimum, made)) < 0.01
+    table = suspects(optimum, made)
     assert "frequency of M0" not in set(table["what"])
 
 
@@ -124,29 +124,29 @@ class _Fit:
     converged: bool = True
 
 
-def test_without_a_converged_fit_nothing_is_accused(toy):
+def test_nothing_is_suspect_without_a_converged_fit(toy):
     bad = row_of(toy(modes=6, sensors=6), "M2", "frequency")
     made = linear(toy, {bad: 15.0})
-    state = made.calibrated()
-    assert state.converged and len(suspects(state, made))
-    once = fitted(state.question, (), state.question.space.values, 0, replace(FINE, evaluations=1))
+    fit = made.calibrated()
+    assert fit.converged and len(suspects(fit, made))
+    once = fitted(fit.fit_problem, (), fit.fit_problem.space.values, 0, replace(FINE, evaluations=1))
     assert not once.converged and suspects(once, made).empty
-    assert not linearised(state.question, (), state.values).converged
+    assert not linearised(fit.fit_problem, (), fit.values).converged
 
 
-def test_how_many_data_are_left_out_at_once_does_not_matter(toy, monkeypatch):
+def test_batches_of_data_left_out_do_not_change_the_result(toy, monkeypatch):
     """Of 900 values more than a hundred are improbable."""
     made = toy(modes=30, sensors=28, parameters=12).drawn(np.random.default_rng(1))
     made = replace(made, data=made.data + 4 * np.random.default_rng(2).standard_normal(len(made.rows)))
-    state = made.calibrated()
+    fit = made.calibrated()
     factors = {(f"M{k}", "shape"): 1 for k in range(30)}
-    table = suspects(state, replace(made, fitted_factors=factors))
+    table = suspects(fit, replace(made, fitted_factors=factors))
     assert len(made.rows) == 900 and (table["p"] < 0.01).sum() > 100
     monkeypatch.setattr("calib.missing.suspect._AT_ONCE", 7)
-    pd.testing.assert_frame_equal(suspects(state, replace(made, fitted_factors=factors)), table)
+    pd.testing.assert_frame_equal(suspects(fit, replace(made, fitted_factors=factors)), table)
 
 
-def test_data_that_parameters_stand_on_alone_leave_an_empty_table():
+def test_data_that_alone_determine_a_parameter_are_not_tested():
     rows = [SimpleNamespace(mode="", kind="response", sensor=f"y{k}") for k in range(2)]
-    fit = _Fit(np.array([9.0, 9.0]), np.eye(2), np.full(2, np.inf))
-    assert suspects(fit, Rows(rows)).empty
+    optimum = _Fit(np.array([9.0, 9.0]), np.eye(2), np.full(2, np.inf))
+    assert suspects(optimum, Rows(rows)).empty

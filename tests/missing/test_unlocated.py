@@ -1,4 +1,4 @@
-"""A fit that is bad although nothing stands out has a verdict of its own; it names what fits worst."""
+"""A bad fit in which nothing stands out has its own verdict, which names what fits worst."""
 
 from dataclasses import replace
 
@@ -14,8 +14,8 @@ from calib.missing.verdict import misfit_at, sentences
 
 @pytest.fixture(scope="module")
 def spoiled(toy):
-    """The channel S7 is off in mode M5, in a direction that no parameter, effect or local change has."""
-    made = toy(effects=3, atoms=3, sensors=20)
+    """The channel S7 is off in mode M5, in a direction that no parameter, effect or local perturbation has."""
+    made = toy(effects=3, perturbations=3, sensors=20)
     own = np.array([(row.mode, row.kind) == ("M5", "shape") for row in made.rows]) * 1.5
     own[[k for k, row in enumerate(made.rows) if (row.mode, row.sensor) == ("M5", "S7")]] = 14.0
     known = np.column_stack(list(made.columns.values()))
@@ -27,12 +27,14 @@ def spoiled(toy):
 def test_the_worst_sensor_and_mode_are_named(spoiled, seed):
     one = spoiled.drawn(np.random.default_rng(seed), {"hidden": 1.0})
     found = explain(one)
-    assert found.base_check.p_family > 0.01 > found.base_check.p_fit
+    assert found.base_adequacy.p_family > 0.01 > found.base_adequacy.p_fit
     assert found.verdict == "misfit_unlocated" and found.credible == () and not found.names_something
-    assert found.base_check.sensors.iloc[0]["sensor"] == "S7"
-    text = " ".join(sentences(found, effects_table(found, {}, {}), effects_table(found, {}, {}).head(0), "Advice."))
+    assert found.base_adequacy.sensors.iloc[0]["sensor"] == "S7"
+    text = " ".join(
+        sentences(found, effects_table(found, {}, {}), effects_table(found, {}, {}).head(0), "Recommendation.")
+    )
     assert "at S7 (" in text and "of mode M5" in text and "nan" not in text
-    assert "Advice." not in text and "(score" not in text  # no place of no significance
+    assert "Recommendation." not in text and "(score" not in text  # no place of no significance
 
 
 def test_the_repeat_that_disagrees_where_the_fit_is_worst_is_named_first(spoiled):
@@ -44,27 +46,27 @@ def test_the_repeat_that_disagrees_where_the_fit_is_worst_is_named_first(spoiled
         ("run 2", "", "S7", 7.0),
     ]
     table = pd.DataFrame(rows, columns=["repeat", "mode", "sensor", "times"])
-    where = misfit_at(found.base_check, table)
+    where = misfit_at(found.base_adequacy, table)
     assert where == {"sensor": "S7", "mode": "M5", "kind": "shape", "repeats": ["run 2", "run 4", "run 1"]}
     effects = effects_table(found, {}, {})
     text = " ".join(sentences(found, effects, effects.head(0), "", table))
     assert all(repeat in text for repeat in where["repeats"])
-    assert misfit_at(found.base_check, table.head(0))["repeats"] == []
+    assert misfit_at(found.base_adequacy, table.head(0))["repeats"] == []
     quiet = sentences(found, effects, effects.head(0), "", table.head(0))
     assert not any("run" in words.split() for words in quiet)
 
 
-def test_what_stands_out_is_not_unlocated(toy):
-    found = explain(toy(atoms=12).drawn(np.random.default_rng(1), {"A7": 1.5}))
-    assert found.base_check.p_family < 0.01 and found.verdict == "none_explains"
+def test_a_significant_score_is_not_unlocated(toy):
+    found = explain(toy(perturbations=12).drawn(np.random.default_rng(1), {"A7": 1.5}))
+    assert found.base_adequacy.p_family < 0.01 and found.verdict == "none_explains"
 
 
 def test_misfit_by_sensor_adds_up(toy):
     one = toy().drawn(np.random.default_rng(3), {})
-    state = one.calibrated()
-    table = by_sensor(state, replace(one, fitted_factors={("M0", "shape"): 2}))
+    fit = one.calibrated()
+    table = by_sensor(fit, replace(one, fitted_factors={("M0", "shape"): 2}))
     shapes = np.array([row.kind == "shape" for row in one.rows])
-    assert table["chi2"].sum() == pytest.approx(np.sum(state.residual[shapes] ** 2))
-    plain = by_sensor(state, one)
-    assert plain["freedom"].sum() - table["freedom"].sum() == pytest.approx(2.0)
+    assert table["chi2"].sum() == pytest.approx(np.sum(fit.residual[shapes] ** 2))
+    plain = by_sensor(fit, one)
+    assert plain["dof"].sum() - table["dof"].sum() == pytest.approx(2.0)
     assert set(table["sensor"]) == {f"S{k}" for k in range(10)} and table["p"].is_monotonic_increasing

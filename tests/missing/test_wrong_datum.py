@@ -1,4 +1,4 @@
-"""A single wrong datum as a rival of an effect: where nothing can tell them apart, and where other data do."""
+"""A single wrong datum as a competing model of an effect: indistinguishable, or told apart by other data."""
 
 from collections import Counter
 from dataclasses import replace
@@ -14,7 +14,7 @@ PLACE = ("M3", "frequency")
 
 
 def beside(toy, share):
-    """The toy whose effect E2 moves one frequency, and its other data by that share of all it does.
+    """The toy whose effect E2 moves one frequency, with a given share of its signature in the other data.
 
     Parameters move shapes only, so that the frequency shows it whole.
     """
@@ -26,13 +26,13 @@ def beside(toy, share):
 
 
 def spoilt(toy, rng, size):
-    """Data of a model that lacks nothing, the frequency moved by so many standard deviations."""
+    """Data of a complete model, the frequency moved by ``size`` standard deviations."""
     one = toy.drawn(rng)
     return replace(one, data=one.data + size * np.array([(row.mode, row.kind) == PLACE for row in toy.rows]))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
-def test_a_wrong_datum_is_no_proof_of_an_effect(toy, share):
+def test_a_wrong_datum_is_not_named_an_effect(toy, share):
     made, rng = beside(toy(), share), np.random.default_rng(1)
     found = [explain(spoilt(made, rng, 12.0)) for _ in range(10)]
     assert not [f for f in found if f.verdict in ("effect", "two_effects")]
@@ -47,7 +47,7 @@ def test_a_wrong_datum_is_no_proof_of_an_effect(toy, share):
         assert ln_bayes == pytest.approx(0.5 * (z2 - 1 - np.log(z2)), abs=0.01)
 
 
-def test_a_used_up_budget_hides_no_wrong_datum(toy):
+def test_a_wrong_datum_is_fitted_although_the_budget_is_used_up(toy):
     made, rng = beside(toy(), 0.0), np.random.default_rng(1)
     for _ in range(5):
         found = explain(spoilt(made, rng, 12.0), Settings(budget=3))
@@ -55,26 +55,26 @@ def test_a_used_up_budget_hides_no_wrong_datum(toy):
         assert found.verdict == "indistinguishable" and found.datum.what == "frequency of M3"
 
 
-def test_an_effect_that_moves_one_datum_alone_cannot_be_told_from_its_being_wrong(toy):
+def test_an_effect_on_one_datum_is_indistinguishable_from_a_wrong_datum(toy):
     found = beside(toy(), 0.0).explained({"E2": 1.5}, 10)
     assert Counter(f.verdict for f in found)["effect"] == 0
     assert sum(f.verdict == "indistinguishable" and f.credible == ("E2",) for f in found) >= 8
 
 
-def test_an_effect_that_moves_other_data_too_stays_named(toy):
-    """The datum alone explains nothing then, or much less than the effect."""
+def test_an_effect_on_other_data_too_stays_named(toy):
+    """The datum alone then explains nothing, or much less than the effect."""
     found = beside(toy(), 0.5).explained({"E2": 1.5}, 20)
     named = [f for f in found if f.verdict == "effect" and f.credible == ("E2",) and f.datum is None]
     assert len(named) >= 18
-    assert any(f.suspects["explains"].any() for f in found)  # it was asked, and weighed less
+    assert any(f.suspects["explains"].any() for f in found)  # it was tested, and explained less
 
 
-def test_effects_of_two_modes_stay_named(toy):
+def test_effects_on_two_modes_stay_named(toy):
     assert all(f.datum is None for f in toy().explained({"E2": 1.5}, 10))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_evidence_of_a_wrong_datum_is_that_of_the_likeliest_size(seed):
+def test_the_evidence_of_a_wrong_datum_is_that_of_its_most_likely_size(seed):
     """Against densities of the predicted difference under many sizes."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((4, 4))
@@ -90,10 +90,10 @@ def test_the_evidence_of_a_wrong_datum_is_that_of_the_likeliest_size(seed):
     assert ln_wrong(1e-3 * d, covariance) == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1], abs=1e-4)
 
 
-def test_what_leads_the_parameters_far_is_fitted_without(toy):
-    """In a curved model a datum that is far off promises more than it takes to explain everything."""
+def test_a_datum_that_shifts_the_parameters_far_is_left_out_and_refitted(toy):
+    """In a nonlinear model the predicted gain of a datum far off exceeds the whole misfit."""
     made, rng = beside(toy(curvature=0.05), 0.0), np.random.default_rng(2)
     found = [f for f in (explain(spoilt(made, rng, 30.0)) for _ in range(6)) if f.datum is not None]
     assert found
     for f in found:
-        assert 2 * (f.datum.ln_evidence - f.base.ln_evidence) < f.base.state.misfit
+        assert 2 * (f.datum.ln_evidence - f.base.ln_evidence) < f.base.fit.misfit

@@ -1,4 +1,4 @@
-"""The five-mass chain against closed forms and its twin, and what the search for a missing effect says of it."""
+"""The five-mass chain against closed forms and its twin, and the search for its missing effect."""
 
 import json
 import re
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.analyses.function_hypotheses import function_hypotheses
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
@@ -17,7 +18,6 @@ from calib.errors import EvaluationError
 from calib.function import extend_function
 from calib.loading import module_of
 from calib.missing.explain import explain
-from calib.questions.function_hypotheses import function_hypotheses
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.extend import extend
 from calib.study import Study
@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "studies/five_mass_chain"
 TRUTH = json.loads((ROOT / "tests/truth/five_mass_chain.json").read_text("utf-8"))
 EFFECTS = {e.name: e for e in chain_effects()}
-ADOPTED = five_mass_chain().space.values
+NOMINAL = five_mass_chain().space.values
 VISIBLE = ("ground_spring_3", "extra_mass_2", "cross_spring_2_4", "hung_mass_5")
 
 
@@ -38,7 +38,7 @@ def twin():
     return module_of(FOLDER / "make_twin.py")
 
 
-def some_strength(effect):
+def some_magnitude(effect):
     return dict(effect.grid[0]) if effect.grid else {effect.name: effect.plausible}
 
 
@@ -46,7 +46,7 @@ def some_strength(effect):
 
 
 def test_equal_springs_give_the_closed_form_of_a_chain_that_is_held_at_one_end():
-    found = chain_responses(ADOPTED)
+    found = chain_responses(NOMINAL)
     for j in range(1, 6):
         angle = (2 * j - 1) * np.pi / 11
         omega = 2 * np.sqrt(chain.STIFFNESS / chain.MASS) * np.sin(angle / 2)
@@ -59,36 +59,36 @@ def test_equal_springs_give_the_closed_form_of_a_chain_that_is_held_at_one_end()
 
 
 def test_scaling_all_stiffness_and_mass_alike_changes_nothing_but_damping():
-    scaled = ADOPTED | {f"{letter}{i}": 1.3 * ADOPTED[f"{letter}{i}"] for letter in "km" for i in range(1, 6)}
-    one, other = chain_responses(ADOPTED), chain_responses(scaled)
+    scaled = NOMINAL | {f"{letter}{i}": 1.3 * NOMINAL[f"{letter}{i}"] for letter in "km" for i in range(1, 6)}
+    one, other = chain_responses(NOMINAL), chain_responses(scaled)
     for name, value in one.items():
         assert other[name] == pytest.approx(value / 1.3 if name.startswith("damping") else value, rel=1e-8)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_of_strength_0_is_the_base_model_and_one_of_plausible_strength_is_not(name):
+def test_an_effect_of_magnitude_0_is_the_base_model_and_one_of_plausible_magnitude_is_not(name):
     model = extend_function(five_mass_chain(), [EFFECTS[name]])
-    base, nothing = chain_responses(ADOPTED), model.function(model.space.values)
-    some = model.function(model.space.values | some_strength(EFFECTS[name]))
+    base, nothing = chain_responses(NOMINAL), model.function(model.space.values)
+    some = model.function(model.space.values | some_magnitude(EFFECTS[name]))
     assert nothing == base
     assert max(abs(some[n] / base[n] - 1) for n in base) > 1e-3
 
 
 def test_a_soft_foundation_is_a_softer_spring_1():
-    soft = chain_responses(ADOPTED | {"soft_foundation": 10.0})
+    soft = chain_responses(NOMINAL | {"soft_foundation": 10.0})
     spring = 1 / (1 + chain.STIFFNESS * 10.0 * 1e-6)
-    assert soft == pytest.approx(chain_responses(ADOPTED | {"k1": spring}))
+    assert soft == pytest.approx(chain_responses(NOMINAL | {"k1": spring}))
 
 
 def test_what_hangs_stiffly_is_a_mass_that_is_bolted_on():
-    hung = chain_responses(ADOPTED | {"hung_mass_5": 0.1, "hung_freq": 3000.0})
-    bolted = chain_responses(ADOPTED | {"m5": chain.MASS + 0.1})
+    hung = chain_responses(NOMINAL | {"hung_mass_5": 0.1, "hung_freq": 3000.0})
+    bolted = chain_responses(NOMINAL | {"m5": chain.MASS + 0.1})
     assert hung == pytest.approx(bolted, rel=1e-3)
 
 
 def test_a_chain_that_hardly_oscillates_is_a_failed_point():
     with pytest.raises(EvaluationError, match="of 5 modes oscillate"):
-        chain_responses(ADOPTED | {f"c{i}": 1000.0 for i in range(1, 6)})
+        chain_responses(NOMINAL | {f"c{i}": 1000.0 for i in range(1, 6)})
 
 
 # -- the twin ----------------------------------------------------------------------------------------------------------
@@ -98,18 +98,18 @@ def test_a_chain_that_hardly_oscillates_is_a_failed_point():
 def test_the_twin_without_mass_in_its_springs_is_the_model(twin, monkeypatch, name):
     monkeypatch.setattr(twin, "SPRING_MASS", 1e-5)
     truth = twin.draw(np.random.default_rng(0), name)
-    assert twin.twin_responses(truth) == pytest.approx(chain_responses(ADOPTED | truth), rel=1e-4, abs=1e-4)
+    assert twin.twin_responses(truth) == pytest.approx(chain_responses(NOMINAL | truth), rel=1e-4, abs=1e-4)
 
 
-def test_the_twins_finer_springs_are_felt_but_small_against_the_scatter(twin):
+def test_the_discretisation_error_of_the_twins_springs_is_small_against_the_standard_deviation(twin):
     for seed in range(5):
         truth = twin.draw(np.random.default_rng(seed))
-        exact, model = twin.twin_responses(truth), chain_responses(ADOPTED | truth)
+        exact, model = twin.twin_responses(truth), chain_responses(NOMINAL | truth)
         worst = max(abs(exact[f"freq_{j}"] / model[f"freq_{j}"] - 1) for j in range(1, 6)) / twin.STD_FREQ
         assert 0.02 < worst < 0.25
 
 
-def test_the_twin_scatters_as_stated(twin):
+def test_the_noise_of_the_twin_is_as_stated(twin):
     exact = twin.twin_responses(twin.draw(np.random.default_rng(0), ""))
     unit = {"freq": twin.STD_FREQ, "damping": twin.STD_DAMPING}
     z, stated = [], []
@@ -132,7 +132,7 @@ def hypotheses_of(model, targets, space, effects, repeats):
     return function_hypotheses(model, pair, effects, space)[0]
 
 
-def asked(twin, seed, hidden):
+def explained(twin, seed, hidden):
     rng = np.random.default_rng(seed)
     truth = twin.draw(rng, hidden)
     model = five_mass_chain()
@@ -142,26 +142,26 @@ def asked(twin, seed, hidden):
 
 def test_nothing_is_named_where_nothing_is_missing(twin):
     for seed in range(8):
-        found, _ = asked(twin, seed, "")
+        found, _ = explained(twin, seed, "")
         assert found.verdict == "nothing_detectable", seed
         assert found.evaluations < 150
 
 
 @pytest.mark.parametrize("hidden", VISIBLE)
-def test_the_hidden_effect_is_named_with_its_strength(twin, hidden):
+def test_the_hidden_effect_is_named_with_its_magnitude(twin, hidden):
     for seed in range(20, 23):
-        found, truth = asked(twin, seed, hidden)
+        found, truth = explained(twin, seed, hidden)
         assert found.verdict == "effect" and found.credible == (hidden,), seed
         assert found.evaluations < 800
-        state = found.chosen.state
-        for k, name in enumerate(state.names):
+        fitted = found.chosen.fit
+        for k, name in enumerate(fitted.names):
             if name in truth:
-                assert abs(state.values[name] - truth[name]) < 4 * np.sqrt(state.covariance[k, k]), (seed, name)
+                assert abs(fitted.values[name] - truth[name]) < 4 * np.sqrt(fitted.covariance[k, k]), (seed, name)
 
 
 def test_no_other_effect_is_named_for_one_that_hardly_shows(twin):
     for seed in range(20, 26):
-        found, _ = asked(twin, seed, "weak_damper_4")
+        found, _ = explained(twin, seed, "weak_damper_4")
         assert found.verdict == "nothing_detectable" or "weak_damper_4" in found.credible, seed
 
 
@@ -181,10 +181,10 @@ def test_the_study_says_it_is_synthetic_and_finds_what_was_hidden():
                            repeats=study.settings.measurement.repeats)
     )  # fmt: skip
     assert found.verdict == "effect" and found.credible == (TRUTH["effect"],)
-    state = found.chosen.state
-    for name, true in (TRUTH["strength"] | TRUTH["parameters"]).items():
-        k = state.names.index(name)
-        assert abs(state.values[name] - true) < 4 * np.sqrt(state.covariance[k, k])
+    fitted = found.chosen.fit
+    for name, true in (TRUTH["magnitude"] | TRUTH["parameters"]).items():
+        k = fitted.names.index(name)
+        assert abs(fitted.values[name] - true) < 4 * np.sqrt(fitted.covariance[k, k])
 
 
 def test_the_measurement_is_the_one_that_the_twin_makes(twin, tmp_path, monkeypatch):
@@ -199,10 +199,10 @@ def test_the_measurement_is_the_one_that_the_twin_makes(twin, tmp_path, monkeypa
 
 
 def test_the_tutorial_shows_the_studys_own_effect_and_what_it_prints(monkeypatch, capsys):
-    effects, question, _, _ = blocks("python")
+    effects, script, _, _ = blocks("python")
     assert effects == (FOLDER / "effects.py").read_text("utf-8")
     monkeypatch.chdir(ROOT)
-    exec(compile(question, "README.md", "exec"), {})
+    exec(compile(script, "README.md", "exec"), {})
     assert capsys.readouterr().out == blocks("text")[0]
 
 
@@ -210,12 +210,12 @@ def test_the_tutorials_own_effect_is_found_when_it_is_what_is_missing(twin):
     study = Study.load(FOLDER)
     rng = np.random.default_rng(0)
     truth = twin.draw(rng, "")
-    exact = chain_responses(ADOPTED | truth | {"m1": chain.MASS + 0.2})
+    exact = chain_responses(NOMINAL | truth | {"m1": chain.MASS + 0.2})
     found = explain(
         hypotheses_of(study.model, twin.measure(exact, rng), study.search_space, study.candidates, repeats=10)
     )
     assert found.verdict == "effect" and found.credible == ("bracket_mass_1",)
-    assert found.chosen.state.values["bracket_mass_1"] == pytest.approx(0.2, abs=0.05)
+    assert found.chosen.fit.values["bracket_mass_1"] == pytest.approx(0.2, abs=0.05)
 
 
 BOGIE = ROOT / "studies/hidden_bogie"
@@ -254,8 +254,8 @@ def test_the_tutorials_structural_effect_is_neutral_at_0_and_has_the_derivative_
     for one, other in zip(base.matrices(base.space.values), model.matrices(model.space.values), strict=True):
         assert abs(one - other).max() == 0
 
-    def freq(strength):
-        return model.modes(model.space.values | {"sling": strength}, 4)
+    def freq(magnitude):
+        return model.modes(model.space.values | {"sling": magnitude}, 4)
 
     here = freq(250.0)
     values = model.space.values | {"sling": 250.0}
@@ -265,7 +265,7 @@ def test_the_tutorials_structural_effect_is_neutral_at_0_and_has_the_derivative_
 
 
 def test_the_tutorials_structural_effect_can_be_seen_with_its_data(sling):
-    """A score of 4 at a fifth of the plausible size, about the adopted values: least squares with priors by hand."""
+    """A score of 4 at a fifth of the plausible size, about the nominal values: least squares with priors by hand."""
     study = Study.load(BOGIE)
     residual = ModalResidual(replace(study.problem, model=extend(study.model, [sling])))
     values = residual.problem.model.space.values
@@ -274,4 +274,4 @@ def test_the_tutorials_structural_effect_can_be_seen_with_its_data(sling):
     a = np.vstack([slope, np.eye(len(free))])
     c = np.append(residual.jacobian(values, ["sling"])[:, 0], np.zeros(len(free)))
     rest = c - a @ np.linalg.lstsq(a, c, rcond=None)[0]
-    assert 4.0 / np.linalg.norm(rest) < sling.strength.prior_sd / 5
+    assert 4.0 / np.linalg.norm(rest) < sling.magnitude.prior_sd / 5

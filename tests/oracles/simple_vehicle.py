@@ -1,6 +1,6 @@
 """The vehicle in a form that other finite-element codes take: what they share with the model, and the model's own side.
 
-They have no averaging constraint, so that attachments act on each foot of their spider by itself; and there are no
+They have no averaging constraint, so that attachments act on each foot of their RBE3 by itself; and there are no
 seats, whose feet stand between nodes.
 """
 
@@ -104,9 +104,9 @@ def simple_vehicle() -> SimpleVehicle:
     """The vehicle without seats, with attachments on single feet."""
     whole = assembly()
     old = whole.structure
-    feet = {s.name: s.feet for s in old.spiders}
+    feet = {s.name: s.feet for s in old.rbe3s}
     kept = tuple(s for s in old.suppressions if s.groups != ("seat",))
-    structure = replace(old, particles=(), spiders=(), suppressions=kept)
+    structure = replace(old, particles=(), rbe3s=(), suppressions=kept)
     values = {p.name: p.value * p.si_factor for p in CAR + BOGIE}
     springs: list[tuple[Spring, float]] = []
     for name, some in whole.springs.items():

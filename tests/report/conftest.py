@@ -95,7 +95,7 @@ def convergence() -> pd.DataFrame:
 
 @pytest.fixture
 def shapes() -> pd.DataFrame:
-    """Mode 1 moves up, mode 2 along z; node 2 is measured in two directions, node 9 has no place."""
+    """Mode 1 moves up, mode 2 along z; node 2 is measured in two directions, node 9 has no coordinates."""
     rows = []
     for mode, up, across in (("1BT", 1.0, 0.0), ("2BT", 0.0, 0.5)):
         rows += [
@@ -119,7 +119,7 @@ def mesh() -> Mesh:
 
 @pytest.fixture
 def deflection() -> pd.DataFrame:
-    """Motion of the bars, of which only mode 1 has a model mode."""
+    """Motion of the bars; only mode 1 is paired with a model mode."""
     rows = [("1BT", 0, 0.0, 1.0, 0.0), ("1BT", 1, 0.0, 1.0, 0.0), ("1BT", 2, 0.0, 1.0, 0.0), ("1BT", 3, 0.1, 0.5, 0.2)]
     return pd.DataFrame(rows, columns=["mode", "point", "u", "v", "w"])
 
@@ -131,10 +131,10 @@ def model_modes() -> pd.DataFrame:
 
 @pytest.fixture
 def modes() -> pd.DataFrame:
-    """The second mode is withheld, the third has found no partner before."""
+    """The second mode is held out; the third is not paired before calibration."""
     measured = np.array([6.95, 10.83, 13.2])
     errors = {"before": np.array([-0.12, 0.08, np.nan]), "after": np.array([-0.004, 0.006, 0.02])}
-    table = pd.DataFrame({"mode": MODES, "withheld": [False, True, False], "damped_freq_measured": measured})
+    table = pd.DataFrame({"mode": MODES, "held_out": [False, True, False], "damped_freq_measured": measured})
     for stage, error in errors.items():
         table[f"damped_freq_{stage}"] = measured * (1.0 + error)
         table[f"error_{stage}"] = error
@@ -144,9 +144,9 @@ def modes() -> pd.DataFrame:
 
 @pytest.fixture
 def hull() -> Mesh:
-    """A box 20 m long, 2 m high and 2 m wide without ends, its top a group of its own, with an opening in one side.
+    """A box 20 m long, 2 m high and 2 m wide without ends; its top is a separate group, one side has an opening.
 
-    Under either end hangs a bar of 1 m across, at x = 2 and x = 18 m; a beam runs along the edge of the box.
+    A transverse bar of 1 m hangs below each end, at x = 2 and x = 18 m; a beam runs along an edge of the box.
     """
     x = np.linspace(0.0, 20.0, 11)
     ring = np.array([[2.0, -1.0], [4.0, -1.0], [4.0, 1.0], [2.0, 1.0]])
@@ -168,20 +168,20 @@ def hull() -> Mesh:
 
 
 def seen(ax: Axes3D, gid: str) -> np.ndarray:
-    """Corners (n, 4, 2) in pixels of drawn pieces, as the picture shows them, from back to front."""
+    """Corners (n, 4, 2) in pixels of the drawn pieces, from back to front."""
     (collection,) = [c for c in ax.collections if c.get_gid() == gid]
     ax.get_figure(root=True).savefig(os.devnull, format="png")
     return np.array([collection.get_transform().transform(path.vertices[:4]) for path in collection.get_paths()])
 
 
 def expected(ax: Axes3D, points: np.ndarray) -> np.ndarray:
-    """Pixels (..., 2) at which points (..., 3), metres, must be seen."""
-    ax.get_figure(root=True).savefig(os.devnull, format="png")  # the view is fixed when it is drawn
+    """Pixels (..., 2) at which points (..., 3), metres, must appear."""
+    ax.get_figure(root=True).savefig(os.devnull, format="png")  # drawing fixes the view
     x, y, _ = proj_transform(*plot_coordinates(points).reshape(-1, 3).T, ax.get_proj())
     return ax.transData.transform(np.column_stack([x, y])).reshape(*points.shape[:-1], 2)
 
 
 @pytest.fixture
 def pixels() -> SimpleNamespace:
-    """How drawn pieces are read back and what they are compared with."""
+    """Functions that read drawn pieces back and compute where they must appear."""
     return SimpleNamespace(seen=seen, expected=expected)

@@ -34,12 +34,12 @@ def test_every_bar_has_its_value_beside_it(parameters):
     assert list(bar_values(searched).values()) == ["1.25", "−0.25", "1.75", "0.5"]
 
 
-def test_one_case_without_a_search_needs_no_values_of_bars(parameters):
+def test_one_case_without_a_search_has_no_values_beside_bars(parameters):
     assert not bar_values(draw_parameters(parameters[parameters["case"] == "GB1"]))
 
 
 @pytest.mark.parametrize(("units", "dark"), [(["MN/m", "-"], 1), (["-", "-"], 0)])
-def test_a_dark_line_parts_neighbours_of_different_units(parameters, units, dark):
+def test_a_dark_line_separates_neighbours_of_different_units(parameters, units, dark):
     ax = draw_parameters(parameters.assign(unit=units * 2))
     between = [line for line in ax.lines if list(line.get_ydata()) == [0.5, 0.5]]
     assert len(between) == 1 and sum(line.get_linewidth() > 0.8 for line in between) == dark
@@ -57,23 +57,23 @@ def test_cases_may_lack_parameters(parameters):
     np.testing.assert_allclose([bar.get_width() for bar in ax.containers[1]], [np.nan, 100.0])
 
 
-def test_a_value_on_a_bound_has_a_mark_beside_its_bar(parameters):
+def test_a_value_at_a_limit_has_a_marker_beside_its_bar(parameters):
     ax = draw_parameters(parameters)
     marks = {line.get_gid(): line for line in ax.lines if (line.get_gid() or "").startswith("on_bound")}
     assert len(marks["on_bound GB1"].get_xdata()) == 0
     bar = ax.containers[1][1]
     assert marks["on_bound GB2"].get_ydata() == pytest.approx([bar.get_y() + bar.get_height() / 2])
     assert marks["on_bound GB2"].get_xdata()[0] > 100.0
-    assert "on a bound" in legend(ax)
+    assert "at a limit" in legend(ax)
 
 
-def test_an_unstable_parameter_is_hatched_and_said(parameters):
+def test_an_unstable_parameter_is_hatched_and_labelled(parameters):
     ax = draw_parameters(parameters)
     assert [[bool(bar.get_hatch()) for bar in bars] for bars in ax.containers] == [[False, True], [False, True]]
     assert words(ax) == ["not stable, spread 62 %"]
 
 
-def test_without_doubts_there_are_no_marks(parameters):
+def test_stable_parameters_within_their_limits_have_no_markers(parameters):
     ax = draw_parameters(parameters.assign(stable=True, on_bound=False))
     assert words(ax) == [] and legend(ax) == ["GB1", "GB2"]
 
@@ -89,7 +89,7 @@ def test_values_of_the_best_case(parameters):
     assert "GB1 (reported; values at the right)" in legend(ax)
 
 
-def test_one_case_writes_its_values_unasked(parameters):
+def test_a_single_case_has_its_values_written_by_default(parameters):
     ax = draw_parameters(parameters[parameters["case"] == "GB2"].assign(stable=None, spread=np.nan))
     assert len(ax.containers) == 1 and words(ax) == ["1.6 MN/m", "1"]
 
@@ -99,7 +99,7 @@ def test_lines_are_the_misfits(convergence):
     best = {line.get_label().split(" ")[0]: line for line in ax.lines if line.get_label().startswith("GB")}
     np.testing.assert_array_equal(best["GB1"].get_xdata(), [0, 1, 2])
     np.testing.assert_array_equal(best["GB1"].get_ydata(), [1.0, 0.5, 0.25])
-    # rows in any order are drawn by generation; a generation without feasible point is a gap
+    # rows in any order are drawn by generation; a generation without a feasible point is a gap
     np.testing.assert_array_equal(best["GB2"].get_xdata(), [0, 1, 2])
     np.testing.assert_array_equal(best["GB2"].get_ydata(), [np.nan, 0.6, 0.3])
     assert legend(ax) == ["GB1 (ends at 0.25)", "GB2 (ends at 0.3)", "mean of the generation"]
@@ -117,9 +117,9 @@ def test_one_case_and_one_generation(convergence):
     assert ax.lines[0].get_marker() == "o" and list(ax.lines[0].get_ydata()) == [1.0]
 
 
-def test_a_case_without_feasible_point(convergence):
+def test_a_case_without_a_feasible_point(convergence):
     ax = draw_convergence(convergence.assign(best=np.nan, mean=np.nan))
-    assert legend(ax) == ["GB1 (nothing feasible)", "GB2 (nothing feasible)"]
+    assert legend(ax) == ["GB1 (no feasible point)", "GB2 (no feasible point)"]
 
 
 def test_bars_show_the_searches_and_a_diamond_the_final_value():

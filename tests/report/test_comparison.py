@@ -56,7 +56,7 @@ def test_mac_bars(before, after):
     assert legend(ax) == ["before: mean MAC 0.740, 2 of 3 paired", "after: mean MAC 0.943"]
 
 
-def test_the_mac_panel_is_left_out_when_no_shapes_were_measured(before, after):
+def test_there_is_no_mac_panel_without_measured_shapes(before, after):
     assert len(comparison_figure(before, after).axes) == 2
     silent = [table.assign(mac=np.nan) for table in (before, after)]
     assert len(comparison_figure(*silent).axes) == 1
@@ -97,7 +97,7 @@ def test_comac_before_alone(comac):
     np.testing.assert_allclose(dots(ax)["before"], [0.4, 0.7, 0.9, 0.99])
 
 
-def test_of_many_sensors_the_worst_are_shown_and_the_axis_says_so():
+def test_of_many_sensors_the_worst_are_shown_and_the_axis_label_states_it():
     table = pd.DataFrame({"sensor": [f"{i}y" for i in range(60)], "comac": np.linspace(1.0, 0.2, 60)})
     ax = draw_comac(table)
     assert len(dots(ax)["before"]) == 40 and dots(ax)["before"][0] == pytest.approx(0.2)

@@ -55,7 +55,7 @@ def folder(
 
 @pytest.fixture
 def saved(monkeypatch):
-    """Figures by name, kept instead of being written."""
+    """Figures by name, kept instead of written."""
     figures: dict[str, Figure] = {}
 
     def keep(figure, path):
@@ -77,7 +77,7 @@ def all_words(figure):
     return [t.get_text() for t in figure.texts]
 
 
-def test_synthetic_measurements_are_said_on_every_figure(folder, saved):
+def test_every_figure_of_a_synthetic_measurement_is_labelled(folder, saved):
     draw_all(folder, "Bogie", True)
     assert list(saved) == ALL
     assert all(SYNTHETIC in all_words(figure) for figure in saved.values())
@@ -114,7 +114,7 @@ def test_figures_show_the_tables(folder, saved, before, convergence):
     ]
 
 
-def test_missing_tables_leave_their_figures_out(folder, saved):
+def test_missing_tables_have_no_figures(folder, saved):
     for name in ("comparison_after", "mac_before", "deflection_after", "sensitivity", "parameters"):
         (folder / f"{name}.csv").unlink()
     left = ["comparison", "mac_after", "comac", "model", "modes", "convergence"]
@@ -124,13 +124,13 @@ def test_missing_tables_leave_their_figures_out(folder, saved):
     assert [p.stem for p in draw_all(folder, "Bogie", False) if p.stem != "modes"] == [p for p in left if p != "modes"]
 
 
-def test_lines_without_sensors_are_no_picture_of_a_model(folder, saved):
+def test_a_mesh_of_lines_without_sensors_has_no_figure_of_the_model(folder, saved):
     (folder / "shapes_after.csv").unlink()
     draw_all(folder, "Bogie", False)
     assert "model_modes_after" in saved and not {"model", "mode_shapes_after"} & set(saved)
 
 
-def test_modes_of_every_stage_are_drawn_and_only_those_that_are_measured_over_the_measurement(folder, saved):
+def test_modes_of_every_stage_are_drawn_and_over_the_measurement_where_there_is_one(folder, saved):
     for name in ("deflection", "model_modes"):
         (folder / f"{name}_initial.csv").write_bytes((folder / f"{name}_after.csv").read_bytes())
     draw_all(folder, "Bogie", False)
@@ -210,7 +210,7 @@ def test_a_damaged_summary(folder, content):
         draw_all(folder, "Bogie", False)
 
 
-def test_without_summary_no_case_is_best(folder, saved):
+def test_without_a_summary_no_case_is_best(folder, saved):
     (folder / "summary.json").write_text("{}")
     draw_all(folder, "Bogie", False)
     assert "best" not in saved["parameters"].axes[0].get_legend().get_texts()[1].get_text()
@@ -222,7 +222,7 @@ def keep_only(folder, name):
             table.unlink()
 
 
-def test_a_stop_while_saving_leaves_the_old_picture(folder, monkeypatch):
+def test_an_interruption_while_saving_leaves_the_old_picture(folder, monkeypatch):
     keep_only(folder, "convergence")
     (picture,) = draw_all(folder, "Bogie", False)
     old = picture.read_bytes()
@@ -238,7 +238,7 @@ def test_a_stop_while_saving_leaves_the_old_picture(folder, monkeypatch):
     assert not [p for p in folder.iterdir() if p.name.startswith(".")]
 
 
-def test_the_users_own_settings_do_not_matter_and_are_kept(folder, saved):
+def test_the_users_own_settings_have_no_effect_and_are_kept(folder, saved):
     import matplotlib
 
     with matplotlib.rc_context({"font.size": 30.0}):
@@ -247,7 +247,7 @@ def test_the_users_own_settings_do_not_matter_and_are_kept(folder, saved):
     assert saved["convergence"].axes[0].xaxis.label.get_fontsize() == 9
 
 
-def test_any_name_can_be_drawn_without_a_word(folder, recwarn):
+def test_any_name_can_be_drawn_without_a_warning(folder, recwarn):
     names = ["a price of 5 $ and 6 $", "$x^{2$", "bridge \u6865\u6881 $\\alpha$"]
     table = pd.read_csv(folder / "modes.csv").assign(mode=names)
     table.to_csv(folder / "modes.csv", index=False)
@@ -260,11 +260,11 @@ def test_any_name_can_be_drawn_without_a_word(folder, recwarn):
         assert [p.stem for p in draw_all(folder, name, False)] == ["convergence"] and not recwarn.list
 
 
-def test_missing_characters_are_told_in_the_picture_and_powers_stay_powers(tmp_path):
+def test_missing_characters_are_noted_in_the_picture_and_powers_stay_powers(tmp_path):
     with style():
         figure = new_figure(2.0)
         ax = figure.add_subplot()
-        ax.set_title("\U000f1234")  # for private use: in no font
+        ax.set_title("\U000f1234")  # a private-use character, in no font
         ax.plot([1, 1000], [1, 1000])
         ax.set_yscale("log")
         figure.canvas.draw()

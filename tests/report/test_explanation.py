@@ -21,8 +21,8 @@ nan = np.nan
 FIGURES = [
     "where_it_fails_sigma",
     "sensor_misfit",
-    "atom_map",
-    "parameters_under_strain",
+    "perturbation_map",
+    "pulls",
     "ranked_effects",
     "confounding",
     "errors_before_after",
@@ -40,8 +40,9 @@ def effects():
         ("track", "track compliance", nan, 0.0, np.inf, 1.0, False, nan, nan, nan, nan, False, False, ""),
         ("rod", "rod", -1.2, 0.9, 0.5, 1.0, True, -0.5, nan, nan, nan, False, False, ""),
     ]
-    names = "name title z gamma phi_min plausible visible ln_bayes ln_bayes_third ln_bayes_triple posterior refitted"
-    return pd.DataFrame(rows, columns=[*names.split(), "credible", "implausible"])
+    names = "name title z unabsorbed magnitude_min plausible visible ln_bayes ln_bayes_third ln_bayes_triple"
+    names += " model_probability refitted credible implausible"
+    return pd.DataFrame(rows, columns=names.split())
 
 
 ORDER = ["anti-roll bar", "seats", "rod", "shear flexibility", "track compliance"]
@@ -68,7 +69,7 @@ def test_effects_are_ranked_by_their_evidence(effects):
     assert words(ax) == ["40", "30 implausible", "−0.5", "−1.8", "no value"]
 
 
-def test_looks_tell_what_was_done_with_an_effect(effects):
+def test_colours_and_legend_show_the_status_of_every_effect(effects):
     ax = draw_ranked_effects(effects)
     faces = [to_hex(bar.get_facecolor()).upper() for bar in bars(ax)]
     assert faces[0] == ORANGE and faces[1] == BLUE and faces[3] == faces[4] == REST
@@ -85,7 +86,7 @@ def test_looks_tell_what_was_done_with_an_effect(effects):
     ]
 
 
-def test_the_threshold_pays_for_the_number_of_effects(effects):
+def test_the_threshold_grows_with_the_number_of_effects(effects):
     for table in (effects, effects.iloc[:1]):
         (line,) = [x for x in draw_ranked_effects(table).lines if x.get_gid() == "threshold"]
         assert line.get_xdata()[0] == pytest.approx(np.log(len(table)) + 3.0)
@@ -96,8 +97,8 @@ def test_thin_lines_span_the_prior_widths(effects):
     assert spans == [[39.0, 41.0], [28.5, 30.0]]
 
 
-def test_values_do_not_stand_on_the_line_of_the_threshold(effects):
-    """They begin beyond it, whatever end of their bar."""
+def test_values_do_not_cover_the_line_of_the_threshold(effects):
+    """They stand right of it, wherever their bar ends."""
     ax = draw_ranked_effects(effects.assign(ln_bayes=[-1.8, 3.9, 40.0, 0.0, -0.5]))
     ax.figure.savefig(os.devnull, format="png")
     (line,) = [x for x in ax.lines if x.get_gid() == "threshold"]
@@ -105,25 +106,25 @@ def test_values_do_not_stand_on_the_line_of_the_threshold(effects):
     assert all(t.get_window_extent().x0 > across for t in ax.texts)
 
 
-def test_words_about_what_is_not_visible_are_grey(effects):
+def test_labels_of_effects_that_are_not_visible_are_grey(effects):
     figure = ranked_effects_figure(effects.assign(implausible=""))
     _, left, right = figure.axes
     grey = [t.get_color() == GREY for t in left.get_yticklabels()]
     assert grey == [t.get_color() == GREY for t in left.texts] == [False, False, False, True, True]
     beside = sorted((t for t in right.texts if t.xy[1] >= 0), key=lambda t: t.xy[1])
     assert [t.get_color() == GREY for t in beside[::2]] == grey
-    assert right.get_xlabel() == "smallest visible strength /\nplausible size (–)"
+    assert right.get_xlabel() == "smallest visible magnitude /\nplausible magnitude (–)"
 
 
 @pytest.mark.parametrize(("factor", "scale"), [(1.0, "linear"), (100.0, "symlog")])
-def test_overwhelming_evidence_is_drawn_on_another_axis(effects, factor, scale):
+def test_overwhelming_evidence_is_drawn_on_a_symlog_axis(effects, factor, scale):
     wide = effects.assign(ln_bayes=factor * effects["ln_bayes"])
     ax = draw_ranked_effects(wide)
     assert ax.get_xscale() == scale
     assert ax.get_xlim()[0] < factor * -1.8 and ax.get_xlim()[1] > factor * 40.0
 
 
-def test_visibility_is_the_smallest_over_the_plausible_strength(effects):
+def test_visibility_is_the_smallest_over_the_plausible_magnitude(effects):
     ax = draw_visibility(effects)
     lines = {x.get_gid(): x for x in ax.lines}
     np.testing.assert_allclose(lines["visible"].get_xdata(), [0.05, 0.1, 0.5])
@@ -132,7 +133,7 @@ def test_visibility_is_the_smallest_over_the_plausible_strength(effects):
     assert list(lines["never"].get_ydata()) == [4]
     assert ax.get_xscale() == "log" and lines["plausible"].get_xdata()[0] == 1.0
     beside = [t.get_text() for t in sorted(ax.texts, key=lambda t: t.xy[1])]
-    assert beside == ["z", "posterior", "10.0", "80.0 %", "9.0", "20.0 %", "−1.2", "–", "0.6", "–", "–", "–"]
+    assert beside == ["z", "probability", "10.0", "80.0 %", "9.0", "20.0 %", "−1.2", "–", "0.6", "–", "–", "–"]
 
 
 def test_both_panels_have_the_same_rows(effects):
@@ -144,11 +145,13 @@ def test_both_panels_have_the_same_rows(effects):
     assert not [t for t in right.get_yticklabels() if t.get_visible()]
 
 
-def test_no_words_of_the_ranking_overlap():
+def test_no_labels_of_the_ranking_overlap():
     table = pd.DataFrame({"name": [f"e{k}" for k in range(14)], "title": "an effect with a rather long title"})
     table["ln_bayes"] = np.geomspace(4000.0, 0.1, 14)
-    table = table.assign(z=-10.5, gamma=0.5, phi_min=np.inf, plausible=1.0, ln_bayes_third=-5.0, ln_bayes_triple=nan)
-    table = table.assign(posterior=1.0, visible=True, refitted=True, credible=True, implausible="because")
+    table = table.assign(
+        z=-10.5, unabsorbed=0.5, magnitude_min=np.inf, plausible=1.0, ln_bayes_third=-5.0, ln_bayes_triple=nan
+    )
+    table = table.assign(model_probability=1.0, visible=True, refitted=True, credible=True, implausible="because")
     figure = ranked_effects_figure(table)
     figure.savefig(os.devnull, format="png")
     over, left, right = figure.axes
@@ -161,16 +164,16 @@ def test_no_words_of_the_ranking_overlap():
 
 
 @pytest.fixture
-def alike():
+def correlations():
     cells = [[1.0, 0.95, -0.2], [0.95, 1.0, nan], [-0.2, nan, 1.0]]
     table = pd.DataFrame(cells, columns=["arb", "seats", "rod"])
     table.insert(0, "effect", ["arb", "seats", "rod"])
     return table
 
 
-def test_confounding_cells_hold_the_correlations(alike, effects):
-    ax = draw_confounding(alike[["effect", "rod", "seats", "arb"]], effects=effects)
-    values = alike.drop(columns="effect").to_numpy()
+def test_confounding_cells_hold_the_correlations(correlations, effects):
+    ax = draw_confounding(correlations[["effect", "rod", "seats", "arb"]], effects=effects)
+    values = correlations.drop(columns="effect").to_numpy()
     np.testing.assert_array_equal(ax.images[-1].get_array().filled(nan), values)
     cells = {(round(t.get_position()[1]), round(t.get_position()[0])): t.get_text() for t in ax.texts}
     assert cells[0, 1] == "0.95" and cells[0, 2] == "−0.20" and (1, 2) not in cells
@@ -182,42 +185,41 @@ def test_confounding_cells_hold_the_correlations(alike, effects):
     assert labels(ax.get_xticklabels()) == ["arb", "seats", "rod"]
 
 
-def test_confounded_pairs_are_outlined(alike):
-    ax = draw_confounding(alike)
+def test_collinear_pairs_are_outlined(correlations):
+    ax = draw_confounding(correlations)
     centres = [(p.get_x() + p.get_width() / 2, p.get_y() + p.get_height() / 2) for p in ax.patches]
     np.testing.assert_allclose(sorted(centres), [(0, 1), (1, 0)])
     assert "brackets" not in ax.get_xlabel() and labels(ax.get_yticklabels()) == ["arb", "seats", "rod"]
-    assert len(draw_confounding(alike.replace(0.95, -0.95)).patches) == 2
-    assert not draw_confounding(alike.replace(0.95, 0.85)).patches
+    assert len(draw_confounding(correlations.replace(0.95, -0.95)).patches) == 2
+    assert not draw_confounding(correlations.replace(0.95, 0.85)).patches
 
 
-def test_one_effect_or_none(alike, effects):
+def test_one_effect_or_none(correlations, effects):
     ranked_effects_figure(effects.iloc[:1]).savefig(os.devnull, format="png")
     ranked_effects_figure(effects.iloc[:0]).savefig(os.devnull, format="png")
-    draw_confounding(alike.iloc[:1, :2]).figure.savefig(os.devnull, format="png")
+    draw_confounding(correlations.iloc[:1, :2]).figure.savefig(os.devnull, format="png")
     for empty in (draw_ranked_effects(effects.iloc[:0]), draw_visibility(effects.iloc[:0])):
         assert words(empty) == ["no effect was tested"]
-    assert words(draw_confounding(alike.iloc[:0, :1])) == ["no effect was tested"]
+    assert words(draw_confounding(correlations.iloc[:0, :1])) == ["no effect was tested"]
 
 
-def test_a_given_axes_is_drawn_on_and_returned(alike, effects):
-    for plot, table in ((draw_ranked_effects, effects), (draw_visibility, effects), (draw_confounding, alike)):
+def test_a_given_axes_is_drawn_on_and_returned(correlations, effects):
+    for plot, table in ((draw_ranked_effects, effects), (draw_visibility, effects), (draw_confounding, correlations)):
         ax = new_figure(3.0).add_subplot()
         assert plot(table, ax) is ax
 
 
 TABLES = {
-    "misfit_kinds": "stage,mode,kind,chi2,freedom,p\nbase,1BT,shape,88,44,1e-4\n",
+    "misfit_kinds": "stage,mode,kind,chi2,dof,p\nbase,1BT,shape,88,44,1e-4\n",
     "mesh_points": "point,x,y,z\n1,0,0,0\n2,4,1,2\n",
     "mesh_elements": "group,a,b,c,d\nframe,1,2,,\n",
     "sensor_misfit": "stage,mode,sensor,node,direction,x,y,z,re,im\nbase,1BT,1y,1,y,0,0,0,1.5,nan\n",
-    "atoms": "atom,kind,x,y,z,sensor,score,gamma\nspring 1,stiffness,0,0,0,,-8,0.5\n",
-    "strain": "model,parameter,unit,adopted,value,prior_sd,standardised,limit,strained\n"
-    "base,K,,1,1.2,0.1,2.8,2.5,True\n",
+    "perturbations": "perturbation,kind,x,y,z,sensor,score,unabsorbed\nspring 1,stiffness,0,0,0,,-8,0.5\n",
+    "pulls": "model,parameter,unit,nominal,value,prior_sd,standardised,limit,pulled\nbase,K,,1,1.2,0.1,2.8,2.5,True\n",
     "confounding": "effect,arb\narb,1.0\n",
     "errors": "group,stage,rms,expected,p\nfit,before,4.4,1.0,0.0\nfit,after,0.9,1.0,\n",
     "versions": "version,study,effects,group,rms,expected\n0,bogie,,fit,4.4,1.0\n1,bogie_2,arb,fit,0.9,1.0\n",
-    "next_measurement": "option,kind,effect,gain,gain_low,gain_high,ln_bayes,ln_bayes_low,ln_bayes_high,words\n"
+    "next_measurement": "measurement,kind,effect,gain,gain_low,gain_high,ln_bayes,ln_bayes_low,ln_bayes_high,words\n"
     "twice,repeats,arb,inf,inf,inf,,,,more\n",
 }
 
@@ -243,37 +245,37 @@ def test_every_table_of_a_folder_has_its_figure(folder):
     assert all(p.parent == folder and p.read_bytes().startswith(b"\x89PNG") for p in written)
 
 
-def test_headings_say_that_local_changes_are_no_causes_and_what_is_synthetic(folder, saved):
+def test_headings_state_that_local_perturbations_are_no_causes_and_what_is_synthetic(folder, saved):
     draw_all(folder, "Bogie", True)
     for figure in saved.values():
         assert SYNTHETIC in [t.get_text() for t in figure.texts]
-    heading = [t.get_text().replace("\n", " ") for t in saved["atom_map"].texts]
-    assert "Bogie: local changes that would fit, not causes" in heading
+    heading = [t.get_text().replace("\n", " ") for t in saved["perturbation_map"].texts]
+    assert "Bogie: scores of local perturbations: places to inspect, not causes" in heading
 
 
 @pytest.mark.parametrize(("stage", "later"), [("explained", "after"), ("attempt", "attempt")])
 def test_an_attempt_is_never_drawn_as_the_missing_effect(folder, saved, stage, later):
     with (folder / "misfit_kinds.csv").open("a") as file:
         file.write(f"{stage},1BT,shape,44,44,0.5\n")
-    with (folder / "strain.csv").open("a") as file:
+    with (folder / "pulls.csv").open("a") as file:
         file.write("arb,K,,1,1.1,0.1,1.4,2.5,False\n")
     (folder / "errors.csv").write_text(TABLES["errors"].replace("after", later))
     draw_all(folder, "Bogie", False)
-    said = {}
-    for name in ("where_it_fails_sigma", "parameters_under_strain", "errors_before_after"):
+    texts = {}
+    for name in ("where_it_fails_sigma", "pulls", "errors_before_after"):
         axes = saved[name].axes
-        said[name] = [a.get_title(loc="left") for a in axes] + [t for a in axes for t in words(a)]
-        said[name] += [t for a in axes if a.get_legend() for t in labels(a.get_legend().get_texts())]
-        said[name] = [t.replace("\n", " ") for t in said[name]]
+        found = [a.get_title(loc="left") for a in axes] + [t for a in axes for t in words(a)]
+        found += [t for a in axes if a.get_legend() for t in labels(a.get_legend().get_texts())]
+        texts[name] = [t.replace("\n", " ") for t in found]
     attempt = "with arb: best attempt, not believed"
-    for name, texts in said.items():
-        assert (attempt in texts) == (stage == "attempt"), name
-        assert not any("missing effect" in t for t in texts)
-    assert ("after: with arb" in said["errors_before_after"]) == (stage == "explained")
-    assert ("with arb" in said["where_it_fails_sigma"]) == (stage == "explained")
+    for name, found in texts.items():
+        assert (attempt in found) == (stage == "attempt"), name
+        assert not any("missing effect" in t for t in found)
+    assert ("after: with arb" in texts["errors_before_after"]) == (stage == "explained")
+    assert ("with arb" in texts["where_it_fails_sigma"]) == (stage == "explained")
 
 
-def test_an_empty_cell_written_as_nan_holds_no_words(folder, saved, effects):
+def test_an_empty_cell_written_as_nan_is_empty(folder, saved, effects):
     effects.assign(implausible=nan).to_csv(folder / "effects.csv", index=False, na_rep="nan")
     draw_all(folder, "Bogie", False)
     assert not [text for ax in saved["ranked_effects"].axes for text in words(ax) if "implausible" in text]
@@ -282,13 +284,13 @@ def test_an_empty_cell_written_as_nan_holds_no_words(folder, saved, effects):
 @pytest.mark.parametrize(
     ("gone", "figures"),
     [
-        ("mesh_elements", {"sensor_misfit", "atom_map"}),
+        ("mesh_elements", {"sensor_misfit", "perturbation_map"}),
         ("versions", {"errors_over_versions"}),
         ("effects", {"ranked_effects"}),
         ("confounding", {"confounding"}),
     ],
 )
-def test_without_its_table_a_figure_is_left_out(folder, saved, gone, figures):
+def test_without_its_table_there_is_no_figure(folder, saved, gone, figures):
     (folder / f"{gone}.csv").unlink()
     draw_all(folder, "Bogie", False)
     assert set(FIGURES) - set(saved) == figures
@@ -305,8 +307,8 @@ def test_tables_without_rows_have_no_figure(folder):
     ("name", "old", "new", "column"),
     [
         ("effects", "anti-roll bar,10.0", "anti-roll bar,ten", "z"),
-        ("atoms", "-8", "-inf", "score"),
-        ("strain", "True", "perhaps", "strained"),
+        ("perturbations", "-8", "-inf", "score"),
+        ("pulls", "True", "perhaps", "pulled"),
         ("confounding", "arb,1.0", "seats,1.0", "effect"),
         ("mesh_points", "2,4,1,2", "2,4,,2", "y"),
     ],

@@ -28,8 +28,8 @@ def test_without_shapes_there_are_no_columns_of_mac(modes):
     assert not [t for t in ax.texts if "MAC" in t.get_text()]
 
 
-def test_withheld_modes_are_told_apart_and_enter_no_mean(modes):
+def test_held_out_modes_are_labelled_and_enter_no_mean(modes):
     ax = draw_frequencies(modes)
-    assert [t.get_text() for t in ax.get_yticklabels()] == ["1BT", "2BT (withheld)", "3BT"]
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["1BT", "2BT (held out)", "3BT"]
     words = [t.get_text() for t in ax.get_legend().get_texts()]
     assert words == ["before", "after"]

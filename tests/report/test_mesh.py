@@ -9,7 +9,7 @@ from calib.report.mesh import BORDER, FACE, LINE, Mesh, bodies, check_mesh, draw
 from calib.report.scene import frame_panel, new_axes, plot_coordinates, view_directions
 
 
-def test_openings_ends_and_other_groups_have_borders_and_stiffeners_are_left_out(hull):
+def test_openings_ends_and_other_groups_have_borders_and_stiffeners_are_not_drawn(hull):
     parts = pieces(hull)
     assert [(parts.kind == kind).sum() for kind in (FACE, BORDER, LINE)] == [39, 31, 2]
     borders = {tuple(sorted(pair)) for pair in parts.corners[parts.kind == BORDER, :2].tolist()}
@@ -20,7 +20,7 @@ def test_openings_ends_and_other_groups_have_borders_and_stiffeners_are_left_out
     assert set(parts.group[parts.kind == LINE]) == {"bar"}
 
 
-def test_bodies_hang_together_by_common_points(hull):
+def test_bodies_are_connected_by_common_points(hull):
     parts = pieces(hull)
     found = bodies(parts, len(hull.points))
     assert len(set(found[parts.kind != LINE])) == 1 and len(set(found)) == 3

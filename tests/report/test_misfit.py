@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.misfit import draw_strain, draw_where_it_fails, where_it_fails_figure
+from calib.report.misfit import draw_pulls, draw_where_it_fails, where_it_fails_figure
 from calib.report.style import GREY
 
 
@@ -19,11 +19,11 @@ def kinds():
         ("base", "2BT", "damping", 1.0, 1.0, 0.1),
         ("explained", "2BT", "shape", 22.0, 44.0, 0.01),
     ]
-    return pd.DataFrame(rows, columns="stage mode kind chi2 freedom p".split())
+    return pd.DataFrame(rows, columns="stage mode kind chi2 dof p".split())
 
 
 def cells(ax, names=None):
-    """Words and colours of the cells; the names of the rows are those of other Axes where they are shared."""
+    """Texts and colours of the cells; row names are those of ``names`` where Axes share them."""
     rows, columns = (
         [t.get_text() for t in labels] for labels in ((names or ax).get_yticklabels(), ax.get_xticklabels())
     )
@@ -33,7 +33,7 @@ def cells(ax, names=None):
     return words, colours
 
 
-def test_cells_hold_chi_square_over_freedom_and_colours_the_chance(kinds):
+def test_cells_hold_chi_square_per_degree_of_freedom_and_colours_the_p_value(kinds):
     ax = draw_where_it_fails(kinds)
     words, colours = cells(ax)
     assert [t.get_text() for t in ax.get_xticklabels()] == ["frequency", "damping", "shape"]
@@ -62,7 +62,7 @@ def test_the_explained_model_stands_beside_the_base_model(kinds):
     assert len(where_it_fails_figure(kinds[kinds["stage"] == "base"]).axes) == 2  # one panel and the colour bar
 
 
-def test_an_attempt_is_said_to_be_one_and_looks_it(kinds):
+def test_an_attempt_is_labelled_and_hatched(kinds):
     def panels(table, **more):
         return [ax for ax in where_it_fails_figure(table, **more).axes if ax.images][:2]
 
@@ -71,22 +71,22 @@ def test_an_attempt_is_said_to_be_one_and_looks_it(kinds):
 
     base, named = panels(kinds, name="arb")
     assert named.get_title() == "with arb" and not hatched(base) and not hatched(named)
-    tried = kinds.replace({"stage": {"explained": "attempt"}})
-    base, attempt = panels(tried, name="arb")
+    attempted = kinds.replace({"stage": {"explained": "attempt"}})
+    base, attempt = panels(attempted, name="arb")
     assert attempt.get_title() == "with arb:\nbest attempt, not believed"
     assert len(hatched(attempt)) == 1 and not hatched(base)
     assert {t.get_color() for t in attempt.texts} == {"#000000"}  # on white, however dark the cell
-    assert panels(tried)[1].get_title() == "with the best attempt, not believed"
+    assert panels(attempted)[1].get_title() == "with the best attempt, not believed"
 
 
 def test_less_than_half_a_degree_of_freedom_has_no_ratio(kinds):
-    words, _ = cells(draw_where_it_fails(kinds.assign(freedom=0.49)))
+    words, _ = cells(draw_where_it_fails(kinds.assign(dof=0.49)))
     assert set(words.values()) == {"–"}
-    words, _ = cells(draw_where_it_fails(kinds.assign(freedom=0.5)))
+    words, _ = cells(draw_where_it_fails(kinds.assign(dof=0.5)))
     assert words["1BT", "frequency"] == "18"
 
 
-def test_responses_that_are_no_modes_are_not_called_modes(kinds):
+def test_responses_other_than_modes_are_not_called_modes(kinds):
     rows = [("base", "responses", kind, 2.0, 1.0, 0.5) for kind in ("shape", "heat", "damping", "freq")]
     ax = draw_where_it_fails(pd.DataFrame(rows, columns=kinds.columns))
     assert ax.get_ylabel() == "" and draw_where_it_fails(kinds).get_ylabel() == "mode"
@@ -99,56 +99,56 @@ def test_nothing_compared(kinds):
 
 
 @pytest.fixture
-def strain():
+def pulls():
     rows = [
         ("base", "K", "MN/m", 1.5, 1.2, 0.2, -3.5, 2.5, True),
         ("base", "rho", "-", 1.0, 1.05, 0.1, 0.5, 2.5, False),
         ("arb + seats", "K", "MN/m", 1.5, 1.49, 0.2, -0.1, 2.5, False),
         ("arb + seats", "rho", "-", 1.0, np.nan, 0.1, np.inf, 2.5, None),
     ]
-    return pd.DataFrame(rows, columns="model parameter unit adopted value prior_sd standardised limit strained".split())
+    return pd.DataFrame(rows, columns="model parameter unit nominal value prior_sd standardised limit pulled".split())
 
 
 def line(ax, gid):
     return [(x.get_xdata(), x.get_ydata()) for x in ax.lines if x.get_gid() == gid]
 
 
-def test_dots_are_the_standardised_shifts_and_strained_ones_have_a_ring(strain):
-    ax = draw_strain(strain)
+def test_dots_are_the_standardised_shifts_and_pulled_ones_have_a_ring(pulls):
+    ax = draw_pulls(pulls)
     ((base, y),) = line(ax, "shift base")
     ((explained, below),) = line(ax, "shift arb + seats")
     np.testing.assert_array_equal(base, [-3.5, 0.5])
     np.testing.assert_array_equal(explained, [-0.1, np.inf])
     assert (np.round(y) == [0, 1]).all() and (below > y).all()
-    ((ringed, at),) = line(ax, "strained base")
+    ((ringed, at),) = line(ax, "pulled base")
     assert list(ringed) == [-3.5] and list(at) == [y[0]]
-    assert len(line(ax, "strained arb + seats")[0][0]) == 0
+    assert len(line(ax, "pulled arb + seats")[0][0]) == 0
     assert sorted(x[0] for x, _ in line(ax, "limit")) == [-2.5, 2.5]
     low, high = ax.get_xlim()
     assert low == -high and 3.5 < high < 5.0
 
 
-def test_values_stand_beside_the_dots_with_their_unit(strain):
-    words = [t.get_text() for t in draw_strain(strain).texts]
-    assert words == ["1.5 → 1.2 → 1.49 MN/m", "1 → 1.05 → –", "adopted → base → with arb + seats"]
-    long = strain.replace({"K": "K_block"}).assign(adopted=12000.0)
-    assert draw_strain(long).texts[0].get_text() == "12000 → 1.2 → 1.49 MN/m"
+def test_values_stand_beside_the_dots_with_their_unit(pulls):
+    words = [t.get_text() for t in draw_pulls(pulls).texts]
+    assert words == ["1.5 → 1.2 → 1.49 MN/m", "1 → 1.05 → –", "nominal → base → with arb + seats"]
+    long = pulls.replace({"K": "K_block"}).assign(nominal=12000.0)
+    assert draw_pulls(long).texts[0].get_text() == "12000 → 1.2 → 1.49 MN/m"
 
 
-def test_the_legend_says_what_is_there(strain):
-    words = [t.get_text() for t in draw_strain(strain).get_legend().get_texts()]
-    assert words == ["base model", "with arb + seats", "limit ± 2.50", "strained"]
-    calm = strain[strain["model"] != "base"].assign(limit=np.nan)
-    assert [t.get_text() for t in draw_strain(calm).get_legend().get_texts()] == ["with arb + seats"]
+def test_the_legend_has_an_entry_for_what_is_drawn(pulls):
+    words = [t.get_text() for t in draw_pulls(pulls).get_legend().get_texts()]
+    assert words == ["base model", "with arb + seats", "limit ± 2.50", "pulled"]
+    calm = pulls[pulls["model"] != "base"].assign(limit=np.nan)
+    assert [t.get_text() for t in draw_pulls(calm).get_legend().get_texts()] == ["with arb + seats"]
 
 
-def test_the_dots_of_an_attempt_are_hollow_and_grey(strain):
-    ax = draw_strain(strain, attempt=True)
+def test_the_dots_of_an_attempt_are_hollow_and_grey(pulls):
+    ax = draw_pulls(pulls, attempt=True)
     looks = {x.get_gid(): (x.get_color(), x.get_markerfacecolor()) for x in ax.lines}
     assert looks["shift arb + seats"] == (GREY, "white") and GREY not in looks["shift base"]
     words = [t.get_text() for t in ax.get_legend().get_texts()]
     assert words[:2] == ["base model", "with arb + seats: best attempt, not believed"]
 
 
-def test_no_parameter(strain):
-    assert [t.get_text() for t in draw_strain(strain.iloc[:0]).texts] == ["no parameter was calibrated"]
+def test_no_parameter(pulls):
+    assert [t.get_text() for t in draw_pulls(pulls.iloc[:0]).texts] == ["no parameter was calibrated"]

@@ -31,7 +31,7 @@ def test_faces_have_the_hue_of_their_group(hull, pixels):
     assert hues == {tuple(np.round(np.array(to_rgb(c)) / max(to_rgb(c)), 6)) for c in COLOURS[:2]}
 
 
-def test_sensors_are_where_they_are_and_point_along_their_directions(shapes, mesh):
+def test_sensors_are_drawn_at_their_coordinates_along_their_directions(shapes, mesh):
     sensors = shapes[shapes["mode"] == "1BT"]
     ax = draw_model(mesh, sensors)
     np.testing.assert_array_equal(drawn(ax, "sensors"), [[0, 0.5, 1], [2, 0.5, 1]])

@@ -9,7 +9,7 @@ from calib.report.modes import AMPLITUDE, draw_model_mode, model_modes_figure, p
 
 
 def motion(hull, of_hull, of_bars):
-    """Upward motion of the box's points and of those of the two bars, by the table and as an array."""
+    """Upward motion of the points of the box and of the two bars, as a table and as an array."""
     up = np.concatenate([np.full(44, of_hull), np.repeat(of_bars, 2)])
     table = pd.DataFrame({"point": range(48), "u": 0.0, "v": up, "w": 0.0})
     return table, table[["u", "v", "w"]].to_numpy()
@@ -29,24 +29,24 @@ def test_the_largest_motion_is_drawn_as_a_tenth_of_the_diagonal(deflection, mesh
     np.testing.assert_allclose(pixels.seen(ax, "deformed"), expected, atol=1e-6)
 
 
-def test_a_mode_of_the_hull_is_looked_at_whole(hull):
+def test_a_mode_of_the_hull_shows_all_pieces(hull):
     (whole,) = views(pieces(hull), places(hull), motion(hull, 1.0, [0.9, 0.9])[1])
     assert whole.all()
 
 
-def test_a_mode_led_by_small_parts_is_looked_at_there_from_one_end_to_the_other(hull):
+def test_a_mode_of_small_parts_shows_these_from_one_end_to_the_other(hull):
     parts = pieces(hull)
     rear, front = views(parts, places(hull), motion(hull, 0.8, [0.6, -1.0])[1])
     assert rear.sum() == front.sum() == 1 and (parts.kind[rear | front] == LINE).all()
     assert places(hull)[parts.corners[rear], 0].max() == 2.0 and places(hull)[parts.corners[front], 0].min() == 18.0
 
 
-def test_a_part_that_hardly_moves_is_left_out(hull):
+def test_a_part_that_hardly_moves_is_not_shown(hull):
     (front,) = views(pieces(hull), places(hull), motion(hull, 0.0, [0.4, 1.0])[1])
     assert front.sum() == 1
 
 
-def test_a_structure_of_like_bodies_is_looked_at_whole(deflection, mesh):
+def test_a_structure_of_similar_bodies_shows_all_pieces(deflection, mesh):
     (whole,) = views(pieces(mesh), places(mesh), deflection[["u", "v", "w"]].to_numpy())
     assert whole.all()
 
@@ -62,7 +62,7 @@ def test_panels_name_mode_damped_frequency_and_damping(hull, model_modes):
 
 
 @pytest.mark.parametrize(("count", "sizes"), [(0, []), (1, [1]), (8, [8]), (9, [5, 4]), (12, [6, 6]), (17, [6, 6, 5])])
-def test_many_modes_are_shared_out_evenly(count, sizes):
+def test_many_modes_are_distributed_evenly_over_figures(count, sizes):
     found = pages(pd.DataFrame({"mode": range(count)}))
     assert [len(part) for part in found.values()] == sizes
     assert list(found) == ([""] if len(sizes) == 1 else [f"_{k + 1}" for k in range(len(sizes))])

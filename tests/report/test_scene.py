@@ -9,7 +9,7 @@ from calib.report.scene import draw_dots, frame_panel, new_axes, new_figure, num
 def test_numbers_stay_inside_the_panel_and_off_the_points():
     figure = new_figure(4.0)
     ax = new_axes(figure.add_subplot(projection="3d"))
-    # Circles all around the last one, except towards the edge of the panel.
+    # The last circle is surrounded by others, except towards the edge of the panel.
     row, column = np.linspace(0.0, 40.0, 81), np.linspace(-3.0, 3.0, 13)
     points = np.zeros((94, 3))
     points[:13, 0], points[:13, 1], points[13:, 0] = 40.0, column, row
@@ -27,7 +27,7 @@ def test_numbers_stay_inside_the_panel_and_off_the_points():
     assert np.linalg.norm(seen - end, axis=1).min() > 10.0
 
 
-def test_circles_grow_with_the_size_of_the_value_of_either_sign():
+def test_circles_grow_with_the_absolute_value():
     ax = new_axes(None)
     draw_dots(ax, np.zeros((3, 3)), np.array([-4.0, 2.0, 4.0]), Normalize(-4.0, 4.0), "RdBu_r", "dots")
     areas = ax.collections[0].get_sizes()

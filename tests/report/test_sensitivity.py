@@ -29,15 +29,15 @@ def test_colours_follow_the_shown_values_alone(sensitivity):
 
 def test_threshold_is_an_argument(sensitivity):
     assert set(cells(draw_sensitivity(sensitivity, threshold=0.6)).values()) == {"0.90", "−0.70"}
-    assert len(cells(draw_sensitivity(sensitivity, threshold=0.0))) == 7  # neither zero nor a gap
+    assert len(cells(draw_sensitivity(sensitivity, threshold=0.0))) == 7  # without zero and NaN
 
 
-def test_a_response_of_no_known_kind_keeps_its_name(sensitivity):
+def test_a_response_of_unknown_kind_keeps_its_name(sensitivity):
     ax = draw_sensitivity(sensitivity.rename(columns={"mac_1BT": "camber"}))
     assert [t.get_text() for t in ax.get_xticklabels()] == ["1BT", "2BT", "camber"]
     assert "other" in {t.get_text() for t in ax.texts}
 
 
-def test_a_response_without_value_is_named_in_the_axis(sensitivity):
+def test_a_response_without_a_value_is_explained_in_the_axis_label(sensitivity):
     assert "grey: no value" in draw_sensitivity(sensitivity).get_xlabel()
     assert "grey" not in draw_sensitivity(sensitivity.fillna(0.0)).get_xlabel()

@@ -18,8 +18,8 @@ def selection() -> pd.DataFrame:
             "spearman_floor": 0.16,
             "max_partial": [0.9, 0.1, -0.1, 0.03, 0.8],
             "partial_floor": 0.17,
-            "max_influence": [0.5, 0.05, 0.6, np.nan, 0.4],
-            "influence_floor": [0.1, 0.12, 0.14, np.nan, 0.1],
+            "max_variance_share": [0.5, 0.05, 0.6, np.nan, 0.4],
+            "variance_share_floor": [0.1, 0.12, 0.14, np.nan, 0.1],
             "measured": [True, False, True, False, True],
             "forced": [True, True, True, False, False],
             "selected": [True, True, True, False, False],
@@ -37,7 +37,7 @@ def inputs() -> pd.DataFrame:
     return table
 
 
-def test_bars_have_the_size_of_the_table_and_are_hollow_below_the_floor(selection):
+def test_bars_have_the_absolute_values_and_are_hollow_below_the_floor(selection):
     ax = draw_selection(selection)
     for container, (measure, (_, colour)) in zip(ax.containers, MEASURES.items(), strict=True):
         size, floor = selection[f"max_{measure}"].abs(), selection[f"{measure}_floor"]
@@ -50,7 +50,7 @@ def test_bars_have_the_size_of_the_table_and_are_hollow_below_the_floor(selectio
     np.testing.assert_allclose(drawn, expected[np.isfinite(expected)])
 
 
-def test_verdict_stands_beside_each_parameter(selection):
+def test_the_selection_stands_beside_each_parameter(selection):
     ax = draw_selection(selection)
     words = {round(t.get_position()[1]): t.get_text() for t in ax.texts}
     assert words == {0: "selected", 1: "kept by the study", 2: "selected", 3: "–", 4: "left out by the study"}
@@ -72,11 +72,11 @@ def test_every_pair_of_inputs_is_drawn_once_and_small_ones_stay_blank(inputs):
 def test_each_figure_is_drawn_when_its_table_is_there(tmp_path, sensitivity, inputs, selection):
     sensitivity.to_csv(tmp_path / "partial.csv", index=False)
     assert [p.name for p in draw_all(tmp_path, "Bogie", True)] == ["partial.png"]
-    sensitivity.to_csv(tmp_path / "influence.csv", index=False)
+    sensitivity.to_csv(tmp_path / "variance_share.csv", index=False)
     inputs.to_csv(tmp_path / "input_correlation.csv", index=False)
     selection.to_csv(tmp_path / "selection.csv", index=False)
     written = draw_all(tmp_path, "Bogie", True)
-    assert [p.stem for p in written] == ["partial", "influence", "input_correlation", "selection"]
+    assert [p.stem for p in written] == ["partial", "variance_share", "input_correlation", "selection"]
     assert all(p.read_bytes().startswith(b"\x89PNG") for p in written)
 
 

@@ -63,11 +63,11 @@ def test_shells_are_drawn_with_their_borders_and_openings(shapes, hull, pixels):
     ax = draw_mode_shape(shapes[shapes["mode"] == "1BT"], still, hull)
     assert len(pixels.seen(ax, "deformed")) == 39 + (20 + 8) + 3 + 2
     assert len(drawn(ax, "undeformed")) == 2 * ((20 + 8) + 3 + 2)
-    # Bodies move within 40 % of their own height, not a tenth of the length of the car.
+    # Hollow bodies move by at most 40 % of their height, not by a tenth of the length of the box.
     assert drawn(ax, "motion")[1, 1] - drawn(ax, "motion")[0, 1] == pytest.approx(0.4 * 2.0)
 
 
-def test_sensors_at_one_place_make_one_vector_and_rotations_none(shapes):
+def test_sensors_at_one_place_give_one_vector_and_rotations_none(shapes):
     one = shapes[shapes["mode"] == "2BT"].copy()
     one.loc[one["sensor"] == "1y", "direction"] = "rx"
     places, motions = measured_motions(one)
@@ -93,7 +93,7 @@ def texts(ax):
     return [t.get_text() for t in ax.texts]
 
 
-def test_grid_has_one_titled_panel_a_mode(shapes, deflection, mesh, before):
+def test_grid_has_one_titled_panel_per_mode(shapes, deflection, mesh, before):
     facts = before.assign(natural_freq_model=[6.12, np.nan, 1.0], mac=[0.93, np.nan, 0.5])
     figure = mode_shapes_figure(shapes, deflection, mesh, facts)
     first, second, _ = figure.axes  # the last one shows the directions of the axes

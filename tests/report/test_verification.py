@@ -6,7 +6,7 @@ import pytest
 
 from calib.report.style import new_figure
 from calib.report.verification import (
-    best_options,
+    best_candidates,
     draw_error_versions,
     draw_errors,
     draw_next_measurement,
@@ -19,11 +19,11 @@ nan = np.nan
 @pytest.fixture
 def errors():
     rows = [
-        ("withheld_sensors", "after", 1.0, 0.9, 0.4),
-        ("withheld_sensors", "before", 2.0, 1.1, 1e-9),
+        ("held_out_sensors", "after", 1.0, 0.9, 0.4),
+        ("held_out_sensors", "before", 2.0, 1.1, 1e-9),
         ("fit", "before", 4.0, 0.95, 0.0),
         ("fit", "after", 0.9, nan, nan),
-        ("withheld_modes", "before", nan, nan, nan),
+        ("held_out_modes", "before", nan, nan, nan),
     ]
     return pd.DataFrame(rows, columns="group stage rms expected p".split())
 
@@ -37,9 +37,9 @@ def labels(axis):
     return [t.get_text() for t in axis]
 
 
-def test_bars_are_the_errors_of_the_groups_there_are(errors):
+def test_bars_are_the_errors_of_the_groups_in_the_table(errors):
     ax = draw_errors(errors)
-    assert labels(ax.get_xticklabels()) == ["used in the fit", "withheld sensors"]
+    assert labels(ax.get_xticklabels()) == ["used in the fit", "held-out sensors"]
     np.testing.assert_array_equal([b.get_height() for b in bars(ax, "before")], [4.0, 2.0])
     np.testing.assert_array_equal([b.get_height() for b in bars(ax, "after")], [0.9, 1.0])
     assert labels(ax.texts) == ["4.00\np < 0.001", "2.00\np < 0.001", "0.90", "1.00\np = 0.4"]
@@ -62,11 +62,11 @@ def test_errors_that_differ_much_have_a_logarithmic_axis(errors):
 
 
 def test_an_attempt_is_no_explanation(errors):
-    tried = errors.replace({"stage": {"after": "attempt"}})
-    after, attempt = draw_errors(errors, name="arb"), draw_errors(tried, name="arb")
+    attempted = errors.replace({"stage": {"after": "attempt"}})
+    after, attempt = draw_errors(errors, name="arb"), draw_errors(attempted, name="arb")
     assert labels(after.get_legend().get_texts())[1] == "after: with arb"
     assert labels(attempt.get_legend().get_texts())[1] == "with arb: best attempt, not believed"
-    assert labels(draw_errors(tried).get_legend().get_texts())[1] == "with the best attempt, not believed"
+    assert labels(draw_errors(attempted).get_legend().get_texts())[1] == "with the best attempt, not believed"
     assert labels(draw_errors(errors).get_legend().get_texts())[1] == "after: with the missing effect"
     shown, plain = bars(attempt, "attempt"), bars(after, "after")
     np.testing.assert_array_equal([b.get_height() for b in shown], [0.9, 1.0])
@@ -86,9 +86,9 @@ def versions():
     rows = [
         (2, "arb + seats", "fit", 1.0, 0.9),
         (0, "", "fit", 4.0, 0.95),
-        (0, "", "withheld_modes", 8.0, 1.0),
+        (0, "", "held_out_modes", 8.0, 1.0),
         (1, nan, "fit", 2.0, nan),
-        (2, "arb + seats", "withheld_modes", 1.2, 1.1),
+        (2, "arb + seats", "held_out_modes", 1.2, 1.1),
     ]
     return pd.DataFrame(rows, columns="version effects group rms expected".split())
 
@@ -97,7 +97,7 @@ def test_lines_are_the_errors_in_the_order_of_the_versions(versions):
     ax = draw_error_versions(versions)
     lines = {line.get_gid(): line for line in ax.lines}
     np.testing.assert_array_equal(lines["fit"].get_ydata(), [4.0, 2.0, 1.0])
-    np.testing.assert_array_equal(lines["withheld_modes"].get_ydata(), [8.0, nan, 1.2])
+    np.testing.assert_array_equal(lines["held_out_modes"].get_ydata(), [8.0, nan, 1.2])
     assert labels(ax.get_xticklabels()) == ["0\nbase model", "1\nbase model", "2\narb + seats"]
     x, y = lines["expected fit"].get_data()
     np.testing.assert_allclose(x, [-0.2, 0.2, nan, 0.8, 1.2, nan, 1.8, 2.2])
@@ -110,10 +110,10 @@ def test_one_version_or_none(versions):
 
 
 @pytest.fixture
-def options():
+def candidates():
     rows = [(f"sensor {k}", "sensor", "arb", 1.0 + 0.1 * k, nan) for k in range(12)]
     rows += [("twice", "repeats", "arb", np.inf, nan), ("weigh", "bench", "arb", nan, nan)]
-    table = pd.DataFrame(rows, columns="option kind effect gain ln_bayes".split())
+    table = pd.DataFrame(rows, columns="measurement kind effect gain ln_bayes".split())
     more = {
         "gain_low": table["gain"] - 0.2,
         "gain_high": table["gain"] + 0.3,
@@ -123,8 +123,8 @@ def options():
     return table.assign(**more)
 
 
-def test_the_ten_best_options_are_drawn_from_no_gain(options):
-    ax = draw_next_measurement(options)
+def test_the_ten_best_candidates_are_drawn_from_no_gain(candidates):
+    ax = draw_next_measurement(candidates)
     assert labels(ax.get_yticklabels()) == ["twice (for arb)", *(f"sensor {k} (for arb)" for k in range(11, 2, -1))]
     (container,) = ax.containers
     np.testing.assert_allclose([b.get_x() for b in container], 1.0)
@@ -134,14 +134,14 @@ def test_the_ten_best_options_are_drawn_from_no_gain(options):
     ends = [segment[:, 0] for segment in ranges.get_segments()]
     np.testing.assert_allclose(ends, [(1 + 0.1 * k - 0.2, 1 + 0.1 * k + 0.3) for k in range(11, 2, -1)])
     assert labels(ax.get_legend().get_texts()) == ["more repeats", "further sensor"]
-    assert len(next_measurement_figure(options).axes) == 1
+    assert len(next_measurement_figure(candidates).axes) == 1
 
 
-def test_with_two_leading_effects_the_expected_odds_rank(options):
-    ln_odds = np.arange(14.0)[::-1]
-    ends = {"ln_bayes_low": ln_odds - 3, "ln_bayes_high": ln_odds + 3}
-    two = options.assign(ln_bayes=ln_odds, **ends, effect=["arb", "seats"] * 7)
-    assert list(best_options(two)["option"])[:3] == ["sensor 0", "sensor 1", "sensor 2"]
+def test_with_two_leading_effects_the_expected_bayes_factors_rank(candidates):
+    ln_bayes = np.arange(14.0)[::-1]
+    ends = {"ln_bayes_low": ln_bayes - 3, "ln_bayes_high": ln_bayes + 3}
+    two = candidates.assign(ln_bayes=ln_bayes, **ends, effect=["arb", "seats"] * 7)
+    assert list(best_candidates(two)["measurement"])[:3] == ["sensor 0", "sensor 1", "sensor 2"]
     figure = next_measurement_figure(two)
     _, left, right = figure.axes
     np.testing.assert_allclose([b.get_width() for b in right.containers[0]], np.arange(13.0, 3.0, -1.0))
@@ -151,21 +151,21 @@ def test_with_two_leading_effects_the_expected_odds_rank(options):
     figure.savefig(os.devnull, format="png")
 
 
-def test_an_option_is_drawn_once_for_the_effect_it_helps_most(options):
-    other = options.assign(effect="seats", gain=options["gain"] + [0.5, -0.5] * 7)
-    both = pd.concat([options, other], ignore_index=True)
+def test_a_candidate_is_drawn_once_for_the_effect_whose_score_it_raises_most(candidates):
+    other = candidates.assign(effect="seats", gain=candidates["gain"] + [0.5, -0.5] * 7)
+    both = pd.concat([candidates, other], ignore_index=True)
     names = labels(draw_next_measurement(both).get_yticklabels())
     assert names[:4] == ["twice (for arb)", "sensor 10 (for seats)", "sensor 8 (for seats)", "sensor 11 (for arb)"]
     assert len(set(names)) == 10
-    assert labels(draw_next_measurement(options.assign(effect="")).get_yticklabels())[:2] == ["twice", "sensor 11"]
+    assert labels(draw_next_measurement(candidates.assign(effect="")).get_yticklabels())[:2] == ["twice", "sensor 11"]
 
 
-def test_no_option(options):
-    next_measurement_figure(options.iloc[:0]).savefig(os.devnull, format="png")
-    assert labels(draw_next_measurement(options.iloc[:0]).texts) == ["no further measurement was considered"]
+def test_no_candidate(candidates):
+    next_measurement_figure(candidates.iloc[:0]).savefig(os.devnull, format="png")
+    assert labels(draw_next_measurement(candidates.iloc[:0]).texts) == ["no further measurement was considered"]
 
 
-def test_a_given_axes_is_drawn_on_and_returned(errors, versions, options):
-    for plot, table in ((draw_errors, errors), (draw_error_versions, versions), (draw_next_measurement, options)):
+def test_a_given_axes_is_drawn_on_and_returned(errors, versions, candidates):
+    for plot, table in ((draw_errors, errors), (draw_error_versions, versions), (draw_next_measurement, candidates)):
         ax = new_figure(3.0).add_subplot()
         assert plot(table, ax) is ax

@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 
 from calib.report.where import (
-    atom_map_figure,
-    best_atoms,
-    draw_atoms,
+    best_perturbations,
     draw_mode_misfit,
+    draw_perturbations,
     draw_sensor_misfit,
+    perturbation_map_figure,
     score_limit,
     sensor_misfit_figure,
     sensor_rms,
@@ -26,7 +26,7 @@ def structure():
 
 @pytest.fixture
 def misfit():
-    """Sensors 1y and 1z stand at one place, 9y at none; mode C is the worst and A the best of the base model."""
+    """Sensors 1y and 1z are at one place, 9y has none; mode C is the worst and A the best of the base model."""
     rows = []
     for mode, size in (("A", 1.0), ("B", 2.0), ("C", 4.0), ("D", 3.0)):
         rows += [
@@ -40,7 +40,7 @@ def misfit():
 
 
 @pytest.fixture
-def atoms():
+def perturbations():
     rows = [
         ("spring 1", "stiffness", 0.0, 0.0, -1.0, "", -8.0, 0.5),
         ("spring 2", "stiffness", 4.0, 0.0, -1.0, "", 2.0, 0.25),
@@ -49,7 +49,7 @@ def atoms():
         ("mass 1", "mass", 2.0, 0.0, -1.0, "1y", 0.1, 1.0),
         ("mass 9", "mass", np.nan, np.nan, np.nan, "9y", 7.0, 1.0),
     ]
-    return pd.DataFrame(rows, columns="atom kind x y z sensor score gamma".split())
+    return pd.DataFrame(rows, columns="perturbation kind x y z sensor score unabsorbed".split())
 
 
 def drawn(ax, gid):
@@ -61,13 +61,13 @@ def drawn(ax, gid):
 
 
 def dots(ax, gid):
-    """Places (n, 3), values and areas of circles."""
+    """Places (n, 3) and values of the circles, and the circles."""
     (circles,) = [c for c in ax.collections if c.get_gid() == gid]
     x, y, z = (np.asarray(v, dtype=float) for v in circles._offsets3d)
     return np.column_stack([x, z, -y]), np.asarray(circles.get_array()), circles
 
 
-def test_rms_counts_real_and_imaginary_parts_alike_and_noise_gives_one(misfit):
+def test_rms_weighs_real_and_imaginary_parts_equally_and_noise_gives_one(misfit):
     table = sensor_rms(misfit[misfit["stage"] == "base"]).set_index("sensor")["rms"]
     mean_square = np.mean([1.0, 4.0, 16.0, 9.0])
     assert table["1y"] == pytest.approx(np.sqrt(mean_square * (9 + 16) / 2))
@@ -120,14 +120,14 @@ def test_the_three_worst_modes_have_panels_on_one_scale(misfit, structure):
     assert any(text.startswith("worst sensors:\n1  1y") and "9y" not in text for text in words)
 
 
-def test_without_any_sensor_there_is_the_structure(misfit, structure):
+def test_without_sensors_the_structure_alone_is_drawn(misfit, structure):
     figure = sensor_misfit_figure(misfit.iloc[:0], structure)
     figure.savefig(os.devnull, format="png")
     assert len(drawn(figure.axes[0], "structure")) == 4
 
 
-def test_atoms_are_drawn_at_their_places_with_a_symmetric_scale(atoms, structure):
-    ax = draw_atoms(atoms, structure)
+def test_perturbations_are_drawn_at_their_places_with_a_symmetric_scale(perturbations, structure):
+    ax = draw_perturbations(perturbations, structure)
     place, score, circles = dots(ax, "score")
     np.testing.assert_array_equal(score, [-8.0, 2.0])
     np.testing.assert_allclose(place, [[0, 0, -1], [4, 0, -1]])
@@ -136,15 +136,15 @@ def test_atoms_are_drawn_at_their_places_with_a_symmetric_scale(atoms, structure
     np.testing.assert_allclose(drawn(ax, "absorbed"), [[4, 1, 1]])
 
 
-def test_the_colours_reach_to_five_at_least(atoms):
-    assert score_limit(atoms) == 8.0
-    assert score_limit(atoms.assign(score=0.1 * atoms["score"])) == 5.0
-    assert score_limit(atoms.iloc[:0]) == score_limit(atoms.assign(score=np.nan)) == 5.0
+def test_the_colour_scale_reaches_five_at_least(perturbations):
+    assert score_limit(perturbations) == 8.0
+    assert score_limit(perturbations.assign(score=0.1 * perturbations["score"])) == 5.0
+    assert score_limit(perturbations.iloc[:0]) == score_limit(perturbations.assign(score=np.nan)) == 5.0
 
 
-def test_the_best_three_are_numbered_where_they_are_and_named(atoms, structure):
-    assert list(best_atoms(atoms)["atom"]) == ["spring 1", "damper 1", "spring 2"]
-    figure = atom_map_figure(atoms, structure)
+def test_the_best_three_are_numbered_at_their_places_and_named(perturbations, structure):
+    assert list(best_perturbations(perturbations)["perturbation"]) == ["spring 1", "damper 1", "spring 2"]
+    figure = perturbation_map_figure(perturbations, structure)
     panels = {ax.texts[0].get_text().split(",")[0]: [t.get_text() for t in ax.texts[1:]] for ax in figure.axes[:3]}
     assert panels == {"stiffness": ["1", "3"], "damping": ["2"], "mass": []}
     (words,) = [t.get_text() for t in figure.texts if "largest scores" in t.get_text()]
@@ -156,10 +156,10 @@ def test_the_best_three_are_numbered_where_they_are_and_named(atoms, structure):
     np.testing.assert_allclose(at, figure.axes[0].transData.transform(circle.get_offsets()[0]), atol=0.5)
 
 
-@pytest.mark.parametrize("table", ["misfit", "atoms"])
-def test_all_words_lie_inside_the_picture_and_apart(table, structure, request):
+@pytest.mark.parametrize("table", ["misfit", "perturbations"])
+def test_all_texts_lie_inside_the_picture_and_do_not_overlap(table, structure, request):
     given = request.getfixturevalue(table)
-    figure = (sensor_misfit_figure if table == "misfit" else atom_map_figure)(given, structure)
+    figure = (sensor_misfit_figure if table == "misfit" else perturbation_map_figure)(given, structure)
     figure.savefig(os.devnull, format="png")
     boxes = [t.get_window_extent() for t in figure.texts]
     boxes += [legend.get_window_extent() for legend in figure.legends]
@@ -171,7 +171,7 @@ def test_all_words_lie_inside_the_picture_and_apart(table, structure, request):
 
 
 @pytest.mark.parametrize("kinds", [["stiffness"], ["stiffness", "mass"], []])
-def test_a_panel_a_kind_there_is(atoms, structure, kinds):
-    figure = atom_map_figure(atoms[atoms["kind"].isin(kinds)], structure)
+def test_there_is_a_panel_per_kind(perturbations, structure, kinds):
+    figure = perturbation_map_figure(perturbations[perturbations["kind"].isin(kinds)], structure)
     figure.savefig(os.devnull, format="png")
     assert sum(ax.get_subplotspec() is not None for ax in figure.axes) == max(1, len(kinds))

@@ -1,4 +1,4 @@
-"""A space in which a constraint binds two parameters, only one of which any response knows."""
+"""A space in which a constraint binds two parameters, of which only one affects the responses."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from calib.space import LinearConstraint, Parameter, ParameterSpace
 
 
 def bound_space(width: float) -> ParameterSpace:
-    """Two masses whose sum is held within ``width``, a stiffness, a position, and something that nothing knows."""
+    """Two masses whose sum is held within ``width``, a stiffness, a position, and an inert parameter."""
     names = ("mass", "inert_mass", "stiffness", "nothing")
     free = tuple(Parameter(name, 0.5, 0.0, 1.0) for name in names)
     place = Parameter("place", 0.0, -1.0, 1.0, integer=True)
@@ -25,8 +25,8 @@ def bound_sample(seed: int, n: int, width: float = 0.2) -> pd.DataFrame:
     return pd.DataFrame(sample(space, n, seed).points, columns=list(space.free_names))
 
 
-def answers(points: pd.DataFrame, seed: int, noise: float = 0.05) -> pd.DataFrame:
-    """Responses that know mass, stiffness and place, but neither the other mass nor ``nothing``."""
+def bound_responses(points: pd.DataFrame, seed: int, noise: float = 0.05) -> pd.DataFrame:
+    """Responses that depend on mass, stiffness and place, but neither on the other mass nor on ``nothing``."""
     m, k, x = points["mass"], points["stiffness"], points["place"]
     exact = {
         "freq": np.sqrt((1 + k) / (1 + m)),
@@ -48,7 +48,7 @@ def draw() -> Draw:
 
     def drawn(seed: int, n: int, width: float = 0.2, noise: float = 0.05) -> tuple[pd.DataFrame, pd.DataFrame]:
         points = bound_sample(seed, n, width)
-        return points, answers(points, seed, noise)
+        return points, bound_responses(points, seed, noise)
 
     return drawn
 

@@ -21,14 +21,14 @@ def test_input_correlation_agrees_with_an_independent_implementation(bound):
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_own_and_lent_parts_add_up_to_spearman_and_lent_is_what_the_partners_give(seed):
+def test_own_and_induced_parts_add_up_to_spearman_and_the_partners_account_for_the_induced_one(seed):
     rng = np.random.default_rng(seed)
     points = pd.DataFrame(rng.standard_normal((50, 4)) @ rng.standard_normal((4, 4)), columns=list("abcd"))
     responses = pd.DataFrame({"y": points["a"] ** 3 - points["c"] + rng.standard_normal(50)})
     parts, rank = decompose(points, responses), spearman(points, responses)
-    np.testing.assert_allclose(parts.own + parts.lent, rank, atol=1e-9)
+    np.testing.assert_allclose(parts.own + parts.induced, rank, atol=1e-9)
     between = input_correlation(points) - np.eye(4)
-    np.testing.assert_allclose(parts.lent, between @ parts.own, atol=1e-6)
+    np.testing.assert_allclose(parts.induced, between @ parts.own, atol=1e-6)
 
 
 def test_without_correlation_everything_is_own():
@@ -36,17 +36,17 @@ def test_without_correlation_everything_is_own():
     points = pd.DataFrame(grid, columns=list("abc"))
     responses = pd.DataFrame({"y": points["a"] + 5 * points["b"]})
     parts = decompose(points, responses)
-    np.testing.assert_allclose(parts.lent, 0.0, atol=1e-9)
+    np.testing.assert_allclose(parts.induced, 0.0, atol=1e-9)
     np.testing.assert_allclose(parts.own, spearman(points, responses), atol=1e-9)
 
 
-def test_the_spearman_value_of_an_inert_parameter_is_lent_by_its_partner(bound):
+def test_the_spearman_value_of_an_inert_parameter_is_induced_by_its_partner(bound):
     points, responses = bound
     parts, rank = decompose(points, responses), spearman(points, responses)
     assert rank.loc["inert_mass", "steep"] < -0.7
     assert parts.own.loc["inert_mass", "steep"] == pytest.approx(0.0, abs=0.1)
-    assert parts.lender.loc["inert_mass", "steep"] == "mass"
-    assert parts.own.loc["mass", "steep"] > 0.7 and abs(parts.lent.loc["mass", "steep"]) < 0.15
+    assert parts.partner.loc["inert_mass", "steep"] == "mass"
+    assert parts.own.loc["mass", "steep"] > 0.7 and abs(parts.induced.loc["mass", "steep"]) < 0.15
 
 
 def test_exactly_bound_parameters_and_constants_stay_blank(bound):
@@ -54,5 +54,5 @@ def test_exactly_bound_parameters_and_constants_stay_blank(bound):
     points = points.assign(inert_mass=1.0 - points["mass"], nothing=2.0)
     parts = decompose(points, responses.assign(flat=1.0))
     assert parts.own.loc[["mass", "inert_mass", "nothing"]].isna().all(axis=None)
-    assert parts.own["flat"].isna().all() and (parts.lender["flat"] == "").all()
+    assert parts.own["flat"].isna().all() and (parts.partner["flat"] == "").all()
     assert parts.own.loc["stiffness", "freq"] > 0.5

@@ -76,7 +76,7 @@ def test_each_response_drops_its_own_unknown_rows():
     keep = responses["y"].notna()
     np.testing.assert_allclose(found["y"], partial(points[keep], responses.loc[keep, ["y"]])["y"])
     np.testing.assert_allclose(found["z"], partial(*correlated(5))["z"])
-    responses.loc[4:, "z"] = np.nan  # 4 rows for 4 parameters: no degree of freedom
+    responses.loc[4:, "z"] = np.nan  # 4 rows for 4 parameters: no degrees of freedom
     assert partial(points, responses)["z"].isna().all()
 
 
@@ -93,7 +93,7 @@ def test_floor_is_the_quantile_of_the_largest_spurious_entry():
     assert partial_noise_floor(n, 1, p * r) < 0.94 * np.quantile(largest, 0.95)
 
 
-def test_floor_of_one_parameter_is_that_of_a_plain_correlation_and_one_without_freedom():
+def test_floor_of_one_parameter_is_that_of_a_simple_correlation_and_1_without_degrees_of_freedom():
     assert partial_noise_floor(500, 1, 1) == pytest.approx(0.0877, abs=2e-4)  # tables of the correlation coefficient
     assert partial_noise_floor(10, 9, 4) == 1.0
     assert partial_noise_floor(100, 14, 200) > partial_noise_floor(100, 14, 20) > partial_noise_floor(200, 14, 20)

@@ -3,8 +3,8 @@ import pandas as pd
 import pytest
 
 from calib.errors import InputError
-from calib.sensitivity.influence import RELEVANT
 from calib.sensitivity.selection import assess
+from calib.sensitivity.variance_share import RELEVANT
 
 
 def rows(assessment):
@@ -12,7 +12,7 @@ def rows(assessment):
 
 
 @pytest.mark.parametrize(("tables", "allowed"), [(25, 3), pytest.param(100, 5, marks=pytest.mark.slow)])
-def test_measures_together_select_what_acts_and_nothing_that_is_bound_to_it(draw, tables, allowed):
+def test_measures_together_select_active_parameters_and_not_those_bound_to_them(draw, tables, allowed):
     wrong, right = 0, 0
     for seed in range(tables):
         table = rows(assess(*draw(seed, 150)))
@@ -28,7 +28,7 @@ def test_reasons_are_given_in_words(bound):
     assert why["mass"].startswith("moves steep (partial rank correlation +")
     assert why["stiffness"].startswith("moves freq (partial rank correlation +")
     assert "acts evenly on even" in why["place"] and "% of its variance" in why["place"]
-    assert why["inert_mass"].startswith("its Spearman value on steep (−") and why["inert_mass"].endswith("to mass")
+    assert why["inert_mass"].startswith("its Spearman value on steep (−") and why["inert_mass"].endswith("by mass")
     assert why["nothing"] == "nothing above the noise"
     assert table["selected"].tolist() == [True, False, True, False, True]
     assert not table["forced"].any() and table["measured"].equals(table["selected"])
@@ -38,11 +38,11 @@ def test_values_are_those_of_the_tables_where_they_are_largest(bound):
     found = assess(*bound)
     for name, row in rows(found).iterrows():
         for measure, values in (
-            ("spearman", found.spearman), ("partial", found.partial), ("influence", found.influence.table)
+            ("spearman", found.spearman), ("partial", found.partial), ("variance_share", found.variance_share.table)
         ):  # fmt: skip
             assert row[f"max_{measure}"] == values.loc[name, row[f"{measure}_response"]]
         assert abs(row["max_partial"]) == found.partial.loc[name].abs().max()
-        assert row["influence_floor"] >= RELEVANT
+        assert row["variance_share_floor"] >= RELEVANT
         assert row["spearman_floor"] == found.spearman_floor[row["spearman_response"]]
 
 
@@ -71,10 +71,11 @@ def test_a_spearman_value_of_the_wrong_sign_is_named():
     responses = pd.DataFrame({"freq": np.sqrt((1 + 0.3 * points["k"]) / (1 + heavy + 0.5 * light))})
     row = rows(assess(points, responses)).loc["light"]
     assert row["max_spearman"] > 0.5 and row["max_partial"] < -0.5 and row["selected"]
-    assert row["why"].endswith("belongs to heavy") and row["why"].startswith("moves freq (partial rank correlation −")
+    assert row["why"].startswith("moves freq (partial rank correlation −")
+    assert row["why"].endswith("is induced by heavy")
 
 
-def test_parameters_too_tightly_bound_to_be_told_apart_are_selected_together(draw):
+def test_collinear_parameters_are_selected_together(draw):
     points, responses = draw(1, 300)
     points = points.assign(inert_mass=1.0 - points["mass"])
     table = rows(assess(points, responses))
@@ -84,7 +85,7 @@ def test_parameters_too_tightly_bound_to_be_told_apart_are_selected_together(dra
     )
     table = rows(assess(points, responses[["even"]]))
     assert not table.loc[["mass", "inert_mass"], "selected"].any()
-    assert table.loc["mass", "why"] == "it follows from the other parameters and cannot be told from them"
+    assert table.loc["mass", "why"] == "it follows from the other parameters and is confounded with them"
 
 
 def test_a_certain_but_small_effect_is_not_selected():
@@ -97,10 +98,10 @@ def test_a_certain_but_small_effect_is_not_selected():
     assert rows(assess(points, responses, relevant=0.02)).loc["small", "selected"]
 
 
-def test_with_too_few_rows_for_the_influence_the_partial_rank_correlation_decides(draw):
+def test_with_too_few_rows_for_the_variance_share_the_partial_rank_correlation_decides(draw):
     points, responses = draw(2, 16)
     table = rows(assess(points, responses[["steep"]]))
-    assert table["max_influence"].isna().all() and table.loc["mass", "selected"]
+    assert table["max_variance_share"].isna().all() and table.loc["mass", "selected"]
     assert table.loc["mass", "why"].startswith("moves steep (partial rank correlation +")
 
 

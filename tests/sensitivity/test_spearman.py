@@ -72,7 +72,7 @@ def test_tables_that_do_not_belong_together_are_refused():
 
 @pytest.mark.parametrize(("n", "measured"), [(500, 0.164), (250, 0.235)])
 def test_noise_floor_of_a_table_of_15_by_16(n, measured):
-    """Measured earlier as the 95 % quantile of the largest entry over many random tables."""
+    """The 95 % quantile of the largest entry over many random tables."""
     assert noise_floor(n, 15 * 16) == pytest.approx(measured, rel=0.05)
 
 

@@ -31,7 +31,7 @@ def column(table, response, name):
 
 
 @pytest.mark.parametrize("levels", [2, 4, 6, 8])
-def test_a_linear_response_gives_its_coefficients_over_the_range_and_no_scatter(levels):
+def test_a_linear_response_gives_its_coefficients_over_the_range_and_zero_standard_deviation(levels):
     design = morris_design(BOX, 8, seed=3, levels=levels)
     assert design.points.shape == (8 * 4, 3) and design.note == ""
     table = morris_effects(design, on(design, line=lambda p: 2.0 * p["k"] - 3.0 * p["m"] + 0.5 * p["step"]))
@@ -41,7 +41,7 @@ def test_a_linear_response_gives_its_coefficients_over_the_range_and_no_scatter(
     assert set(table["trajectories"]) == {8} and set(table["dropped"]) == {0}
 
 
-def test_an_even_response_has_size_but_no_mean_and_a_product_scatters():
+def test_an_even_response_has_size_but_no_mean_and_effects_of_a_product_vary():
     design = morris_design(BOX.freeze({"step": 0.0}), 400, seed=4)
     table = morris_effects(design, on(design, valley=lambda p: p["m"] ** 2, both=lambda p: p["m"] * p["k"]))
     # grid 0, 1/3, 2/3, 1 and steps of 2/3: m**2 changes by -+(1 - 1/9), over 2/3 of the range
@@ -51,7 +51,7 @@ def test_an_even_response_has_size_but_no_mean_and_a_product_scatters():
     assert (column(table, "both", "sigma") > 1.0).all()
 
 
-def test_points_keep_limits_and_whole_numbers_and_change_one_parameter_at_a_time():
+def test_points_keep_limits_and_integers_and_change_one_parameter_at_a_time():
     design = morris_design(BOX, 20, seed=5)
     free = BOX.keep(["k", "m", "step"])
     assert free.feasible(design.points).all()
@@ -106,7 +106,7 @@ def test_ishigami_has_the_shares_of_its_closed_form():
     pd.testing.assert_frame_equal(table, sobol_shares(design, y, seed=2))
 
 
-def test_whole_numbers_have_equal_shares_of_the_points():
+def test_integers_have_equal_shares_of_the_points():
     design = sobol_design(BOX, 256, seed=1)
     values, counts = np.unique(design.points[:, 2], return_counts=True)
     assert values.tolist() == [-2, -1, 0, 1, 2, 3] and counts.min() > 0.8 * counts.mean()

@@ -75,7 +75,7 @@ files = ["loaded.csv"]
 shapes = ["loaded_shapes.csv"]
 sensors = "sensors.csv"
 synthetic = true
-withheld = { modes = ["M5"], sensors = ["2x"] }
+held_out = { modes = ["M5"], sensors = ["2x"] }
 
 [sensitivity]
 samples = 40
@@ -124,7 +124,7 @@ def write_study(folder, text=STUDY):
 
 @pytest.fixture(scope="session")
 def run(tmp_path_factory):
-    """The study, never changed, everything asked of it through the command, and the folders whose figures it drew.
+    """The study, never changed, with a whole run by the command, and the folders whose figures it drew.
 
     The figures themselves take four times as long as all the rest and are left out.
     """
@@ -134,7 +134,7 @@ def run(tmp_path_factory):
     study = write_study(root / "frame")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calib.front.study.draw_all", lambda folder, *given: drawn.append(folder.name) or [])
-        assert cli.answer(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
+        assert cli.execute(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
     return study, root / "results", drawn
 
 

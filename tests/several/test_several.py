@@ -1,4 +1,4 @@
-"""A study with several tests: read, compared, fitted and explained together; what is wrong in it is told."""
+"""A study with several tests: read, compared, fitted and explained together; bad input is refused."""
 
 import shutil
 
@@ -44,7 +44,7 @@ def test_the_run_names_what_is_missing_and_adds_it(frame):
     assert told(results / "frame_extended/summary.json")["p_fit"] > 0.01 > told(results / "frame/summary.json")["p_fit"]
 
 
-def test_each_test_has_its_own_answers_and_the_parameters_of_all(frame):
+def test_each_test_has_its_own_results_and_the_parameters_of_all(frame):
     _, results = frame
     tables = {t: pd.read_csv(results / f"frame.{t}/parameters.csv") for t in ("empty", "loaded")}
     pd.testing.assert_frame_equal(tables["empty"], tables["loaded"])
@@ -54,7 +54,7 @@ def test_each_test_has_its_own_answers_and_the_parameters_of_all(frame):
     assert modes["loaded"]["natural_freq_model"].iloc[0] < 0.95 * modes["empty"]["natural_freq_model"].iloc[0]
     errors = pd.read_csv(results / "frame/data_errors.csv")
     assert set(errors["test"]) == {"empty", "loaded"}
-    assert set(errors.loc[errors["group"].str.startswith("withheld"), "test"]) == {"loaded"}
+    assert set(errors.loc[errors["group"].str.startswith("held_out"), "test"]) == {"loaded"}
     for test in tables:
         own = told(results / f"frame.{test}/explanation.json")
         assert own["verdict"] == "effect" and (results / f"frame.{test}/report.html").is_file()
@@ -76,7 +76,7 @@ def test_report_draws_what_every_folder_holds(frame, tmp_path):
     study, results = shutil.copytree(frame[0], tmp_path / "frame"), shutil.copytree(frame[1], tmp_path / "results")
     shutil.rmtree(results / "frame/frame_extended")
     assert not [*results.rglob("*.png")]
-    assert cli.answer(["report", str(study), "--results", str(results)]) == 0
+    assert cli.execute(["report", str(study), "--results", str(results)]) == 0
     names = {end: {png.stem for png in results.glob(f"frame{end}/*.png")} for end in ("", ".empty", ".loaded")}
     assert names[""] >= OF_ALL
     of_one = {"model", "mode_shapes_before", "mode_shapes_after", "modes", "selection", "sensor_misfit", "added_errors"}
@@ -94,7 +94,7 @@ def test_errors_of_a_test_are_its_share_of_the_errors_of_all(frame):
         assert whole.loc[("fit", stage), "rms"] ** 2 * whole.loc[("fit", stage), "rows"] == pytest.approx(squares)
 
 
-def test_nothing_is_solved_twice_and_the_answer_stays(frame, undrawn, tmp_path):
+def test_nothing_is_solved_twice_and_the_result_stays(frame, undrawn, tmp_path):
     study, results = frame
     again = shutil.copytree(results, tmp_path / "results")
     before = (again / "frame/parameters.csv").read_bytes()
@@ -104,7 +104,7 @@ def test_nothing_is_solved_twice_and_the_answer_stays(frame, undrawn, tmp_path):
     assert max(counts) <= 2 and (again / "frame/parameters.csv").read_bytes() == before
 
 
-def test_an_answer_is_stale_where_another_test_has_changed(frame, tmp_path):
+def test_a_result_is_outdated_where_another_test_has_changed(frame, tmp_path):
     study, results = frame
     own = shutil.copytree(study, tmp_path / "frame")
     again = shutil.copytree(results, tmp_path / "results")
@@ -112,7 +112,7 @@ def test_an_answer_is_stale_where_another_test_has_changed(frame, tmp_path):
     for test in ("empty", "loaded"):
         (again / f"frame.{test}/owner.json").unlink()
     edit(own, "load = 1500.0", "load = 1400.0")
-    from calib.questions.stale import stale_answers
+    from calib.analyses.stale import stale_answers
     from calib.results import Results
 
     empty = next(part for part in StudyFile.read(own).parts if part.test == "empty")
@@ -134,7 +134,7 @@ def test_the_record_of_all_tests_has_the_rows_of_each(frame):
     record = told(results / "frame/record.json")
     assert record["tests"] == ["empty", "loaded"]
     assert record["files"] == ["empty.csv", "empty_shapes.csv", "loaded.csv", "loaded_shapes.csv"]
-    assert {"calibrate", "explain"} <= set(record["questions"])
+    assert {"calibrate", "explain"} <= set(record["analyses"])
     for table in ("measured", "sensors", "assumptions"):
         whole = pd.read_csv(results / f"frame/{table}.csv")
         for test, own in whole.groupby("test"):
@@ -143,11 +143,11 @@ def test_the_record_of_all_tests_has_the_rows_of_each(frame):
     assert told(results / "frame.loaded/record.json")["tests"] == ["loaded"]
 
 
-def test_functions_of_modes_in_several_tests_are_asked_for_no_point_again(tmp_path):
+def test_functions_of_modes_in_several_tests_evaluate_no_point_again(tmp_path):
     folder = cantilever.write_study(tmp_path / "study", tmp_path / "calls", prop=2500.0)
     text = (folder / "study.toml").read_text()
     given = text[text.index("[measurement]") : text.index("[sensitivity]")]
-    one = given.replace("[withheld]", "[tests.withheld]").replace("[pairing]", "[tests.pairing]")
+    one = given.replace("[held_out]", "[tests.held_out]").replace("[pairing]", "[tests.pairing]")
     tests = (one.replace("[measurement]", f'[[tests]]\nname = "{name}"') for name in ("first", "second"))
     (folder / "study.toml").write_text(text.replace(given, "\n".join(tests)))
     effects, counted = [], []
@@ -189,10 +189,10 @@ def test_another_model_is_fitted_beside(own, undrawn, tmp_path):
     answer = calib.Study.load(own, tmp_path / "results", workers=1).calibrate("C1")
     assert set(answer.of.tests) == {"empty", "loaded", "bench"}
     for folder in (answer.folder, tmp_path / "results/frame.bench/case_C1"):
-        assert told(folder / "record.json")["questions"]["calibrate"]["options"] == ["--case", "C1"]
+        assert told(folder / "record.json")["analyses"]["calibrate"]["options"] == ["--case", "C1"]
     found = calib.Study.load(own, tmp_path / "results", workers=1).explain()
-    assert found.of.verdict == "effect" and list(found.of.findings.credible) == ["contact_3"]
-    assert any("in test bench" in name for name in found.of.findings.base_check.atoms.owners)
+    assert found.of.verdict == "effect" and list(found.of.explanation.credible) == ["contact_3"]
+    assert any("in test bench" in name for name in found.of.explanation.base_adequacy.perturbations.owners)
 
 
 def test_a_study_that_builds_on_another_takes_what_it_does_not_say(own):
@@ -227,9 +227,9 @@ def test_selection_and_cases_are_needed_by_no_study(own):
         ("load = 1500.0", "weight = 1500.0", "weight"),
         ('selection = ["k"]', 'selection = ["k", "load"]', "selection"),
         ('selection = ["k"]', 'selection = ["q"]', "selection"),
-        ('modes = ["M5"]', 'modes = ["M9"]', "withheld"),
+        ('modes = ["M5"]', 'modes = ["M9"]', "held_out"),
         ('files = ["loaded.csv"]', 'files = ["nowhere.csv"]', "nowhere.csv"),
-        ("[sensitivity]", "[withheld]\nmodes = ['M1']\n\n[sensitivity]", None),
+        ("[sensitivity]", "[held_out]\nmodes = ['M1']\n\n[sensitivity]", None),
         ("[sensitivity]", "[measurement]\nfiles = ['empty.csv']\n\n[sensitivity]", None),
         ("[sensitivity]", "[parameters]\nk9 = { value = 1.0 }\n\n[sensitivity]", "k9"),
         ("starts = 2", 'method = "genetic"', None),
@@ -240,7 +240,7 @@ def test_selection_and_cases_are_needed_by_no_study(own):
 )
 def test_what_is_wrong_is_told_with_its_line(own, capsys, old, new, key):
     edit(own, old, new)
-    assert cli.answer(["calibrate", str(own), "--results", str(own.parent / "results"), "--workers", "1"]) == 2
+    assert cli.execute(["calibrate", str(own), "--results", str(own.parent / "results"), "--workers", "1"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "Traceback" not in said
     if key is not None:
@@ -255,8 +255,8 @@ def test_a_study_of_several_tests_is_none_of_one(own):
         Study.load(own, test="none")
 
 
-def test_values_are_not_taken_over_from_several_tests(own, tmp_path, capsys):
+def test_values_are_not_adopted_from_several_tests(own, tmp_path, capsys):
     later = write_study(tmp_path / "later", STUDY + '\n[adopted]\nstudy = "../frame"\nparameters = ["k"]\n')
     edit(later, 'selection = ["k"]\n', "")
-    assert cli.answer(["compare", str(later), "--results", str(tmp_path / "results")]) == 2
+    assert cli.execute(["compare", str(later), "--results", str(tmp_path / "results")]) == 2
     assert "several" in capsys.readouterr().err

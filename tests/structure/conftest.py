@@ -1,4 +1,4 @@
-"""Models small enough to be solved many times, with everything a reduced model must get right."""
+"""Models small enough to be solved many times, with every feature that a reduced model must reproduce."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +25,7 @@ def springs(n: int, pairs: list[tuple[int, int]]) -> sp.csr_array:
 
 @pytest.fixture(scope="session")
 def ladder() -> Callable[..., StructuralModel]:
-    """Two coupled chains of n/2 masses with soft and stiff halves, dampers at two places and a movable support."""
+    """Two coupled chains of n/2 masses with soft and stiff halves, dampers at two points and a movable support."""
 
     def make(n: int = 60, damped: bool = True, grounded: bool = True) -> StructuralModel:
         h = n // 2
@@ -79,7 +79,7 @@ def ladder() -> Callable[..., StructuralModel]:
 
 
 class Nodes:
-    """Sensors sit on the nodes (k, 0, 0) and look along x."""
+    """Sensors are at the nodes (k, 0, 0), in direction x."""
 
     def __init__(self, n: int):
         self.n = n
@@ -91,5 +91,5 @@ class Nodes:
 
 @pytest.fixture(scope="session")
 def turned() -> Callable[[StructuralModel], StructuralModel]:
-    """The same model with every motion called a rotation."""
+    """The same model with every motion declared as a rotation."""
     return lambda model: replace(model, dofs=replace(model.dofs, direction=np.full(model.n_dof, 3)))

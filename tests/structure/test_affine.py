@@ -1,4 +1,4 @@
-"""Affine matrices: sums, derivatives, picked supports and the fingerprint."""
+"""Affine matrices: sums, derivatives, selected supports and the fingerprint."""
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_evaluations_do_not_disturb_each_other():
     assert np.array_equal(matrix(VALUES).toarray(), before)
 
 
-def test_stored_zeros_and_empty_vectors_do_no_harm():
+def test_stored_zeros_and_empty_vectors_have_no_effect():
     with_zero = sp.csr_array(sp.coo_array(([2.0, 0.0, 0.0], ([1, N - 1, 0], [1, N - 1, 3])), shape=(N, N)))
     empty = SelectedTerm("s", Monomial(), ("here",), {(1,): np.zeros(N), (2,): np.ones(N)})
     matrix = AffineMatrix(N, (Term("z", with_zero),), (empty,))
@@ -80,7 +80,7 @@ def test_no_terms_is_zero():
 
 
 @pytest.mark.parametrize("combination", [(1, -1), (2, 0), (3, -1)])
-def test_selected_term_is_of_rank_one_and_the_right_one(combination):
+def test_selected_term_is_of_rank_one_and_that_of_its_selectors(combination):
     term = SelectedTerm("s", Monomial(5.0), ("here", "there"), vectors(3))
     matrix = AffineMatrix(N, (), (term,))
     here, there = combination
@@ -91,7 +91,7 @@ def test_selected_term_is_of_rank_one_and_the_right_one(combination):
 
 
 @pytest.mark.parametrize("values", [{"here": 4.0, "there": 0.0}, {"here": 1.0, "there": 1.0}])
-def test_a_place_that_does_not_exist_is_told(values):
+def test_an_unknown_position_is_refused(values):
     with pytest.raises(InputError, match=rf"s has no position for here = {values['here']:.0f}, there ="):
         build()({**VALUES, **values})
 
@@ -152,7 +152,7 @@ def other_vector():
         {"vectors": {k: v for k, v in vectors(3).items() if k != (2, 0)}},
     ],
 )
-def test_digest_tells_every_change(change):
+def test_digest_changes_with_every_change(change):
     assert build(**change).digest() != build().digest()
 
 
@@ -164,8 +164,8 @@ def test_digest_is_that_of_the_content():
     assert AffineMatrix(4, ()).digest() != AffineMatrix(5, ()).digest()
 
 
-def test_powers_on_stretches_join_to_one_function():
-    # |x|^3 in two stretches either way: on the outer one x = start + t (end - start).
+def test_powers_on_intervals_join_to_one_function():
+    # |x|^3 in two intervals in either direction: on the outer one x = start + t (end - start).
     terms = []
     for side in (1.0, -1.0):
         terms.append((1.0, StretchPower("x", 0.0, side * 1.0, 3)))

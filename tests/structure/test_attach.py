@@ -1,4 +1,4 @@
-"""Hung masses and soft mounts against closed forms of one or two degrees of freedom."""
+"""Hung masses and flexible mounts against closed forms of one or two degrees of freedom."""
 
 from dataclasses import replace
 
@@ -59,12 +59,12 @@ def body():
     )
 
 
-def roots(modes):
+def eigenvalues(modes):
     return 2 * np.pi * (1j * modes.damped_freq - modes.damping_ratio * modes.natural_freq)
 
 
 def quadratic(m, c, k):
-    """Roots and shapes of ``(l^2 m + l c + k) x = 0`` with positive imaginary part."""
+    """Eigenvalues and shapes of ``(l^2 m + l c + k) x = 0`` with positive imaginary part."""
     n = len(m)
     state = np.block([[np.zeros((n, n)), np.eye(n)], [-la.solve(m, k), -la.solve(m, c)]])
     values, vectors = la.eig(state)
@@ -73,10 +73,10 @@ def quadratic(m, c, k):
 
 
 def with_hung(body, rows, share=1.0, ratio=0.03):
-    strength = Parameter("m", 0.0, 0.0, 5.0, "kg", prior_sd=1.0)
+    magnitude = Parameter("m", 0.0, 0.0, 5.0, "kg", prior_sd=1.0)
     freq = Parameter("f", 4.0, 1.0, 20.0, "Hz")
     build = lambda model: hung_masses(rows, "m", "f", ratio, share)  # noqa: E731
-    return extend(body, [Effect("m", "m", "", "", strength, build, (freq,), ({"m": 1.0, "f": 4.0},))])
+    return extend(body, [Effect("m", "m", "", "", magnitude, build, (freq,), ({"m": 1.0, "f": 4.0},))])
 
 
 @pytest.mark.parametrize("mass", [1e-6, 0.05, 0.7, 4.0])
@@ -89,16 +89,16 @@ def test_a_hung_mass_is_the_two_mass_oscillator(body, mass, freq, ratio):
     expected, shapes = quadratic(np.diag([M0, mass]), np.diag([30.0, 0.0]) + c * link, np.diag([K0, 0.0]) + k * link)
     modes = model.modes({"m": mass, "f": freq}, 4)
     moving = [k for k in range(4) if abs(modes.shapes[1:3, k]).max() < 1e-9 * abs(modes.shapes[:, k]).max()]
-    moving.sort(key=lambda k: roots(modes)[k].imag)
+    moving.sort(key=lambda k: eigenvalues(modes)[k].imag)
     assert len(moving) == 2
-    np.testing.assert_allclose(roots(modes)[moving], expected, rtol=1e-6)
-    # The added coordinate is the relative motion times the root of the mass.
+    np.testing.assert_allclose(eigenvalues(modes)[moving], expected, rtol=1e-6)
+    # The added coordinate is the relative motion times the square root of the mass.
     relative = modes.shapes[3, moving] / modes.shapes[0, moving] / np.sqrt(mass)
     np.testing.assert_allclose(relative, shapes[1] / shapes[0] - 1, rtol=1e-5)
 
 
 def test_several_hung_masses_share_the_mass(body):
-    """Three at different motions; two share parts of 1.2/3 each, as if each were written down."""
+    """Three at different motions, against separate oscillators with 1.2/3 of the mass each."""
     rows = [np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.6, 0.8]), np.array([0.3, 0.0, -0.5])]
     mass, freq, share = 2.0, 4.6, 1.2
     model = with_hung(body, rows, share)
@@ -112,7 +112,7 @@ def test_several_hung_masses_share_the_mass(body):
         link = np.concatenate([-b, np.eye(3)[j]])
         k = k + part * w**2 * np.outer(link, link)
         c = c + 2 * 0.03 * part * w * np.outer(link, link)
-    found = np.sort_complex(roots(model.modes({"m": mass, "f": freq}, 6)))
+    found = np.sort_complex(eigenvalues(model.modes({"m": mass, "f": freq}, 6)))
     np.testing.assert_allclose(found, np.sort_complex(quadratic(m, c, k)[0]), rtol=1e-6)
 
 
@@ -125,32 +125,32 @@ def test_a_very_stiff_hung_mass_is_a_rigid_one(body):
 @pytest.mark.parametrize("sag", [1e-6, 0.4, 9.0, 150.0])
 @pytest.mark.parametrize("ratio", [0.0, 0.08])
 def test_a_loosened_mass_is_the_two_mass_oscillator_of_the_same_weight(body, sag, ratio):
-    """1.2 of the body's 3 kg are let go in x; the sag is in mm."""
+    """1.2 of the body's 3 kg are released in x; the sag is in mm."""
     part, w = 1.2, np.sqrt(GRAVITY / (sag * 1e-3))
-    strength = Parameter("sag", 1e-6, 1e-6, 500.0, "mm", prior_sd=5.0)
+    magnitude = Parameter("sag", 1e-6, 1e-6, 500.0, "mm", prior_sd=5.0)
     build = lambda m: loosened_masses([np.sqrt(part) * np.array([1.0, 0.0, 0.0])], "sag", ratio)  # noqa: E731
-    model = extend(body, [Effect("sag", "sag", "", "", strength, build)])
+    model = extend(body, [Effect("sag", "sag", "", "", magnitude, build)])
     link = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    for root in (0.3j, 9j - 1, 70j):
+    for lam in (0.3j, 9j - 1, 70j):
         k, c, m = (a.toarray()[np.ix_([0, 3], [0, 3])] for a in model.matrices({"sag": sag}))
-        z = k + root * c + root**2 * m
-        single = np.diag([K0 + 30.0 * root + (M0 - part) * root**2, part * root**2])
-        single = single + part * (w**2 + 2 * ratio * w * root) * link
+        z = k + lam * c + lam**2 * m
+        single = np.diag([K0 + 30.0 * lam + (M0 - part) * lam**2, part * lam**2])
+        single = single + part * (w**2 + 2 * ratio * w * lam) * link
         expected = single[0, 0] - single[0, 1] ** 2 / single[1, 1]
         assert z[0, 0] - z[0, 1] ** 2 / z[1, 1] == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.parametrize("stiffness", [1e-3, 50.0, 4e3])
 def test_a_maxwell_branch_is_soft_below_its_corner_and_stiff_above(body, stiffness):
-    strength = Parameter("k", 0.0, 0.0, 1e5, "N/m", prior_sd=1e3)
+    magnitude = Parameter("k", 0.0, 0.0, 1e5, "N/m", prior_sd=1e3)
     corner = Parameter("f", 3.0, 0.1, 50.0, "Hz")
     build = lambda m: maxwell_branches([np.array([0.0, 1.0, 0.0])], "k", "f")  # noqa: E731
-    model = extend(body, [Effect("k", "k", "", "", strength, build, (corner,), ({"k": 1e3, "f": 3.0},))])
+    model = extend(body, [Effect("k", "k", "", "", magnitude, build, (corner,), ({"k": 1e3, "f": 3.0},))])
     k, c, m = (a.toarray()[np.ix_([1, 3], [1, 3])] for a in model.matrices({"k": stiffness, "f": 3.0}))
-    for root in (0.01j, 19j - 2, 4e4j):
-        z, along = k + root * c + root**2 * m, root / (2 * np.pi * 3.0)
+    for lam in (0.01j, 19j - 2, 4e4j):
+        z, along = k + lam * c + lam**2 * m, lam / (2 * np.pi * 3.0)
         branch = stiffness * along / (1 + along)
-        assert z[0, 0] - z[0, 1] ** 2 / z[1, 1] == pytest.approx(K0 * 25 / 16 + M0 * root**2 + branch, rel=1e-10)
+        assert z[0, 0] - z[0, 1] ** 2 / z[1, 1] == pytest.approx(K0 * 25 / 16 + M0 * lam**2 + branch, rel=1e-10)
 
 
 def with_parts(body):
@@ -173,9 +173,9 @@ def test_parts_are_scaled_and_softened(body):
 
 
 def with_soft(body):
-    strength = Parameter("s", 0.0, 0.0, 1e7, "mm/MN", prior_sd=1e5)
+    magnitude = Parameter("s", 0.0, 0.0, 1e7, "mm/MN", prior_sd=1e5)
     build = lambda model: soft_mounts([np.array([1.0, 0.0, 0.0])], "c", "s")  # noqa: E731
-    return extend(body, [Effect("s", "s", "", "", strength, build)])
+    return extend(body, [Effect("s", "s", "", "", magnitude, build)])
 
 
 @pytest.mark.parametrize("damping", [3.0, 30.0, 300.0])
@@ -187,7 +187,7 @@ def test_a_soft_mount_is_a_maxwell_element(body, damping, flexibility):
     pair = cubic[cubic.imag > 0]
     modes = model.modes({"c": damping, "s": flexibility * 1e9}, 3)
     along = np.abs(modes.shapes[0]) > 1e-3 * np.abs(modes.shapes).max(axis=0)
-    np.testing.assert_allclose(roots(modes)[along], pair, rtol=1e-6)
+    np.testing.assert_allclose(eigenvalues(modes)[along], pair, rtol=1e-6)
     np.testing.assert_allclose(np.sort(modes.natural_freq[~along]), [5.0, 6.0], rtol=1e-7)
 
 
@@ -195,11 +195,11 @@ def test_a_soft_mount_is_a_maxwell_element(body, damping, flexibility):
 def test_the_dynamic_stiffness_of_a_soft_mount(body, flexibility):
     model = with_soft(body)
     k, c, m = (a.toarray() for a in model.matrices({"c": 80.0, "s": flexibility * 1e9}))
-    for root in (0.5j, 20j, -3 + 40j, 500j):
-        z = root**2 * m + root * c + k
+    for lam in (0.5j, 20j, -3 + 40j, 500j):
+        z = lam**2 * m + lam * c + k
         condensed = z[:3, :3] - np.outer(z[:3, 3], z[3, :3]) / z[3, 3]
-        exact = root * 80.0 / (1 + 80.0 * flexibility * root)
-        assert condensed[0, 0] == pytest.approx(K0 + M0 * root**2 + exact, rel=1e-10)
+        exact = lam * 80.0 / (1 + 80.0 * flexibility * lam)
+        assert condensed[0, 0] == pytest.approx(K0 + M0 * lam**2 + exact, rel=1e-10)
 
 
 def test_sum_of_springs():
@@ -213,7 +213,7 @@ def test_sum_of_springs():
 
 
 class Line:
-    """Places between 0 and 19 m along x."""
+    """Points between 0 and 19 m along x."""
 
     def row(self, point, direction, on=None):
         foot = min(max(point[0], 0.0), 19.0)
@@ -235,7 +235,7 @@ def test_a_point_farther_off_than_the_model_is_large_is_refused(ladder):
         between(model, near, far, 1)
 
 
-def test_what_a_sensor_may_be_off_is_never_refused(body):
+def test_a_distance_within_the_sensor_tolerance_is_accepted(body):
     """A model of one node has no extent."""
 
     class Off(Corner):
@@ -248,7 +248,7 @@ def test_what_a_sensor_may_be_off_is_never_refused(body):
         motion(model, (None, (1.01 * body.sensor_tolerance, 0.0, 0.0)), 0)
 
 
-def test_motions_of_places(body):
+def test_motions_of_points(body):
     here, ground = ("body", (0.0, 0.0, 0.0)), ("ground", (3.0, 4.0, 0.0))
     np.testing.assert_array_equal(motion(body, here, 1), [0, 1, 0])
     np.testing.assert_array_equal(between(body, here, ground, 2), [0, 0, 1])
@@ -258,8 +258,8 @@ def test_motions_of_places(body):
 
 
 @pytest.mark.parametrize("shift", [-0.9, -0.6, -0.13, 0.0, 0.2, 0.6, 0.75, 0.9])
-def test_moved_masses_load_the_place_they_are_moved_to(shift):
-    # Cubics in the shift, another one on either side of the masses' own place, are followed exactly.
+def test_moved_masses_load_the_carrier_at_their_new_position(shift):
+    # Cubics in the shift, a different one on either side of the masses' position, are reproduced exactly.
     own, above, below = np.random.default_rng(3).standard_normal((3, 2, 4))
 
     def motions(e):

@@ -106,7 +106,7 @@ def differences(model, values, modes, name, half, count):
 
 
 def close(found, expected, rel):
-    """Equal within a part of the largest entry of a column."""
+    """Equal within a fraction of the largest entry of a column."""
     scale = np.max(np.abs(expected), axis=0)
     np.testing.assert_allclose(found / np.where(scale, scale, 1), expected / np.where(scale, scale, 1), atol=rel)
 
@@ -149,7 +149,7 @@ def test_the_bogie_at_full_order():
         close(found.damping_ratio[q], expected[4], 1e-6)
 
 
-def test_modes_and_rows_are_picked():
+def test_modes_and_rows_are_selected():
     model = small(3)
     modes = model.modes({}, N)
     rows = np.eye(N)[[4, 1]]
@@ -157,14 +157,14 @@ def test_modes_and_rows_are_picked():
     some = mode_derivatives(model, {}, modes, ("k", "place"), [5, 2], rows)
     np.testing.assert_allclose(some.shapes, whole.shapes[:, [4, 1]][:, :, [5, 2]], rtol=1e-10, atol=1e-14)
     np.testing.assert_allclose(some.eigenvalue, whole.eigenvalue[:, [5, 2]])
-    assert not np.any(some.shapes[1]) and not np.any(some.eigenvalue[1])  # whole numbers count as fixed
+    assert not np.any(some.shapes[1]) and not np.any(some.eigenvalue[1])  # integers count as fixed
     bare = mode_derivatives(model, {}, modes, ("k", "place"), [5, 2], np.zeros((0, N)))
     np.testing.assert_allclose(bare.natural_freq, some.natural_freq)
     assert bare.shapes.shape == (2, 0, 2)
 
 
 def test_a_damper_on_an_undamped_model():
-    """Half the modal damping over omega: the textbook ratio; the shape turns complex."""
+    """Half the modal damping over omega, the textbook ratio; the shape becomes complex."""
     rng = np.random.default_rng(5)
     k, c, m = (random_matrix(rng, N, 1.0) + sp.csr_array(np.eye(N) * x) for x in (5.0, 0.1, 1.0))
     zero = sp.csc_array((N, N))
@@ -176,7 +176,7 @@ def test_a_damper_on_an_undamped_model():
     np.testing.assert_allclose(found.natural_freq[0], 0.0, atol=1e-12)
     small_c = 1e-4
     damped = solve_modes(sp.csc_array(k), sp.csc_array(small_c * c), sp.csc_array(m), N)
-    for i in range(N):  # the complex shape, brought to the real one's scale
+    for i in range(N):  # the complex shape, scaled to the real one
         shape = damped.shapes[:, i]
         scale = (modes.shapes[:, i] @ m @ modes.shapes[:, i]) / (modes.shapes[:, i] @ m @ shape)
         np.testing.assert_allclose((shape * scale).imag / small_c, found.shapes[0, :, i].imag, atol=1e-3)
@@ -195,28 +195,28 @@ def nearly_repeated(gap: float, damped: bool) -> tuple:
 @pytest.mark.parametrize("damped", [True, False])
 @pytest.mark.parametrize("gap", [1e-1, 1e-3, 1e-5])
 def test_close_modes_lose_no_digits(gap, damped):
-    """The sum over all modes is exact here; the bordered solve must meet it however close they are."""
+    """The sum over all modes is exact here; the bordered solve must agree with it however close they are."""
     k, c, m, dk, modes = nearly_repeated(gap, damped)
     zero = np.zeros((3, 3))
     found = eigen_derivatives(k, c, m, [(dk, zero, zero)], modes, ("k",))
     assert found.regular.all()
-    roots, shapes = eigenvalues(modes), modes.shapes
+    lam, shapes = eigenvalues(modes), modes.shapes
     if damped:
-        roots, shapes = np.concatenate([roots, roots.conj()]), np.hstack([shapes, shapes.conj()])
+        lam, shapes = np.concatenate([lam, lam.conj()]), np.hstack([shapes, shapes.conj()])
     for i in range(3):
         own = shapes[:, i]
         force = dk @ own
-        apart = roots[i] - roots if damped else (roots[i] ** 2 - roots**2).real
-        expected = sum(-shapes[:, j] * (shapes[:, j] @ force) / apart[j] for j in range(len(roots)) if j != i)
-        # What lies along the shape itself follows from the scale.
+        apart = lam[i] - lam if damped else (lam[i] ** 2 - lam**2).real
+        expected = sum(-shapes[:, j] * (shapes[:, j] @ force) / apart[j] for j in range(len(lam)) if j != i)
+        # The component along the shape itself follows from the normalisation.
         if damped:
-            scale = (own @ force) * (own @ own) - (2 * roots[i] * m + c) @ own @ expected
+            scale = (own @ force) * (own @ own) - (2 * lam[i] * m + c) @ own @ expected
             expected = expected + scale * own
         np.testing.assert_allclose(found.shapes[0, :, i], expected, rtol=1e-5, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("damped", [True, False])
-def test_a_repeated_root_is_told_and_not_guessed(damped):
+def test_a_repeated_eigenvalue_is_flagged(damped):
     k, c, m, dk, modes = nearly_repeated(0.0, damped)
     zero = np.zeros((3, 3))
     found = eigen_derivatives(k, c, m, [(dk, zero, zero), (k, zero, zero)], modes, ("k", "all"))
@@ -230,13 +230,13 @@ def test_a_repeated_root_is_told_and_not_guessed(damped):
     ]
     mean = np.mean((ends[0].natural_freq - ends[1].natural_freq)[:2]) / (2 * h)
     np.testing.assert_allclose(found.natural_freq[0, :2], mean, rtol=1e-5)
-    # A parameter that does not split the pair leaves everything regular.
+    # A parameter that does not split the pair leaves the mode regular.
     whole = eigen_derivatives(k, c, m, [(k, zero, zero)], modes, ("all",))
     assert whole.regular.all() and np.isfinite(whole.shapes).all()
 
 
-def test_scaling_everything_moves_nothing_but_the_scale():
-    """K, C and M growing alike leave eigenvalues and turn shapes by -1/2 of themselves."""
+def test_scaling_all_matrices_changes_the_scale_only():
+    """Scaling K, C and M together leaves eigenvalues; the derivative of a shape is -1/2 of itself."""
     model = small(4)
     k, c, m = model.matrices({})
     modes = model.modes({}, N)
@@ -246,7 +246,7 @@ def test_scaling_everything_moves_nothing_but_the_scale():
 
 
 @pytest.mark.parametrize("damped", [True, False])
-def test_by_no_parameter_there_are_no_columns(damped):
+def test_without_parameters_there_are_no_derivatives(damped):
     model = small(3, damped)
     values = model.space.values
     found = mode_derivatives(model, values, model.modes(values, 4), ())
@@ -254,7 +254,7 @@ def test_by_no_parameter_there_are_no_columns(damped):
     assert found.regular.all()
 
 
-def test_unknown_names_are_told():
+def test_unknown_names_are_refused():
     model = small(0)
     modes = model.modes({}, 3)
     with pytest.raises(InputError, match="unknown parameter 'zeta'"):

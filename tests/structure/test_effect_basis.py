@@ -1,4 +1,4 @@
-"""Modes with effects on a reduced basis that knows them, and on one that does not."""
+"""Modes with effects on a reduced basis with and without enrichment for them."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,11 @@ from calib.effect import Effect
 from calib.measurement.modal import Sensor
 from calib.space import Parameter
 from calib.structure.affine import parameter
-from calib.structure.atoms import atoms
 from calib.structure.attach import hung_masses, outer_term
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import Addition, extend
+from calib.structure.perturbations import perturbations
 from calib.structure.reduced import ReducedModel, reference_matrix
 from calib.structure.training import Growth, train_basis
 
@@ -25,8 +25,8 @@ def unit(k):
 
 def spring():
     build = lambda m: Addition((outer_term("spring", [unit(11) - unit(97)], parameter("spring")),))  # noqa: E731
-    strength = Parameter("spring", 0.0, 0.0, 1e5, "N/m", prior_sd=4e3)
-    return Effect("spring", "", "", "", strength, build)
+    magnitude = Parameter("spring", 0.0, 0.0, 1e5, "N/m", prior_sd=4e3)
+    return Effect("spring", "", "", "", magnitude, build)
 
 
 def hung():
@@ -41,24 +41,24 @@ def heavy():
     return Effect("heavy", "", "", "", Parameter("heavy", 0.0, -2.0, 40.0, "kg", prior_sd=5.0), build)
 
 
-STRENGTHS = {"spring": [{"spring": 1e3}, {"spring": 6e3}], "heavy": [{"heavy": -1.0}, {"heavy": 8.0}]}
-STRENGTHS["hung"] = [{"hung": 2.0, "hung_freq": 0.7}, {"hung": 4.0, "hung_freq": 1.6}]
+MAGNITUDES = {"spring": [{"spring": 1e3}, {"spring": 6e3}], "heavy": [{"heavy": -1.0}, {"heavy": 8.0}]}
+MAGNITUDES["hung"] = [{"hung": 2.0, "hung_freq": 0.7}, {"hung": 4.0, "hung_freq": 1.6}]
 EFFECTS = (spring(), hung(), heavy())
 
 
 @pytest.fixture(scope="module")
 def made(ladder):
     model = ladder(N)
-    plain = train_basis(model, model.space, COUNT, seed=1, tolerance=1e-5)
+    trained = train_basis(model, model.space, COUNT, seed=1, tolerance=1e-5)
     sensors = [Sensor(k, "x", (float(k), 0.0, 0.0)) for k in (20, 45, 77, 110)]
-    local = [a.effect for a in atoms(model, sensors, {}, 0.5)]
-    return model, plain, effect_basis(model, plain, model.space, EFFECTS, local, seed=2), local
+    local = [a.effect for a in perturbations(model, sensors, {}, 0.5)]
+    return model, trained, effect_basis(model, trained, model.space, EFFECTS, local, seed=2), local
 
 
-def errors(model, basis, effect, strength):
+def errors(model, basis, effect, magnitude):
     """Largest relative error of a frequency and largest 1 - MAC, of modes paired in order."""
     wider = extend(model, [effect])
-    values = {**POINT, **strength}
+    values = {**POINT, **magnitude}
     full = wider.modes(values, COUNT)
     reduced = ReducedModel(model, basis).extended([effect])
     found = reduced.modes(values, COUNT)
@@ -69,67 +69,67 @@ def errors(model, basis, effect, strength):
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
-def test_modes_with_effects_err_far_less(made, effect):
-    model, plain, known, _ = made
-    before = np.array([errors(model, plain, effect, s) for s in STRENGTHS[effect.name]])
-    after = np.array([errors(model, known, effect, s) for s in STRENGTHS[effect.name]])
+def test_modes_with_effects_have_far_smaller_errors(made, effect):
+    model, trained, enriched, _ = made
+    before = np.array([errors(model, trained, effect, s) for s in MAGNITUDES[effect.name]])
+    after = np.array([errors(model, enriched, effect, s) for s in MAGNITUDES[effect.name]])
     assert np.all(after.max(axis=0) < 0.05 * before.max(axis=0))
     assert after[:, 0].max() < 2e-4 and after[:, 1].max() < 1e-3
 
 
 def test_the_base_model_loses_nothing(made):
-    model, plain, known, _ = made
+    model, trained, enriched, _ = made
     full = model.modes(POINT, COUNT).natural_freq
-    for basis in (plain, known):
+    for basis in (trained, enriched):
         found = ReducedModel(model, basis).modes(POINT, COUNT).natural_freq
         assert np.abs(found / full - 1).max() < 1e-5
-    np.testing.assert_array_equal(known.vectors[:, : plain.size], plain.vectors)
-    assert known.version == plain.version + 1 and known.model_fingerprint == model.fingerprint
+    np.testing.assert_array_equal(enriched.vectors[:, : trained.size], trained.vectors)
+    assert enriched.version == trained.version + 1 and enriched.model_fingerprint == model.fingerprint
 
 
 def test_vectors_are_orthonormal_in_the_energy_product(made):
-    model, _, known, _ = made
-    gram = known.vectors.T @ (reference_matrix(model, known.reference_values, known.offset) @ known.vectors)
-    np.testing.assert_allclose(gram, np.eye(known.size), atol=1e-8)
+    model, _, enriched, _ = made
+    gram = enriched.vectors.T @ (reference_matrix(model, enriched.reference_values, enriched.offset) @ enriched.vectors)
+    np.testing.assert_allclose(gram, np.eye(enriched.size), atol=1e-8)
 
 
-def test_derivatives_by_local_changes_are_held(made):
-    """By how much a plausible strength changes each shape, over the energy of that shape."""
-    model, plain, known, local = made
+def test_derivatives_by_local_perturbations_are_represented(made):
+    """Change of each shape by a plausible magnitude, relative to the energy of that shape."""
+    model, trained, enriched, local = made
     wider = extend(model, local)
     values = {p.name: p.value for p in model.space.parameters}
     modes = wider.modes(values, COUNT)
     exact = mode_derivatives(wider, values, modes, [a.name for a in local], range(COUNT)).shapes
     left = []
-    for basis in (plain, known):
+    for basis in (trained, enriched):
         growth = Growth(model, basis)
         energy = np.einsum("ij,ij->j", modes.shapes.conj(), growth.matrix @ modes.shapes).real
         columns = np.hstack([a.plausible * e / np.sqrt(energy) for a, e in zip(local, exact, strict=True)])
-        rest = growth.outside(np.hstack([columns.real, columns.imag]), basis.vectors)
+        rest = growth.project_out(np.hstack([columns.real, columns.imag]), basis.vectors)
         left.append(np.einsum("ij,ij->j", rest, growth.matrix @ rest).max())
     assert left[1] < 3e-5 < 0.03 * left[0]
 
 
-def test_degrees_of_freedom_of_effects_stand_for_themselves(made):
-    model, plain, _, _ = made
+def test_degrees_of_freedom_of_effects_are_basis_vectors(made):
+    model, trained, _, _ = made
     wider = extend(model, [hung(), spring()])
-    basis = plain.carried(wider.space, wider.n_dof)
-    assert basis.vectors.shape == (N + 1, plain.size + 1) and basis.count == plain.count + 1
-    np.testing.assert_array_equal(basis.vectors[:N, :-1], plain.vectors)
-    assert basis.vectors[N].tolist() == [0.0] * plain.size + [1.0] and not basis.vectors[:N, -1].any()
+    basis = trained.carried(wider.space, wider.n_dof)
+    assert basis.vectors.shape == (N + 1, trained.size + 1) and basis.count == trained.count + 1
+    np.testing.assert_array_equal(basis.vectors[:N, :-1], trained.vectors)
+    assert basis.vectors[N].tolist() == [0.0] * trained.size + [1.0] and not basis.vectors[:N, -1].any()
     assert basis.names == wider.space.names and basis.model_fingerprint == model.fingerprint
     assert basis.reference[-3:].tolist() == [0.0, 1.0, 0.0] and basis.upper[-3:].tolist() == [30.0, 5.0, 1e5]
-    assert basis.samples.shape == (len(plain.samples), len(wider.space.names))
-    same = plain.carried(model.space, model.n_dof)
-    np.testing.assert_array_equal(same.vectors, plain.vectors)
+    assert basis.samples.shape == (len(trained.samples), len(wider.space.names))
+    same = trained.carried(model.space, model.n_dof)
+    np.testing.assert_array_equal(same.vectors, trained.vectors)
 
 
 def test_same_seed_same_basis(made):
-    model, plain, known, local = made
-    again = effect_basis(model, plain, model.space, EFFECTS, local, seed=2)
-    assert again.digest == known.digest
+    model, trained, enriched, local = made
+    again = effect_basis(model, trained, model.space, EFFECTS, local, seed=2)
+    assert again.digest == enriched.digest
 
 
-def test_without_effects_and_local_changes_nothing_is_added(made):
-    model, plain, _, _ = made
-    assert effect_basis(model, plain, model.space, (), (), seed=2).size == plain.size
+def test_without_effects_and_local_perturbations_nothing_is_added(made):
+    model, trained, _, _ = made
+    assert effect_basis(model, trained, model.space, (), (), seed=2).size == trained.size

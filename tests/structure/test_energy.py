@@ -25,8 +25,8 @@ def test_shares_of_a_partition_add_up_to_one_whatever_scale_and_phase(seed):
     assert shares.shape == (3, 3)
     np.testing.assert_allclose(shares.sum(axis=0), 1.0)
     np.testing.assert_allclose(total, 0.5 * np.einsum("ij,ij->j", shapes.conj(), stiffness @ shapes).real)
-    turned, _ = strain_energy_shares(stiffness, shapes * [1j, 3.0, -2 + 1j], clusters)
-    np.testing.assert_allclose(turned, shares, atol=1e-10)
+    rotated, _ = strain_energy_shares(stiffness, shapes * [1j, 3.0, -2 + 1j], clusters)
+    np.testing.assert_allclose(rotated, shares, atol=1e-10)
 
 
 @given(seeds)

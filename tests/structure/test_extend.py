@@ -1,4 +1,4 @@
-"""A model with effects against the model itself and against matrices written down by hand."""
+"""A model with effects against the base model and against matrices assembled by hand."""
 
 from dataclasses import replace
 
@@ -23,12 +23,12 @@ def unit(k):
     return np.eye(N)[k]
 
 
-def strength(name, unit="N/m", size=1e3):
+def magnitude(name, unit="N/m", size=1e3):
     return Parameter(name, 0.0, 0.0, 50 * size, unit, prior_sd=size)
 
 
 def effect(name, build, unit="N/m", size=1e3, **more):
-    return Effect(name, name, "", "", strength(name, unit, size), build, **more)
+    return Effect(name, name, "", "", magnitude(name, unit, size), build, **more)
 
 
 def spring():
@@ -60,7 +60,7 @@ def guide():
 
 
 def at(model):
-    """The point with all strengths that a model knows."""
+    """The point with all magnitudes of the model."""
     return {n: v for n, v in {**POINT, **ON}.items() if n in model.space}
 
 
@@ -69,7 +69,7 @@ ON = {"spring": 4e3, "heavy": 2.0, "hung": 1.5, "hung_freq": 6.0, "soft": 30.0, 
 
 
 @pytest.mark.parametrize("make", EVERY)
-def test_at_strength_0_it_is_the_base_model(ladder, make):
+def test_at_magnitude_0_it_is_the_base_model(ladder, make):
     model = ladder(N)
     wider = extend(model, [make()])
     more = wider.n_dof - N
@@ -118,7 +118,7 @@ def test_effects_one_after_the_other_are_the_same_as_together(ladder):
     assert together.fingerprint == stepwise.fingerprint
 
 
-def test_degrees_of_freedom_of_several_effects_lie_apart(ladder):
+def test_degrees_of_freedom_of_several_effects_are_separate(ladder):
     model = ladder(N)
     wider = extend(model, [hung(), soft()])
     assert wider.n_dof == N + 3 and len(wider.dofs.node) == len(wider.dofs.direction) == N + 3
@@ -135,7 +135,7 @@ def test_degrees_of_freedom_of_several_effects_lie_apart(ladder):
         assert a.toarray()[N : N + 2, N + 2].tolist() == [0.0, 0.0]
 
 
-def test_sensors_and_pictures_see_the_same_motions(ladder):
+def test_sensors_and_displacements_are_those_of_the_base_model(ladder):
     model = ladder(N)
     wider = extend(model, [hung(), soft()])
     sensors = [Sensor(k, "x", (float(k), 0.0, 0.0)) for k in (0, 6, 19)]
@@ -149,7 +149,7 @@ def test_sensors_and_pictures_see_the_same_motions(ladder):
     )
 
 
-def test_the_base_model_is_left_alone(ladder):
+def test_the_base_model_is_unchanged(ladder):
     model = ladder(N)
     before = model.fingerprint, model.space.names, model.n_dof
     prints = {extend(model, [make()]).fingerprint for make in EVERY}
@@ -159,7 +159,7 @@ def test_the_base_model_is_left_alone(ladder):
     assert extend(model, []).fingerprint == model.fingerprint
 
 
-def test_parameters_parts_and_assumptions_come_along(ladder):
+def test_parameters_parts_and_assumptions_are_added(ladder):
     model = ladder(N)
     part = Part("rungs", "stiffness", model.stiffness.terms[2].matrix, parameter("k_rung"), (0.0, 0.0, 0.0))
     model = replace(model, parts=(part,), assumptions=(Assumption("a", "1", "m", "guessed"),))
@@ -172,7 +172,7 @@ def test_parameters_parts_and_assumptions_come_along(ladder):
     assert (wider.parts[0].matrix[:N][:, :N] != part.matrix).nnz == 0
 
 
-def test_what_does_not_fit_is_said(ladder):
+def test_an_addition_that_does_not_fit_is_refused(ladder):
     model = ladder(N)
     with pytest.raises(InputError, match="has 'k_upper' already"):
         extend(model, [effect("k_upper", lambda m: Addition())])
@@ -187,16 +187,16 @@ def test_what_does_not_fit_is_said(ladder):
         extend(model, [effect("e", lambda m: Addition(selected=(vector,)))])
 
 
-def test_what_fails_in_an_effects_own_function_names_the_effect(ladder):
+def test_an_error_in_the_function_of_an_effect_names_the_effect(ladder):
     def build(problem, **more):
         def fail(model):
             raise InputError(problem, **more)
 
         return effect("stay", fail)
 
-    with pytest.raises(InputError) as said:
+    with pytest.raises(InputError) as fault:
         extend(ladder(N), [build("the model has no part 'fram'", place="frame", remedy="its parts are frame")])
-    assert str(said.value) == "effect stay, frame: the model has no part 'fram'; its parts are frame."
+    assert str(fault.value) == "effect stay, frame: the model has no part 'fram'; its parts are frame."
     with pytest.raises(InputError, match=r"^effect stay: too far\.$"):
         extend(ladder(N), [build("too far")])
 

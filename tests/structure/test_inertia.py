@@ -31,7 +31,7 @@ def test_the_count_is_that_of_lapack(seed, massless):
         assert count_below(sp.csc_array(k), sp.csc_array(m), middle) == below
 
 
-def test_repeated_modes_and_rigid_motions_count_as_often_as_they_are():
+def test_repeated_modes_and_rigid_motions_count_with_multiplicity():
     turn = np.linalg.qr(np.random.default_rng(1).standard_normal((40, 40)))[0]
     squares = np.concatenate([np.zeros(3), np.full(17, 100.0), np.full(20, 400.0)])
     k = sp.csc_array(turn @ np.diag(squares) @ turn.T)
@@ -39,13 +39,13 @@ def test_repeated_modes_and_rigid_motions_count_as_often_as_they_are():
     assert found == [3, 3, 20, 40]
 
 
-def test_a_count_that_cannot_be_believed_is_refused():
+def test_an_inaccurate_count_is_refused():
     nothing = sp.csc_array((2, 2))
     with pytest.raises(EvaluationError, match=r"cannot be counted: a pivot vanishes"):
         count_below(sp.csc_array([[0.0, 5.0], [5.0, 0.0]]), nothing, 1.0)
-    # Pivots so small that all else is lost beside their inverse.
+    # Pivots so small that their inverse swamps all other entries.
     small = sp.csc_array(np.ones((4, 4)) - (1 - 1e-14) * np.eye(4))
-    with pytest.raises(EvaluationError, match="cannot be counted: the factor is inexact"):
+    with pytest.raises(EvaluationError, match="cannot be counted: the factor is too inaccurate"):
         count_below(small, sp.csc_array((4, 4)), 1.0)
     with pytest.raises(EvaluationError, match="cannot be counted"):
         count_below(sp.csc_array((3, 3)), sp.csc_array((3, 3)), 1.0)

@@ -1,4 +1,4 @@
-"""Matrices of other codes: the model they make, and what is refused at the door."""
+"""Models from matrices of other codes, and validation of the input."""
 
 import numpy as np
 import pandas as pd
@@ -18,7 +18,7 @@ T = Parameter("t", 3.0, 1.0, 6.0, "mm")
 
 
 def springs(*pairs):
-    """Unit springs; the place -1 is the ground."""
+    """Unit springs; the index -1 is the ground."""
     out = np.zeros((N, N))
     for a, b in pairs:
         row = np.zeros(N)
@@ -57,13 +57,13 @@ def test_damping_makes_modes_complex():
 
 
 @pytest.mark.parametrize("form", [sp.csr_array, sp.csc_array, sp.coo_array, sp.csr_matrix, np.asarray])
-def test_sparse_and_dense_matrices_are_one(form):
+def test_sparse_and_dense_matrices_give_the_same_model(form):
     sparse = chain(stiffness={"fixed": form(5e3 * FIXED), "k": form(SCALED), "bent": (form(1e11 * BENT), {"t": 3.0})})
     assert sparse.modes({}, N).natural_freq == pytest.approx(chain().modes({}, N).natural_freq, rel=1e-12)
 
 
 @pytest.mark.parametrize("half", [np.tril, np.triu])
-def test_one_triangle_is_completed_and_told(half):
+def test_one_triangle_is_completed_and_reported(half):
     model = chain(stiffness={"fixed": half(5e3 * FIXED), "k": SCALED, "bent": (1e11 * BENT, {"t": 3.0})})
     assert model.modes({}, N).natural_freq == pytest.approx(chain().modes({}, N).natural_freq, rel=1e-12)
     assert [a.item for a in model.assumptions] == ["stiffness 'fixed'"] and not chain().assumptions
@@ -76,12 +76,12 @@ def test_mass_may_be_singular_and_the_structure_free():
     free = model.modes({}, 3).natural_freq
     condensed = 2e3 * springs((0, 1), (3, 4))[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])]
     past = np.array([0.0, 1, -1, 0])
-    condensed += 1e3 * np.outer(past, past)  # two springs in a row past the place without mass
+    condensed += 1e3 * np.outer(past, past)  # two springs in series across the massless node
     wanted = np.sqrt(np.abs(la.eigvalsh(condensed, np.diag([2.0, 1, 3, 1])))) / (2 * np.pi)
     assert free == pytest.approx(wanted[wanted > 1e-3][:3], rel=1e-8)
 
 
-def test_sensors_are_found_by_place_or_by_label():
+def test_sensors_are_located_by_coordinates_or_by_label():
     model, nowhere = chain(), chain(dofs=DOFS[["node", "direction"]])
     third = np.eye(N)[2]
     assert model.sensor_rows([Sensor(7, "y", (2.05, 0.0, 0.0))])[0] == pytest.approx(third)
@@ -122,7 +122,7 @@ def broken(matrix, i, j, value):
         ({"lines": [(10, 11)]}, "lines"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_right_is_refused_with_its_place(changes, place):
+def test_invalid_input_is_refused_with_its_place(changes, place):
     with pytest.raises(InputError) as fault:
         chain(**changes)
     assert place in str(fault.value.place)

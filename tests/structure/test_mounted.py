@@ -1,4 +1,4 @@
-"""A rigid body on mounts of its own against closed forms and against the body written down mount by mount."""
+"""A rigid body on elastic mounts against closed forms and against an assembly mount by mount."""
 
 import numpy as np
 import pytest
@@ -28,15 +28,15 @@ def values(sag, lower=0.0, sideways=0.7):
     return {"sag": sag, "lower": lower, "sideways": sideways, "ratio": RATIO}
 
 
-def felt(matrices, root):
-    """Force on the carrier per motion with the body's own motions following."""
+def dynamic_stiffness(matrices, lam):
+    """Dynamic stiffness at the carrier, with the body's own motions condensed."""
     k, c, m = matrices
-    z = k + root * c + root**2 * m
+    z = k + lam * c + lam**2 * m
     return z[:6, :6] - z[:6, 6:] @ np.linalg.solve(z[6:, 6:], z[6:, :6])
 
 
 def mount_by_mount(sag, lower, sideways, share=1.0):
-    """Stiffness, damping and mass over the carrier's six motions and the body's six, for all of the body's size."""
+    """Stiffness, damping and mass over the carrier's six motions and the body's six, for the full size of the body."""
     k, omega = MASS * GRAVITY / (4 * sag), np.sqrt(GRAVITY / sag)
 
     def shift(place):
@@ -52,7 +52,7 @@ def mount_by_mount(sag, lower, sideways, share=1.0):
 
 
 def test_a_body_on_a_rigid_base_has_its_six_natural_frequencies():
-    """Upright alone; yaw alone; shifts sideways each with a turn, coupled by the height of the mounts."""
+    """Vertical and yaw uncoupled; lateral translations each coupled with a rotation by the height of the mounts."""
     sag, rho, lower = 2e-3, 0.6, 0.15
     k, _, m = added(BODY, values(sag, lower, rho))
     found = np.sort(la.eigvalsh(k[6:, 6:], m[6:, 6:]))
@@ -66,14 +66,14 @@ def test_a_body_on_a_rigid_base_has_its_six_natural_frequencies():
 
 @pytest.mark.parametrize("sag", [1e-6, 5e-5, 1.3e-3, 0.15])
 @pytest.mark.parametrize("lower", [-0.2, 0.0, 0.25])
-def test_its_carrier_feels_the_body_as_written_down_mount_by_mount(sag, lower):
+def test_the_dynamic_stiffness_at_the_carrier_is_that_mount_by_mount(sag, lower):
     own = np.zeros((12, 12))
-    own[:3, :3] = MASS * np.eye(3)  # the point mass that the model has
+    own[:3, :3] = MASS * np.eye(3)  # the point mass of the base model
     share = sag**2 / (sag**2 + GROWN_SAG**2)
     k, c, m = added(BODY, values(sag, lower))
-    for root in (0.3j, 40j - 3, 90j):
-        told = felt((k, c, m + own), root)
-        expected = felt(mount_by_mount(sag, lower, 0.7, share), root)
+    for lam in (0.3j, 40j - 3, 90j):
+        told = dynamic_stiffness((k, c, m + own), lam)
+        expected = dynamic_stiffness(mount_by_mount(sag, lower, 0.7, share), lam)
         np.testing.assert_allclose(told, expected, rtol=1e-5, atol=1e-7 * abs(expected).max())
 
 
@@ -83,15 +83,17 @@ def test_no_sag_is_the_point_mass():
     assert la.eigvalsh(k[6:, 6:]).min() > 0
 
 
-def test_level_mounts_that_are_alike_let_a_point_shift_as_on_springs():
+def test_equal_mounts_at_the_level_of_the_centre_act_as_springs():
     level = MountedBody(MASS, MOUNTS * [1, 0, 1], 1, (0.0, 0.0, 0.0))
     shifts = loosened_masses(list(np.sqrt(MASS) * np.eye(6)[:3]), "sag", RATIO)
     kinds = (shifts.stiffness, shifts.damping, shifts.mass)
     for sag in (1e-4, 3e-3):
         point = values(sag, 0.0, 1.0)
         other = [sum(t.matrix.toarray() * t.coefficient(point) for t in terms) for terms in kinds]
-        expected = felt(other, 50j - 2)
-        np.testing.assert_allclose(felt(added(level, point), 50j - 2), expected, atol=1e-9 * abs(expected).max())
+        expected = dynamic_stiffness(other, 50j - 2)
+        np.testing.assert_allclose(
+            dynamic_stiffness(added(level, point), 50j - 2), expected, atol=1e-9 * abs(expected).max()
+        )
 
 
 @pytest.mark.parametrize("lower", [-0.3, 0.0, 0.3])
@@ -103,7 +105,7 @@ def test_the_mass_is_nowhere_negative(sag, lower):
         assert la.eigvalsh(matrix).min() > -1e-9 * abs(matrix).max()
 
 
-def test_slopes_agree_with_differences():
+def test_derivatives_agree_with_differences():
     carrier = np.random.default_rng(2).standard_normal((6, 9))
     addition, point = BODY.let_go(carrier, "sag", "lower", "sideways", "ratio"), values(3e-4, 0.2, 0.8)
     for terms in (addition.stiffness, addition.damping, addition.mass):
@@ -127,7 +129,7 @@ def test_what_has_grown_is_a_half_at_its_half():
     assert grown.names == {"x", "y"}
 
 
-def test_mounts_on_one_line_hold_no_body():
+def test_mounts_on_one_line_are_refused():
     with pytest.raises(InputError, match="one line"):
         MountedBody(MASS, MOUNTS[:2], 1, GYRATION)
     with pytest.raises(InputError, match="one line"):

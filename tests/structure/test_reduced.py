@@ -1,4 +1,4 @@
-"""A reduced model against the full one it stands for."""
+"""A reduced model against the full one."""
 
 import dataclasses
 import pickle
@@ -47,7 +47,7 @@ def basis_of(model, vectors, count=8, reference=None):
 
 
 def sure(model: ModalModel) -> ModalModel:
-    """A reduced model is a modal model to the type checker too."""
+    """A reduced model satisfies the protocol for the type checker too."""
     return model
 
 
@@ -74,14 +74,14 @@ def test_a_basis_of_all_motions_gives_the_full_model(ladder, random_vectors, dam
     assert np.all(reduced.indicator(POINT, found) < 1e-8)
 
 
-def test_zero_roots_are_told_from_spin(ladder, random_vectors, turned):
+def test_zero_eigenvalues_are_distinguished_from_spin(ladder, random_vectors, turned):
     model = turned(ladder(grounded=False))
     kinds = {r.kind for r in ReducedModel(model, basis_of(model, random_vectors(60, 60))).modes(POINT, 4).excluded}
     assert kinds == {"spin"}
 
 
 @pytest.mark.parametrize("damped", [True, False])
-def test_it_answers_as_the_full_model_would_for_the_lifted_shapes(ladder, random_vectors, damped):
+def test_its_results_are_those_of_the_full_model_for_the_lifted_shapes(ladder, random_vectors, damped):
     model = ladder(damped=damped)
     reduced = ReducedModel(model, basis_of(model, random_vectors(60, 23)))
     shapes = reduced.modes(POINT, 8).shapes
@@ -113,13 +113,13 @@ def test_matrices_and_derivatives_are_projections(ladder, random_vectors):
             np.testing.assert_allclose(abs(found * -3.0), 3 * np.abs(expected), rtol=1e-10, atol=1e-9)
 
 
-def test_extended_it_answers_as_if_projected_at_once(ladder, random_vectors):
-    """Terms, shares of energy and derivatives of the base are shared, those of the effect are its own."""
+def test_an_extension_equals_a_projection_of_the_extended_model(ladder, random_vectors):
+    """Terms, energy shares and derivatives of the base model are shared; those of the effect are added."""
     model, v = ladder(), random_vectors(60, 12)
     inner = ReducedModel(model, basis_of(model, v))
     row = np.eye(60)[7] - np.eye(60)[31]
-    strength = Parameter("s", 0.0, 0.0, 5e4, "N/m", prior_sd=2e3)
-    spring = Effect("s", "s", "", "", strength, lambda m: Addition((outer_term("s", [row], parameter("s")),)))
+    magnitude = Parameter("s", 0.0, 0.0, 5e4, "N/m", prior_sd=2e3)
+    spring = Effect("s", "s", "", "", magnitude, lambda m: Addition((outer_term("s", [row], parameter("s")),)))
     mass = Parameter("h", 0.0, 0.0, 5.0, "kg", prior_sd=1.0)
     freq = Parameter("h_freq", 5.0, 1.0, 30.0, "Hz")
     hung = Effect("h", "h", "", "", mass, lambda m: hung_masses([np.eye(60)[20]], "h", "h_freq", 0.04), (freq,), GRID)
@@ -142,7 +142,7 @@ def test_extended_it_answers_as_if_projected_at_once(ladder, random_vectors):
     assert np.abs(shares[0] - without).max() > 1e-3
 
 
-def test_terms_that_touch_few_motions_and_many_are_projected_alike(random_vectors):
+def test_terms_with_few_and_many_nonzero_rows_are_projected_the_same_way(random_vectors):
     v, rng = random_vectors(60, 9), np.random.default_rng(3)
     terms = []
     for touched in (3, 40):
@@ -162,14 +162,14 @@ def test_terms_that_touch_few_motions_and_many_are_projected_alike(random_vector
 
 
 @pytest.mark.parametrize("damped", [True, False])
-def test_frequencies_of_an_undamped_model_come_from_above_and_the_indicator_sees_how_far(ladder, damped):
-    """The modes of another point are a fair but not a good basis here."""
+def test_frequencies_of_an_undamped_model_are_upper_bounds_and_the_indicator_estimates_the_error(ladder, damped):
+    """The modes of another point are a usable but inaccurate basis here."""
     model = ladder(damped=damped)
     shapes = model.modes({**POINT, "k_rung": 1.3, "mass": 0.85}, 14).shapes
     reduced = ReducedModel(model, basis_of(model, np.linalg.qr(np.hstack([shapes.real, shapes.imag + 0]))[0][:, :14]))
     found, full = reduced.modes(POINT, 6), model.modes(POINT, 6)
-    roots = [2 * np.pi * (1j * m.damped_freq - m.damping_ratio * m.natural_freq) for m in (found, full)]
-    true = np.abs(roots[0] - roots[1]) / np.abs(roots[1])
+    lam = [2 * np.pi * (1j * m.damped_freq - m.damping_ratio * m.natural_freq) for m in (found, full)]
+    true = np.abs(lam[0] - lam[1]) / np.abs(lam[1])
     estimate = reduced.indicator(POINT, found)
     assert np.max(true) > 1e-6
     if not damped:
@@ -183,7 +183,7 @@ def test_a_basis_of_another_model_is_refused(ladder):
     basis = basis_of(model, np.eye(60)[:, :5])
     with pytest.raises(InputError, match="another model"):
         ReducedModel(ladder(damped=False), basis)
-    with pytest.raises(InputError, match="9 modes are asked of a basis trained for 8"):
+    with pytest.raises(InputError, match="9 modes are requested from a basis trained for 8"):
         ReducedModel(model, basis).modes({}, 9)
 
 
@@ -197,11 +197,11 @@ def test_fingerprints_follow_model_and_basis(ladder):
     assert len(prints) == 3
 
 
-def test_it_travels_to_other_processes(ladder):
+def test_it_can_be_pickled(ladder):
     model = ladder()
     reduced = ReducedModel(model, train_basis(model, model.space, 4, seed=1))
     modes = reduced.modes(POINT, 4)
-    before = reduced.indicator(POINT, modes)  # the factor made for it stays behind
+    before = reduced.indicator(POINT, modes)  # its factor is not pickled
     copy = pickle.loads(pickle.dumps(reduced))
     assert copy.fingerprint == reduced.fingerprint
     assert np.array_equal(copy.modes(POINT, 4).shapes, modes.shapes)

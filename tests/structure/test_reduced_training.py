@@ -12,8 +12,8 @@ from calib.errors import InputError, ToleranceError
 from calib.structure.affine import AffineMatrix, Term
 from calib.structure.basis import Basis
 from calib.structure.certificate import certificate, mode_errors
-from calib.structure.cover import covering_points
 from calib.structure.reduced import ReducedModel
+from calib.structure.space_filling import space_filling_points
 from calib.structure.training import enrich_basis, train_basis
 from calib.study import Study
 from calib.written import LOG
@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def trained(ladder):
-    """A ladder and a basis for four of its modes; nothing can change either."""
+    """A ladder and a basis for four of its modes, both immutable."""
     model = ladder()
     return model, train_basis(model, model.space, 4, seed=1, freq_max=np.inf)
 
@@ -42,12 +42,12 @@ def test_a_trained_basis_keeps_its_tolerance_on_fresh_points(ladder, grounded, d
     basis = train_basis(model, model.space, 6, seed=3, tolerance=1e-5)
     reduced = ReducedModel(model, basis)
     assert reduced.n_dof < 90
-    table, _ = certificate(reduced, covering_points(model.space, 15, np.random.default_rng(77)), 6)
+    table, _ = certificate(reduced, space_filling_points(model.space, 15, np.random.default_rng(77)), 6)
     assert table["above_tolerance"].tolist() == [0, 0, 0]
     assert basis.table()["indicator"].iloc[-1] <= 0.5e-5
 
 
-@pytest.mark.slow  # ladders are asked the same every time
+@pytest.mark.slow  # ladders cover the same in every run
 def test_the_bogie_on_both_of_its_spaces():
     """The quick form of tests/benchmarks/reduced_basis.py."""
     study = Study.load(ROOT / "studies" / "bogie")
@@ -55,16 +55,16 @@ def test_the_bogie_on_both_of_its_spaces():
     basis = train_basis(study.model, spaces, 10, seed=1, freq_max=50.0)
     reduced = ReducedModel(study.model, basis)
     assert reduced.n_dof < 100 and all(basis.covers(space) for space in spaces)
-    points = [p for space in spaces for p in covering_points(space, 8, np.random.default_rng(5))]
+    points = [p for space in spaces for p in space_filling_points(space, 8, np.random.default_rng(5))]
     table, errors = certificate(reduced, points, 10)
     assert table["quantity"].tolist() == ["eigenvalue", "shape", "missed"]
     assert table["max"].iloc[0] < 1e-5 and table["max"].iloc[1] < 1e-4 and table["max"].iloc[2] == 0
-    judged = np.concatenate([e.eigenvalue for e in errors])
-    assert len(judged) > 16 * 8
+    actual = np.concatenate([e.eigenvalue for e in errors])
+    assert len(actual) > 16 * 8
     estimate = np.concatenate([e.indicator for e in errors])
-    large = judged > 2e-7
-    assert large.any() and np.all(estimate[large] > 0.3 * judged[large])
-    # Every position of the actuators, far from where the basis has samples.
+    large = actual > 2e-7
+    assert large.any() and np.all(estimate[large] > 0.3 * actual[large])
+    # Every position of the actuators, far from the samples of the basis.
     for left in range(2, 9):
         for lateral in (-1, 0, 1):
             values = {"pos_long_left": left, "pos_lat_right": lateral, "K_contact": 1500.0, "m_crossbar": 20.0}
@@ -93,7 +93,7 @@ def test_samples_take_every_position_and_keep_the_constraints(trained):
     model, basis = trained
     place = basis.samples[:, basis.names.index("place")]
     assert set(place) == {1.0, 2.0, 3.0, 4.0, 5.0}
-    points = covering_points(model.space, 40, np.random.default_rng(0))
+    points = space_filling_points(model.space, 40, np.random.default_rng(0))
     sums = np.array([p["k_upper"] + p["k_lower"] for p in points])
     assert np.all((sums >= 35) & (sums <= 90)) and np.ptp(sums) > 30
     counts = np.unique([p["place"] for p in points], return_counts=True)[1]
@@ -126,25 +126,25 @@ def test_fresh_points_enrich_a_basis_of_few_samples(ladder):
     assert first["indicator"].iloc[0] > 0.5e-6 or first["indicator"].max() > 0.5e-6
 
 
-def test_a_missed_copy_of_a_repeated_mode_is_told(ladder):
+def test_a_missed_copy_of_a_repeated_mode_is_reported(ladder):
     model = ladder(damped=False)
     squares = 1e3 * np.array([1.0, 4.0, 4.0, 9.0, 16.0, *range(20, 75)])
-    plain = dataclasses.replace(
+    uncoupled = dataclasses.replace(
         model,
         stiffness=AffineMatrix(60, (Term("all", sp.csr_array(np.diag(squares))),)),
         mass=AffineMatrix(60, (Term("all", sp.csr_array(np.eye(60))),)),
     )
-    basis = train_basis(plain, model.space, 4, seed=1)
-    assert mode_errors(ReducedModel(plain, basis), {}, 4).worst < 1e-9
+    basis = train_basis(uncoupled, model.space, 4, seed=1)
+    assert mode_errors(ReducedModel(uncoupled, basis), {}, 4).worst < 1e-9
     blind = dataclasses.replace(basis, vectors=np.eye(60)[:, [0, 1, 3, 4, 5]])
-    assert mode_errors(ReducedModel(plain, blind), {}, 4).missed.tolist() in (
+    assert mode_errors(ReducedModel(uncoupled, blind), {}, 4).missed.tolist() in (
         [False, False, True, False],
         [False, True, False, False],
     )
 
 
-def test_a_missed_mode_is_told(ladder):
-    """A basis without a mode errs nowhere by its indicator; only the full model tells."""
+def test_a_missed_mode_is_reported(ladder):
+    """The indicator of a basis without a mode is small everywhere; only the full model reveals it."""
     model = ladder(damped=False)
     basis = train_basis(model, model.space, 6, seed=1)
     values = model.space.complete({})
@@ -159,23 +159,23 @@ def test_a_missed_mode_is_told(ladder):
     assert table.set_index("quantity").loc["missed", "max"] == 1
 
 
-def test_a_tolerance_that_is_not_reached_is_told_with_the_number_that_misses_it(ladder):
+def test_a_tolerance_that_is_not_reached_is_reported_with_the_error(ladder):
     model = ladder()
     with pytest.raises(ToleranceError, match="raise the tolerance") as fault:
         train_basis(model, model.space, 3, seed=1, tolerance=1e-15)
-    asked, reached = (float(n) for n in re.findall(r"\d\.\de-\d+", fault.value.problem)[-2:])
-    assert "indicator" not in fault.value.problem or reached > asked == 5e-16
+    reached, limit = (float(n) for n in re.findall(r"\d\.\de-\d+", fault.value.problem)[-2:])
+    assert "indicator" not in fault.value.problem or reached > limit == 5e-16
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"count": 0}, "0 modes"),
+        ({"count": 0}, "number of modes is 0"),
         ({"tolerance": 0.0}, "tolerance is 0"),
         ({"spaces": []}, "no parameter space"),
     ],
 )
-def test_what_cannot_be_trained_is_refused(ladder, options, words):
+def test_invalid_training_input_is_refused(ladder, options, words):
     model = ladder()
     arguments = {"spaces": model.space, "count": 3, "seed": 1, **options}
     with pytest.raises(InputError, match=words):
@@ -193,7 +193,7 @@ def test_a_file_gives_back_the_same_basis(trained, tmp_path):
     assert ReducedModel(model, again).fingerprint == ReducedModel(model, basis).fingerprint
 
 
-def test_damaged_and_foreign_files_are_told(trained, tmp_path):
+def test_damaged_and_foreign_files_are_refused(trained, tmp_path):
     _, basis = trained
     path = tmp_path / "basis.npz"
     with pytest.raises(InputError, match="no such file"):
@@ -213,7 +213,7 @@ def test_damaged_and_foreign_files_are_told(trained, tmp_path):
     with pytest.raises(InputError, match="digest differs"):
         Basis.load(path)
     np.savez(path, **{**arrays, "header": np.array('{"format": "something else"}')})
-    with pytest.raises(InputError, match="no reduced basis of this version"):
+    with pytest.raises(InputError, match="not a reduced basis of this version"):
         Basis.load(path)
     with pytest.raises(InputError, match="cannot be written"):
         basis.save(tmp_path / "nowhere" / "basis.npz")

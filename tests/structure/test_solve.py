@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from calib.errors import EvaluationError
 from calib.structure import solve
-from calib.structure.missed import missed_vectors
+from calib.structure.deflation import deflated_eigenvectors
 from calib.structure.solve import solve_modes
 from models.railway import bogie_on_rig
 
@@ -18,7 +18,7 @@ def sparse(matrix):
     return sp.csc_array(matrix)
 
 
-def random_system(n, seed, rank=3, strength=60.0, massless=0):
+def random_system(n, seed, rank=3, magnitude=60.0, massless=0):
     """K, C, M with stiff and light parts mixed, heavy damping of low rank and optional massless motions."""
     rng = np.random.default_rng(seed)
     scale = 10 ** rng.uniform(-1, 1, n)
@@ -28,11 +28,11 @@ def random_system(n, seed, rank=3, strength=60.0, massless=0):
     d = rng.standard_normal((n, rank)) * scale[:, None]
     idle = rng.permutation(n)[:massless]
     m[idle], m[:, idle], d[idle] = 0.0, 0.0, 0.0
-    return k, strength * d @ d.T, m
+    return k, magnitude * d @ d.T, m
 
 
 def state_space(k, c, m):
-    """All roots of ``lambda^2 M + lambda C + K`` by LAPACK, massless motions condensed out first."""
+    """All eigenvalues of ``lambda^2 M + lambda C + K`` by LAPACK, massless motions condensed out first."""
     heavy = np.flatnonzero(np.diag(m) > 0)
     light = np.flatnonzero(np.diag(m) == 0)
     if len(light):
@@ -45,12 +45,12 @@ def state_space(k, c, m):
     return la.eigvals(np.block([[zero, np.eye(n)], [-k, -damping]]), np.block([[np.eye(n), zero], [zero, mass]]))
 
 
-def roots_of(modes):
+def eigenvalues_of(modes):
     return 2 * np.pi * (-modes.damping_ratio * modes.natural_freq + 1j * modes.damped_freq)
 
 
-def oscillating(roots):
-    found = roots[roots.imag > 1e-9 * np.abs(roots)]
+def oscillating(eigenvalues):
+    found = eigenvalues[eigenvalues.imag > 1e-9 * np.abs(eigenvalues)]
     return found[np.argsort(np.abs(found))]
 
 
@@ -59,13 +59,13 @@ CASES = [(6, 0), (40, 0), (40, 9), (110, 0), (110, 25)]
 
 @pytest.mark.parametrize(("n", "massless"), CASES)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_damped_roots_are_those_of_the_dense_state_space(n, massless, seed):
+def test_damped_eigenvalues_are_those_of_the_dense_state_space(n, massless, seed):
     k, c, m = random_system(n, seed, massless=massless)
     count = 12
     truth = oscillating(state_space(k, c, m))[:count]
     modes = solve_modes(sparse(k), sparse(c), sparse(m), count)
     assert modes.is_complex and modes.n_modes == min(count, len(truth))
-    np.testing.assert_allclose(roots_of(modes), truth, rtol=1e-7)
+    np.testing.assert_allclose(eigenvalues_of(modes), truth, rtol=1e-7)
     assert np.all(np.diff(modes.natural_freq) >= 0)
     assert np.all((modes.damping_ratio > -1e-12) & (modes.damping_ratio < 1))
 
@@ -74,10 +74,10 @@ def test_damped_roots_are_those_of_the_dense_state_space(n, massless, seed):
 def test_damped_shapes_solve_the_problem_and_are_normalised(n, massless):
     k, c, m = random_system(n, 2, massless=massless)
     modes = solve_modes(sparse(k), sparse(c), sparse(m), 10)
-    for root, shape in zip(roots_of(modes), modes.shapes.T, strict=True):
-        residual = (root**2 * m + root * c + k) @ shape
+    for lam, shape in zip(eigenvalues_of(modes), modes.shapes.T, strict=True):
+        residual = (lam**2 * m + lam * c + k) @ shape
         assert np.linalg.norm(residual) < 1e-8 * np.linalg.norm(k @ shape)
-        assert shape @ ((2 * root * m + c) @ shape) == pytest.approx(1.0, abs=1e-9)
+        assert shape @ ((2 * lam * m + c) @ shape) == pytest.approx(1.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(("n", "massless"), CASES)
@@ -101,11 +101,11 @@ def test_undamped_modes_are_those_of_lapack(n, massless):
 @pytest.mark.parametrize("n", [30, 100])
 def test_more_modes_than_there_are_gives_all_of_them(n, massless):
     k, c, m = random_system(n, 4, massless=massless)
-    roots = state_space(k, c, m)
+    eigenvalues = state_space(k, c, m)
     modes = solve_modes(sparse(k), sparse(c), sparse(m), 10 * n)
-    np.testing.assert_allclose(roots_of(modes), oscillating(roots), rtol=1e-6)
+    np.testing.assert_allclose(eigenvalues_of(modes), oscillating(eigenvalues), rtol=1e-6)
     overdamped = [r for r in modes.excluded if r.kind == "overdamped"]
-    real = roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real
+    real = eigenvalues[np.abs(eigenvalues.imag) <= 1e-9 * np.abs(eigenvalues)].real
     assert len(overdamped) == len(real) == len(modes.excluded) > 0
     np.testing.assert_allclose(sorted(r.eigenvalue.real for r in overdamped), np.sort(real), rtol=1e-6)
     assert solve_modes(sparse(k), None, sparse(m), 10 * n).n_modes == n - massless
@@ -114,11 +114,11 @@ def test_more_modes_than_there_are_gives_all_of_them(n, massless):
 @pytest.mark.parametrize("damped", [True, False])
 def test_dense_and_iterative_paths_agree(monkeypatch, damped):
     k, c, m = random_system(60, 5, massless=11)
-    answers = []
+    results = []
     for limit in (10, 1000):
         monkeypatch.setattr(solve, "DENSE_LIMIT", limit)
-        answers.append(solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 9))
-    one, other = answers
+        results.append(solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 9))
+    one, other = results
     for name in ("natural_freq", "damped_freq", "damping_ratio"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-8, atol=1e-10)
     # shapes are defined up to their sign
@@ -137,8 +137,8 @@ def test_the_same_point_gives_the_same_digits(n, damped):
 
 @pytest.mark.parametrize("n", [20, 120])
 @pytest.mark.parametrize("damped", [True, False])
-def test_repeated_roots_are_all_found(n, damped):
-    # Four equal oscillators at each of n/4 frequencies, hidden by a rotation.
+def test_repeated_eigenvalues_are_all_found(n, damped):
+    # Four equal oscillators at each of n/4 frequencies, mixed by a rotation.
     omega = 100.0 * (1 + np.arange(n // 4)).repeat(4) ** 0.5
     turn = np.linalg.qr(np.random.default_rng(7).standard_normal((n, n)))[0]
     k = turn @ np.diag(omega**2) @ turn.T
@@ -148,7 +148,7 @@ def test_repeated_roots_are_all_found(n, damped):
 
 
 @pytest.mark.parametrize("damped", [True, False])
-def test_many_copies_of_a_root_are_all_found(damped):
+def test_many_copies_of_an_eigenvalue_are_all_found(damped):
     # Thirty equal oscillators among others, such as the seats of a car.
     omega = np.concatenate([np.full(30, 100.0), np.linspace(120.0, 500.0, 90)])
     turn = np.linalg.qr(np.random.default_rng(7).standard_normal((120, 120)))[0]
@@ -170,7 +170,7 @@ def test_one_oscillator(ratio):
     assert modes.damped_freq[0] == pytest.approx(modes.natural_freq[0] * np.sqrt(1 - ratio**2), rel=1e-8)
 
 
-def test_an_overdamped_oscillator_is_no_mode():
+def test_an_overdamped_oscillator_is_not_a_mode():
     omega, ratio = 40.0, 1.7
     modes = solve_modes(sparse([[omega**2]]), sparse([[2 * ratio * omega]]), sparse([[1.0]]), 3)
     assert modes.n_modes == 0
@@ -180,8 +180,8 @@ def test_an_overdamped_oscillator_is_no_mode():
 
 
 @pytest.mark.parametrize("omega", [2.0, 7.0, 40.0, 700.0])
-def test_a_critically_damped_oscillator_is_no_mode(omega):
-    # Its two real roots coincide, and rounding splits them by the root of the machine precision.
+def test_a_critically_damped_oscillator_is_not_a_mode(omega):
+    # Its two real eigenvalues coincide, and rounding splits them by the square root of the machine precision.
     k, c = np.diag([omega**2, omega**2, 9.0]), np.diag([2 * omega, 2 * omega, 0.1])
     modes = solve_modes(sparse(k), sparse(c), sparse(np.eye(3)), 3)
     assert modes.n_modes == 1
@@ -215,13 +215,13 @@ def test_rigid_body_motion_is_named_and_does_not_count(n, damped):
 @pytest.mark.parametrize("n", [12, 120])
 @pytest.mark.parametrize("damped", [True, False])
 def test_a_part_that_turns_freely_is_named_spin(n, damped):
-    # A grounded chain, and a wheel that nothing holds.
+    # A grounded chain, and a free wheel.
     k, m = la.block_diag(chain(n, grounded=True), 0.0), np.diag([*np.ones(n), 48.0])
     c = np.zeros((n + 1, n + 1))
     c[1, 1] = 5.0
-    turning = np.zeros(n + 1, dtype=bool)
-    turning[-1] = True
-    modes = solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 4, rotational=turning)
+    rotational_share = np.zeros(n + 1, dtype=bool)
+    rotational_share[-1] = True
+    modes = solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 4, rotational=rotational_share)
     assert modes.n_modes == 4 and modes.natural_freq[0] > 0.5
     assert {r.kind for r in modes.excluded} == {"spin"}
     unnamed = solve_modes(sparse(k), sparse(c) if damped else None, sparse(m), 4)
@@ -231,7 +231,7 @@ def test_a_part_that_turns_freely_is_named_spin(n, damped):
 
 @pytest.mark.parametrize("n", [10, 120])
 def test_a_soft_mode_among_stiff_ones_is_kept(n):
-    # Five decades below the stiffest local frequency a mode is still a mode.
+    # A mode five decades below the stiffest local frequency is kept.
     k, m = np.diag(np.linspace(0.5, 1.0, n) * 1e10), np.eye(n)
     k[0, 0] = 1.0
     for c in (None, sparse(0.001 * np.eye(n))):
@@ -239,8 +239,8 @@ def test_a_soft_mode_among_stiff_ones_is_kept(n):
         assert modes.natural_freq[0] == pytest.approx(1 / (2 * np.pi), rel=1e-4)
 
 
-def test_rotations_of_next_to_no_inertia_hide_no_soft_mode():
-    # Masses in a row on one soft spring; beside each a rotation as light as that of a thin wall.
+def test_rotations_of_very_small_inertia_hide_no_soft_mode():
+    # A chain of masses on one soft spring; each has a rotation with the small inertia of a thin shell.
     n = 60
     row = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     row[0, 0] = row[-1, -1] = 1.0
@@ -256,7 +256,7 @@ def test_rotations_of_next_to_no_inertia_hide_no_soft_mode():
 @pytest.mark.parametrize("n", [10, 120])
 @pytest.mark.parametrize("broken", ["stiffness", "damping", "mass"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_matrices_that_are_not_finite_are_told(n, broken, value):
+def test_matrices_that_are_not_finite_are_refused(n, broken, value):
     matrices = dict(zip(("stiffness", "damping", "mass"), map(sparse, random_system(n, 8)), strict=True))
     matrices[broken].data[3] = value
     with pytest.raises(EvaluationError, match=f"the {broken} matrix"):
@@ -300,7 +300,7 @@ def test_the_four_equal_axle_torsions_of_the_bogie_are_all_found():
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9))
 @settings(max_examples=15)
-def test_whatever_a_search_left_out_is_found(seed, left_out):
+def test_deflation_finds_every_missed_eigenvector(seed, left_out):
     rng = np.random.default_rng(seed)
     values = np.concatenate([np.full(12, 1.0), np.linspace(0.9, 0.01, 108)])
     turn = np.linalg.qr(rng.standard_normal((120, 120)))[0]
@@ -308,7 +308,7 @@ def test_whatever_a_search_left_out_is_found(seed, left_out):
     lost = rng.permutation(20)[:left_out]
     found = np.delete(turn[:, :40], lost, axis=1)
     while True:
-        more, certain = missed_vectors(lambda x: matrix @ x, found, values[19] * (1 - 1e-6))
+        more, certain = deflated_eigenvectors(lambda x: matrix @ x, found, values[19] * (1 - 1e-6))
         assert certain
         if not more.shape[1]:
             break
@@ -320,8 +320,8 @@ def test_whatever_a_search_left_out_is_found(seed, left_out):
 
 @pytest.mark.parametrize("damped", [True, False])
 @pytest.mark.parametrize("lost", [0, 3, 6])
-def test_a_mode_that_the_iteration_leaves_out_is_noticed(monkeypatch, damped, lost):
-    k, c, m = (sparse(x) for x in random_system(150, 11, strength=20.0))
+def test_a_mode_that_the_iteration_misses_is_detected(monkeypatch, damped, lost):
+    k, c, m = (sparse(x) for x in random_system(150, 11, magnitude=20.0))
     whole = solve_modes(k, c if damped else None, m, 8)
     name = "eigs" if damped else "eigsh"
     iterate = getattr(solve.spla, name)

@@ -15,35 +15,35 @@ def nothing(shape):
     return 0.0
 
 
-def system(n, seed, rank=3, strength=30.0):
+def system(n, seed, rank=3, magnitude=30.0):
     rng = np.random.default_rng(seed)
     a, b = rng.standard_normal((2, n, n))
     k = a @ np.diag(10 ** rng.uniform(2, 9, n)) @ a.T
     m = b @ b.T + n * np.eye(n)
     d = rng.standard_normal((n, rank))
-    return k, strength * n * d @ d.T, m
+    return k, magnitude * n * d @ d.T, m
 
 
-def roots_of(modes):
+def eigenvalues_of(modes):
     return 2 * np.pi * (-modes.damping_ratio * modes.natural_freq + 1j * modes.damped_freq)
 
 
-@pytest.mark.parametrize("strength", [1.0, 60.0, 3000.0])
+@pytest.mark.parametrize("magnitude", [1.0, 60.0, 3000.0])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_damped_modes_are_those_of_the_full_order_solver(monkeypatch, strength, seed):
-    k, c, m = system(70, seed, strength=strength)
+def test_damped_modes_are_those_of_the_full_order_solver(monkeypatch, magnitude, seed):
+    k, c, m = system(70, seed, magnitude=magnitude)
     full = solve_modes(sp.csc_array(k), sp.csc_array(c), sp.csc_array(m), 8)
-    # Reduced once more, whatever the error; as it is; and with all of the matrices, having reduced too much or not.
+    # Always reduced, whatever the error; as set; and with the full matrices, after too strong a reduction or none.
     for exact, reach, tolerance in ((np.inf, 2.5, 1e-5), (1e-9, 2.5, 1e-6), (1e-9, 0.5, 1e-6), (0.0, 2.5, 1e-7)):
         monkeypatch.setattr(module, "_EXACT", exact)
         monkeypatch.setattr(module, "_REACH", reach)
         found = solve_dense(k, c, m, 8, nothing)
-        np.testing.assert_allclose(roots_of(found), roots_of(full), rtol=tolerance)
-        for root, shape in zip(roots_of(found), found.shapes.T, strict=True):
-            assert shape @ ((2 * root * m + c) @ shape) == pytest.approx(1.0, abs=1e-8)
+        np.testing.assert_allclose(eigenvalues_of(found), eigenvalues_of(full), rtol=tolerance)
+        for lam, shape in zip(eigenvalues_of(found), found.shapes.T, strict=True):
+            assert shape @ ((2 * lam * m + c) @ shape) == pytest.approx(1.0, abs=1e-8)
 
 
-def test_damping_all_over_is_not_reduced_away():
+def test_distributed_damping_is_not_lost_in_the_reduction():
     k, _, m = system(60, 4)
     c = 0.02 * m + 1e-3 * k
     squares = la.eigh(k, m, eigvals_only=True)[:6]
@@ -54,7 +54,7 @@ def test_damping_all_over_is_not_reduced_away():
 
 
 @pytest.mark.parametrize("damped", [True, False])
-def test_repeated_roots_and_zero_roots_are_kept_apart(damped):
+def test_repeated_and_zero_eigenvalues_are_distinguished(damped):
     omega = np.concatenate([np.zeros(2), np.full(12, 50.0), np.linspace(60.0, 900.0, 46)])
     turn = np.linalg.qr(np.random.default_rng(7).standard_normal((60, 60)))[0]
     k = turn @ np.diag(omega**2) @ turn.T
@@ -63,7 +63,7 @@ def test_repeated_roots_and_zero_roots_are_kept_apart(damped):
     assert [r.kind for r in found.excluded] == ["zero"] * (4 if damped else 2)
 
 
-def test_overdamped_roots_among_the_wanted_ones_are_listed():
+def test_overdamped_eigenvalues_among_the_wanted_ones_are_listed():
     k, m = np.diag([25.0, 100.0, 400.0, 1e4]), np.eye(4)
     c = np.diag([0.1, 2 * 1.5 * 10.0, 0.1, 2 * 1.5 * 100.0])
     found = solve_dense(k, c, m, 2, nothing)
@@ -74,23 +74,23 @@ def test_overdamped_roots_among_the_wanted_ones_are_listed():
 
 
 @pytest.mark.parametrize("broken", [0, 1, 2])
-def test_matrices_that_are_not_finite_are_told(broken):
+def test_matrices_that_are_not_finite_are_refused(broken):
     matrices = list(system(10, 1))
     matrices[broken][2, 3] = np.nan
     with pytest.raises(EvaluationError, match="not finite"):
         solve_dense(*matrices, 2, nothing)
 
 
-@pytest.mark.parametrize("strength", [1.0, 60.0])
-def test_few_roots_of_many_are_those_that_all_of_them_give(monkeypatch, strength):
-    """Inverse iteration and the solution for all roots at once, repeated and overdamped ones among them."""
-    k, c, m = system(90, 5, rank=6, strength=strength)
+@pytest.mark.parametrize("magnitude", [1.0, 60.0])
+def test_a_partial_eigensolution_agrees_with_the_full_one(monkeypatch, magnitude):
+    """Inverse iteration against the full eigensolution, with repeated and overdamped eigenvalues."""
+    k, c, m = system(90, 5, rank=6, magnitude=magnitude)
     twice = [np.kron(np.eye(2), a) for a in (k, c, m)]
-    answers = {}
+    results = {}
     for few in (0, 1000):
         monkeypatch.setattr(module, "_FEW", few)
-        answers[few] = solve_dense(*twice, 10, nothing)
-    np.testing.assert_allclose(roots_of(answers[0]), roots_of(answers[1000]), rtol=1e-7)
-    pairs = np.sort(answers[0].natural_freq).reshape(5, 2)
+        results[few] = solve_dense(*twice, 10, nothing)
+    np.testing.assert_allclose(eigenvalues_of(results[0]), eigenvalues_of(results[1000]), rtol=1e-7)
+    pairs = np.sort(results[0].natural_freq).reshape(5, 2)
     np.testing.assert_allclose(pairs[:, 0], pairs[:, 1], rtol=1e-7)
-    assert len(answers[0].excluded) == len(answers[1000].excluded)
+    assert len(results[0].excluded) == len(results[1000].excluded)

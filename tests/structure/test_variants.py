@@ -7,10 +7,10 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.space import Parameter
 from calib.structure.affine import parameter
-from calib.structure.atoms import atoms
 from calib.structure.attach import hung_masses, outer_term
 from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import Addition, extend
+from calib.structure.perturbations import perturbations
 from calib.structure.training import train_basis
 from calib.structure.variants import Variants
 
@@ -20,16 +20,16 @@ POINT = {"k_upper": 61.0, "k_lower": 17.0, "k_rung": 1.1, "c_end": 44.0, "mass":
 
 def spring(name, a, b):
     row = np.eye(N)[a] - np.eye(N)[b]
-    strength = Parameter(name, 0.0, 0.0, 5e4, "N/m", prior_sd=2e3)
-    return Effect(name, name, "", "", strength, lambda m: Addition((outer_term(name, [row], parameter(name)),)))
+    magnitude = Parameter(name, 0.0, 0.0, 5e4, "N/m", prior_sd=2e3)
+    return Effect(name, name, "", "", magnitude, lambda m: Addition((outer_term(name, [row], parameter(name)),)))
 
 
 def hung(name, nodes):
     freq = Parameter(f"{name}_freq", 5.0, 1.0, 30.0, "Hz")
-    strength = Parameter(name, 0.0, 0.0, 5.0, "kg", prior_sd=1.0)
+    magnitude = Parameter(name, 0.0, 0.0, 5.0, "kg", prior_sd=1.0)
     rows = [np.eye(N)[k] for k in nodes]
     grid = tuple({name: 1.0, freq.name: f} for f in (4.0, 8.0))
-    return Effect(name, name, "", "", strength, lambda m: hung_masses(rows, name, freq.name, 0.04), (freq,), grid)
+    return Effect(name, name, "", "", magnitude, lambda m: hung_masses(rows, name, freq.name, 0.04), (freq,), grid)
 
 
 EFFECTS = (spring("s1", 2, 15), hung("h1", [5]), spring("s2", 8, 12), hung("h2", [3, 14]))
@@ -38,7 +38,7 @@ EFFECTS = (spring("s1", 2, 15), hung("h1", [5]), spring("s2", 8, 12), hung("h2",
 @pytest.fixture
 def variants(ladder):
     model = ladder(N)
-    return Variants(model, EFFECTS, tuple(a.effect for a in atoms(model, (), POINT, 1.0)))
+    return Variants(model, EFFECTS, tuple(a.effect for a in perturbations(model, (), POINT, 1.0)))
 
 
 def test_effects_without_degrees_of_freedom_share_one_model(variants):
@@ -59,23 +59,25 @@ def test_effects_with_degrees_of_freedom_have_a_model_for_every_set(variants):
 
 @pytest.mark.parametrize("names", [(), ("s1",), ("h1",), ("h2", "s2"), ("h1", "h2", "s1")])
 def test_modes_are_those_of_the_model_with_just_these(variants, names):
-    strengths = {"s1": 3e3, "s2": 5e3, "h1": 0.7, "h1_freq": 3.0, "h2": 1.3, "h2_freq": 6.0}
+    magnitudes = {"s1": 3e3, "s2": 5e3, "h1": 0.7, "h1_freq": 3.0, "h2": 1.3, "h2_freq": 6.0}
     alone = extend(variants.model, [e for e in EFFECTS if e.name in names])
-    values = {**POINT, **{n: v for n, v in strengths.items() if n[:2] in names}}
+    values = {**POINT, **{n: v for n, v in magnitudes.items() if n[:2] in names}}
     found, expected = variants.with_effects(names).modes(values, 7), alone.modes(values, 7)
     np.testing.assert_allclose(found.natural_freq, expected.natural_freq, rtol=1e-8)
     np.testing.assert_allclose(found.damping_ratio, expected.damping_ratio, rtol=1e-6)
 
 
-def test_an_unknown_effect_is_said(variants):
+def test_an_unknown_effect_is_refused(variants):
     with pytest.raises(InputError, match="there is no effect 's9'"):
         variants.with_effects(("s1", "s9"))
 
 
 def test_on_a_reduced_basis(variants):
-    model, atoms_ = variants.model, variants.atoms
-    basis = effect_basis(model, train_basis(model, model.space, 5, seed=1), model.space, EFFECTS, atoms_, seed=2)
-    reduced = Variants(model, EFFECTS, atoms_, basis)
+    model, perturbations_ = variants.model, variants.perturbations
+    basis = effect_basis(
+        model, train_basis(model, model.space, 5, seed=1), model.space, EFFECTS, perturbations_, seed=2
+    )
+    reduced = Variants(model, EFFECTS, perturbations_, basis)
     assert reduced.with_effects(("s1",)) is reduced.with_effects(())
     assert reduced.with_effects(("h2",)).n_dof == basis.size + 2
     values = {**POINT, "s1": 3e3, "h2": 1.0, "h2_freq": 4.0}

@@ -71,8 +71,8 @@ def _one(
         matrix = sp.csr_array(sum(np.outer(row, row) for row in rows))
         return Addition(**{kind: (Term(name, matrix, parameter(name)),)})
 
-    strength = Parameter(name, 0.0, 0.0, upper, unit, prior_sd=size)
-    return Effect(name, title, "It is left out.", "Look there.", strength, build)
+    magnitude = Parameter(name, 0.0, 0.0, upper, unit, prior_sd=size)
+    return Effect(name, title, "It is left out.", "Look there.", magnitude, build)
 
 
 def beam(element_size: float = 0.25) -> StructuralModel:
@@ -122,7 +122,7 @@ def write_study(folder: Path, hidden: Mapping[str, float], count: int = 9, seed:
     moves = twin.sensor_rows(sensors()) @ modes.shapes
     seen = np.flatnonzero(np.abs(moves).max(axis=0) > 0.05 * np.abs(modes.shapes).max(axis=0))[:count]
     rng = np.random.default_rng(seed)
-    head = "# SYNTHETIC data of another mesh, with scatter.\n"
+    head = "# SYNTHETIC data of another mesh, with standard deviation.\n"
     rows, lines = ["mode,freq,freq_kind,freq_std"], ["mode,node,direction,re,im,std"]
     for k, j in enumerate(seen, start=1):
         freq, shape = modes.natural_freq[j], moves[:, j] / moves[np.argmax(np.abs(moves[:, j])), j]

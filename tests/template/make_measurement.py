@@ -1,4 +1,4 @@
-"""Made the example's measurement: a mast with five times finer elements and a distributed antenna, plus scatter.
+"""Made the example's measurement: a mast with five times finer elements and a distributed antenna, plus noise.
 
 python tests/template/make_measurement.py FOLDER
 """
@@ -27,7 +27,7 @@ def main(folder: Path) -> None:
     x, z = (np.abs(shapes[[i for i, s in enumerate(layout) if s.direction == d]]).sum(0) for d in "xz")
     order = [int(k) for bending in (x > 3 * z, z > 3 * x) for k in np.flatnonzero(bending)[:2]]
     order = [order[0], order[2], order[1], order[3]]
-    head = "# SYNTHETIC example data: computed with a finer model than the example's, plus scatter.\n"
+    head = "# SYNTHETIC example data: computed with a finer model than the example's, plus noise.\n"
     rows = ["mode,freq,freq_kind,freq_std,damping,damping_std"]
     lines = ["mode,node,direction,re,im,std"]
     for name, k in zip(NAMES, order, strict=True):

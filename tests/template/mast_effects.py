@@ -38,7 +38,7 @@ sensors = "sensors.csv"
 std_of = "mean"
 synthetic = true
 
-[withheld]
+[held_out]
 modes = []
 sensors = []
 
@@ -83,8 +83,8 @@ def _one(
         matrix = sp.csr_array(sum(np.outer(row, row) for row in rows))
         return Addition(**{kind: (Term(name, matrix, parameter(name)),)})
 
-    strength = Parameter(name, 0.0, 0.0, upper, unit, prior_sd=size)
-    return Effect(name, title, "It is left out.", f"Look at {height:g} m.", strength, build)
+    magnitude = Parameter(name, 0.0, 0.0, upper, unit, prior_sd=size)
+    return Effect(name, title, "It is left out.", f"Look at {height:g} m.", magnitude, build)
 
 
 def mast(element_size: float = 0.5):
@@ -112,19 +112,19 @@ def bending(model, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]
 @cache
 def _exact(hidden: tuple[tuple[str, float], ...]) -> tuple[np.ndarray, np.ndarray]:
     """What `bending` gives of the mast with finer elements and what is hidden."""
-    strengths = dict(hidden)
-    twin = extend(mast(0.1), [e for e in library() if e.name in strengths])
-    return bending(twin, {**TRUTH, **strengths})
+    magnitudes = dict(hidden)
+    twin = extend(mast(0.1), [e for e in library() if e.name in magnitudes])
+    return bending(twin, {**TRUTH, **magnitudes})
 
 
 def write_study(folder: Path, hidden: Mapping[str, float] | None = None, seed: int = 1, noise: float = 1.0) -> Path:
-    """A study whose measurement comes from five times finer elements and has what is hidden, at the given strengths."""
+    """A study whose measurement comes from five times finer elements, with hidden effects of given magnitudes."""
     write_example(folder)
     shutil.copy(__file__, folder / "effects.py")
     (folder / "study.toml").write_text(STUDY, encoding="utf-8")
     freq, shapes = _exact(tuple((hidden or {}).items()))
     rng = np.random.default_rng(seed)
-    head = "# SYNTHETIC data of a finer model, with scatter.\n"
+    head = "# SYNTHETIC data of a finer model, with standard deviation.\n"
     rows, lines = ["mode,freq,freq_kind,freq_std"], ["mode,node,direction,re,im,std"]
     for name, f, shape in zip(NAMES, freq, shapes.T, strict=True):
         rows.append(f"{name},{f * (1 + noise * STD_FREQ * rng.standard_normal()):.6f},natural,{STD_FREQ * f:.6f}")

@@ -1,1 +1,1 @@
-"""The page that tells a whole study: tables in, one HTML file out."""
+"""The report of a whole study: tables in, one HTML file out."""

@@ -1,4 +1,4 @@
-"""Model against measurement, mode by mode."""
+"""Section on model against measurement, mode by mode."""
 
 from __future__ import annotations
 
@@ -7,50 +7,50 @@ import pandas as pd
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from calib.report.html.answers import Answers
 from calib.report.html.look import PATTERNS, add_matrix, filled, name_axis, new, number_axis, shown
 from calib.report.html.numbers import fixed, percent, significant
 from calib.report.html.page import Block, Plot, Section, Shapes, Table, Terms, Words
-from calib.report.html.space import AXES_TOLD, scene
+from calib.report.html.space import AXES_NOTE, scene
+from calib.report.html.study_results import StudyResults
 from calib.report.style import AFTER, BEFORE, GREY
 
 COLOURS = {"before": BEFORE, "after": AFTER}
 TERMS = (
-    ("MAC", "modal assurance criterion, 1 when two shapes are the same and 0 when they have nothing in common"),
+    ("MAC", "modal assurance criterion: 1 for proportional shapes, 0 for orthogonal ones"),
     (
         "EMAC",
-        "MAC times the share of strain energy in the part of the model that carries the mode; by it modes are paired",
+        "MAC times the share of strain energy in the part of the model that carries the mode; used to pair modes",
     ),
-    ("margin", "how far the EMAC of the next best partner was below; a small one is a doubtful pair"),
-    ("CoMAC", "the same agreement of shapes, seen at one sensor over all modes"),
+    ("margin", "EMAC of the pair minus that of the next best candidate; a small margin means a doubtful pair"),
+    ("CoMAC", "coordinate MAC: agreement of the shapes at one sensor over all modes"),
 )
 
 
-def section(answers: Answers) -> Section | None:
-    """The model at its adopted values, nothing fitted; mode shapes of every stage there is."""
+def section(results: StudyResults) -> Section | None:
+    """The model at its nominal values, nothing fitted, and mode shapes of every stage."""
     title = "Model against measurement, nothing fitted"
-    if answers.plain:
-        blocks = plain_blocks(answers, "before")
+    if results.scalar:
+        blocks = scalar_blocks(results, "before")
         return Section("compared", title, tuple(blocks)) if blocks else None
-    table = answers.compared("before")
+    table = results.compared("before")
     if table is None:
         return None
-    said = [Words(words, "told") for words in answers.sentences("compare")[:-1]]
+    sentences = [Words(words, "reported") for words in results.sentences("compare")[:-1]]
     blocks = [
-        Words("The model at its adopted values, before anything was fitted. Errors are model minus measurement."),
-        *said,
+        Words("The model at its nominal values, before calibration. Errors are model minus measurement."),
+        *sentences,
         mode_table(table, "Mode by mode before calibration"),
         Terms(TERMS if table["mac"].notna().any() else ()),
-        error_plot({"before": table}, "errors-before", answers.noise_mac),
-        *mac_plot(answers, "before"),
-        *_shapes(answers),
-        *comac_plot(answers),
+        error_plot({"before": table}, "errors-before", results.noise_mac),
+        *mac_plot(results, "before"),
+        *_shapes(results),
+        *comac_plot(results),
     ]
     return Section("compared", title, tuple(blocks))
 
 
 def mode_table(table: pd.DataFrame, caption: str) -> Table:
-    """One row a mode: number of its model mode, frequencies, damping, MAC, EMAC and margin."""
+    """One row per mode: number of its model mode, frequencies, damping, MAC, EMAC and margin."""
     shapes = table["mac"].notna().any()
     heads = ["mode", "model mode", "measured, Hz", "model, Hz", "error, %", "damping measured, %", "model, %"]
     rows = []
@@ -94,10 +94,10 @@ def error_plot(stages: dict[str, pd.DataFrame], name: str, noise_mac: float) -> 
         figure.update_layout(xaxis2=name_axis(modes, "measured mode"), yaxis2=number_axis("MAC", range=[0, 1.05]))
         if not np.isnan(noise_mac):
             figure.add_hline(y=noise_mac, line={"color": GREY, "dash": "dash"}, row=1, col=2)
-    told = [_summary(stage, table, shapes) for stage, table in stages.items()]
+    summary = " ".join(_summary(stage, table, shapes) for stage, table in stages.items())
     line = " Dashed: the mean MAC that noise alone allows." if shapes and not np.isnan(noise_mac) else ""
-    what = "Errors of the frequencies, and MAC of the shapes." if shapes else "Errors of the frequencies."
-    return Plot(name, f"{what} {' '.join(told)}{line}", f"Bars. {' '.join(told)}", figure)
+    what = "Frequency errors, and MAC of the shapes." if shapes else "Frequency errors."
+    return Plot(name, f"{what} {summary}{line}", f"Bars. {summary}", figure)
 
 
 def _summary(stage: str, table: pd.DataFrame, shapes: bool) -> str:
@@ -105,16 +105,16 @@ def _summary(stage: str, table: pd.DataFrame, shapes: bool) -> str:
     if not error.notna().any():
         return f"{stage.capitalize()} calibration no mode is paired."
     worst = table.iloc[int(np.nanargmax(error))]
-    told = f"{stage.capitalize()} calibration: mean error {percent(error.mean())} %, "
-    told += f"largest {percent(worst['freq_error'], 2, sign=True)} % ({worst['mode']})"
+    note = f"{stage.capitalize()} calibration: mean error {percent(error.mean())} %, "
+    note += f"largest {percent(worst['freq_error'], 2, sign=True)} % ({worst['mode']})"
     if shapes and table["mac"].notna().any():
-        told += f"; mean MAC {fixed(table['mac'].mean(), 3)}"
-    return told + "."
+        note += f"; mean MAC {fixed(table['mac'].mean(), 3)}"
+    return note + "."
 
 
-def mac_plot(answers: Answers, stage: str) -> list[Plot]:
-    """MAC of every measured mode with every mode of the model."""
-    table = answers.table(f"mac_{stage}", ["mode"], others_are_numbers=True)
+def mac_plot(results: StudyResults, stage: str) -> list[Plot]:
+    """Matrix of the MAC of every measured mode with every model mode."""
+    table = results.table(f"mac_{stage}", ["mode"], others_are_numbers=True)
     if table is None:
         return []
     columns = [c for c in table.columns if c != "mode"]
@@ -124,32 +124,32 @@ def mac_plot(answers: Answers, stage: str) -> list[Plot]:
     cells = [[fixed(v, 2) for v in row] for row in values]
     add_matrix(figure, values, modes, columns, cells, colours="Blues", span=(0.0, 1.0), label="MAC")
     figure.update_layout(
-        xaxis=name_axis(columns, "mode of the model", tickangle=-90 if len(columns) > 8 else 0),
+        xaxis=name_axis(columns, "model mode", tickangle=-90 if len(columns) > 8 else 0),
         yaxis=name_axis(modes, "measured mode", reverse=True),
     )
     best = np.nanmax(values, axis=1) if np.isfinite(values).any() else np.full(len(modes), np.nan)
-    told = "; ".join(f"{m} {fixed(v, 2)}" for m, v in zip(modes, best, strict=True))
-    caption = f"MAC of measured with model modes, {stage} calibration. One dark cell a row is a clear pair."
-    return [Plot(f"mac-{stage}", caption, f"Matrix of MAC values. The largest of each measured mode: {told}.", figure)]
+    note = "; ".join(f"{m} {fixed(v, 2)}" for m, v in zip(modes, best, strict=True))
+    caption = f"MAC of measured with model modes, {stage} calibration. One dark cell per row is a clear pair."
+    return [Plot(f"mac-{stage}", caption, f"Matrix of MAC values. The largest of each measured mode: {note}.", figure)]
 
 
-def _shapes(answers: Answers) -> list[Block]:
-    found = scene(answers)
+def _shapes(results: StudyResults) -> list[Block]:
+    found = scene(results)
     if found is None:
         return []
     caption = (
-        "Mode shapes, measured over computed. Choose a mode, play or pause it, drag to turn it. Grey: the model at "
-        f"rest; blue: the model; red with threads: what the sensors measured. {AXES_TOLD} Real parts are shown; "
+        "Measured and computed mode shapes. Choose a mode, play or pause it, drag to turn it. Grey: the model at rest; "
+        f"blue: the model; red, with lines from the position at rest: the sensors. {AXES_NOTE} Real parts are shown; "
         "measurement and model have the same scale."
     )
-    shown = found["stages"][0]  # with which the page opens it
-    words = "; ".join(mode["words"] for mode in shown["modes"])
-    return [Shapes("mode-shapes", caption, f"Mode shapes {shown['name']}: {words}.", found)]
+    first = found["stages"][0]  # which the page shows first
+    words = "; ".join(mode["words"] for mode in first["modes"])
+    return [Shapes("mode-shapes", caption, f"Mode shapes {first['name']}: {words}.", found)]
 
 
-def comac_plot(answers: Answers) -> list[Plot]:
-    """CoMAC of the sensors before and after, worst first."""
-    stages = {s: t for s in COLOURS if (t := answers.table(f"comac_{s}", ["sensor"], ["comac"])) is not None}
+def comac_plot(results: StudyResults) -> list[Plot]:
+    """CoMAC of the sensors before and after calibration, worst first."""
+    stages = {s: t for s in COLOURS if (t := results.table(f"comac_{s}", ["sensor"], ["comac"])) is not None}
     if not stages:
         return []
     newest = list(stages.values())[-1].set_index("sensor")["comac"]
@@ -167,12 +167,12 @@ def comac_plot(answers: Answers) -> list[Plot]:
     worst = ", ".join(f"{s} {fixed(newest[s], 3)}" for s in order[:3])
     stage = list(stages)[-1]
     alt = f"Dots. The worst sensors {stage} calibration: {worst}; the mean is {fixed(newest.mean(), 3)}."
-    return [Plot("comac", "CoMAC of every sensor: low ones are where the shapes disagree.", alt, figure)]
+    return [Plot("comac", "CoMAC of every sensor; low values show where the shapes disagree.", alt, figure)]
 
 
-def plain_blocks(answers: Answers, stage: str) -> list[Block]:
-    """Table and bars of plain responses."""
-    table = answers.table(f"comparison_{stage}", ["response"], ["measured", "model", "error", "error_in_std"])
+def scalar_blocks(results: StudyResults, stage: str) -> list[Block]:
+    """Mean error, bars and table of scalar responses."""
+    table = results.table(f"comparison_{stage}", ["response"], ["measured", "model", "error", "error_in_std"])
     if table is None:
         return []
     rows = tuple(
@@ -187,16 +187,16 @@ def plain_blocks(answers: Answers, stage: str) -> list[Block]:
     )
     heads = ("response", "measured", "model", "error, %", "error in std")
     figure, known = new(380), table["error_in_std"].notna().any()
-    column, unit = ("error_in_std", "in standard deviations") if known else ("error", "as a share of the response")
+    column, unit = ("error_in_std", "in standard deviations") if known else ("error", "relative to the response")
     names = table["response"].astype(str).tolist()
     _add_responses(figure, names, table[column].to_numpy(dtype=float), stage)
     figure.update_layout(xaxis=name_axis(names, "", tickangle=-90), yaxis=number_axis(f"error {unit}"))
     size = table[column].abs()
     worst = "" if not size.notna().any() else f" The largest is that of {names[int(size.argmax())]}."
-    told = f"Mean absolute error {stage} calibration: {percent(table['error'].abs().mean())} %.{worst}"
+    note = f"Mean absolute error {stage} calibration: {percent(table['error'].abs().mean())} %.{worst}"
     return [
-        Words(told),
-        Plot(f"responses-{stage}", f"Errors of all responses {unit}, {stage} calibration.", f"Bars. {told}", figure),
+        Words(note),
+        Plot(f"responses-{stage}", f"Errors of all responses {unit}, {stage} calibration.", f"Bars. {note}", figure),
         Table(f"Every response {stage} calibration", heads, rows),
     ]
 

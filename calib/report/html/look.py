@@ -1,4 +1,4 @@
-"""How the interactive figures look: one font, one palette, no ornament; the same colours as the pictures."""
+"""Style of the interactive figures: one font, one palette, the same colours as in the PNG figures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PATTERNS = {"before": "/", "after": "", "attempt": "x"}
 
 
 def new(height: int, **layout: Any) -> go.Figure:
-    """Return an empty figure of that height in pixels; it takes the width of the page."""
+    """Return an empty figure of that height in pixels, as wide as the page."""
     return go.Figure(
         layout={
             "template": go.layout.Template(),
@@ -41,12 +41,12 @@ def number_axis(title: str, **more: Any) -> dict[str, Any]:
 
 
 def titled(words: str) -> dict[str, Any]:
-    """Return a title in the size of the other words."""
+    """Return a title in the size of the other text."""
     return {"text": shown(words), "font": {"size": 13}}
 
 
 def name_axis(names: Sequence[str], title: str = "", reverse: bool = False, **more: Any) -> dict[str, Any]:
-    """Return an axis of names, at places 0, 1, 2...; names that look like numbers stay names."""
+    """Return an axis of names at 0, 1, 2...; names that look like numbers stay names."""
     count = len(names)
     span = [count - 0.5, -0.5] if reverse else [-0.5, count - 0.5]
     return {
@@ -64,17 +64,17 @@ def name_axis(names: Sequence[str], title: str = "", reverse: bool = False, **mo
 
 
 def shown(words: object) -> str:
-    """Words that a figure shows as they are, whatever characters they have."""
+    """Escape text so that a figure shows it literally."""
     return escape(str(words), quote=False)
 
 
 def filled(colour: str, pattern: str = "") -> dict[str, Any]:
-    """Return the look of bars; hatches let them differ without colours."""
+    """Return the style of bars; hatches distinguish them without colours."""
     return {"color": colour, "pattern": {"shape": pattern, "bgcolor": colour, "fgcolor": "white", "size": 7}}
 
 
 def wrapped(words: str, width: int = 34) -> str:
-    """Words on as many lines as they need."""
+    """Wrap text to lines of about that width."""
     lines, line = [], ""
     for word in words.split():
         if line and len(line) + len(word) >= width:
@@ -99,7 +99,7 @@ def add_matrix(
     bar: bool = True,
     **more: Any,
 ) -> None:
-    """Add coloured cells with words in them.
+    """Add coloured cells with text in them.
 
     Parameters
     ----------
@@ -108,19 +108,19 @@ def add_matrix(
         NaN leaves a cell grey.
     rows, columns : sequence of str
     cells : nested sequence of str
-        Written into the cells.
+        Text of the cells.
     colours : str
-        Name of the scale.
+        Name of the colour scale.
     span : tuple of float
-        Values at its ends.
+        Values at the ends of the colour scale.
     label : str
-        Of the colour bar.
+        Label of the colour bar.
     hover : nested sequence of str, optional
-        Told over a cell; by default row, column and words.
+        Text shown over a cell by the mouse; by default row, column and cell text.
     bar : bool
         Whether a colour bar is drawn.
     """
-    told = hover or [
+    hover = hover or [
         [f"{r}, {c}: {cell or 'no value'}" for c, cell in zip(columns, line, strict=True)]
         for r, line in zip(rows, cells, strict=True)
     ]
@@ -130,7 +130,7 @@ def add_matrix(
         x=list(range(len(columns))),
         y=list(range(len(rows))),
         text=[[shown(cell) for cell in line] for line in cells],
-        hovertext=[[shown(words) for words in line] for line in told],
+        hovertext=[[shown(words) for words in line] for line in hover],
         hoverinfo="text",
         texttemplate="%{text}",
         textfont={"size": size},
@@ -146,15 +146,15 @@ def add_matrix(
 
 
 def as_json(figure: go.Figure) -> str:
-    """Return data and layout of a figure as text that may stand in a page's script element."""
+    """Return data and layout of a figure as text that is safe in a script element."""
     return embedded(to_json(figure, validate=True))
 
 
-def plain_json(content: object) -> str:
-    """Return plain values as text that may stand in a page's script element."""
+def scalar_json(content: object) -> str:
+    """Return plain values as text that is safe in a script element."""
     return embedded(json.dumps(content, allow_nan=False, separators=(",", ":")))
 
 
 def embedded(text: str) -> str:
-    """Return JSON in which nothing can end a script element."""
+    """Return JSON escaped so that nothing in it can end a script element."""
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")

@@ -1,4 +1,4 @@
-"""Numbers as a reader wants them: rounded, with a real minus sign, and a dash where nothing is known."""
+"""Numbers for readers: rounded, with a true minus sign, and a dash for unknown values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ UNKNOWN = "–"
 
 
 def fixed(value: float, digits: int, sign: bool = False) -> str:
-    """So many digits after the point."""
+    """Format with so many digits after the decimal point."""
     if value is None or math.isnan(value):
         return UNKNOWN
     if math.isinf(value):
@@ -20,12 +20,12 @@ def fixed(value: float, digits: int, sign: bool = False) -> str:
 
 
 def percent(share: float | None, digits: int = 2, sign: bool = False) -> str:
-    """A share in per cent, without the unit when it stands in the head of a column."""
+    """Format a fraction in percent, without the unit."""
     return fixed(math.nan if share is None else 100.0 * share, digits, sign)
 
 
 def significant(value: float, digits: int = 4) -> str:
-    """So many digits that count; an exponent only where zeros would have to be counted."""
+    """Format with so many significant digits; with an exponent only for very small and very large numbers."""
     if value is None or math.isnan(value):
         return UNKNOWN
     if math.isinf(value) or value == 0:
@@ -39,30 +39,30 @@ def significant(value: float, digits: int = 4) -> str:
 
 
 def with_unit(value: float, unit: str, digits: int = 3) -> str:
-    """A number and its unit, if it has one."""
+    """Format a number with its unit, if it has one."""
     words = significant(value, digits)
     return words if unit in ("", "-", UNKNOWN) or words == UNKNOWN else f"{words} {unit}"
 
 
 def chance(p: float) -> str:
-    """A probability."""
+    """Format a probability."""
     if p is None or math.isnan(p):
         return UNKNOWN
     return "< 0.001" if p < 1e-3 else f"{p:.2g}"
 
 
 def counted(number: int, thing: str) -> str:
-    """Something in its number."""
+    """Format a count with its noun in singular or plural."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def flag(value: Any) -> bool:
-    """A flag that may be unknown, which is no."""
+    """A flag; unknown counts as no."""
     return bool(value) if value is not None and value == value else False
 
 
 def yes(value: Any, words: tuple[str, str] = ("yes", "no")) -> str:
-    """A flag in words; a dash where it is unknown."""
+    """Format a flag; a dash where it is unknown."""
     if value is None or value != value:
         return UNKNOWN
     return words[0] if value else words[1]

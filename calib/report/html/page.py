@@ -1,4 +1,4 @@
-"""What a page is made of: sections of words, tables and figures; they know no HTML."""
+"""Parts of a page, without HTML: sections of paragraphs, tables and figures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias
 import plotly.graph_objects as go
 
 LONGEST = 12
-"""Rows of the longest table that is shown open."""
+"""Rows of the longest table that is shown unfolded."""
 
 
 @dataclass(frozen=True)
@@ -19,35 +19,35 @@ class Words:
     Attributes
     ----------
     text : str
-    kind : {"plain", "told", "warning", "verdict"}
-        ``told`` is a sentence of the tool itself, ``verdict`` the one that matters.
+    kind : {"plain", "reported", "warning", "verdict"}
+        ``reported`` is a sentence that an analysis reported, ``verdict`` its conclusion.
     """
 
     text: str
-    kind: Literal["plain", "told", "warning", "verdict"] = "plain"
+    kind: Literal["plain", "reported", "warning", "verdict"] = "plain"
 
 
 @dataclass(frozen=True)
 class Terms:
-    """Names that are explained once, where they first occur: (name, what it is)."""
+    """Definitions of terms, given where they first occur: (term, definition)."""
 
     pairs: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of ready words; one of more than `LONGEST` rows is folded away.
+    """A table of formatted cells; one of more than `LONGEST` rows is folded.
 
     Attributes
     ----------
     caption : str
     heads : tuple of str
-        Over the columns; the first column names the rows.
+        Column headings; the first column names the rows.
     rows : tuple of tuple of str
     left : tuple of int
-        Columns of words; all others hold numbers and stand at the right. The first is always words.
+        Columns of text, aligned left; the others hold numbers, aligned right. The first column is always text.
     grey : tuple of int
-        Rows that say nothing can be seen.
+        Rows of effects that are not visible, in grey.
     """
 
     caption: str
@@ -58,7 +58,7 @@ class Table:
 
     @property
     def folded(self) -> bool:
-        """Whether only the caption is shown until the reader asks."""
+        """Whether only the caption is shown until the reader unfolds the table."""
         return len(self.rows) > LONGEST
 
 
@@ -69,10 +69,10 @@ class Plot:
     Attributes
     ----------
     name : str
-        Its identifier in the page.
+        Identifier in the page.
     caption : str
     alt : str
-        What it shows, for those who cannot see it.
+        Text alternative for readers who cannot see the figure.
     figure : Figure
     """
 
@@ -89,9 +89,9 @@ class Shapes:
     Attributes
     ----------
     name, caption, alt : str
-        As of a `Plot`.
+        As in `Plot`.
     scene : mapping
-        Plain numbers and words; see `calib.report.html.shapes.scene`.
+        Values for JSON; see `calib.report.html.space.scene`.
     """
 
     name: str
@@ -105,12 +105,12 @@ Block: TypeAlias = Words | Terms | Table | Plot | Shapes
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A part of the story.
+    """A section of the page.
 
     Attributes
     ----------
     name : str
-        Its identifier in the page.
+        Identifier in the page.
     title : str
     blocks : tuple of Block
     """

@@ -1,4 +1,4 @@
-"""Figures in three dimensions: a structure with something at its places, and mode shapes that move."""
+"""Three-dimensional figures: a structure with values at its points, and animated mode shapes."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.report.html.answers import STAGES, Answers
 from calib.report.html.look import FONT, new, shown
 from calib.report.html.numbers import fixed
+from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.mesh import FACE, Mesh, motions, pieces, places, read_mesh, thickness
 from calib.report.scene import motion_scale, plot_coordinates, view_directions
 from calib.report.shapes import measured_motions
 from calib.report.style import BLUE, MEASURED, REST
 
-AXES_TOLD = "x runs along, y up, z across."
+AXES_NOTE = "x runs along, y up, z across."
 _HEIGHT = 460
 _ROOM = (3.3, 1.5)
-"""Width and height that a figure shows, in the library's own unit, which a parallel view does not scale."""
+"""Width and height of a figure's view in Plotly's own unit, which a parallel view does not scale."""
 _DIGITS = 5
 
 
 def new_space(lines: np.ndarray | None, points: np.ndarray) -> go.Figure:
-    """Return a figure of lines at rest (n, 2, 3), with axes that are only named; `points` (n, 3) are to fit in."""
+    """Return a figure of lines at rest (n, 2, 3) with named axes; the view holds ``points`` (n, 3) too."""
     everything = points if lines is None else np.concatenate([lines.reshape(-1, 3), points])
     tips = directions(everything)
     look = scene_layout(plot_coordinates(np.concatenate([everything, tips])))
@@ -36,7 +36,7 @@ def new_space(lines: np.ndarray | None, points: np.ndarray) -> go.Figure:
 
 
 def scene_layout(points: np.ndarray) -> dict[str, Any]:
-    """Return a parallel view, filled by points (n, 3) of the plot, with equal scales and no boxes around."""
+    """Return a parallel view filled by points (n, 3) of the plot, with equal scales and no box."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 1e-3 * float(np.linalg.norm(high - low)) or 1e-3)
     spans = np.column_stack([low + high - size, low + high + size]).tolist()
@@ -63,16 +63,16 @@ def add_lines(figure: go.Figure, lines: np.ndarray, colour: str, name: str, widt
 
 
 def directions(points: np.ndarray) -> np.ndarray:
-    """Return the ends of three short arrows beside points (n, 3), along the axes: (4, 3), their common end first."""
+    """Return the ends of three short arrows along the axes, beside points (n, 3): (4, 3), the common end first."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = 0.1 * float(np.linalg.norm(high - low)) or 1.0
     corner = np.array([low[0] - size, low[1], high[2] + size])
     return np.vstack([corner, corner + size * np.eye(3)])
 
 
-def add_directions(figure: go.Figure, ends_of: np.ndarray) -> None:
-    """Add the arrows of `directions`, named."""
-    corner, *tips = ends_of
+def add_directions(figure: go.Figure, ends: np.ndarray) -> None:
+    """Add the arrows of `directions` with their names."""
+    corner, *tips = ends
     places = np.concatenate([[corner, tip, [np.nan] * 3] for tip in tips])
     x, y, z = plot_coordinates(places).T
     figure.add_scatter3d(
@@ -82,41 +82,41 @@ def add_directions(figure: go.Figure, ends_of: np.ndarray) -> None:
 
 
 def add_dots(figure: go.Figure, points: np.ndarray, words: Sequence[str], name: str, marker: dict[str, Any]) -> None:
-    """Add markers at points (n, 3) in metres, each with words that are shown over it."""
+    """Add markers at points (n, 3) in metres, each with a hover text."""
     x, y, z = plot_coordinates(points).T
     figure.add_scatter3d(
         x=x, y=y, z=z, mode="markers", name=name, marker=marker, hoverinfo="text", text=[shown(w) for w in words]
     )
 
 
-def scene(answers: Answers) -> dict[str, Any] | None:
-    """Return what the page needs to show mode shapes; None without shapes at sensors and of the model.
+def scene(results: StudyResults) -> dict[str, Any] | None:
+    """Return the data of the mode-shape viewer; None without measured or without computed shapes.
 
     Returns
     -------
     dict
-        ``stages``: of each its ``name``, the ``view`` that holds all that moves, ``points`` of the mesh at rest
-        (n, 3), its ``lines`` (pairs of them), ``triangles`` of its shells (three rows of them), and ``modes``:
+        ``stages``: of each its ``name``, the ``view`` that holds all motion, ``points`` of the mesh at rest (n, 3),
+        its ``lines`` (pairs of points), ``triangles`` of its shells (three rows of points), and ``modes``:
         ``name, words, paired, scale``, ``motion`` of the points, ``places`` of the sensors and their ``measured``
-        motion. Coordinates are those of the plot, in metres; ``scale`` turns motions into metres that can be seen.
+        motion. Coordinates are those of the plot, in metres; ``scale`` converts motion to drawn metres.
     """
-    mesh = read_mesh(answers.folder)
+    mesh = read_mesh(results.folder)
     if mesh is None:
         return None
-    stages = [found for stage in STAGES if (found := _stage(answers, mesh, stage)) is not None]
+    stages = [found for stage in STAGES if (found := _stage(results, mesh, stage)) is not None]
     if not stages:
         return None
     look = {"model": BLUE, "measured": MEASURED, "rest": REST}
     return {"stages": stages, "colours": look, "height": _HEIGHT, "font": {"family": FONT, "size": 13}}
 
 
-def _stage(answers: Answers, mesh: Mesh, stage: str) -> dict[str, Any] | None:
-    shapes = answers.table(f"shapes_{stage}", ["mode", "direction"], ["x", "y", "z", "measured_re"])
+def _stage(results: StudyResults, mesh: Mesh, stage: str) -> dict[str, Any] | None:
+    shapes = results.table(f"shapes_{stage}", ["mode", "direction"], ["x", "y", "z", "measured_re"])
     columns = ["point", "u", "v", "w"]
-    moves = answers.table(f"deflection_{stage}", ["mode"], columns, complete=columns)
+    moves = results.table(f"deflection_{stage}", ["mode"], columns, complete=columns)
     if shapes is None or moves is None:
         return None
-    known = answers.compared(stage)
+    known = results.compared(stage)
     facts = {} if known is None else {str(r["mode"]): r for r in known.to_dict("records")}
     parts = pieces(mesh)
     seen = np.unique(parts.corners)
@@ -165,5 +165,5 @@ def _words(mode: str, facts: dict[str, Any]) -> str:
     row = facts[mode]
     measured = f"{mode}: measured {fixed(row['natural_freq_measured'], 2)} Hz"
     if np.isnan(row["natural_freq_model"]):
-        return f"{measured}, not paired with a mode of the model"
+        return f"{measured}, not paired with a model mode"
     return f"{measured}, model {fixed(row['natural_freq_model'], 2)} Hz, MAC {fixed(row['mac'], 3)}"

@@ -1,4 +1,4 @@
-"""Errors on data that were used, left out and withheld, before and after, and what was added between."""
+"""Section on errors in fitted, left-out and held-out data, and on the effects that were added."""
 
 from __future__ import annotations
 
@@ -7,100 +7,99 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from calib.report.html.answers import Answers
 from calib.report.html.look import PATTERNS, filled, name_axis, new, number_axis, shown
 from calib.report.html.numbers import chance, fixed, flag, percent, significant, with_unit
 from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
+from calib.report.html.study_results import StudyResults
 from calib.report.style import AFTER, BEFORE, BLACK, CASES
 from calib.report.verification import GROUPS
 
 TERMS = (
-    ("rms", "root mean square of the errors, in units σ of the measurement's scatter"),
+    ("rms", "root mean square of the errors, in standard deviations σ of the measurement"),
     (
-        "right model",
-        "the rms that a model without fault would show on these data; more where those left out were all that told of "
-        "something",
+        "expected",
+        "rms of a correctly specified model on these data; larger where the left-out data alone determine a parameter",
     ),
-    ("p", "chance that a right model errs as much"),
+    ("p", "probability that a correctly specified model has at least this error"),
 )
 STAGES = {
     "before": ("base model", BEFORE),
-    "after": ("with what is missing", AFTER),
+    "after": ("with the missing effect", AFTER),
     "attempt": ("best attempt, not believed", "#BDBDBD"),
 }
 _GAP = 0.3
 
 
-def errors(answers: Answers) -> Section | None:
-    """Before and after, by group of data; over the versions of a model that was extended."""
-    told = [Words(str(answers.added["sentence"]).replace(" -> ", " → "), "verdict")] if answers.added else []
-    if answers.added_names:
-        title, blocks = "What was added, and the error before and after", _added(answers)
+def errors(results: StudyResults) -> Section | None:
+    """Errors before and after by group of data, and over the versions of an extended model."""
+    sentence = [Words(str(results.added["sentence"]).replace(" -> ", " → "), "verdict")] if results.added else []
+    if results.added_names:
+        title, blocks = "Prediction errors before and after adding the effects", _added(results)
     else:
         title, blocks = (
-            "Error before and after",
-            [*_explained(answers), *_calibrated(answers), *_modes(answers), *_responses(answers)],
+            "Prediction errors",
+            [*_explained(results), *_calibrated(results), *_modes(results), *_responses(results)],
         )
-    blocks += _versions(answers)
+    blocks += _versions(results)
     if not blocks:
         return None
     intro = Words(
-        "An explanation or a calibration is worth what it predicts: the error in data that were fitted, in modes left "
-        "out one after the other, and in data that were withheld from every fit."
+        "An explanation or a calibration is assessed by its predictions: errors in fitted data, in data left out in "
+        "turn, and in data held out from every fit."
     )
-    return Section("errors", title, (intro, *told, Terms(TERMS), *blocks))
+    return Section("errors", title, (intro, *sentence, Terms(TERMS), *blocks))
 
 
-def _added(answers: Answers) -> list[Block]:
-    """What the effects bring that were added to the model, which was calibrated once more."""
-    name = " + ".join(answers.added_names)
+def _added(results: StudyResults) -> list[Block]:
+    """Errors and parameters of the model with the added effects, calibrated again."""
+    name = " + ".join(results.added_names)
     note = (
-        "Both models were calibrated alike; the verdict quotes strengths and errors of the explanation's own fits, "
-        f"which are least squares alone. The extended study lies in {answers.added['study']}."
+        "Both models were calibrated in the same way; the verdict quotes magnitudes and errors of the explanation's "
+        f"own fits, by least squares alone. The extended study is in {results.added['study']}."
     )
     out: list[Block] = [Words(note)]
-    table = answers.table("added_errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
+    table = results.table("added_errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
     if table is not None:
-        what = f"before and after adding {name}, calibrated both times"
+        what = f"before and after adding {name}, both models calibrated"
         out += [_error_plot(table, what), _both_table(table, f"Errors {what}")]
-    called = {"initial": "nothing fitted", "before": "calibrated", "after": "extended"}
+    labels = {"initial": "nothing fitted", "before": "calibrated", "after": "extended"}
     caption = f"Every measured mode: nothing fitted, calibrated, and extended with {name} and calibrated again"
-    return [*out, *_added_parameters(answers, name), *_mode_table(answers, "added_modes", called, caption)]
+    return [*out, *_added_parameters(results, name), *_mode_table(results, "added_modes", labels, caption)]
 
 
-def _added_parameters(answers: Answers, name: str) -> list[Block]:
-    numbers = ["adopted", "before", "before_std", "after", "after_std"]
-    table = answers.table("added_parameters", ["parameter"], numbers, flags=["added"], blank=["unit"])
+def _added_parameters(results: StudyResults, name: str) -> list[Block]:
+    numbers = ["nominal", "before", "before_std", "after", "after_std"]
+    table = results.table("added_parameters", ["parameter"], numbers, flags=["added"], blank=["unit"])
     if table is None:
         return []
     rows = tuple(
         (
             str(r["parameter"]),
             "added" if flag(r["added"]) else "",
-            with_unit(r["adopted"], str(r["unit"]), 4),
+            with_unit(r["nominal"], str(r["unit"]), 4),
             *(significant(r[n], 4 if n in ("before", "after") else 2) for n in numbers[1:]),
         )
         for r in table.to_dict("records")
     )
-    heads = ("parameter", "", "adopted", "without", "std", f"with {name}", "std")
+    heads = ("parameter", "", "nominal", "without", "std", f"with {name}", "std")
     moved = table[(table["after"] - table["before"]).abs() > 2 * table["before_std"]]
-    told = "; ".join(
+    note = "; ".join(
         f"{r['parameter']} {significant(r['before'])} → {with_unit(r['after'], str(r['unit']), 4)} "
-        f"(adopted {significant(r['adopted'])})"
+        f"(nominal {significant(r['nominal'])})"
         for r in moved.to_dict("records")
     )
-    words = f"Without what was added other parameters stood in for it, by more than two standard deviations: {told}."
+    words = f"Without {name}, other parameters compensated by more than two standard deviations: {note}."
     return [
-        *([Words(words)] if told else []),
-        Table("Calibrated parameters without and with what was added", heads, rows, (1,)),
+        *([Words(words)] if note else []),
+        Table("Calibrated parameters without and with the added effects", heads, rows, (1,)),
     ]
 
 
-def _explained(answers: Answers) -> list[Block]:
-    table = answers.table("errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
+def _explained(results: StudyResults) -> list[Block]:
+    table = results.table("errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
     if table is None:
         return []
-    name = " + ".join(answers.explanation.get("chosen", []))
+    name = " + ".join(results.explanation.get("chosen", []))
     what = f"before and after adding {name}" if name else "of the base model"
     return [_error_plot(table, what), _error_table(table, f"Errors {what}")]
 
@@ -115,7 +114,7 @@ def _error_plot(table: pd.DataFrame, what: str) -> Plot:
         label, colour = STAGES[stage]
         words = [
             shown(
-                f"{GROUPS.get(g, g)}, {label}: {fixed(r['rms'], 2)} σ; right model {fixed(r['expected'], 2)}; "
+                f"{GROUPS.get(g, g)}, {label}: {fixed(r['rms'], 2)} σ; expected {fixed(r['expected'], 2)}; "
                 f"p {chance(r['p'])}"
             )
             for g, r in zip(groups, rows.to_dict("records"), strict=True)
@@ -125,18 +124,18 @@ def _error_plot(table: pd.DataFrame, what: str) -> Plot:
             hovertext=words, hoverinfo="text",
             marker=filled(colour, PATTERNS[stage]),
         )  # fmt: skip
-        # Bars of a group share what bargap leaves of the room between two names.
+        # The bars of a group share the width that bargap leaves between two names.
         at = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * (1.0 - _GAP) / len(stages)
         figure.add_scatter(
-            x=at, y=rows["expected"].to_numpy(dtype=float), mode="markers", name="right model", showlegend=k == 0,
+            x=at, y=rows["expected"].to_numpy(dtype=float), mode="markers", name="expected", showlegend=k == 0,
             hoverinfo="skip",
             legendrank=2000, marker={"symbol": "line-ew", "size": 40, "line": {"width": 3, "color": BLACK}},
         )  # fmt: skip
     labels = [GROUPS.get(g, g) for g in groups]
     figure.update_layout(xaxis=name_axis(labels), yaxis=number_axis("rms error, σ", rangemode="tozero"))
-    told = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
-    caption = f"Error {what}, in units of the scatter; black lines: what a right model would show."
-    return Plot("errors", caption, f"Bars. {told}.", figure)
+    note = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
+    caption = f"Error {what}, in standard deviations; black lines: expected for a correctly specified model."
+    return Plot("errors", caption, f"Bars. {note}.", figure)
 
 
 def _arrow(table: pd.DataFrame, group: str) -> str:
@@ -155,13 +154,13 @@ def _error_table(table: pd.DataFrame, caption: str) -> Table:
         )
         for r in table.to_dict("records")
     )
-    return Table(caption, ("data", "model", "numbers", "rms, σ", "right model, σ", "p"), rows, (1,))
+    return Table(caption, ("data", "model", "residuals", "rms, σ", "expected, σ", "p"), rows, (1,))
 
 
 def _both_table(table: pd.DataFrame, caption: str) -> Table:
-    """One row a group of data, both stages side by side."""
+    """One row per group of data, both stages side by side."""
     groups = _groups(table)
-    # A group that one stage does not have, such as modes without a partner there, is told with a dash.
+    # A group that one stage lacks, such as modes that are unpaired there, has a dash.
     before, after = (table[table["stage"] == s].set_index("group").reindex(groups) for s in ("before", "after"))
     rows = tuple(
         (
@@ -172,32 +171,32 @@ def _both_table(table: pd.DataFrame, caption: str) -> Table:
         )
         for group in groups
     )
-    columns = ("rms before, σ", "after, σ", "right model before, σ", "after, σ", "p before", "after")
-    return Table(caption, ("data", "numbers", *columns), rows)
+    columns = ("rms before, σ", "after, σ", "expected before, σ", "after, σ", "p before", "after")
+    return Table(caption, ("data", "residuals", *columns), rows)
 
 
-def _calibrated(answers: Answers) -> list[Block]:
-    table = answers.table("data_errors", ["group"], ["rows", "rms", "expected", "p"])
-    return [] if table is None else [_error_table(table, "Errors of the calibrated model, nothing added")]
+def _calibrated(results: StudyResults) -> list[Block]:
+    table = results.table("data_errors", ["group"], ["rows", "rms", "expected", "p"])
+    return [] if table is None else [_error_table(table, "Errors of the calibrated model, no effect added")]
 
 
-def _modes(answers: Answers) -> list[Block]:
+def _modes(results: StudyResults) -> list[Block]:
     caption = "Damped frequencies and MAC of every measured mode, before and after calibration"
-    table = _mode_table(answers, "modes", {"initial": "initial", "before": "before", "after": "after"}, caption)
-    told = "Initial is the model whose earlier study was not calibrated either."
-    return [Words(told), *table] if table and "initial, Hz" in table[0].heads else [*table]
+    table = _mode_table(results, "modes", {"initial": "initial", "before": "before", "after": "after"}, caption)
+    note = "Initial: the model before the calibration of the earlier study."
+    return [Words(note), *table] if table and "initial, Hz" in table[0].heads else [*table]
 
 
-def _responses(answers: Answers) -> list[Table]:
+def _responses(results: StudyResults) -> list[Table]:
     stages = ("before", "after")
     numbers = ["measured", *stages, *(f"error_{stage}" for stage in stages)]
-    table = answers.table("responses", ["response"], numbers, flags=["withheld"], unique="response")
+    table = results.table("responses", ["response"], numbers, flags=["held_out"], unique="response")
     if table is None:
         return []
     rows = tuple(
         (
             str(r["response"]),
-            "withheld" if flag(r["withheld"]) else "used",
+            "held out" if flag(r["held_out"]) else "used",
             *(significant(r[n], 5) for n in numbers[:3]),
             *(percent(r[n], sign=True) for n in numbers[3:]),
         )
@@ -207,34 +206,34 @@ def _responses(answers: Answers) -> list[Table]:
     return [Table("Every measured response, before and after calibration", heads, rows, (1,))]
 
 
-def _mode_table(answers: Answers, name: str, called: Mapping[str, str], caption: str) -> list[Table]:
-    """Every measured mode from stage to stage, each stage by what it is called."""
+def _mode_table(results: StudyResults, name: str, labels: Mapping[str, str], caption: str) -> list[Table]:
+    """Every measured mode at each stage; ``labels`` names the stages."""
     kinds = ("damped_freq", "error", "mac")
     numbers = [f"{kind}_{stage}" for kind in kinds for stage in ("before", "after")]
-    table = answers.table(
-        name, ["mode"], ["damped_freq_measured", *numbers], flags=["withheld"],
+    table = results.table(
+        name, ["mode"], ["damped_freq_measured", *numbers], flags=["held_out"],
         if_there=[f"{kind}_initial" for kind in kinds],
     )  # fmt: skip
     if table is None:
         return []
-    stages = [stage for stage in called if f"error_{stage}" in table]
+    stages = [stage for stage in labels if f"error_{stage}" in table]
     rows = tuple(
         (
             str(r["mode"]),
-            "withheld" if flag(r["withheld"]) else "fitted",
+            "held out" if flag(r["held_out"]) else "fitted",
             *(fixed(r[f"damped_freq_{stage}"], 3) for stage in ("measured", *stages)),
             *(percent(r[f"error_{stage}"], 2, sign=True) for stage in stages),
             *(fixed(r[f"mac_{stage}"], 3) for stage in stages),
         )
         for r in table.to_dict("records")
     )
-    heads = ["mode", "", "measured, Hz", *(f"{called[stage]}, Hz" for stage in stages)]
-    heads += [*(f"error {called[stage]}, %" for stage in stages), *(f"MAC {called[stage]}" for stage in stages)]
+    heads = ["mode", "", "measured, Hz", *(f"{labels[stage]}, Hz" for stage in stages)]
+    heads += [*(f"error {labels[stage]}, %" for stage in stages), *(f"MAC {labels[stage]}" for stage in stages)]
     return [Table(caption, tuple(heads), rows, (1,))]
 
 
-def _versions(answers: Answers) -> list[Block]:
-    table = answers.table(
+def _versions(results: StudyResults) -> list[Block]:
+    table = results.table(
         "versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["study", "effects"]
     )
     if table is None:
@@ -253,23 +252,23 @@ def _versions(answers: Answers) -> list[Block]:
         )  # fmt: skip
         figure.add_scatter(
             x=at, y=over["expected"].to_numpy(dtype=float), mode="lines", line={**looks, "dash": "dash", "width": 1},
-            name=f"{name}, right model", showlegend=False,
+            name=f"{name}, expected", showlegend=False,
         )  # fmt: skip
     figure.update_layout(xaxis=name_axis(labels), yaxis=number_axis("rms error, σ", rangemode="tozero"))
-    told = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
+    note = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
     rows = tuple(
         (f"{r['version']:g}", str(r["effects"]) or "base model", GROUPS.get(str(r["group"]), str(r["group"])),
          fixed(r["rms"], 2), fixed(r["expected"], 2))
         for r in table.to_dict("records")
     )  # fmt: skip
-    caption = "Errors over the versions of the model; dashed: what a right model would show."
-    heads = ("version", "added", "data", "rms, σ", "right model, σ")
+    caption = "Errors over the versions of the model; dashed: expected for a correctly specified model."
+    heads = ("version", "added", "data", "rms, σ", "expected, σ")
     return [
-        Plot("versions", caption, f"Lines. {told}.", figure),
+        Plot("versions", caption, f"Lines. {note}.", figure),
         Table("Errors over the versions of the model", heads, rows, (1, 2)),
     ]
 
 
 def _groups(table: pd.DataFrame) -> list[str]:
-    there = set(table["group"][table["rms"].notna()])
-    return [*(g for g in GROUPS if g in there), *sorted(there - set(GROUPS))]
+    known = set(table["group"][table["rms"].notna()])
+    return [*(g for g in GROUPS if g in known), *sorted(known - set(GROUPS))]

@@ -1,4 +1,4 @@
-"""Writes the page: one file that opens anywhere, offline, and needs nothing beside it."""
+"""Write the page: one self-contained file that opens offline."""
 
 from __future__ import annotations
 
@@ -13,48 +13,48 @@ from plotly.offline import get_plotlyjs
 
 from calib.errors import InputError
 from calib.report.html import (
-    advised,
     calibrated,
     compared,
     effects,
     explained,
     fails,
-    influence,
     measured,
     provenance,
+    recommended,
+    variance_share,
     verified,
 )
-from calib.report.html.answers import Answers
-from calib.report.html.look import as_json, plain_json
+from calib.report.html.look import as_json, scalar_json
 from calib.report.html.page import Plot, Section, Shapes
+from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.report.shown import Shown
 from calib.written import replacing
 
 NAME = "report.html"
-STORY = (
+SECTIONS = (
     provenance.stale,
     measured.section,
     compared.section,
     fails.section,
-    influence.section,
+    variance_share.section,
     calibrated.section,
-    explained.strained,
+    explained.pulls,
     effects.section,
     explained.verdict,
-    advised.section,
+    recommended.section,
     verified.errors,
-    explained.tried,
+    explained.candidate_fits,
     provenance.assumptions,
     provenance.versions,
-    provenance.not_asked,
+    provenance.not_run,
 )
-"""The sections in the order in which they are told; one without an answer is left out."""
+"""The sections in their order on the page; one without results is omitted."""
 
 
-def sections(answers: Answers) -> tuple[Section, ...]:
-    """Return the sections of the story for which there are tables."""
-    return tuple(found for tell in STORY if (found := tell(answers)) is not None)
+def sections(results: StudyResults) -> tuple[Section, ...]:
+    """Return the sections for which there are tables."""
+    return tuple(found for section in SECTIONS if (found := section(results)) is not None)
 
 
 def write_report(
@@ -70,13 +70,13 @@ def write_report(
     ----------
     folder : Path
     title : str
-        Of the study.
+        Title of the study.
     synthetic : bool
-        Whether the measurement is invented, which the page says at once.
-    stale : mapping from question to str
-        Questions that were asked of another state of the study, with a sentence about each.
+        Whether the measurement is synthetic; the page then says so at the top.
+    stale : mapping from analysis to str
+        Analyses of another state of the study, with a sentence about each.
     hidden : frozenset of str
-        Names of tables that hold their answers; the page shows none of them.
+        Names of the tables with their results, none of which the page shows.
 
     Raises
     ------
@@ -85,14 +85,14 @@ def write_report(
     """
     if not folder.is_dir():
         raise InputError("there is no such folder of results", place=folder)
-    text = page(Answers(Shown(folder, hidden), title, synthetic, stale))
+    text = page(StudyResults(Shown(folder, hidden), title, synthetic, stale))
     with replacing(folder / NAME) as draft:
         draft.write_text(text, encoding="utf-8")
     return folder / NAME
 
 
-def page(answers: Answers) -> str:
-    """Return the whole page."""
+def page(results: StudyResults) -> str:
+    """Return the HTML of the whole page."""
     loader = PackageLoader("calib.report.html", "template")
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -100,9 +100,9 @@ def page(answers: Answers) -> str:
     environment.filters["data"] = _data
     environment.tests["plot"] = lambda block: isinstance(block, Plot)
     return environment.get_template("report.html").render(
-        answers=answers,
-        summary=summary(answers),
-        sections=sections(answers),
+        results=results,
+        summary=summary(results),
+        sections=sections(results),
         style=Markup(_file("report.css")),
         script=Markup(_file("report.js")),
         plotly=Markup(get_plotlyjs()),
@@ -110,8 +110,8 @@ def page(answers: Answers) -> str:
 
 
 def _data(block: Plot | Shapes) -> Markup:
-    """A figure as the script reads it; nothing in it can end the element that holds it."""
-    return Markup(as_json(block.figure) if isinstance(block, Plot) else plain_json(block.scene))
+    """A figure as JSON for the script; nothing in it can end the script element."""
+    return Markup(as_json(block.figure) if isinstance(block, Plot) else scalar_json(block.scene))
 
 
 def _file(name: str) -> str:

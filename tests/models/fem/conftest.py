@@ -1,4 +1,4 @@
-"""Exact solutions of Timoshenko beams in space, by transfer matrices that know nothing of finite elements."""
+"""Exact solutions of Timoshenko beams in space, by transfer matrices and without finite elements."""
 
 from collections.abc import Callable, Sequence
 
@@ -52,7 +52,7 @@ def transfer(members: Sequence[Member], omega: float) -> np.ndarray:
 
 
 class Exact:
-    """Natural frequencies and static answers of a chain of members with any end conditions."""
+    """Natural frequencies and static solutions of a chain of members with any end conditions."""
 
     FIXED, FREE = tuple(range(6)), tuple(range(6, STATE))
 
@@ -69,7 +69,7 @@ class Exact:
         self.end_zero = list(end_zero)
         e, size = members[0].section, sum(local_axes(m.start, m.end, m.up)[0] for m in members)
         force = e.young_modulus * e.i_z / size**2
-        # Motions of order 1 m and 1 rad bring forces and moments of this order, so the determinant stays tame.
+        # Motions of order 1 m and 1 rad cause forces and moments of this order: the determinant is well scaled.
         self.scale = np.array([size] * 3 + [1.0] * 3 + [force] * 3 + [force * size] * 3)
 
     def determinant(self, freq: float) -> float:
@@ -79,7 +79,7 @@ class Exact:
         return float(sign * np.exp(min(size, 600.0)))
 
     def frequencies(self, low: float, high: float, steps: int = 400) -> np.ndarray:
-        """Roots between two frequencies in Hz; neighbours must be further apart than a step."""
+        """Natural frequencies between two limits in Hz; neighbours must be further apart than a step."""
         grid = np.linspace(low, high, steps)
         value = np.array([self.determinant(f) for f in grid])
         change = np.flatnonzero(np.sign(value[:-1]) != np.sign(value[1:]))

@@ -70,7 +70,7 @@ def test_slender_beams_converge_with_order_four(exact, line, natural_freq, start
     print(errors, "RATES", rate(errors[:, 0]), rate(errors[1:, 1], ELEMENTS[1:]))
     assert np.all(errors > 0)  # consistent mass: from above
     assert errors[-1, 0] < 1e-5
-    # Two elements of a free beam are better than their due, by luck: the rate is that of the finer three.
+    # Two elements of a free beam are more accurate than the rate by chance: the rate is that of the finer three.
     assert rate(errors[1:, 0], ELEMENTS[1:]) == pytest.approx(4.0, abs=0.2)
     assert rate(errors[1:, 1], ELEMENTS[1:]) == pytest.approx(4.0, abs=0.4)
 

@@ -1,4 +1,4 @@
-"""Springs, dampers and point masses: what they strain, what they weigh, and what is refused."""
+"""Springs, dampers and point masses: elongation, inertia and refused input."""
 
 import numpy as np
 import pytest
@@ -158,7 +158,7 @@ def test_masses_add_up_and_none_is_nothing():
     assert nothing.shape == (frame.n_full, frame.n_full) and nothing.nnz == 0
 
 
-def test_locator_answers_over_the_free_motions():
+def test_locator_rows_are_over_the_free_motions():
     members = two_bars().members
     frame = Frame(members, (), (Suppression(FIXED, body="one", point=(0, 0, 0)), Suppression((1,), groups=("h",))))
     dofs = frame.dof_map()

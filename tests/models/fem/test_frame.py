@@ -66,7 +66,7 @@ def test_members_of_different_bodies_never_share_nodes():
     assert frame.node("one", (1, 0, 0)) != frame.node("two", (1, 0, 0))
 
 
-def test_unknown_names_and_places_are_told():
+def test_unknown_names_and_places_are_named():
     frame = Frame((member("one", "g", (0, 0, 0), (1, 0, 0)),))
     with pytest.raises(InputError, match="no body 'three'"):
         frame.node("three", (0, 0, 0))
@@ -80,7 +80,7 @@ def test_unknown_names_and_places_are_told():
         frame.beams(("h",))
 
 
-def test_a_part_can_be_asked_for_though_another_is_nearer():
+def test_a_named_part_is_used_though_another_is_nearer():
     frame = Frame((member("one", "g", (0, 0, 0), (1, 0, 0)), member("two", "h", (0, 0, 1), (1, 0, 1))))
     near, distance = frame.motion((0.25, 0.0, 0.1))
     assert distance == pytest.approx(0.1)

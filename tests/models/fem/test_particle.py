@@ -1,4 +1,4 @@
-"""Particles: bodies of one node that swing by themselves on springs."""
+"""Particles: bodies of one node on springs."""
 
 import numpy as np
 import pytest
@@ -63,6 +63,6 @@ def test_the_nearest_of_all_is_found_among_bars_walls_and_particles():
         assert distance < 0.2 and np.any(rows[:, own]) and not np.any(rows[:, ~own])
 
 
-def test_unknown_parts_are_told_with_the_particles():
+def test_the_error_for_an_unknown_part_lists_particles_too():
     with pytest.raises(InputError, match="seat_0"):
         Frame((BAR,), particles=seats((0, 2, 0))).motion((0, 0, 0), "nowhere")

@@ -28,7 +28,7 @@ def test_rigid_motion_strains_no_beam(section, rigid, seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_six_zero_roots_in_any_orientation(section, seed):
+def test_six_zero_eigenvalues_in_any_orientation(section, seed):
     frame = Frame((random_member(seed, section, arms(seed)),))
     k, m = (matrix.toarray() for matrix in frame.beams())
     squares = la.eigh(k, m, eigvals_only=True)

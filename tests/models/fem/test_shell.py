@@ -227,19 +227,19 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_quadrilaterals_are_refused(name):
-    nodes, told = BAD[name]
-    with pytest.raises(InputError, match=told) as caught:
+    nodes, message = BAD[name]
+    with pytest.raises(InputError, match=message) as caught:
         shell.quads(np.array([nodes], dtype=float), place="panel car/floor")
     assert "panel car/floor" in str(caught.value)
 
 
 def test_a_direction_square_to_the_wall_is_refused():
-    with pytest.raises(InputError, match="square to the panel's direction"):
+    with pytest.raises(InputError, match="normal to the panel's direction"):
         shell.quads(np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float), np.array([0, 0, 1.0]))
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"thickness": 0.0}, "thickness is 0"),
         ({"young_modulus": -1.0}, "young_modulus is -1"),
@@ -252,6 +252,6 @@ def test_a_direction_square_to_the_wall_is_refused():
         ({"thickness": float("nan")}, "thickness is nan"),
     ],
 )
-def test_sheets_that_cannot_be_are_refused(change, told):
-    with pytest.raises(InputError, match=told):
+def test_sheets_that_cannot_be_are_refused(change, message):
+    with pytest.raises(InputError, match=message):
         replace(SHEET, **change)

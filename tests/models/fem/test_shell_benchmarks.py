@@ -114,8 +114,8 @@ def test_fine_meshes_converge():
 
 
 def test_what_the_drilling_factor_moves():
-    # Ten times less and ten times more than the default. Folded and cylindrical walls hardly feel it; a twisted wall
-    # gets soft with little, a coarsely meshed doubly curved one stiff with much.
+    # A tenth and ten times the default. Folded and cylindrical walls are hardly affected; a twisted wall becomes soft
+    # with a small factor, a coarsely meshed doubly curved one stiff with a large one.
     for problem, limit in ((lambda f: scordelis_lo(8, f), 3e-4), (lambda f: pinched(8, f), 0.021)):
         base = problem(0.1)
         assert abs(problem(0.01) / base - 1) < limit and abs(problem(1.0) / base - 1) < limit

@@ -1,4 +1,4 @@
-"""Panels and beams on one table of nodes: meshing, motions of points, spiders, affine terms."""
+"""Panels and beams on one table of nodes: meshing, motions of points, RBE3s, affine terms."""
 
 from dataclasses import fields, replace
 
@@ -15,9 +15,9 @@ from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, sp
 from models.fem.member import Member, Suppression
 from models.fem.panel import Panel, sheet_panel
 from models.fem.parts import shell_coefficients, shell_parts, shell_terms
+from models.fem.rbe3 import Rbe3
 from models.fem.section import Section
 from models.fem.sheet import Sheet
-from models.fem.spider import Spider
 from models.fem.structure import Structure
 
 SHEET = Sheet(0.01, 70e9, 0.33, 2700.0)
@@ -106,7 +106,7 @@ def test_lines_of_the_picture_cover_every_edge_once():
 
 
 def test_a_gap_between_meshes_is_refused():
-    with pytest.raises(InputError, match="lies on the edge of a shell element and is no corner"):
+    with pytest.raises(InputError, match="is on the edge of a shell element but is not a corner"):
         Structure((), panels=(floor(1), side(0)))
     loose = Member("car", "bar", BAR, (0.25, 0.0, 0.0), (0.25, 1.0, 0.0), 9.0, up=(1, 0, 0))
     with pytest.raises(InputError, match="same lines and the same refinement"):
@@ -210,8 +210,8 @@ TANK = (1.0, -0.4, 0.5)
 
 
 @pytest.mark.parametrize("refinement", [0, 1])
-def test_a_spider_follows_rigid_motions_and_shares_its_load_in_balance(rigid, refinement):
-    s = car(refinement, spiders=(Spider("tank", "floor", FEET),))
+def test_an_rbe3_follows_rigid_motions_and_shares_its_load_in_balance(rigid, refinement):
+    s = car(refinement, rbe3s=(Rbe3("tank", "floor", FEET),))
     for point in (TANK, (0.9, -0.7, 0.2)):
         rows, distance = s.motion(point, "tank")
         assert distance == 0.0
@@ -222,9 +222,9 @@ def test_a_spider_follows_rigid_motions_and_shares_its_load_in_balance(rigid, re
     np.testing.assert_allclose(pull, np.mean(feet, axis=0), atol=1e-12)
 
 
-def test_a_spider_is_the_same_on_every_mesh():
+def test_an_rbe3_is_the_same_on_every_mesh():
     def moved(refinement, field):
-        s = Structure((), panels=(floor(refinement),), spiders=(Spider("tank", "floor", FEET),))
+        s = Structure((), panels=(floor(refinement),), rbe3s=(Rbe3("tank", "floor", FEET),))
         return s.motion(TANK, "tank")[0] @ np.array([field(p) for p in s.points]).ravel()
 
     def linear(p):
@@ -236,23 +236,23 @@ def test_a_spider_is_the_same_on_every_mesh():
     assert np.all(np.diff(error) < 0) and error[-1] < 0.02 * error[0]
 
 
-def test_spiders_that_cannot_stand_are_refused():
+def test_rbe3s_that_cannot_stand_are_refused():
     with pytest.raises(InputError, match="has 3 feet"):
-        Spider("tank", "floor", FEET[:3])
+        Rbe3("tank", "floor", FEET[:3])
     with pytest.raises(InputError, match="one line"):
-        Spider("tank", "floor", tuple((x, 0.0, 0.5) for x in (0.3, 0.5, 0.7, 0.9)))
+        Rbe3("tank", "floor", tuple((x, 0.0, 0.5) for x in (0.3, 0.5, 0.7, 0.9)))
     with pytest.raises(InputError, match="another part has its name"):
-        car(spiders=(Spider("side", "floor", FEET),))
+        car(rbe3s=(Rbe3("side", "floor", FEET),))
     off = tuple((x + 1.0, y, z) for x, y, z in FEET)
     with pytest.raises(InputError, match="beside the edge"):
-        car(spiders=(Spider("tank", "floor", off),)).motion(TANK, "tank")
+        car(rbe3s=(Rbe3("tank", "floor", off),)).motion(TANK, "tank")
     with pytest.raises(InputError, match="no part 'tray'") as caught:
-        car(spiders=(Spider("tank", "floor", FEET),)).motion(TANK, "tray")
+        car(rbe3s=(Rbe3("tank", "floor", FEET),)).motion(TANK, "tray")
     assert "tank" in str(caught.value)
 
 
-def test_springs_and_masses_hang_on_spiders(rigid):
-    s = car(spiders=(Spider("tank", "floor", FEET),))
+def test_springs_and_masses_hang_on_rbe3s(rigid):
+    s = car(rbe3s=(Rbe3("tank", "floor", FEET),))
     down = Spring(("tank", TANK), None, (0, 1, 0)).row(s)
     np.testing.assert_allclose(down, s.motion(TANK, "tank")[0][1])
     m = mass_matrix(s, [PointMass(("tank", TANK), 300.0, (4.0, 5.0, 6.0))])
@@ -332,10 +332,10 @@ def test_parts_add_up_to_the_whole():
     assert {p.name for p in parts} >= {"floor", "side", "side, bending"}
 
 
-def test_a_model_of_panels_and_stiffeners_answers_modes_and_sensors():
+def test_a_model_of_panels_and_stiffeners_has_modes_and_sensor_rows():
     freq = []
     for refinement in (0, 1, 2):
-        s = car(refinement, spiders=(Spider("tank", "floor", FEET),))
+        s = car(refinement, rbe3s=(Rbe3("tank", "floor", FEET),))
         dofs = s.dof_map()
         stiffness, mass = shell_terms(s, same, "side", "E", "t", "RMI")
         rest, weight = shell_terms(s, same, "floor")

@@ -1,4 +1,4 @@
-"""The vehicle, built once, which of its modes is which, and what a printed parameter is."""
+"""The vehicle, built once, identification of its modes, and the check of printed parameters."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def places() -> list[Sensor]:
 
 
 def templates(sensors: list[Sensor]) -> dict[str, np.ndarray]:
-    """What each named mode looks like at the sensors, if only roughly."""
+    """Approximate shape of each named mode at the sensors."""
     x, y, z = np.array([s.point for s in sensors]).T
     up = np.array([DIRECTIONS.index(s.direction) == 1 for s in sensors])
     on = np.array([str(s.on) for s in sensors])
@@ -58,7 +58,7 @@ def templates(sensors: list[Sensor]) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class Named:
-    """Which mode is which."""
+    """Indices of the named modes."""
 
     index: dict[str, int]
     alike: dict[str, float]
@@ -66,7 +66,7 @@ class Named:
 
 
 def named(model: StructuralModel, shapes: np.ndarray) -> Named:
-    """Index and likeness of every named mode, one to one, and all motions at the sensors; for modes below 16 Hz."""
+    """Index and MAC of every named mode, one to one, and all motions at the sensors; for modes below 16 Hz."""
     sensors = places()
     motion = model.sensor_rows(sensors) @ shapes
     wanted = templates(sensors)
@@ -89,12 +89,12 @@ def vehicle_sensors() -> list[Sensor]:
 
 @pytest.fixture(scope="session")
 def assert_published() -> Callable[[Parameter, tuple, bool], None]:
-    """Fails when a parameter is not as printed: name, adopted value, limits, unit; None for what is lost."""
+    """Fails when a parameter is not as printed: name, nominal value, limits, unit; None for what is lost."""
 
     def check(p: Parameter, printed: tuple, deterministic: bool) -> None:
-        name, adopted, lower, upper, unit = printed
+        name, nominal, lower, upper, unit = printed
         assert (p.name, p.unit) == (name, unit)
-        for own, other in ((p.value, adopted), (p.lower, lower), (p.upper, upper)):
+        for own, other in ((p.value, nominal), (p.lower, lower), (p.upper, upper)):
             assert other is None or own == other
         assert p.lower <= p.value <= p.upper
         assert (p.distribution == "fixed") == deterministic

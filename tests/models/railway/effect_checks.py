@@ -1,4 +1,4 @@
-"""What holds for a library of effects on any model: numbers that the tests of each library judge."""
+"""Checks that hold for a library of effects on any model; the tests of each library assess their numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
-from calib.correlation.scatter import Floors
+from calib.correlation.standard_deviations import Floors
 from calib.effect import Effect
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes, Sensor
@@ -23,25 +23,25 @@ from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 
 STD_FREQ, STD_DAMPING, STD_SHAPE = 0.005, 0.07, 0.025
-"""Scatter of the mean of five repeats: relative, relative, of the largest motion."""
+"""Standard deviation of the mean of five repeats: relative, relative, of the largest motion."""
 PRIOR = {"K_": 0.15, "E_": 0.15, "RM": 0.4, "c_": 0.4}
 """Relative prior width of parameters by the start of their names; that of all others is 20 in their own unit."""
 LEAST_PIVOT = 1e-9
 
 
 def points(effect: Effect) -> Sequence[Mapping[str, float]]:
-    """Plausible strengths, with nuisance parameters where there are any."""
+    """Plausible magnitudes, with nuisance parameters where there are any."""
     return effect.grid or ({effect.name: effect.plausible},)
 
 
 def limits(effect: Effect) -> list[dict[str, float]]:
-    """Both limits of the strength, each with nuisance parameters as they are and at their limits."""
+    """Both limits of the magnitude, each with nuisance parameters as they are and at their limits."""
     nuisance = [{}, *({q.name: v} for q in effect.nuisance for v in (q.lower, q.upper))]
-    return [{effect.name: s, **own} for s in (effect.strength.lower, effect.strength.upper) for own in nuisance]
+    return [{effect.name: s, **own} for s in (effect.magnitude.lower, effect.magnitude.upper) for own in nuisance]
 
 
 def noise_free(model: StructuralModel, sensors: Sequence[Sensor], modes: Modes, which: Sequence[int]) -> MeasuredModes:
-    """Some modes of a model as if they had been measured without error, with the scatter above."""
+    """Some modes of a model as measured without error, with the standard deviations above."""
     chosen = list(which)
     shapes = model.sensor_rows(sensors) @ modes.shapes[:, chosen]
     freq, ratio = modes.natural_freq[chosen], modes.damping_ratio[chosen]
@@ -68,14 +68,14 @@ def outside(vector: np.ndarray, columns: np.ndarray, prior: bool) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Alone:
-    """What each effect by itself does to a base model."""
+    """Each effect by itself on a base model."""
 
     base: StructuralModel
     effects: Mapping[str, Effect]
     _built: dict[str, Addition] = field(init=False, default_factory=dict)
 
     def addition(self, name: str) -> Addition:
-        """What the effect adds."""
+        """Matrices that the effect adds."""
         if name not in self._built:
             self._built[name] = self.effects[name].build(self.base)
         return self._built[name]
@@ -140,7 +140,7 @@ class Library:
     base : StructuralModel
     effects : mapping from str to Effect
     measured : callable
-        Makes the modes at sensors that fingerprints are told by.
+        Gives the measured modes on which signatures are defined.
     mode_count : int
         Modes solved for them.
     asked : tuple of str
@@ -269,8 +269,8 @@ class Library:
         widths = [PRIOR.get(n[:2], 0.0) * self.base.space[n].value or 20.0 for n in own]
         return slopes[:, [known.index(n) for n in own]] * widths
 
-    def fingerprints(self, name: str) -> Iterator[np.ndarray]:
-        """What an effect does to the residual: a derivative, or a difference for every point of its grid in turn."""
+    def signatures(self, name: str) -> Iterator[np.ndarray]:
+        """Signature of an effect in the residual: a derivative, or a difference for every point of its grid in turn."""
         effect = self.effects[name]
         if not effect.grid:
             known, slopes = self._slopes
@@ -287,14 +287,14 @@ def _negative(matrix: sp.csr_array) -> int:
 
 
 def frequency_changes(
-    base: StructuralModel, effect: Effect, values: Mapping[str, float], sensors: Sequence[Sensor], adopted: Modes
+    base: StructuralModel, effect: Effect, values: Mapping[str, float], sensors: Sequence[Sensor], nominal: Modes
 ) -> np.ndarray:
-    """Relative change of the natural frequency of every mode of ``adopted`` by one effect, partners found by MAC."""
+    """Relative change of the natural frequency of every mode of ``nominal`` by one effect, partners found by MAC."""
     model = extend(base, [effect])
-    moved = model.modes(values, adopted.n_modes + 4 + model.n_dof - base.n_dof)
+    moved = model.modes(values, nominal.n_modes + 4 + model.n_dof - base.n_dof)
     rows = base.sensor_rows(sensors)
     wide = np.pad(rows, ((0, 0), (0, model.n_dof - base.n_dof)))
-    partner = mac(rows @ adopted.shapes, wide @ moved.shapes).argmax(axis=1)
-    assert len(set(partner.tolist())) == adopted.n_modes
-    changes: np.ndarray = moved.natural_freq[partner] / adopted.natural_freq - 1
+    partner = mac(rows @ nominal.shapes, wide @ moved.shapes).argmax(axis=1)
+    assert len(set(partner.tolist())) == nominal.n_modes
+    changes: np.ndarray = moved.natural_freq[partner] / nominal.natural_freq - 1
     return changes

@@ -1,7 +1,7 @@
-"""The bogie on its rig, built anew with what each of its effects stands for in the mesh itself.
+"""The bogie on its rig, rebuilt with each of its effects modelled in the mesh itself.
 
-Masses move or are added, sections are reduced, bushes and bodies are put in; no term of the library is used. Every
-function takes the effect's parameters and builds a mesh half as coarse as the fitted one.
+Masses move or are added, sections are reduced, bushes and bodies are added; no term of the library is used. Every
+function takes the effect's parameters and builds a mesh with half the element size of the fitted one.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Values = Mapping[str, float]
 
 FINE = 0.0375
 RIGID, RIGID_TURN = 2e10, 2e9
-"""Stiffness in N/m and Nm/rad of what holds two bodies together where the real parts are one."""
+"""Stiffness in N/m and Nm/rad of connections between two bodies where the real parts are one."""
 ADOPTED = {p.name: p.value for p in (*BOGIE, *RIG)}
 C_PRIMARY, K_BLOCK = ADOPTED["c_primary"] * 1e3, ADOPTED["K_block"] * 1e3
 
@@ -169,7 +169,7 @@ def held(
 
 
 def damped(spring: Spring, constant: float) -> Spring:
-    """The same as a damper, of a constant in Ns/m while the model's own dampers are as adopted."""
+    """The same as a damper, of a constant in Ns/m while the model's own dampers are at their nominal values."""
     return replace(spring, weight=constant / C_PRIMARY)
 
 

@@ -1,7 +1,7 @@
-"""The vehicle, built anew with what each of its effects stands for in the mesh itself.
+"""The vehicle, rebuilt with each of its effects modelled in the mesh itself.
 
-Masses move or are added, sections are reduced, bushes and bodies are put in; no term of the library is used. Every
-function takes the effect's parameters and how often edges are cut.
+Masses move or are added, sections are reduced, bushes and bodies are added; no term of the library is used. Every
+function takes the effect's parameters and the number of pieces of every edge.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from calib.structure.attach import GRAVITY
 from calib.structure.model import StructuralModel
 from models.fem.discrete import PointMass, Spring
 from models.fem.member import Member, Particle, Point, Suppression
-from models.fem.spider import Spider
+from models.fem.rbe3 import Rbe3
 from models.railway.bogie import BOX_ARM, ENDS, RX, RY, RZ, SIDES, UX, UY
 from models.railway.bolsters import FLOOR_Y, LOAD_BOLSTER_TIP, LOAD_BOLSTER_Y, PAD_Z
 from models.railway.car_lines import BASE_Z, BOGIE_X, HALF_LENGTH, HEADER, PILLARS, SILL, WALL
@@ -35,7 +35,7 @@ Values = Mapping[str, float]
 Change = Callable[[Assembly], Assembly]
 
 RIGID, RIGID_TURN = 1e10, 1e9
-"""Stiffness in N/m and Nm/rad of what holds two bodies together where the real parts are one."""
+"""Stiffness in N/m and Nm/rad of connections between two bodies where the real parts are one."""
 SI = {p.name: p.value * 1e3 for p in (*CAR, *BOGIE) if p.unit in ("kN/m", "kNs/m")}
 MODULE = sys.modules["models.railway.vehicle"]
 
@@ -57,7 +57,7 @@ def with_matrix(model: StructuralModel, kind: str, name: str, full: sp.csr_array
 
 
 def with_springs(whole: Assembly, springs: Sequence[Spring] = (), dampers: Sequence[Spring] = ()) -> Assembly:
-    """More springs, and dampers whose weight is in Ns/m while the yaw dampers are as adopted."""
+    """More springs, and dampers whose weight is in Ns/m while the yaw dampers are at their nominal values."""
     fixed = whole.springs | {"floor_fixed": (*whole.springs["floor_fixed"], *springs)}
     more = tuple(replace(d, weight=d.weight / SI["c_yaw"]) for d in dampers)
     return replace(whole, springs=fixed, dampers=whole.dampers | {"c_yaw": (*whole.dampers["c_yaw"], *more)})
@@ -215,14 +215,14 @@ def hung(
 
     def change(whole: Assembly) -> Assembly:
         (old,) = (m for m in whole.masses if m.name == item)
-        (spider,) = (s for s in whole.structure.spiders if s.name == item)
+        (rbe3,) = (s for s in whole.structure.rbe3s if s.name == item)
         centre = (old.at[1][0], old.at[1][1] - v[f"{name}_drop"], old.at[1][2])
         mass = PointMass(("unit", centre), old.mass, spread=tuple(map(tuple, corners.tolist())), name=item)
         springs, dampers = [], []
-        for foot in spider.feet:
+        for foot in rbe3.feet:
             for d, unit in enumerate(np.eye(3).tolist()):
-                part = old.mass / len(spider.feet) * (1.0 if d == UY else v[f"{name}_sideways"])
-                mount = Spring(("unit", foot), (spider.on, foot), tuple(unit))
+                part = old.mass / len(rbe3.feet) * (1.0 if d == UY else v[f"{name}_sideways"])
+                mount = Spring(("unit", foot), (rbe3.on, foot), tuple(unit))
                 springs.append(replace(mount, weight=omega**2 * part))
                 dampers.append(replace(mount, weight=2 * v[f"{name}_damping"] * omega * part))
         structure = replace(whole.structure, particles=(*whole.structure.particles, Particle("unit", "unit", centre)))
@@ -267,12 +267,12 @@ def moved_equipment(v: Values, refine: int) -> StructuralModel:
         return (p[0], p[1], p[2] + shift)
 
     def change(whole: Assembly) -> Assembly:
-        spiders = tuple(
-            Spider(s.name, "floor_beam", tuple(aside(f) for f in s.feet)) if s.name in under else s
-            for s in whole.structure.spiders
+        rbe3s = tuple(
+            Rbe3(s.name, "floor_beam", tuple(aside(f) for f in s.feet)) if s.name in under else s
+            for s in whole.structure.rbe3s
         )
         masses = tuple(replace(m, at=(m.at[0], aside(m.at[1]))) if m.name in under else m for m in whole.masses)
-        return replace(whole, structure=replace(whole.structure, spiders=spiders), masses=masses)
+        return replace(whole, structure=replace(whole.structure, rbe3s=rbe3s), masses=masses)
 
     return rebuilt(change, refine)
 

@@ -1,4 +1,4 @@
-"""What a library's effect makes of modes that a model rebuilt with that change shows: how strong, and what is left."""
+"""Fit of a library's effect to the modes of a model rebuilt with that change: magnitude and remaining misfit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
-from calib.correlation.scatter import Floors
+from calib.correlation.standard_deviations import Floors
 from calib.effect import Effect
 from calib.measurement.modal import MeasuredModes
 from calib.structure.extend import extend
@@ -24,11 +24,12 @@ class Rediscovery:
     Attributes
     ----------
     values : mapping from str to float
-        Strength and nuisance parameters of the best fit.
+        Magnitude and nuisance parameters of the best fit.
     std : float
-        Standard deviation of the strength by the scatter of the measurement.
+        Standard deviation of the magnitude due to measurement uncertainty.
     before, after : float
-        Length of what the rebuilt model does to the modes and of what the effect leaves of it, in units of the scatter.
+        Length of the change of the modes by the rebuilt model, and of what the effect leaves of it, in standard
+        deviations.
     """
 
     values: Mapping[str, float]
@@ -45,9 +46,10 @@ def rediscovered(
     start: Mapping[str, float],
     mode_count: int,
 ) -> Rediscovery:
-    """Fit strength and nuisance parameters to ``changed`` less what the meshes differ by without any change, ``plain``.
+    """Fit magnitude and nuisance parameters to ``changed``, less the difference of the meshes without the change.
 
-    Modes are noise-free, with the scatter of a test; the start is off the truth.
+    That difference follows from ``plain``, the modes of the rebuilt mesh without the change. Modes are noise-free, with
+    the standard deviations of a test; the start is off the true values.
     """
     model = extend(base, [effect])
     count = mode_count + model.n_dof - base.n_dof
@@ -57,13 +59,13 @@ def rediscovered(
         return ModalResidual(ModalProblem(own, measured, mode_count=solved, threshold=0.1), floors)
 
     without = residual(base, plain, mode_count).residual({})
-    asked = residual(model, changed, count)
+    with_effect = residual(model, changed, count)
     names: Sequence[str] = effect.names
     low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("lower", "upper"))
     scale = np.array([abs(start[n]) for n in names])
 
     def left(x: np.ndarray) -> np.ndarray:
-        off: np.ndarray = asked.residual(dict(zip(names, x * scale, strict=True))) - without
+        off: np.ndarray = with_effect.residual(dict(zip(names, x * scale, strict=True))) - without
         return off
 
     first = np.array([start[n] for n in names]) / scale

@@ -1,4 +1,4 @@
-"""The bogie on its rig: modes, what governs them, symmetry, mesh and actuator places."""
+"""The bogie on its rig: modes, the parameters that govern them, symmetry, mesh and actuator places."""
 
 import itertools
 
@@ -23,17 +23,17 @@ def rig():
 
 
 @pytest.fixture(scope="module")
-def adopted(rig):
+def nominal(rig):
     return rig.modes({}, 10)
 
 
 @pytest.fixture(scope="module")
-def steps(rig, adopted):
+def steps(rig, nominal):
     """Change of the damped frequencies in % for +10 % of one parameter."""
 
     def change(name):
         modes = rig.modes({name: 1.1 * rig.space[name].value}, 8)
-        return dict(zip(NAMES, 100 * (modes.damped_freq / adopted.damped_freq[:8] - 1), strict=True))
+        return dict(zip(NAMES, 100 * (modes.damped_freq / nominal.damped_freq[:8] - 1), strict=True))
 
     return {name: change(name) for name in rig.space.names if name not in POSITIONS}
 
@@ -55,19 +55,19 @@ def test_size_is_that_of_the_case_study_prototype(rig):
     assert rig.n_dof == rig.dofs.expansion.shape[1] == len(rig.dofs.node) == len(rig.dofs.direction)
 
 
-def test_eight_modes_lie_where_they_should(adopted):
-    np.testing.assert_allclose(adopted.damped_freq[:8], DAMPED, rtol=0.01)
-    np.testing.assert_allclose(adopted.damping_ratio[:4], RATIO, rtol=0.02)
-    assert np.all(adopted.damping_ratio[4:8] < 0.01)
-    assert adopted.damped_freq[7] < 36 and adopted.damped_freq[8] > 40
-    assert not adopted.excluded
+def test_eight_modes_lie_where_they_should(nominal):
+    np.testing.assert_allclose(nominal.damped_freq[:8], DAMPED, rtol=0.01)
+    np.testing.assert_allclose(nominal.damping_ratio[:4], RATIO, rtol=0.02)
+    assert np.all(nominal.damping_ratio[4:8] < 0.01)
+    assert nominal.damped_freq[7] < 36 and nominal.damped_freq[8] > 40
+    assert not nominal.excluded
     np.testing.assert_allclose(
-        adopted.damped_freq, adopted.natural_freq * np.sqrt(1 - adopted.damping_ratio**2), rtol=1e-10
+        nominal.damped_freq, nominal.natural_freq * np.sqrt(1 - nominal.damping_ratio**2), rtol=1e-10
     )
 
 
-def test_first_four_modes_have_the_described_shapes(rig, adopted):
-    motion, points = girder_motion(rig, adopted.shapes)
+def test_first_four_modes_have_the_described_shapes(rig, nominal):
+    motion, points = girder_motion(rig, nominal.shapes)
     x, z = points[:, 0], points[:, 2]
     for mode, shape in enumerate((x, np.ones(len(x)), z, x * z)):  # pitching, bouncing, rolling, warping
         assert mac(shape, motion[:, mode]) > 0.9
@@ -75,11 +75,11 @@ def test_first_four_modes_have_the_described_shapes(rig, adopted):
             assert other == mode or mac(shape, motion[:, other]) < 0.1
 
 
-def test_wheelset_modes_have_the_described_shapes(rig, adopted):
+def test_wheelset_modes_have_the_described_shapes(rig, nominal):
     m = rig.matrices({})[2]
     bodies = np.array(rig.locator.frame.bodies)[rig.dofs.node]
     for mode, (end, yaw) in enumerate((("front", False), ("rear", False), ("front", True), ("rear", True)), start=4):
-        shape = adopted.shapes[:, mode]
+        shape = nominal.shapes[:, mode]
         part = np.where(
             np.char.endswith(bodies.astype(str), end) | np.char.startswith(bodies.astype(str), f"box_{end}"), shape, 0
         )
@@ -132,9 +132,9 @@ def test_mass_lowers_and_stiffness_raises_undamped_frequencies(rig):
         assert np.all(sign * change > -1e-9) and np.any(sign * change > 1e-8), name
 
 
-def test_damper_acts_on_damping(rig, adopted):
+def test_damper_acts_on_damping(rig, nominal):
     modes = rig.modes({"c_primary": 0.9 * rig.space["c_primary"].value}, 4)
-    ratio = modes.damping_ratio / adopted.damping_ratio[:4]
+    ratio = modes.damping_ratio / nominal.damping_ratio[:4]
     np.testing.assert_allclose(ratio, 0.9, atol=0.03)
     _, c, _ = rig.matrices({"c_primary": 0.0})
     assert not np.any(rig.modes({"c_primary": 0.0}, 4).damping_ratio)
@@ -142,8 +142,8 @@ def test_damper_acts_on_damping(rig, adopted):
 
 
 @pytest.mark.parametrize("mode", [1, 2])
-def test_actuator_places_change_shapes(rig, adopted, mode):
-    base, _ = girder_motion(rig, adopted.shapes)
+def test_actuator_places_change_shapes(rig, nominal, mode):
+    base, _ = girder_motion(rig, nominal.shapes)
     moved, _ = girder_motion(rig, rig.modes({"pos_long_left": 8}, 8).shapes)
     assert mac(base[:, mode], moved[:, mode]) < 0.8
     assert max(mac(base[:, k], moved[:, k]) for k in (4, 5, 6, 7)) > 0.99
@@ -182,16 +182,16 @@ def test_swapping_sides_mirrors_the_bogie(rig, left, right):
         assert mac(a[:, mode], b[mirrored, mode]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_halving_the_elements_moves_no_mode_by_more_than_a_twentieth_of_a_percent(adopted):
+def test_halving_the_elements_moves_no_mode_by_more_than_a_twentieth_of_a_percent(nominal):
     fine = bogie_on_rig(element_size=0.0375)
     modes = fine.modes({}, 8)
-    np.testing.assert_allclose(modes.natural_freq, adopted.natural_freq[:8], rtol=5e-4)
-    np.testing.assert_allclose(modes.damping_ratio[:4], adopted.damping_ratio[:4], rtol=1e-3)
+    np.testing.assert_allclose(modes.natural_freq, nominal.natural_freq[:8], rtol=5e-4)
+    np.testing.assert_allclose(modes.damping_ratio[:4], nominal.damping_ratio[:4], rtol=1e-3)
 
 
-def test_distributed_masses_are_a_small_change_but_one(adopted):
+def test_distributed_masses_are_a_small_change_but_one(nominal):
     modes = bogie_on_rig(distributed=True).modes({}, 8)
-    change = np.abs(modes.natural_freq / adopted.natural_freq[:8] - 1)
+    change = np.abs(modes.natural_freq / nominal.natural_freq[:8] - 1)
     assert 1e-5 < change.max() < 0.01
 
 
@@ -199,11 +199,11 @@ def test_iteration_finds_what_lapack_finds(monkeypatch):
     # Massless arms, stiff rail springs and dampers, on the coarsest mesh there is.
     coarse = bogie_on_rig(element_size=5.0)
     count = 10
-    answers = []
+    found = []
     for limit in (80, 10_000):
         monkeypatch.setattr(solve, "DENSE_LIMIT", limit)
-        answers.append(coarse.modes({}, count))
-    one, other = answers
+        found.append(coarse.modes({}, count))
+    one, other = found
     assert one.n_modes == other.n_modes == count
     np.testing.assert_allclose(one.natural_freq, other.natural_freq, rtol=1e-7)
     np.testing.assert_allclose(one.damping_ratio, other.damping_ratio, atol=1e-7)

@@ -1,11 +1,11 @@
-"""Parameters of the car against Table 1 of the case study, and what is owned up to be assumed."""
+"""Parameters of the car against Table 1 of the case study, and the marks of assumed values."""
 
 import pytest
 
 from calib.space import LinearConstraint, ParameterSpace
 from models.railway.parameters import BOGIE, CAR, RIG
 
-# symbol: name, adopted, lower, upper, unit; None where it is lost.
+# symbol: name, nominal, lower, upper, unit; None where it is lost.
 PUBLISHED = {
     "KS1": ("K_secondary_front", None, 242, 270.8, "kN/m"),
     "KS2": ("K_secondary_rear", None, 242, 270.8, "kN/m"),
@@ -42,14 +42,14 @@ def test_table_is_complete_and_names_are_unique(car):
 
 @pytest.mark.parametrize("symbol", PUBLISHED)
 def test_published_numbers_are_kept(symbol, assert_published):
-    p, (_, adopted, lower, _, _) = BY_SYMBOL[symbol], PUBLISHED[symbol]
+    p, (_, nominal, lower, _, _) = BY_SYMBOL[symbol], PUBLISHED[symbol]
     assert_published(p, PUBLISHED[symbol], symbol in DETERMINISTIC)
-    assert ("adopted value" in p.assumed) == (adopted is None)
+    assert ("nominal value" in p.assumed) == (nominal is None)
     assert ("limits" in p.assumed) == (lower is None)
 
 
 @pytest.mark.parametrize("symbol", PRINTED_MEAN)
-def test_lost_adopted_values_take_the_printed_mean(symbol):
+def test_lost_nominal_values_take_the_printed_mean(symbol):
     assert BY_SYMBOL[symbol].value == PRINTED_MEAN[symbol]
 
 
@@ -61,7 +61,7 @@ def test_limits_have_the_printed_mean_and_deviation(symbol):
     assert p.prior_width == pytest.approx(deviation, rel=0.01)
 
 
-def test_adopted_shares_of_the_further_equipment_make_a_whole():
+def test_nominal_shares_of_the_further_equipment_make_a_whole():
     names = ("m_base", "m_walls", "m_cover")
     space = ParameterSpace(CAR, (LinearConstraint("further equipment", tuple((n, 1.0) for n in names), 90, 110, "%"),))
     assert sum(space[n].value for n in names) == 100

@@ -25,8 +25,8 @@ def base(kind="fitted"):
 
 
 @cache
-def adopted(kind="fitted", count=10):
-    """Modes at the adopted values."""
+def nominal(kind="fitted", count=10):
+    """Modes at the nominal values."""
     return base(kind).modes({}, count)
 
 
@@ -37,7 +37,7 @@ def sensors():
 
 @pytest.fixture(scope="module")
 def library(effect_checks):
-    """On the mesh that is fitted; the eight modes of its adopted values are measured at the study's sensors."""
+    """On the mesh that is fitted; the eight modes of its nominal values are measured at the study's sensors."""
 
     def measured():
         return effect_checks.noise_free(base(), sensors(), base().modes({}, 8), range(8))
@@ -59,11 +59,11 @@ def test_names_are_unique_and_not_those_of_parameters():
     assert len(set(every)) == len(every) and not set(every) & set(base().space.names)
     assert 14 <= len(EFFECTS) == len(bogie_effects())
     for e in EFFECTS.values():
-        assert e.title and e.lacks.endswith(".") and e.look_for.endswith(".") and e.strength.description
+        assert e.title and e.lacks.endswith(".") and e.look_for.endswith(".") and e.magnitude.description
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_strength_zero_leaves_the_base_model(library, name):
+def test_magnitude_zero_leaves_the_base_model(library, name):
     model, n = library.alone(name), base().n_dof
     zero = dict.fromkeys(set(EFFECTS) & set(model.space.names), 0.0)
     for own, bare in zip(model.matrices(zero), base().matrices({}), strict=True):
@@ -73,8 +73,8 @@ def test_strength_zero_leaves_the_base_model(library, name):
     found = model.modes(zero, 10 + len(nuisance))
     kept = np.array([all(abs(f / q - 1) > 1e-6 for q in nuisance) for f in found.natural_freq])
     assert kept.sum() == 10
-    np.testing.assert_allclose(found.natural_freq[kept], adopted().natural_freq, rtol=1e-8)
-    np.testing.assert_allclose(found.damping_ratio[kept], adopted().damping_ratio, atol=1e-8)
+    np.testing.assert_allclose(found.natural_freq[kept], nominal().natural_freq, rtol=1e-8)
+    np.testing.assert_allclose(found.damping_ratio[kept], nominal().damping_ratio, atol=1e-8)
 
 
 def test_all_effects_together_leave_the_base_model(library):
@@ -83,7 +83,7 @@ def test_all_effects_together_leave_the_base_model(library):
     found = model.modes(dict.fromkeys(NAMES, 0.0), 11).natural_freq
     np.testing.assert_allclose(
         found[np.abs(found / model.space["brake_unit_freq"].value - 1) > 1e-6],
-        adopted().natural_freq, rtol=1e-8,
+        nominal().natural_freq, rtol=1e-8,
     )  # fmt: skip
     both = extend(extend(base(), [EFFECTS["brake_unit"]]), [EFFECTS["gear_case_offset"], EFFECTS["crossbar_joint"]])
     once = extend(base(), [EFFECTS[name] for name in ("brake_unit", "gear_case_offset", "crossbar_joint")])
@@ -109,12 +109,12 @@ def test_matrices_stay_semidefinite_and_modes_solvable_at_the_limits(library, co
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_fine_mesh_feels_an_effect_as_the_fitted_one(effect_checks, name):
-    # The finer bogie shares the gear case out over 0.24 m of the axle, which its moment of inertia bends.
+def test_an_effect_is_the_same_on_the_fine_and_the_fitted_mesh(effect_checks, name):
+    # The finer bogie distributes the gear case over 0.24 m of the axle, which its moment of inertia bends.
     share = 0.16 if name == "gear_case_offset" else 0.1
     for values in effect_checks.points(EFFECTS[name])[:2]:
         coarse, fine = (
-            effect_checks.frequency_changes(base(kind), EFFECTS[name], values, sensors(), adopted(kind, 8))
+            effect_checks.frequency_changes(base(kind), EFFECTS[name], values, sensors(), nominal(kind, 8))
             for kind in ("fitted", "twin")
         )
         assert np.abs(coarse).max() > 1e-6
@@ -122,19 +122,19 @@ def test_fine_mesh_feels_an_effect_as_the_fitted_one(effect_checks, name):
         assert np.abs(coarse - fine).max() < 5e-4
 
 
-# -- fingerprints ------------------------------------------------------------------------------------------------------
+# -- signatures --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_parameters_of_the_base_model_cannot_do_what_an_effect_does(library, effect_checks, name):
-    for vector in library.fingerprints(name):
+    for vector in library.signatures(name):
         assert effect_checks.outside(vector, library.columns(SELECTED), prior=False) > 0.1
         assert effect_checks.outside(vector, library.columns(), prior=True) > 0.1
 
 
 def test_wood_bends_as_actuators_give_way(library, effect_checks):
-    # Nothing but what is known of the wood beforehand tells these two apart at the sensors of the study.
-    (vector,) = library.fingerprints("actuator_flexibility")
+    # Only the prior of the wood separates these two at the sensors of the study.
+    (vector,) = library.signatures("actuator_flexibility")
     without = [p.name for p in base().space.parameters if not p.integer and p.name != "E_wood"]
     same, free = library.columns(), library.columns(without)
     assert (
@@ -144,10 +144,10 @@ def test_wood_bends_as_actuators_give_way(library, effect_checks):
     )  # fmt: skip
 
 
-def test_plausible_strengths_that_the_sensors_cannot_see(library, effect_checks):
+def test_plausible_magnitudes_that_the_sensors_cannot_see(library, effect_checks):
     columns = library.columns()
     seen = {
-        name: max(np.linalg.norm(v) * effect_checks.outside(v, columns, prior=True) for v in library.fingerprints(name))
+        name: max(np.linalg.norm(v) * effect_checks.outside(v, columns, prior=True) for v in library.signatures(name))
         for name in NAMES
     }
     assert {name for name, size in seen.items() if size < 1} == {"girder_end", "wheel_contact"}

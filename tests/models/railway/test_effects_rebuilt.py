@@ -1,4 +1,4 @@
-"""Every effect of the bogie against a bogie that is rebuilt with it: the library's strength is that of the mesh."""
+"""Every effect of the bogie against a bogie rebuilt with it: the library's magnitude is that of the mesh."""
 
 from pathlib import Path
 
@@ -48,7 +48,7 @@ EACH = [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) fo
 
 
 @pytest.mark.parametrize("name", EACH)
-def test_the_strength_found_is_the_one_built_in(base, measure, plain, name):
+def test_the_magnitude_found_is_the_one_built_in(base, measure, plain, name):
     effect = EFFECTS[name]
     truth = dict(effect.grid[len(effect.grid) // 2]) if effect.grid else {name: effect.plausible}
     start = {p.name: truth[p.name] * (0.6 if p.name == name else 1.1) for p in effect.parameters}

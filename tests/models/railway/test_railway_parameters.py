@@ -1,4 +1,4 @@
-"""Parameters against Tables 3 and 5 of the case study, and what is owned up to be assumed."""
+"""Parameters against Tables 3 and 5 of the case study, and the marks of assumed values."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from models.railway.bogie import ASSUMPTIONS as BOGIE_ASSUMPTIONS
 from models.railway.parameters import BOGIE, RIG
 from models.railway.rig import ASSUMPTIONS as RIG_ASSUMPTIONS
 
-# symbol: name, adopted, lower, upper, unit. Limits follow from mean and standard deviation of a uniform distribution
+# symbol: name, nominal, lower, upper, unit. Limits follow from mean and standard deviation of a uniform distribution
 # where the article prints those; None where neither value nor limits survive.
 PUBLISHED = {
     "KP": ("K_primary", None, None, None, "kN/m"),
@@ -60,21 +60,21 @@ def test_limits_have_the_printed_mean_and_deviation(symbol):
 
 
 @pytest.mark.parametrize("symbol", PRINTED_MEAN)
-def test_lost_adopted_values_take_the_printed_mean(symbol):
+def test_lost_nominal_values_take_the_printed_mean(symbol):
     assert BY_SYMBOL[symbol].value == PRINTED_MEAN[symbol]
 
 
 @pytest.mark.parametrize("symbol", PUBLISHED)
 def test_assumed_says_exactly_what_is_lost(symbol):
-    _, adopted, lower, _, _ = PUBLISHED[symbol]
+    _, nominal, lower, _, _ = PUBLISHED[symbol]
     text = BY_SYMBOL[symbol].assumed
-    assert ("value" in text) == (adopted is None)
+    assert ("value" in text) == (nominal is None)
     assert ("limits" in text) == (lower is None)
     assert ("spacing" in text) == symbol.startswith("Pos")
-    assert bool(text) == (adopted is None or lower is None or symbol.startswith("Pos"))
+    assert bool(text) == (nominal is None or lower is None or symbol.startswith("Pos"))
 
 
-def test_adopted_added_masses_sum_to_the_printed_842_kg():
+def test_nominal_added_masses_sum_to_the_printed_842_kg():
     space = ParameterSpace(BOGIE)
     lengths = (("m_girder_centre", 4.46), ("m_girder_ends", 3.56), ("m_crossbar", 5.26))
     assert sum(length * space[name].value for name, length in lengths) == pytest.approx(842, abs=0.5)

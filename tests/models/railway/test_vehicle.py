@@ -1,4 +1,4 @@
-"""The whole vehicle: size, masses, rigid motions, matrices that are sums of terms, modes and what governs them."""
+"""The whole vehicle: size, masses, rigid motions, matrices as sums of terms, modes and parameters that govern them."""
 
 import numpy as np
 import pytest
@@ -107,7 +107,7 @@ def test_damped_bogie_modes_lie_above_undamped_ones_as_in_table_4(damped, which,
         assert 1.0 <= ratio(name) < 1.1
 
 
-def test_every_named_mode_looks_like_its_name(classical):
+def test_every_named_mode_has_the_shape_of_its_name(classical):
     for name, alike in classical.alike.items():
         assert alike > (0.5 if name == "5C" else 0.75), name
 

@@ -1,4 +1,4 @@
-"""The vehicle before its modes: geometry at every density, rigid motions, masses by hand, terms against values."""
+"""Assembly of the vehicle: geometry at every density, rigid motions, masses by hand, terms against values."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -50,7 +50,7 @@ def test_spring_dampers_are_as_many_as_in_the_case_study(whole):
 
 
 def test_attachments_openings_and_edges_stay_where_they_are(whole, fine):
-    assert whole.structure.spiders == fine.structure.spiders
+    assert whole.structure.rbe3s == fine.structure.rbe3s
     for own, other in ((whole.springs, fine.springs), (whole.dampers, fine.dampers)):
         assert own == other
     assert whole.masses == fine.masses
@@ -67,12 +67,12 @@ def test_attachments_openings_and_edges_stay_where_they_are(whole, fine):
 def test_heavy_attachments_stand_on_nodes_at_every_density(whole, fine):
     for structure in (whole.structure, fine.structure):
         nodes = structure.points[[b == "car" for b in structure.bodies]]
-        for spider in structure.spiders:
-            assert len(spider.feet) >= 4
-            if "seat" in spider.name:
+        for rbe3 in structure.rbe3s:
+            assert len(rbe3.feet) >= 4
+            if "seat" in rbe3.name:
                 continue
-            for foot in spider.feet:
-                assert np.linalg.norm(nodes - foot, axis=1).min() < 1e-9, spider.name
+            for foot in rbe3.feet:
+                assert np.linalg.norm(nodes - foot, axis=1).min() < 1e-9, rbe3.name
 
 
 def test_twice_as_fine_means_a_quarter_of_every_shell(whole, fine):
@@ -89,7 +89,7 @@ def test_a_rigid_motion_of_the_whole_strains_nothing_but_the_rails(whole):
     matrices += [spring_matrix(structure, s) for s in whole.dampers.values()]
     rigid = rigid_motions(structure.points)
     for matrix in matrices:
-        # The forces that a motion of every node by itself would need tell what is small.
+        # The forces for a motion of every node by itself give the scale.
         size = abs(matrix) @ np.abs(rigid)
         assert np.all(np.abs(matrix @ rigid) <= 1e-9 * size.max(axis=0))
     rails = spring_matrix(structure, whole.springs["K_rail"])

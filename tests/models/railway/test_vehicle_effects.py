@@ -35,10 +35,10 @@ def test_names_are_unique_and_not_those_of_parameters(rigid_car):
     assert len(set(every)) == len(every) and not set(every) & set(rigid_car.space.names)
     assert 14 <= len(EFFECTS) == len(vehicle_effects())
     for e in EFFECTS.values():
-        assert e.title and e.lacks.endswith(".") and e.look_for.endswith(".") and e.strength.description
+        assert e.title and e.lacks.endswith(".") and e.look_for.endswith(".") and e.magnitude.description
 
 
-def test_strength_zero_leaves_the_base_model(library, modes):
+def test_magnitude_zero_leaves_the_base_model(library, modes):
     assert library.gap({}) <= 1e-12
     nuisance = {q.name: v for e in EFFECTS.values() for q in e.nuisance for v in (q.lower, q.upper)}
     assert library.gap(nuisance) <= 1e-12
@@ -67,31 +67,31 @@ def test_a_joint_loses_no_more_than_a_thinner_floor_has(library):
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if EFFECTS[n].grid else []) for n in NAMES])
 def test_parameters_of_the_base_model_cannot_do_what_an_effect_does(library, effect_checks, name):
-    for vector in library.fingerprints(name):
+    for vector in library.signatures(name):
         assert effect_checks.outside(vector, library.columns(SELECTED), prior=True) > 0.1
 
 
-def test_plausible_strengths_that_the_sensors_cannot_see(library, effect_checks):
+def test_plausible_magnitudes_that_the_sensors_cannot_see(library, effect_checks):
     columns = library.columns(SELECTED)
-    plain = {name: next(library.fingerprints(name)) for name in NAMES if not EFFECTS[name].grid}
+    plain = {name: next(library.signatures(name)) for name in NAMES if not EFFECTS[name].grid}
     seen = {name: np.linalg.norm(v) * effect_checks.outside(v, columns, prior=True) for name, v in plain.items()}
     # Frames do not yaw here, so that a pivot that resists turning works against links that are far stiffer.
     assert {name for name, size in seen.items() if size < 1} == {"floor_joint", "track_compliance", "pivot_yaw"}
 
 
-def test_effects_that_only_their_sign_tells_apart(library, effect_checks):
+def test_effects_that_differ_only_in_sign(library, effect_checks):
     columns = library.columns(SELECTED)
 
-    def likeness(one, other):
-        a, b = (next(library.fingerprints(name)) for name in (one, other))
+    def collinearity(one, other):
+        a, b = (next(library.signatures(name)) for name in (one, other))
         wide = np.vstack([columns, np.eye(columns.shape[1])])
         q = np.linalg.qr(wide)[0]
         a, b = (np.pad(v, (0, columns.shape[1])) for v in (a, b))
         a, b = (v - q @ (q.T @ v) for v in (a, b))
         return a @ b / np.linalg.norm(a) / np.linalg.norm(b)
 
-    assert likeness("window_corners", "window_glass") < -0.98
-    assert likeness("anti_roll_bar", "tipping") < -0.8
+    assert collinearity("window_corners", "window_glass") < -0.98
+    assert collinearity("anti_roll_bar", "tipping") < -0.8
     assert not any(EFFECTS[name].signed for name in ("window_corners", "window_glass", "anti_roll_bar", "tipping"))
 
 
@@ -115,21 +115,21 @@ def fine():
 
 
 @pytest.fixture(scope="module")
-def adopted(rigid_car, fine):
+def nominal(rigid_car, fine):
     return [model.modes({}, 12) for model in (rigid_car, fine)]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_fine_mesh_feels_an_effect_as_the_fitted_one(
-    effect_checks, vehicle_sensors, rigid_car, fine, adopted, name
+def test_an_effect_is_the_same_on_the_fine_and_the_fitted_mesh(
+    effect_checks, vehicle_sensors, rigid_car, fine, nominal, name
 ):  # fmt: skip
     values = effect_checks.points(EFFECTS[name])[-1]
     coarse, finer = (
         effect_checks.frequency_changes(model, EFFECTS[name], values, vehicle_sensors, own)
-        for model, own in zip((rigid_car, fine), adopted, strict=True)
+        for model, own in zip((rigid_car, fine), nominal, strict=True)
     )
-    # Equipment that is moved bends cross-beams between their nodes, where a finer mesh gives way: 8e-5 of a frequency.
+    # Moved equipment bends cross-beams between their nodes, where a finer mesh is softer: 8e-5 of a frequency.
     assert np.abs(coarse - finer).max() < max(0.11 * np.abs(coarse).max(), 1e-6)
     # The halves of pillars are softened in three stretches, whose curvatures differ by 7 % between the meshes.
     assert np.abs(coarse - finer).max() < max(0.07 * np.abs(coarse).max(), 5e-4)

@@ -1,4 +1,4 @@
-"""Every effect of the vehicle against a vehicle that is rebuilt with it: the library's strength is that of the mesh."""
+"""Every effect of the vehicle against a vehicle rebuilt with it: the library's magnitude is that of the mesh."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
-from calib.correlation.scatter import Floors
+from calib.correlation.standard_deviations import Floors
 from calib.loading import module_of
 from calib.structure.extend import extend
 from models.railway import vehicle_effects
@@ -16,9 +16,9 @@ EFFECTS = {e.name: e for e in vehicle_effects()}
 rebuilt = module_of(Path(__file__).with_name("rebuilt_vehicle.py"))
 MODES = 12
 BOUNDS = {"floor_joint": (0.15, 0.2), "window_corners": (0.1, 0.12)}
-"""How far the strength may be off, and what may be left, where the library softens what surely bends and no more."""
+"""Largest error of the magnitude and remaining change, where the library softens less than the rebuilt section."""
 STEP = 0.05
-"""Relative change of the strength by which the slope of what it does is taken."""
+"""Relative step of the magnitude for the derivative of its change."""
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def plain(effect_checks, rigid_car, vehicle_sensors):
 
 
 def residual_of(model, plain, more):
-    """What a model's modes differ by from those of the vehicle as it is, in units of the scatter."""
+    """Differences of a model's modes from those of the unchanged vehicle, in standard deviations."""
     problem = ModalProblem(model, plain, mode_count=MODES + 4 + more, threshold=0.1)
     return ModalResidual(problem, Floors(freq=0.0, damping=0.0, shape=0.0))
 
@@ -43,24 +43,24 @@ def test_every_effect_is_rebuilt():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(EFFECTS))
-def test_the_strength_found_is_the_one_built_in(rigid_car, plain, name):
+def test_the_magnitude_found_is_the_one_built_in(rigid_car, plain, name):
     effect = EFFECTS[name]
     truth = dict(effect.grid[len(effect.grid) // 2]) if effect.grid else {name: effect.plausible}
     model, bodies = extend(rigid_car, [effect]), 60 if name == "soft_seats" else 1
     added = model.n_dof - rigid_car.n_dof
     built = changes(rebuilt.VEHICLES[name](truth, 1), plain, {}, added + bodies)
-    told = changes(model, plain, truth, added)
+    explained = changes(model, plain, truth, added)
     more = changes(model, plain, {**truth, name: (1 + STEP) * truth[name]}, added)
-    slope = (more - told) / STEP
-    off, std = float(slope @ (built - told) / (slope @ slope)), 1 / float(np.linalg.norm(slope))
+    slope = (more - explained) / STEP
+    off, std = float(slope @ (built - explained) / (slope @ slope)), 1 / float(np.linalg.norm(slope))
     nearly, left = BOUNDS.get(name, (0.02, 0.02))
     assert abs(off) < nearly and abs(off) < 1.96 * std
-    assert np.linalg.norm(built - told) < left * np.linalg.norm(built)
+    assert np.linalg.norm(built - explained) < left * np.linalg.norm(built)
 
 
 @pytest.mark.slow
 def test_a_unit_that_is_heavy_low_down_on_other_mounts_is_found(rigid_car, plain):
-    """Its centre 0.25 m lower, damped more, of another box: what is assumed of it is fitted along (one step)."""
+    """Its centre 0.25 m lower, damped more, of another box: the assumed values are fitted too (one step)."""
     name = "hung_converter"
     truth = {name: 1.3, f"{name}_drop": 0.25, f"{name}_sideways": 0.7, f"{name}_damping": 0.04}
     unit = rebuilt.hung(truth, 1, name, "traction converter", box=(2.2, 0.8, 1.7))

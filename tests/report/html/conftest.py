@@ -1,4 +1,4 @@
-"""A small study of which everything was asked, and the page that tells it."""
+"""A small study with every analysis run, and its page."""
 
 import contextlib
 import io
@@ -10,7 +10,7 @@ import pytest
 
 from calib import cli
 from calib.loading import module_of
-from calib.report.html.answers import Answers
+from calib.report.html.study_results import StudyResults
 from calib.report.html.write import page, sections
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -19,7 +19,7 @@ TITLE = "A mast that may lack something"
 
 
 class Reader(HTMLParser):
-    """Elements with their attributes, the words of the page, tables by caption, and contents of scripts."""
+    """Elements with their attributes, text of the page, tables by caption, and contents of scripts."""
 
     def __init__(self, text):
         super().__init__()
@@ -70,33 +70,33 @@ class Reader(HTMLParser):
         return " ".join(" ".join(self.words).split())
 
 
-def ask(folder, *questions):
-    """Ask without drawing pictures, which would take longest; results go beside the study."""
+def run(folder, *analyses):
+    """Run analyses without drawing figures, which would take longest; results go beside the study."""
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()):
         patch.setattr("calib.front.study.draw_all", lambda *a: [])
         patch.setattr("calib.front.study.write_report", lambda folder, *a: folder / "report.html")
-        for question, *more in questions:
-            assert cli.answer([question, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
+        for analysis, *more in analyses:
+            assert cli.execute([analysis, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
     return folder.parent / "results" / folder.name
 
 
 @pytest.fixture(scope="session")
 def everything(tmp_path_factory):
-    """Results of a mast with a guy rope that its model lacks; one mode and two sensors are withheld."""
+    """Results of a mast with a guy rope that its model lacks; one mode and two sensors are held out."""
     folder = module_of(ROOT / "tests/template/mast_effects.py").write_study(
-        tmp_path_factory.mktemp("told") / "mast", {"guy": 12000.0}
+        tmp_path_factory.mktemp("page") / "mast", {"guy": 12000.0}
     )
     file = folder / "study.toml"
     file.write_text(file.read_text().replace(*HELD))
-    return ask(folder, ["run", "--workers", "1"])
+    return run(folder, ["run", "--workers", "1"])
 
 
 @pytest.fixture(scope="session")
-def plain(tmp_path_factory):
-    """Results of the five-mass chain, a plain function."""
-    folder = tmp_path_factory.mktemp("plain") / "chain"
+def scalar(tmp_path_factory):
+    """Results of the five-mass chain, a function with scalar responses."""
+    folder = tmp_path_factory.mktemp("scalar") / "chain"
     shutil.copytree(ROOT / "studies/five_mass_chain", folder)
-    return ask(folder, ["compare"], ["explain"])
+    return run(folder, ["compare"], ["explain"])
 
 
 @pytest.fixture
@@ -106,19 +106,19 @@ def folder(everything, tmp_path):
 
 
 @pytest.fixture
-def answers(everything):
-    return Answers(everything, TITLE, True)
+def results(everything):
+    return StudyResults(everything, TITLE, True)
 
 
 @pytest.fixture(scope="session")
 def reader():
-    """Takes a page apart."""
+    """Class that parses a page."""
     return Reader
 
 
 @pytest.fixture(scope="session")
 def text(everything):
-    return page(Answers(everything, TITLE, True))
+    return page(StudyResults(everything, TITLE, True))
 
 
 @pytest.fixture(scope="session")
@@ -128,10 +128,10 @@ def read(text):
 
 @pytest.fixture(scope="session")
 def blocks():
-    """The tables of a page by their captions, or its figures by their names."""
+    """Function that returns tables of a page by caption, or figures by name."""
 
     def of_kind(folder, kind):
-        found = [b for s in sections(Answers(folder, TITLE, True)) for b in s.blocks if isinstance(b, kind)]
+        found = [b for s in sections(StudyResults(folder, TITLE, True)) for b in s.blocks if isinstance(b, kind)]
         return {getattr(b, "name", getattr(b, "caption", "")): b for b in found}
 
     return of_kind

@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-from calib.report.html.answers import Answers
+from calib.report.html.study_results import StudyResults
 from calib.report.html.write import page
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -20,14 +20,14 @@ OPTIONS = [
 PROBE = """
 <script>
 (async () => {
-  const told = {};
+  const report = {};
   const figures = [...document.querySelectorAll("figure")];
   const wait = (time) => new Promise((done) => setTimeout(done, time));
   while (figures.some((f) => !f.dataset.drawn)) await wait(100);
-  told.empty = figures.filter((f) => !f.querySelector(".main-svg, canvas")).map((f) => f.id);
-  told.silent = figures.filter((f) => !f.querySelector("[role=img]").getAttribute("aria-label")).map((f) => f.id);
-  told.wide = document.documentElement.scrollWidth > window.innerWidth;
-  told.loaded = performance.getEntriesByType("resource").map((r) => r.name).filter((r) => !/^(data|blob):/.test(r));
+  report.empty = figures.filter((f) => !f.querySelector(".main-svg, canvas")).map((f) => f.id);
+  report.silent = figures.filter((f) => !f.querySelector("[role=img]").getAttribute("aria-label")).map((f) => f.id);
+  report.wide = document.documentElement.scrollWidth > window.innerWidth;
+  report.loaded = performance.getEntriesByType("resource").map((r) => r.name).filter((r) => !/^(data|blob):/.test(r));
   const shapes = document.getElementById("mode-shapes");
   if (shapes) {
     const place = shapes.querySelector(".drawing"), play = shapes.querySelector(".play");
@@ -41,17 +41,17 @@ PROBE = """
     await wait(200);
     const paused = here();
     await wait(400);
-    told.moved = still !== moving;
-    told.held = paused === here();
+    report.moved = still !== moving;
+    report.held = paused === here();
     modes.value = 1;
     modes.dispatchEvent(new Event("change"));
     await wait(200);
-    told.other = shapes.querySelector(".facts").textContent;
-    told.label = place.getAttribute("aria-label");
+    report.other = shapes.querySelector(".facts").textContent;
+    report.label = place.getAttribute("aria-label");
   }
   const place = document.createElement("pre");
   place.id = "probe";
-  place.textContent = JSON.stringify(told);
+  place.textContent = JSON.stringify(report);
   document.body.append(place);
 })();
 </script>
@@ -64,7 +64,7 @@ pytestmark = [
 
 
 def opened(text, tmp_path):
-    """The page after its scripts have run, what the probe saw, and what the console said."""
+    """The page after its scripts have run, the probe's report, and the console's lines."""
     file = tmp_path / "report.html"
     file.write_text(text.replace("</body>", PROBE + "</body>"), encoding="utf-8")
     command = [BROWSER, *OPTIONS, f"--user-data-dir={tmp_path / 'profile'}", file.as_uri()]
@@ -75,21 +75,21 @@ def opened(text, tmp_path):
 
 
 def faults(console):
-    """Lines of the console that are no notes on speed."""
+    """Lines of the console other than notes on speed."""
     return [line for line in console if not re.search(r"willReadFrequently|GPU stall due to ReadPixels", line)]
 
 
 def test_every_figure_is_drawn_and_moves_without_a_fault(everything, tmp_path):
-    page_after, told, console = opened(page(Answers(everything, "A mast", True)), tmp_path)
+    page_after, report, console = opened(page(StudyResults(everything, "A mast", True)), tmp_path)
     assert faults(console) == []
     assert re.search(r'<p id="faults"[^>]*hidden', page_after)
-    assert told["empty"] == [] and told["silent"] == [] and told["loaded"] == [] and not told["wide"]
-    assert told["moved"] and told["held"]
-    assert told["other"].startswith("B1z: measured")
-    assert told["label"] == f"Mode shape before calibration: {told['other']}"
+    assert report["empty"] == [] and report["silent"] == [] and report["loaded"] == [] and not report["wide"]
+    assert report["moved"] and report["held"]
+    assert report["other"].startswith("B1z: measured")
+    assert report["label"] == f"Mode shape before calibration: {report['other']}"
 
 
-def test_a_study_without_modes_is_drawn_too(plain, tmp_path):
-    page_after, told, console = opened(page(Answers(plain, "Five masses", True)), tmp_path)
+def test_a_study_without_modes_is_drawn_too(scalar, tmp_path):
+    page_after, report, console = opened(page(StudyResults(scalar, "Five masses", True)), tmp_path)
     assert faults(console) == [] and re.search(r'<p id="faults"[^>]*hidden', page_after)
-    assert told["empty"] == [] and told["silent"] == [] and told["loaded"] == []
+    assert report["empty"] == [] and report["silent"] == [] and report["loaded"] == []

@@ -1,6 +1,6 @@
-"""Damaged tables and records among results are told or refused in one sentence: some dozens of them, slowly hundreds.
+"""Damaged tables and records are read or refused in one sentence: dozens of them, hundreds in the slow suite.
 
-`tests/benchmarks/damaged_tables.py` tries ten thousand.
+`tests/benchmarks/damaged_tables.py` has ten thousand.
 """
 
 import importlib
@@ -13,9 +13,9 @@ import pytest
 
 from calib.errors import InputError
 from calib.report.draw import draw_all
-from calib.report.html.answers import Answers
+from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
-from calib.report.html.write import STORY
+from calib.report.html.write import SECTIONS
 
 BENCH = Path(__file__).resolve().parents[2] / "benchmarks"
 VALUES = ("x", 7, -1.5, None, True, [], {}, [1], ["a"], {"a": 1}, [[]])
@@ -32,16 +32,16 @@ def damaged_tables():
 
 
 @pytest.mark.parametrize("trials", [20, pytest.param(400, marks=pytest.mark.slow)])
-def test_damaged_tables_are_read_or_refused(damaged_tables, everything, plain, unrendered, tmp_path, trials):
-    studies = [(home.parent.parent / home.name, home) for home in (everything, plain)]
-    studies[1] = (plain.parent.parent / "chain", plain)
+def test_damaged_tables_are_read_or_refused(damaged_tables, everything, scalar, unrendered, tmp_path, trials):
+    studies = [(home.parent.parent / home.name, home) for home in (everything, scalar)]
+    studies[1] = (scalar.parent.parent / "chain", scalar)
     bench = damaged_tables.Bench(tmp_path, *studies)
-    found = [bench.trial(number)[0] for number in range(trials)]
+    found = [bench.damage(number)[0] for number in range(trials)]
     assert set(found) == {"read", "refused"} and min(found.count("read"), found.count("refused")) > trials / 5
 
 
 def changed(value, rng):
-    """Named values with one of them, however deep, of another kind."""
+    """Named values, one of which, at any depth, has another type."""
     if isinstance(value, dict) and value and rng.random() < 0.8:
         key = rng.choice(sorted(value))
         return {**value, key: changed(value[key], rng)}
@@ -50,35 +50,35 @@ def changed(value, rng):
     return rng.choice(VALUES)
 
 
-def reads(tell, answers, name):
-    """Whether a part of the page looks at that file, which `Answers` keeps once it is read."""
-    tell(answers)
-    return name in vars(answers)
+def reads(section, results, name):
+    """Whether a section of the page reads that file, which `StudyResults` then caches."""
+    section(results)
+    return name in vars(results)
 
 
 @pytest.mark.parametrize("trials", [4, pytest.param(48, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["record", "summary", "explanation"])
-def test_values_of_another_kind_are_told_or_refused(folder, name, trials):
+def test_values_of_another_type_are_read_or_refused(folder, name, trials):
     path = folder / f"{name}.json"
     whole = json.loads(path.read_text())
-    for table in ("mesh_points", "deflection_after"):  # what is drawn in space takes longest and reads no such value
+    for table in ("mesh_points", "deflection_after"):  # the slowest figures, which read no such value
         (folder / f"{table}.csv").unlink()
-    readers = [tell for tell in (summary, *STORY) if reads(tell, Answers(folder, "Whole", True), name)]
+    readers = [part for part in (summary, *SECTIONS) if reads(part, StudyResults(folder, "Whole", True), name)]
     assert len(readers) > 2
     refused = 0
     for number in range(trials):
         path.write_text(json.dumps(changed(whole, random.Random(f"{name} {number}"))))
-        answers = Answers(folder, "Damaged", True)
+        results = StudyResults(folder, "Damaged", True)
         try:
-            for tell in readers:
-                tell(answers)
+            for part in readers:
+                part(results)
         except InputError as fault:
             assert path.name in str(fault) and "\n" not in str(fault)
             refused += 1
     assert refused > trials / 8
 
 
-def test_a_row_that_is_there_twice_is_refused_by_its_line(folder):
+def test_a_duplicate_row_is_refused_with_its_line(folder):
     path = folder / "parameters.csv"
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, lines[-1], ""]))

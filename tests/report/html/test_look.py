@@ -2,18 +2,18 @@ import json
 
 import numpy as np
 
-from calib.report.html.look import add_matrix, as_json, filled, name_axis, new, plain_json, shown, wrapped
+from calib.report.html.look import add_matrix, as_json, filled, name_axis, new, scalar_json, shown, wrapped
 
 
 def test_nothing_ends_the_script_that_holds_a_figure():
     odd = "</script><!-- & ]]>"
     figure = new(300, title={"text": odd})
-    for text in (as_json(figure), plain_json({"name": odd})):
+    for text in (as_json(figure), scalar_json({"name": odd})):
         assert "<" not in text and ">" not in text and "&" not in text
     assert json.loads(as_json(figure))["layout"]["title"]["text"] == odd
 
 
-def test_no_theme_of_the_library_is_carried_along():
+def test_no_theme_of_plotly_is_embedded():
     assert "template" not in json.loads(as_json(new(300)))["layout"] or len(as_json(new(300))) < 1000
 
 
@@ -22,7 +22,7 @@ def test_names_that_look_like_numbers_stay_names():
     assert axis["ticktext"] == ["1", "02", "1e3"] and axis["tickvals"] == [0, 1, 2] and axis["range"] == [2.5, -0.5]
 
 
-def test_words_are_shown_as_they_are():
+def test_text_is_shown_literally():
     assert shown("a<b> & c") == "a&lt;b&gt; &amp; c"
     assert wrapped("one two three four", 9) == "one two<br>three<br>four" and wrapped("<i>", 9) == "&lt;i&gt;"
 

@@ -39,7 +39,7 @@ def test_significant(value, digits, words):
     assert significant(value, digits) == words
 
 
-def test_units_shares_and_chances():
+def test_units_fractions_and_probabilities():
     assert percent(0.12345, 1, sign=True) == "+12.3"
     assert with_unit(63.5652, "kg") == "63.6 kg" and with_unit(0.5, "-") == "0.500" and with_unit(math.nan, "kg") == "–"
     assert chance(1e-9) == "< 0.001" and chance(0.0371) == "0.037" and chance(math.nan) == "–"

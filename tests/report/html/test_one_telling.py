@@ -1,4 +1,4 @@
-"""A number that is told in several places of the page, the figures and the tables is one number."""
+"""A number in several places of the page, the figures and the tables has one value and one rounding."""
 
 import json
 import re
@@ -22,16 +22,16 @@ def parameters(everything):
     return pd.read_csv(everything / "parameters.csv")
 
 
-def test_identified_parameters_are_counted_once(everything, answers):
+def test_identified_parameters_are_counted_once(everything, results):
     verdicts = pd.read_csv(everything / "verdicts.csv")
-    said = json.loads((everything / "record.json").read_text())["questions"]["calibrate"]["sentences"]
+    sentences = json.loads((everything / "record.json").read_text())["analyses"]["calibrate"]["sentences"]
     counted = f"{verdicts['identified'].sum()} of {len(verdicts)}"
-    assert dict(summary(answers).facts)["parameters identified"] == counted
-    assert [s for s in said if "parameters are identified" in s] == [identified_sentence(verdicts)]
+    assert dict(summary(results).facts)["parameters identified"] == counted
+    assert [s for s in sentences if "parameters are identified" in s] == [identified_sentence(verdicts)]
     assert identified_sentence(verdicts).startswith(counted)
 
 
-def test_the_picture_of_the_parameters_is_that_of_the_page(folder, parameters, blocks):
+def test_the_figure_of_the_parameters_is_that_of_the_page(folder, parameters, blocks):
     span = parameters["upper"] - parameters["lower"]
     shifted = parameters.assign(search_value=parameters["value"] + 0.1 * span * (1 - 2 * (parameters["ratio"] > 0.5)))
     other = shifted.assign(case="A2", search_value=parameters["lower"] + 0.3 * span)
@@ -49,22 +49,22 @@ def test_the_picture_of_the_parameters_is_that_of_the_page(folder, parameters, b
     np.testing.assert_allclose(plot.data[2].error_x.array, 2 * parameters["std"] / span, rtol=1e-6)
 
 
-def test_without_a_search_there_is_one_state_to_show(parameters):
+def test_without_a_search_there_are_no_separate_final_positions(parameters):
     assert final_places(parameters.assign(search_value=np.nan), parameters["case"].iloc[0]) is None
 
 
-def test_the_mean_error_has_one_value_and_one_rounding(everything, answers):
-    told = json.loads((everything / "summary.json").read_text())
+def test_the_mean_error_has_one_value_and_one_rounding(everything, results):
+    stored = json.loads((everything / "summary.json").read_text())
     tables = {s: pd.read_csv(everything / f"comparison_{s}.csv") for s in ("before", "after")}
     words = [t.get_text() for t in draw_frequency_error(tables["before"], tables["after"]).get_legend().get_texts()]
-    fact = dict(summary(answers).facts)
+    fact = dict(summary(results).facts)
     (label,) = [name for name in fact if name.startswith("mean frequency error")]
     for stage, text in zip(tables, words, strict=True):
-        number = percent(told[f"mean_freq_error_{stage}"])
+        number = percent(stored[f"mean_freq_error_{stage}"])
         assert percent(tables[stage]["freq_error"].abs().mean()) == number
         assert re.findall(r"[\d.]+(?= %)", text) == [number] and number in fact[label]
     every = draw_frequencies(pd.read_csv(everything / "modes.csv"))
-    assert not any("%" in t.get_text() for t in every.get_legend().get_texts())  # withheld modes have another mean
+    assert not any("%" in t.get_text() for t in every.get_legend().get_texts())  # held-out modes have another mean
 
 
 def test_the_viewer_opens_with_the_stage_of_its_section(everything, blocks):
@@ -73,11 +73,11 @@ def test_the_viewer_opens_with_the_stage_of_its_section(everything, blocks):
     assert "before calibration" in shapes.alt
 
 
-def test_the_sentence_of_a_comparison_rounds_as_everything_else_does(everything):
-    told = json.loads((everything / "summary.json").read_text())
-    (said,) = [
+def test_the_sentence_of_a_comparison_has_the_rounding_of_the_page(everything):
+    stored = json.loads((everything / "summary.json").read_text())
+    (sentence,) = [
         words
-        for words in json.loads((everything / "record.json").read_text())["questions"]["compare"]["sentences"]
+        for words in json.loads((everything / "record.json").read_text())["analyses"]["compare"]["sentences"]
         if "frequency error" in words
     ]
-    assert f"{percent(told['mean_freq_error_before'])} %" in said
+    assert f"{percent(stored['mean_freq_error_before'])} %" in sentence

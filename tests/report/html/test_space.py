@@ -1,18 +1,18 @@
-"""Three-dimensional figures: what is sent to the page is what the tables hold."""
+"""Three-dimensional figures: their data are those of the tables."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.html.answers import Answers
 from calib.report.html.space import directions, new_space, scene, scene_layout
+from calib.report.html.study_results import StudyResults
 from calib.report.scene import plot_coordinates, view_directions
 
 PLACE, MOTION = ["x", "y", "z"], ["u", "v", "w"]
 
 
-def test_points_and_lines_give_back_every_deflected_line(everything, answers):
-    stages = scene(answers)["stages"]
+def test_points_and_lines_reproduce_every_deflected_line(everything, results):
+    stages = scene(results)["stages"]
     assert [s["name"] for s in stages] == ["before calibration", "after calibration"]
     points = pd.read_csv(everything / "mesh_points.csv").set_index("point")
     elements = pd.read_csv(everything / "mesh_elements.csv")
@@ -31,9 +31,9 @@ def test_points_and_lines_give_back_every_deflected_line(everything, answers):
             )
 
 
-def test_measured_motions_are_those_at_the_sensors(everything, answers):
+def test_measured_motions_are_those_at_the_sensors(everything, results):
     shapes = pd.read_csv(everything / "shapes_after.csv")
-    for mode in scene(answers)["stages"][-1]["modes"]:
+    for mode in scene(results)["stages"][-1]["modes"]:
         own = shapes[shapes["mode"] == mode["name"]]
         found = {tuple(p): m for p, m in zip(mode["places"], mode["measured"], strict=True)}
         for row in own.to_dict("records"):
@@ -50,8 +50,8 @@ def test_shells_are_two_triangles_each_and_an_unpaired_mode_is_at_rest(folder):
     moves = pd.DataFrame([("B1x", k, 0.1 * k, 0, 0) for k in range(5)], columns=["mode", "point", *MOTION])
     for stage in ("before", "after"):
         moves.to_csv(folder / f"deflection_{stage}.csv", index=False)
-    stage = scene(Answers(folder, "", False))["stages"][0]
-    assert len(stage["points"]) == 4  # the last one belongs to nothing
+    stage = scene(StudyResults(folder, "", False))["stages"][0]
+    assert len(stage["points"]) == 4  # the last one belongs to no element
     triangles = np.array(stage["triangles"]).T
     assert sorted(map(sorted, triangles.tolist())) == [[0, 1, 2], [0, 2, 3]]
     assert len(stage["lines"]) == 4  # the borders
@@ -61,10 +61,10 @@ def test_shells_are_two_triangles_each_and_an_unpaired_mode_is_at_rest(folder):
     assert others and not any(m["paired"] for m in others) and not np.any(others[0]["motion"])
 
 
-def test_without_measured_shapes_there_is_nothing_to_lay_over(folder):
+def test_without_measured_shapes_there_is_no_viewer(folder):
     for stage in ("before", "after"):
         (folder / f"shapes_{stage}.csv").unlink()
-    assert scene(Answers(folder, "", False)) is None
+    assert scene(StudyResults(folder, "", False)) is None
 
 
 @pytest.mark.parametrize("size", [(4.0, 2.0, 0.5), (0.0, 0.0, 6.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)])

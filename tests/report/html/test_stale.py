@@ -1,4 +1,4 @@
-"""Answers of different states of a study never stand in one report, one figure or one folder without a word."""
+"""Results of different states of a study never share a report, a figure or a folder without a warning."""
 
 import contextlib
 import io
@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from calib import cli
+from calib.analyses.record import write_record
+from calib.analyses.stale import stale_answers
+from calib.analyses.state import WRITES, made_from
 from calib.errors import InputError
-from calib.questions.record import write_record
-from calib.questions.stale import stale_answers
-from calib.questions.state import WRITES, made_from
-from calib.report.html.answers import Answers
+from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.report.html.write import NAME, sections
 from calib.report.shown import Shown
@@ -27,11 +27,11 @@ from calib.space import Parameter, ParameterSpace
 
 SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)))
 
-def answer(values):
+def responses(values):
     return {"y": values["a"] + values["b"] / 2, "z": values["a"] - values["b"] / 2}
 
 def model():
-    return FunctionModel("plain", SPACE, answer)
+    return FunctionModel("plain", SPACE, responses)
 """
 STUDY = """
 title = "Plain"
@@ -53,9 +53,9 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
 @pytest.fixture(scope="module")
-def answered(functions_in_this_process, tmp_path_factory):
-    """Where a small study of plain responses was compared, screened and calibrated, as ``sums``."""
-    home = tmp_path_factory.mktemp("answered")
+def analysed(functions_in_this_process, tmp_path_factory):
+    """Home of a small study of scalar responses, ``sums``, that was compared, screened and calibrated."""
+    home = tmp_path_factory.mktemp("analysed")
     folder = home / "sums"
     folder.mkdir()
     (folder / "study.toml").write_text(STUDY)
@@ -64,23 +64,23 @@ def answered(functions_in_this_process, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
         patch.setattr("calib.front.study.draw_all", lambda *a: [])
-        ask("sensitivity", "calibrate")
+        run("sensitivity", "calibrate")
     return home
 
 
 @pytest.fixture
-def sums(answered, tmp_path, monkeypatch):
-    """A copy of that study and its results, all of which may be changed."""
-    shutil.copytree(answered, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+def sums(analysed, tmp_path, monkeypatch):
+    """A copy of that study and its results that a test may change."""
+    shutil.copytree(analysed, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.chdir(tmp_path)
     return Path("sums")
 
 
-def ask(*verbs):
-    with contextlib.redirect_stdout(io.StringIO()) as said:
+def run(*verbs):
+    with contextlib.redirect_stdout(io.StringIO()) as output:
         for verb in verbs:
-            assert cli.answer([verb, "sums"]) == 0
-    return said.getvalue()
+            assert cli.execute([verb, "sums"]) == 0
+    return output.getvalue()
 
 
 def edit(file, old, new):
@@ -93,8 +93,8 @@ def stale():
     return stale_answers(Study.load(Path("sums")), Results(ROOT / "sums"))
 
 
-def answers(found):
-    return Answers(Shown(ROOT / "sums", found.files), "Plain", False, found.sentences)
+def results(found):
+    return StudyResults(Shown(ROOT / "sums", found.files), "Plain", False, found.sentences)
 
 
 @pytest.mark.parametrize(
@@ -114,8 +114,8 @@ def test_what_a_change_makes_stale(sums, file, old, new, touched):
     assert not stale().sentences and not stale().files
     edit(file, old, new)
     found = stale()
-    asked = {"compare", "sensitivity", "calibrate"}
-    assert set(found.sentences) == touched & asked
+    analyses = {"compare", "sensitivity", "calibrate"}
+    assert set(found.sentences) == touched & analyses
     assert all(file in words for words in found.sentences.values() if file != "study.toml")
     edit(file, new, old)
     assert not stale().sentences
@@ -123,33 +123,31 @@ def test_what_a_change_makes_stale(sums, file, old, new, touched):
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
-    before = summary(answers(stale()))
-    assert {"cases" in s.title.lower() for s in sections(answers(stale()))} == {True, False}
+    before = summary(results(stale()))
+    assert {"cases" in s.title.lower() for s in sections(results(stale()))} == {True, False}
     edit("data.csv", "y,3.1", "y,2.2")
-    said = ask("compare")
+    output = run("compare")
     found = stale()
     assert set(found.sentences) == {"sensitivity", "calibrate"}
     assert {"parameters.csv", "summary.json", "comparison_after.csv", "verdicts.csv"} <= found.files
     assert not {"comparison_before.csv", "measured.csv"} & found.files
     for words in found.sentences.values():
-        assert "data.csv" in words and words in " ".join(said.split("\n"))
-    told = {s.name: s for s in sections(answers(found))}
-    assert "stale" in told and {block.text.rstrip(".") for block in told["stale"].blocks} == set(
-        found.sentences.values()
-    )
-    assert not {"calibrated", "sensitivity"} & set(told) and "compared" in told
-    now = summary(answers(found))
+        assert "data.csv" in words and words in " ".join(output.split("\n"))
+    shown = {s.name: s for s in sections(results(found))}
+    assert {block.text.rstrip(".") for block in shown["stale"].blocks} == set(found.sentences.values())
+    assert not {"calibrated", "sensitivity"} & set(shown) and "compared" in shown
+    now = summary(results(found))
     assert now.verdict != before.verdict and "calibrated" not in " ".join(what for what, _ in now.facts)
-    ask("sensitivity", "calibrate")
+    run("sensitivity", "calibrate")
     assert not stale().sentences
-    assert "stale" not in {s.name for s in sections(answers(stale()))}
+    assert "stale" not in {s.name for s in sections(results(stale()))}
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("asked_before", [True, False])
-def test_what_an_answer_that_broke_off_has_written_is_not_shown(sums, monkeypatch, asked_before):
-    """Broken off among its tables at another state of the study, which is then put back."""
-    if not asked_before:
+@pytest.mark.parametrize("run_before", [True, False])
+def test_tables_of_an_interrupted_analysis_are_not_shown(sums, monkeypatch, run_before):
+    """Interrupted between its tables at another state of the study, which is then restored."""
+    if not run_before:
         shutil.rmtree(ROOT)
     edit("data.csv", "y,3.1", "y,2.2")
 
@@ -157,56 +155,56 @@ def test_what_an_answer_that_broke_off_has_written_is_not_shown(sums, monkeypatc
         raise InputError("the disk is full")
 
     with monkeypatch.context() as patch:
-        patch.setattr("calib.questions.calibrate.write_record", stop)
-        assert cli.answer(["calibrate", "sums"]) == 2
+        patch.setattr("calib.analyses.calibrate.write_record", stop)
+        assert cli.execute(["calibrate", "sums"]) == 2
     edit("data.csv", "y,2.2", "y,3.1")
-    ask("compare")
+    run("compare")
     assert (ROOT / "sums/parameters.csv").is_file()
     for study in (Study.load(Path("sums")), StudyFile.read(Path("sums"))):
         found = stale_answers(study, Results(ROOT / "sums"))
         assert set(found.sentences) == {"calibrate"}
         assert {"parameters.csv", "comparison_after.csv", "summary.json"} <= found.files
         assert not {"comparison_before.csv", "measured.csv"} & found.files
-    assert "calibrated" not in {s.name for s in sections(answers(stale()))}
-    ask("calibrate")
+    assert "calibrated" not in {s.name for s in sections(results(stale()))}
+    run("calibrate")
     assert not stale().sentences and not stale().files
 
 
-def test_report_alone_tells_what_is_stale_and_keeps_the_tables(sums, unrendered):
-    ask("report")
+def test_the_report_alone_names_what_is_stale_and_keeps_the_tables(sums, unrendered):
+    run("report")
     tables = {p.name: p.read_bytes() for p in (ROOT / "sums").glob("*.csv")}
     pictures = {p.name for p in (ROOT / "sums").glob("*.png")}
     assert "parameters.png" in pictures
     edit("data.csv", "y,3.1", "y,2.2")
-    said = " ".join(ask("report").split("\n"))
-    assert all(words in said for words in stale().sentences.values()) and len(stale().sentences) == 3
+    output = " ".join(run("report").split("\n"))
+    assert all(words in output for words in stale().sentences.values()) and len(stale().sentences) == 3
     assert {p.name: p.read_bytes() for p in (ROOT / "sums").glob("*.csv")} == tables
     assert not list((ROOT / "sums").glob("*.png")) and (ROOT / "sums" / NAME).exists()
     edit("data.csv", "y,2.2", "y,3.1")
-    ask("report")
+    run("report")
     assert {p.name for p in (ROOT / "sums").glob("*.png")} == pictures
 
 
-def test_an_answer_of_another_version_of_calib_is_stale(sums, monkeypatch):
-    monkeypatch.setattr("calib.questions.state.__version__", "99.0")
+def test_results_of_another_version_of_calib_are_stale(sums, monkeypatch):
+    monkeypatch.setattr("calib.analyses.state.__version__", "99.0")
     assert set(stale().sentences) == {"compare", "sensitivity", "calibrate"}
 
 
-def test_a_file_of_the_user_is_no_answer_that_broke_off(sums):
+def test_a_file_of_the_user_is_no_interrupted_analysis(sums):
     Path("results/sums/effects.csv").write_text("mine\n")
     assert not stale().sentences
 
 
-def test_every_table_belongs_to_a_question_that_was_asked(everything, plain):
-    for folder in (everything, plain):
-        asked = json.loads((folder / "record.json").read_text())["questions"]
-        known = {name for question in asked for name in WRITES[question]}
+def test_every_table_belongs_to_an_analysis_that_was_run(everything, scalar):
+    for folder in (everything, scalar):
+        analyses = json.loads((folder / "record.json").read_text())["analyses"]
+        known = {name for analysis in analyses for name in WRITES[analysis]}
         assert {p.name for p in folder.glob("*.csv")} | {p.name for p in folder.glob("*.json")} <= {
             *known, "record.json", OWNER,
         }  # fmt: skip
 
 
-def test_nothing_of_a_whole_run_is_stale(everything, tmp_path):
+def test_nothing_of_a_complete_run_is_stale(everything, tmp_path):
     assert not stale_answers(Study.load(everything.parent.parent / "mast"), Results(everything)).sentences
     shutil.copytree(everything.parent.parent, tmp_path / "all")
     study = tmp_path / "all/mast"
@@ -218,26 +216,26 @@ def test_nothing_of_a_whole_run_is_stale(everything, tmp_path):
     found = stale_answers(Study.load(study), Results(tmp_path / "all/results/mast"))
     assert set(found.sentences) == {"compare", "sensitivity", "calibrate", "explain", "extend"}
     assert all("modes.csv" in words for words in found.sentences.values())
-    told = sections(Answers(Shown(tmp_path / "all/results/mast", found.files), "A mast", False, found.sentences))
-    assert {s.name for s in told} <= {"stale", "versions", "not-asked"}
+    shown = sections(StudyResults(Shown(tmp_path / "all/results/mast", found.files), "A mast", False, found.sentences))
+    assert {s.name for s in shown} <= {"stale", "versions", "not-asked"}
 
 
 def test_the_report_runs_no_code_of_the_study(sums, unrendered):
-    """Whoever is sent a study with its results may look at them before trusting its code."""
-    ask("report")
-    before = {s.name for s in sections(answers(stale()))}
+    """The results of a received study can be viewed before its code is trusted."""
+    run("report")
+    before = {s.name for s in sections(results(stale()))}
     edit("model.py", "/ 2, ", "/ 3, ")
     changed = stale()
     text = Path("sums/model.py").read_text()
     Path("sums/model.py").write_text('raise SystemExit("the code of the study was run")\n')
-    said = " ".join(ask("report").split("\n"))
-    assert all(words.split(" of ")[0] in said for words in changed.sentences.values())
+    output = " ".join(run("report").split("\n"))
+    assert all(words.split(" of ")[0] in output for words in changed.sentences.values())
     Path("sums/model.py").write_text(text)
     edit("model.py", "/ 3, ", "/ 2, ")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calib.loading.Sources.model", lambda self: pytest.fail("the code of the study was run"))
-        ask("report")
-    assert {s.name for s in sections(answers(stale()))} == before
+        run("report")
+    assert {s.name for s in sections(results(stale()))} == before
     assert (ROOT / "sums" / "parameters.png").exists()
 
 
@@ -253,13 +251,13 @@ def test_the_report_runs_no_code_of_the_study(sums, unrendered):
         ("data.csv", "response,", "# a remark\nresponse,"),
     ],
 )
-def test_what_is_stale_is_seen_without_the_code(sums, file, old, new):
-    def on_paper():
+def test_what_is_stale_is_known_without_the_code(sums, file, old, new):
+    def from_files():
         return stale_answers(StudyFile.read(Path("sums")), Results(ROOT / "sums"))
 
-    assert not on_paper().sentences
+    assert not from_files().sentences
     edit(file, old, new)
-    assert set(on_paper().sentences) == set(stale().sentences) and on_paper().files == stale().files
+    assert set(from_files().sentences) == set(stale().sentences) and from_files().files == stale().files
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -267,15 +265,15 @@ def test_what_is_stale_is_seen_without_the_code(sums, file, old, new):
 def test_a_named_file_that_is_gone_counts_as_changed(sums, gone):
     Path("sums/deck.inp").write_text("1.0")
     edit("study.toml", "selection", 'depends_on = ["deck.inp"]\nselection')
-    ask("compare")
+    run("compare")
     Path("sums", gone).unlink()
-    ask("report")
+    run("report")
     found = stale_answers(StudyFile.read(Path("sums")), Results(ROOT / "sums"))
     assert gone in found.sentences["compare"]
 
 
 @pytest.mark.parametrize("change", [lambda file: file.unlink(), lambda file: file.write_text(f"{MODEL}\nLATER = 1\n")])
-def test_an_answer_is_made_from_the_files_as_they_were_read(sums, change):
+def test_results_record_the_files_as_they_were_read(sums, change):
     study, results = Study.load(Path("sums")), Results(ROOT / "sums")
     change(Path("sums/model.py"))
     write_record(study, results, "compare", {})
@@ -284,7 +282,7 @@ def test_an_answer_is_made_from_the_files_as_they_were_read(sums, change):
     assert "compare" not in stale_answers(StudyFile.read(Path("sums")), results).sentences
 
 
-def test_a_module_beside_the_model_is_part_of_what_was_asked(sums):
+def test_a_module_beside_the_model_is_an_input_of_an_analysis(sums):
     study, results = Study.load(Path("sums")), Results(ROOT / "sums")
     assert "compare" not in stale_answers(study, results).sentences
     Path("sums/parts").mkdir()
@@ -307,21 +305,21 @@ def library():
     def lever(model):
         return lambda values: {**model.function(values), "z": model.function(values)["z"] + share * values["lever"]}
 
-    strength = Parameter("lever", 0.0, 0.0, 1.0, prior_sd=0.1)
-    return (Effect("lever", "Lever", "It is left out.", "Look there.", strength, lever),)
+    magnitude = Parameter("lever", 0.0, 0.0, 1.0, prior_sd=0.1)
+    return (Effect("lever", "Lever", "It is left out.", "Look there.", magnitude, lever),)
 """
 
 
-def test_what_builds_an_effect_is_part_of_an_explanation(sums, monkeypatch):
-    """What it holds may come from elsewhere than the study's files."""
+def test_the_values_an_effect_holds_are_inputs_of_an_explanation(sums, monkeypatch):
+    """They may come from elsewhere than the study's files."""
     Path("sums/effects.py").write_text(EFFECTS)
     edit("study.toml", "selection", 'effects = "effects.py:library"\nselection')
 
-    def told(share):
+    def settings(share):
         monkeypatch.setenv("SHARE", share)
         study = Study.load(Path("sums"))
-        return {question: made_from(study, question)["settings"] for question in ("calibrate", "explain")}
+        return {analysis: made_from(study, analysis)["settings"] for analysis in ("calibrate", "explain")}
 
-    one, same, other = told("1.0"), told("1.0"), told("2.0")
+    one, same, other = settings("1.0"), settings("1.0"), settings("2.0")
     assert one == same
     assert one["explain"] != other["explain"] and one["calibrate"] == other["calibrate"]

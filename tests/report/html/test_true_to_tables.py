@@ -15,7 +15,7 @@ def test_measured_modes_are_those_of_the_table(everything, read, reader):
     assert [r[0] for r in rows] == list(table["mode"])
     np.testing.assert_allclose([reader.number(r[1]) for r in rows], table["natural_freq"], atol=0.000501)
     np.testing.assert_allclose([reader.number(r[2]) for r in rows], table["freq_std"], atol=0.000501)
-    assert [r[-1] for r in rows] == ["withheld" if w else "used" for w in table["withheld"]]
+    assert [r[-1] for r in rows] == ["held out" if held else "used" for held in table["held_out"]]
 
 
 @pytest.mark.parametrize("stage", ["before", "after"])
@@ -36,28 +36,28 @@ def test_compared_modes_are_those_of_the_table(everything, read, stage, reader):
         np.testing.assert_allclose(cells, factor * table[name], atol=tolerance, err_msg=column)
 
 
-def test_effects_errors_and_trials_are_those_of_the_tables(everything, read, reader):
+def test_effects_errors_and_candidate_fits_are_those_of_the_tables(everything, read, reader):
     effects = pd.read_csv(everything / "effects.csv").set_index("name")
     head, *rows = read.tables["Every effect of the library, ranked"]
     assert {r[1] for r in rows} == set(effects.index)
     for row in rows:
         assert reader.number(row[head.index("z")]) == pytest.approx(effects["z"][row[1]], abs=0.0501)
         assert reader.number(row[head.index("ln Bayes")]) == pytest.approx(effects["ln_bayes"][row[1]], abs=0.0501)
-    about = {r[0]: tuple(r[1:]) for r in read.tables["What each effect is about"][1:]}
+    about = {r[0]: tuple(r[1:]) for r in read.tables["Description of the effects"][1:]}
     assert about == {r["title"]: (r["lacks"], r["look_for"]) for r in effects.to_dict("records")}
     errors = pd.read_csv(everything / "added_errors.csv")
-    rows = read.tables["Errors before and after adding guy, calibrated both times"][1:]
+    rows = read.tables["Errors before and after adding guy, both models calibrated"][1:]
     for k, stage in enumerate(("before", "after")):
         own = errors[errors["stage"] == stage]
         np.testing.assert_allclose([reader.number(r[2 + k]) for r in rows], own["rms"], atol=0.00501)
         np.testing.assert_allclose([reader.number(r[4 + k]) for r in rows], own["expected"], atol=0.00501)
-    tried = pd.read_csv(everything / "tried.csv")
-    assert [r[0] for r in read.tables["Models that were fitted"][1:]] == list(tried["effects"].fillna("none"))
+    fits = pd.read_csv(everything / "candidate_fits.csv")
+    assert [r[0] for r in read.tables["Candidate fits"][1:]] == list(fits["effects"].fillna("none"))
 
 
-def test_what_was_added_is_told_by_parameter_and_by_mode(everything, text, read, reader):
+def test_the_added_effect_is_reported_by_parameter_and_by_mode(everything, text, read, reader):
     found = pd.read_csv(everything / "added_parameters.csv").set_index("parameter")
-    head, *rows = read.tables["Calibrated parameters without and with what was added"]
+    head, *rows = read.tables["Calibrated parameters without and with the added effects"]
     assert [r[0] for r in rows] == list(found.index) and head[3] == "without" and head[5] == "with guy"
     for row in rows:
         assert (row[1] == "added") == found["added"][row[0]] == (row[0] == "guy") == (row[3] == "–")
@@ -68,24 +68,24 @@ def test_what_was_added_is_told_by_parameter_and_by_mode(everything, text, read,
     assert [w.split()[0] for w in words.split("; ")] == list(moved) and "guy" not in words
     modes = pd.read_csv(everything / "added_modes.csv")
     ((head, *rows),) = (t for name, t in read.tables.items() if name.startswith("Every measured mode: nothing fitted"))
-    assert [r[1] for r in rows] == ["withheld" if held else "fitted" for held in modes["withheld"]]
+    assert [r[1] for r in rows] == ["held out" if held else "fitted" for held in modes["held_out"]]
     for stage, words in (("initial", "nothing fitted"), ("before", "calibrated"), ("after", "extended")):
         cells = [reader.number(r[head.index(f"error {words}, %")]) for r in rows]
         np.testing.assert_allclose(cells, 100 * modes[f"error_{stage}"], atol=0.00501)
     top = " ".join(reader(text[: text.index("<section")]).text.split())
-    assert "With it the model fits better and predicts better what no fit has seen." in top
-    assert "0.03 % (noise allows 0.16 %)" in top  # the scatter of each frequency is 0.2 %: 0.2 sqrt(2/pi)
+    assert "With it the model fits better and predicts held-out data better." in top
+    assert "0.03 % (noise allows 0.16 %)" in top  # the standard deviation of each frequency is 0.2 %: 0.2 sqrt(2/pi)
     rms = pd.read_csv(everything / "added_errors.csv").set_index(["group", "stage"])["rms"]
-    told = [f"{rms['withheld_modes', stage]:.2f}" for stage in ("before", "after")]
-    assert f"error in withheld modes {told[0]} → {told[1]} σ" in top
+    errors = [f"{rms['held_out_modes', stage]:.2f}" for stage in ("before", "after")]
+    assert f"error in held-out modes {errors[0]} → {errors[1]} σ" in top
 
 
-def test_the_sentences_are_those_that_were_said(everything, read):
-    told = json.loads((everything / "explanation.json").read_text())["sentence"]
-    assert " ".join(told.replace("->", "→").split()) in read.text
+def test_the_sentences_are_those_in_the_record(everything, read):
+    sentence = json.loads((everything / "explanation.json").read_text())["sentence"]
+    assert " ".join(sentence.replace("->", "→").split()) in read.text
     record = json.loads((everything / "record.json").read_text())
-    for question in ("compare", "sensitivity", "calibrate", "extend"):
-        sentences = record["questions"][question]["sentences"]
+    for analysis in ("compare", "sensitivity", "calibrate", "extend"):
+        sentences = record["analyses"][analysis]["sentences"]
         assert sentences and all(" ".join(s.replace("->", "→").split()) in read.text for s in sentences)
 
 
@@ -107,22 +107,22 @@ def test_figures_show_the_tables(everything, blocks):
     np.testing.assert_allclose(sorted(shown), sorted(effects["ln_bayes"]))
 
 
-def test_what_cannot_be_seen_is_grey(folder, blocks):
+def test_effects_that_are_not_visible_are_grey(folder, blocks):
     effects = pd.read_csv(folder / "effects.csv")
     effects["visible"] = effects["name"] != "lamp"
     effects.to_csv(folder / "effects.csv", index=False)
     table = blocks(folder, Table)["Every effect of the library, ranked"]
-    assert [table.rows[k][1] for k in table.grey] == ["lamp"] and "cannot be seen" in table.rows[table.grey[0]][-1]
+    assert [table.rows[k][1] for k in table.grey] == ["lamp"] and "not visible" in table.rows[table.grey[0]][-1]
     axis = blocks(folder, Plot)["ranked-effects"].figure.layout.yaxis
     assert [t for t in axis.ticktext if "color" in t] == ['<span style="color:#767676">Lamp near the top</span>']
 
 
 def test_a_group_of_data_that_one_stage_lacks_has_a_dash(folder, blocks):
     errors = pd.read_csv(folder / "added_errors.csv")
-    lost = (errors["group"] == "withheld_sensors") & (errors["stage"] == "after")
+    lost = (errors["group"] == "held_out_sensors") & (errors["stage"] == "after")
     errors[~lost].to_csv(folder / "added_errors.csv", index=False)
     rows = {
-        row[0]: row for row in blocks(folder, Table)["Errors before and after adding guy, calibrated both times"].rows
+        row[0]: row for row in blocks(folder, Table)["Errors before and after adding guy, both models calibrated"].rows
     }
-    (own,) = (row for label, row in rows.items() if "withheld sensors" in label)
+    (own,) = (row for label, row in rows.items() if "held-out sensors" in label)
     assert lost.sum() == 1 and own[3] == "–" and own[2] != "–"

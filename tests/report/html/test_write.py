@@ -1,4 +1,4 @@
-"""The whole page: what is told, that it needs nothing beside it, and that its numbers are those of the tables."""
+"""The whole page: its sections, that it is self-contained, escaping, and writing."""
 
 import json
 import re
@@ -10,21 +10,21 @@ from plotly.offline import get_plotlyjs
 
 from calib.errors import InputError
 from calib.report.html import write
-from calib.report.html.answers import Answers
 from calib.report.html.page import LONGEST, Plot, Shapes, Table
+from calib.report.html.study_results import StudyResults
 from calib.report.html.write import page, sections, write_report
 
 TITLE = "A mast that may lack something"
 WHOLE = [
-    "measured", "compared", "fails", "sensitivity", "calibrated", "strained", "effects", "verdict", "next", "errors",
-    "tried", "assumptions", "versions",
+    "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "next", "errors",
+    "candidate_fits", "assumptions", "versions",
 ]  # fmt: skip
 
 
-# -- the story ---------------------------------------------------------------------------------------------------------
+# -- sections ----------------------------------------------------------------------------------------------------------
 
 
-def test_everything_that_was_asked_is_told_in_order(read):
+def test_every_analysis_has_its_section_in_order(read):
     assert [a["id"] for a in read.named("section")] == WHOLE
     assert [a["href"] for a in read.named("a")] == [f"#{name}" for name in WHOLE]
     assert len(read.named("h1")) == 1 and len(read.named("h2")) == len(WHOLE)
@@ -37,90 +37,94 @@ def test_the_verdict_and_what_is_synthetic_come_before_any_section(text, read, r
 
 
 def test_a_measured_structure_is_not_called_synthetic(everything, reader):
-    assert "ynthetic" not in reader(page(Answers(everything, TITLE, False))).text
+    assert "ynthetic" not in reader(page(StudyResults(everything, TITLE, False))).text
 
 
 @pytest.mark.parametrize(
     ("gone", "section", "command"),
     [
-        (["selection", "sensitivity", "partial", "influence", "input_correlation"], "sensitivity", "calib sensitivity"),
+        (
+            ["selection", "sensitivity", "partial", "variance_share", "input_correlation"],
+            "sensitivity",
+            "calib sensitivity",
+        ),
         (["parameters"], "calibrated", "calib calibrate"),
         (["explanation"], "verdict", "calib explain"),
         (["comparison_before"], "compared", "calib compare"),
     ],
 )
-def test_what_was_not_asked_is_left_out_and_its_command_is_named(folder, gone, section, command):
+def test_an_analysis_that_was_not_run_is_omitted_and_its_command_named(folder, gone, section, command):
     for name in gone:
         for suffix in ("csv", "json"):
             (folder / f"{name}.{suffix}").unlink(missing_ok=True)
-    *told, last = sections(Answers(folder, TITLE, True))
-    assert [s.name for s in told] == [n for n in WHOLE if n != section] and last.name == "not-asked"
+    *shown, last = sections(StudyResults(folder, TITLE, True))
+    assert [s.name for s in shown] == [n for n in WHOLE if n != section] and last.name == "not-asked"
     assert any(f"{command} mast" in words.text for words in last.blocks)
 
 
-def test_every_section_stands_on_its_own_tables(folder):
-    for name in ("strain", "effects", "next_measurement", "tried"):
+def test_every_section_depends_on_its_own_tables_alone(folder):
+    for name in ("pulls", "effects", "next_measurement", "candidate_fits"):
         (folder / f"{name}.csv").unlink()
-    told = [s.name for s in sections(Answers(folder, TITLE, True))]
-    assert told == [n for n in WHOLE if n not in ("strained", "effects", "next", "tried")]
+    shown = [s.name for s in sections(StudyResults(folder, TITLE, True))]
+    assert shown == [n for n in WHOLE if n not in ("pulled", "effects", "next", "candidate_fits")]
 
 
-def test_a_study_without_library_is_not_asked_to_explain(folder):
+def test_a_study_without_a_library_is_not_advised_to_explain(folder):
     (folder / "explanation.json").unlink()
     record = json.loads((folder / "record.json").read_text())
     (folder / "record.json").write_text(json.dumps({**record, "effects_known": 0}))
-    assert [s.name for s in sections(Answers(folder, TITLE, True))] == [n for n in WHOLE if n != "verdict"]
+    assert [s.name for s in sections(StudyResults(folder, TITLE, True))] == [n for n in WHOLE if n != "verdict"]
 
 
-def test_results_without_a_record_are_told_as_far_as_they_go(folder):
+def test_results_without_a_record_are_shown_as_far_as_possible(folder):
     for name in ("record.json", "measured.csv", "sensors.csv"):
         (folder / name).unlink()
-    told = [s.name for s in sections(Answers(folder, TITLE, False))]
-    assert told == [n for n in WHOLE if n not in ("measured", "versions")]
+    shown = [s.name for s in sections(StudyResults(folder, TITLE, False))]
+    assert shown == [n for n in WHOLE if n not in ("measured", "versions")]
 
 
-def test_plain_responses_have_neither_modes_nor_shapes(plain, reader):
-    found = reader(page(Answers(plain, "Five masses", True)))
+def test_scalar_responses_have_neither_modes_nor_shapes(scalar, reader):
+    found = reader(page(StudyResults(scalar, "Five masses", True)))
     names = [a["id"] for a in found.named("section")]
     assert {"measured", "compared", "fails", "effects", "verdict", "errors"} <= set(names)
     assert not found.named("select") and "EMAC" not in found.text
-    table = pd.read_csv(plain / "comparison_before.csv")
+    table = pd.read_csv(scalar / "comparison_before.csv")
     rows = found.tables["Every response before calibration"][1:]
     assert [r[0] for r in rows] == list(table["response"])
     np.testing.assert_allclose([reader.number(r[3]) for r in rows], 100 * table["error"], atol=0.00501)
 
 
-def test_versions_seeds_and_times_of_every_question_are_told(everything, read):
+def test_versions_seeds_and_times_of_every_analysis_are_shown(everything, read):
     record = json.loads((everything / "record.json").read_text())
-    rows = read.tables["Questions asked"][1:]
-    assert [r[0] for r in rows] == [f"calib {q}" for q in record["questions"]]
+    rows = read.tables["Analyses run"][1:]
+    assert [r[0] for r in rows] == [f"calib {analysis}" for analysis in record["analyses"]]
     assert f"numpy {np.__version__}" in read.text
     assert any("A1 1" in r[3] for r in rows)
 
 
-def test_values_taken_over_are_told(folder):
+def test_adopted_values_are_shown(folder):
     record = json.loads((folder / "record.json").read_text())
     (folder / "record.json").write_text(json.dumps({**record, "adopted": {"E": 205.25}, "adopted_from": "../older"}))
-    told = next(s for s in sections(Answers(folder, TITLE, True)) if s.name == "versions").blocks
-    assert any("Taken over from the study ../older and held: E 205.25." == getattr(b, "text", "") for b in told)
+    shown = next(s for s in sections(StudyResults(folder, TITLE, True)) if s.name == "versions").blocks
+    assert any("Adopted from the study ../older and held fixed: E 205.25." == getattr(b, "text", "") for b in shown)
 
 
 def test_until_something_is_added_the_errors_are_those_of_the_explanation(folder, reader, blocks):
     for file in folder.glob("added*"):
         file.unlink()
-    *told, last = sections(Answers(folder, TITLE, True))
-    assert [s.name for s in told] == WHOLE and last.name == "not-asked"
+    *shown, last = sections(StudyResults(folder, TITLE, True))
+    assert [s.name for s in shown] == WHOLE and last.name == "not-asked"
     assert any("calib run mast" in words.text for words in last.blocks)
     errors = pd.read_csv(folder / "errors.csv")
     rows = blocks(folder, Table)["Errors before and after adding guy"].rows
     np.testing.assert_allclose([reader.number(r[3]) for r in rows], errors["rms"], atol=0.00501)
 
 
-def test_why_nothing_was_added_is_told(folder, reader):
+def test_the_reason_for_adding_no_effect_is_shown(folder, reader):
     for file in folder.glob("added*"):
         file.unlink()
     (folder / "added.json").write_text('{"sentence": "None of them is added.", "conclusion": "", "effects": []}')
-    read = reader(page(Answers(folder, TITLE, True)))
+    read = reader(page(StudyResults(folder, TITLE, True)))
     assert "None of them is added." in read.text and "errors" in [a["id"] for a in read.named("section")]
 
 
@@ -140,7 +144,7 @@ def test_nothing_is_loaded_from_anywhere(text, read):
     assert "default-src 'none'" in policy and "http" not in policy and "form-action 'none'" in policy
 
 
-def test_the_library_is_embedded_once_and_sends_nothing(text):
+def test_plotly_is_embedded_once_and_sends_nothing(text):
     assert text.count(get_plotlyjs().strip()[:200]) == 1
     assert "showSendToCloud: false" in text and 'plotlyServerURL: ""' in text
 
@@ -156,8 +160,8 @@ def test_every_figure_has_a_text_alternative_and_a_caption(everything, read, blo
         assert {"role": "img", "aria-label": figure.alt, "class": "drawing"} in drawings
 
 
-def test_every_table_has_a_caption_heads_and_as_many_cells(everything, plain, blocks):
-    for folder in (everything, plain):
+def test_every_table_has_a_caption_heads_and_as_many_cells(everything, scalar, blocks):
+    for folder in (everything, scalar):
         for caption, table in blocks(folder, Table).items():
             assert caption and table.rows, caption
             assert {len(row) for row in table.rows} == {len(table.heads)}, caption
@@ -175,15 +179,15 @@ def test_long_tables_are_folded_and_only_they(everything, read, blocks):
 ODD = "</script><script>alert(\"1\")</script> & <b>'x'</b>"
 
 
-def test_names_are_shown_as_they_are_whatever_characters_they_have(folder, reader):
-    plain_names = pd.read_csv(folder / "comparison_before.csv")["mode"].tolist()
+def test_names_are_shown_literally_whatever_characters_they_have(folder, reader):
+    mode = pd.read_csv(folder / "comparison_before.csv")["mode"].iloc[0]
     quoted = '"' + ODD.replace('"', '""') + '"'
     for file in [*folder.glob("*.csv")]:
         lines = file.read_text().splitlines(keepends=True)
-        lines = [re.sub(rf"(?m)(^|,){plain_names[0]}(,)", lambda m: m[1] + quoted + m[2], line) for line in lines]
+        lines = [re.sub(rf"(?m)(^|,){mode}(,)", lambda m: m[1] + quoted + m[2], line) for line in lines]
         file.write_text("".join(lines))
-    found = reader(page(Answers(folder, ODD, True)))
-    usual = reader(page(Answers(folder, TITLE, True)))
+    found = reader(page(StudyResults(folder, ODD, True)))
+    usual = reader(page(StudyResults(folder, TITLE, True)))
     assert len(found.elements) == len(usual.elements) and len(found.named("b")) == 0
     assert ODD in found.words[found.words.index(ODD)] and any(row[0] == ODD for row in found.tables["Measured modes"])
     for kind, content in found.scripts:
@@ -204,10 +208,10 @@ def test_the_page_is_written_beside_its_tables_and_is_the_same_each_time(folder,
     assert not [p for p in folder.iterdir() if p.name.startswith(".")]
 
 
-def test_a_stop_while_writing_leaves_the_old_page(folder, monkeypatch):
+def test_an_interruption_while_writing_leaves_the_old_page(folder, monkeypatch):
     path = write_report(folder, TITLE, True)
     old = path.read_bytes()
-    monkeypatch.setattr(write, "page", lambda answers: "a new page")
+    monkeypatch.setattr(write, "page", lambda results: "a new page")
     write_text = type(path).write_text
 
     def stop(self, content, **options):
@@ -238,6 +242,7 @@ def test_a_missing_folder(tmp_path):
         write_report(tmp_path / "nowhere", TITLE, False)
 
 
-def test_an_empty_folder_says_what_to_ask(tmp_path, reader):
-    found = reader(page(Answers(tmp_path, TITLE, False)))
-    assert [a["id"] for a in found.named("section")] == ["not-asked"] and "Nothing was compared yet." in found.text
+def test_an_empty_folder_names_the_commands_to_run(tmp_path, reader):
+    found = reader(page(StudyResults(tmp_path, TITLE, False)))
+    assert [a["id"] for a in found.named("section")] == ["not-asked"]
+    assert "No comparison has been run yet." in found.text

@@ -15,7 +15,7 @@ def bent(model):
 
 
 def library():
-    strength = Parameter("bend", 0.0, -1.0, 1.0, prior_sd=0.5)
+    magnitude = Parameter("bend", 0.0, -1.0, 1.0, prior_sd=0.5)
     more = (Parameter("bend_at", 1.0, 0.0, 2.0), Parameter("bend_scale", 2.0, 2.0, 2.0, distribution="fixed"))
     grid = ({"bend": 0.1, "bend_at": 1.0, "bend_scale": 2.0},)
-    return (Effect("bend", "a bend", "It is straight.", "Bends.", strength, bent, nuisance=more, grid=grid),)
+    return (Effect("bend", "a bend", "It is straight.", "Bends.", magnitude, bent, nuisance=more, grid=grid),)

@@ -1,20 +1,20 @@
 "use strict";
-// A fault is told to the reader in the page, who never sees the console.
-function tellFault(words) {
+// Show faults in the page: readers do not see the console.
+function showFault(words) {
   const place = document.getElementById("faults");
   place.hidden = false;
   place.textContent = [place.textContent, "A figure could not be drawn: " + words].filter(Boolean).join(" ");
 }
-window.addEventListener("error", (event) => tellFault(event.message));
-window.addEventListener("unhandledrejection", (event) => tellFault(String(event.reason)));
+window.addEventListener("error", (event) => showFault(event.message));
+window.addEventListener("unhandledrejection", (event) => showFault(String(event.reason)));
 
-// Nothing leaves the page: the library would otherwise offer to send a figure's data to a server.
+// Nothing leaves the page: by default Plotly offers to send a figure's data to a server.
 const CONFIG = {
   responsive: true, displaylogo: false, scrollZoom: false, showSendToCloud: false, plotlyServerURL: "",
   modeBarButtonsToRemove: ["select2d", "lasso2d"],
 };
 
-// What a graphics card draws is lost on paper, so a picture of it is kept for printing.
+// WebGL figures do not print, so a PNG of each is kept for printing.
 function keepForPaper(figure, place) {
   const size = { format: "png", width: 900, height: place.clientHeight };
   return Plotly.toImage(place, size).then((url) => {
@@ -66,7 +66,7 @@ function drawShapes(figure, content) {
   const play = figure.querySelector("button.play"), facts = figure.querySelector("span.facts");
   const colours = content.colours;
   content.stages.forEach((stage, k) => stages.add(new Option(stage.name, k)));
-  stages.value = 0;  // the section it stands in is about the model before anything was fitted
+  stages.value = 0;  // its section is about the model before calibration
   stages.parentElement.hidden = content.stages.length === 1;
   content.stages[0].modes.forEach((mode, k) => modes.add(new Option(mode.name, k)));
   let started = null, request = null, held = false;
@@ -82,7 +82,7 @@ function drawShapes(figure, content) {
   };
   const step = (now) => {
     started = started ?? now;
-    // One period in two seconds, begun at the largest motion. A new picture would undo a turn that is under way.
+    // One period in two seconds, starting at the largest motion. A new frame would undo a rotation by the mouse.
     const drawn = held ? Promise.resolve() : show(Math.cos(Math.PI * (now - started) / 1000));
     drawn.then(() => {
       if (request !== null) request = requestAnimationFrame(step);
@@ -146,7 +146,7 @@ for (const figure of document.querySelectorAll("figure[data-kind]")) {
   });
 }
 
-// What is folded away on the screen belongs on paper.
+// Print tables that are folded on the screen.
 let folded = [];
 window.addEventListener("beforeprint", () => {
   folded = [...document.querySelectorAll("details:not([open])")];

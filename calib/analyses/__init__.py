@@ -1,0 +1,1 @@
+"""The analyses of a study, one file each. They return and write tables; they draw and print nothing."""

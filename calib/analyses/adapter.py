@@ -1,0 +1,76 @@
+"""Protocol of a test as `calib.analyses.explain` uses it: hypotheses, errors, notes, tables."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.discretisation_error import DiscretisationError
+from calib.analyses.explanation_result import Told
+from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.hypotheses import Hypotheses
+from calib.missing.recommendation import ExperimentalDesign
+from calib.outcome import Outcome
+
+
+class Adapter(Protocol):
+    """Properties and methods in which kinds of tests differ.
+
+    Implemented by `ModalAdapter`, by `ScalarAdapter` and, for several tests, by `JointAdapter`.
+    """
+
+    @property
+    def told(self) -> Told:
+        """Facts about the measurement beside its rows."""
+        ...
+
+    @property
+    def hypotheses(self) -> Hypotheses:
+        """Hypotheses that the decision compares."""
+        ...
+
+    @property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row over its value, of shapes over the largest entry, (n_rows,)."""
+        ...
+
+    @property
+    def budget_of_fits(self) -> float:
+        """Model evaluations after which no further effect is fitted."""
+        ...
+
+    def notes(self) -> list[str]:
+        """Caveats that the reader needs before the results."""
+        ...
+
+    def errors(
+        self, stages: dict[str, CandidateFit], scale: float
+    ) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
+        """Errors by stage and group of data, notes, and entries of the summary."""
+        ...
+
+    def failing(self) -> set[str]:
+        """Effects with which the model failed at any point."""
+        ...
+
+    def failed(self) -> list[Outcome]:
+        """Points at which the user's code failed."""
+        ...
+
+    def design(self, found: Explanation) -> ExperimentalDesign | None:
+        """Candidate measurements; None where none can be proposed."""
+        ...
+
+    def discretisation_error(self, found: Explanation) -> DiscretisationError | None:
+        """Scores that the discretisation error alone would give; None without a finer mesh."""
+        ...
+
+    def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
+        """Kind, location (m) and sensor of every local perturbation, by name."""
+        ...
+
+    def tables(self, stages: dict[str, CandidateFit]) -> dict[str, pd.DataFrame]:
+        """Further tables by name."""
+        ...

@@ -1,0 +1,273 @@
+"""Benefit of an added effect: errors of the model without and with it, both calibrated in the same way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.calibrate import Calibration
+from calib.analyses.record import begin_analysis, write_record
+from calib.effect import Effect
+from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.held_out import UNSEEN, contradicting
+from calib.missing.verdict import GROUPS
+from calib.results import Results
+from calib.study import Study
+
+WORDS = {"fit": "used data", **GROUPS}
+COLUMNS = ("group", "stage", "rows", "rms", "expected", "p", "unpaired")
+TWO_SIDED = 1.96
+"""Standard deviations on either side that hold 95 %."""
+FALLEN = 0.98
+"""Ratio of two errors below which the second counts as reduced: less hardly shows in the two printed decimals."""
+UNSETTLED = 2.0
+"""Difference between calibrated and explained magnitude, in standard deviations, above which one has not converged."""
+WITHIN = 0.05
+"""p-value of a correctly specified model above which an error counts as noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Added:
+    """The effects that were added, and how the errors changed.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        Empty when nothing was added.
+    sentence : str
+        How the errors changed, or why no effect was added.
+    conclusion : str
+        Whether the model fits and predicts better with them; empty where the errors are unknown.
+    errors : DataFrame
+        ``added_errors.csv``: ``group, stage, rows, rms, expected, p, unpaired``, stages ``before`` and ``after``.
+    parameters : DataFrame
+        ``added_parameters.csv``: ``parameter, unit, added, nominal, before, before_std, after, after_std``.
+    modes : DataFrame
+        ``added_modes.csv``: ``mode, held_out, damped_freq_measured`` and ``damped_freq_, error_, mac_`` of the stages
+        ``initial`` (nominal values), ``before`` (calibrated) and ``after`` (calibrated with the added effects).
+    """
+
+    effects: tuple[Effect, ...]
+    sentence: str
+    conclusion: str
+    errors: pd.DataFrame
+    parameters: pd.DataFrame
+    modes: pd.DataFrame
+
+
+def to_add(found: Explanation) -> CandidateFit | None:
+    """The fit with the named effects if the verdict leaves no competing model; None otherwise."""
+    if found.verdict not in ("effect", "two_effects") or found.chosen is None:
+        return None
+    return found.chosen if set(found.untold) == set(found.chosen.names) else None
+
+
+def nothing_added(found: Explanation) -> str:
+    """Why no effect is added, in words."""
+    untold = (
+        f"These data cannot discriminate between {' and '.join(found.untold)}, so none of them is "
+        "added: inspect the structure, or make a measurement that discriminates between them."
+    )
+    named = " and ".join(() if found.chosen is None else found.chosen.names)
+    reasons = {
+        "nothing_detectable": "These data show no missing effect, so nothing is added.",
+        "noise_underestimated": "Correct the standard deviation of the measurement first: nothing is added.",
+        "indistinguishable": untold,
+        "two_effects": untold,
+        "unconfirmed": f"The best-fitting explanation, {named}, is not confirmed: "
+        f"{'no local perturbation competed with it' if found.uncontested else 'held-out data contradict it'}, so "
+        "nothing is added. 'calib extend' adds it anyway.",
+        "partial": "The fitted effects explain only part of the misfit and may stand in for another cause, so nothing "
+        "is added.",
+        "misfit_unlocated": "No effect stands out, so nothing is added: check the data that fit worst.",
+        "none_explains": "No effect of the library explains the misfit, so nothing is added.",
+    }
+    return reasons[found.verdict]
+
+
+def write_nothing_added(study: Study, found: Explanation, results: Results, quick: bool = False) -> Added:
+    """Report why no effect is added, and write ``added.json``."""
+    nothing = pd.DataFrame()
+    begin_analysis(results, "extend")
+    answer = _written(Added((), nothing_added(found), "", nothing, nothing, nothing), results, effects=[])
+    write_record(study, results, "extend", {}, (answer.sentence,), quick)
+    return answer
+
+
+def write_added(
+    study: Study,
+    before: Calibration,
+    found: CandidateFit,
+    extended: Study,
+    after: Calibration,
+    results: Results,
+    quick: bool = False,
+) -> Added:
+    """Compare a calibrated model with its extended version, calibrated in the same way, and write the comparison.
+
+    Parameters
+    ----------
+    study : Study
+    before : Calibration
+        Of ``study``.
+    found : CandidateFit
+        The explanation's fit with the added effects.
+    extended : Study
+        The study with these effects.
+    after : Calibration
+        Of ``extended``.
+    results : Results
+        Of ``study``; ``added.json`` and the ``added_*`` tables are written there.
+    quick : bool
+        Whether both calibrations were quick runs.
+    """
+    effects = found.effects
+    errors = _errors(before, after)
+    parameters = _parameters(extended, effects, before, after)
+    magnitudes = [_magnitude(effect, extended, after) for effect in effects]
+    benefit = "" if errors.empty else f"With {'it' if len(effects) == 1 else 'them'} {conclusion(errors)}."
+    words = [_sentence(magnitudes, errors, benefit), *_unsettled(magnitudes, found)]
+    words += ["Both are quick runs: confirm them with full ones."] if quick else []
+    answer = Added(effects, " ".join(words), benefit, errors, parameters, _modes(before, after))
+    begin_analysis(results, "extend")
+    results.write_table("added_errors", errors)
+    results.write_table("added_parameters", parameters)
+    if len(answer.modes):
+        results.write_table("added_modes", answer.modes)
+    given = extended.settings
+    seeds = {**{case.name: case.seed for case in given.calibration.cases}, "reduction": given.reduction.seed}
+    reached = {"mean_freq_error": after.best.answer.mean_freq_error, "mean_mac": after.best.answer.mean_mac}
+    _written(answer, results, effects=magnitudes, study=str(extended.file.parent), quick=quick, **reached)
+    write_record(study, results, "extend", seeds, (answer.sentence,), quick)
+    return answer
+
+
+def _written(answer: Added, results: Results, **more: object) -> Added:
+    """Write ``added.json``."""
+    results.write_json("added", {"sentence": answer.sentence, "conclusion": answer.conclusion, **more})
+    return answer
+
+
+def _errors(before: Calibration, after: Calibration) -> pd.DataFrame:
+    stages = {"before": before.errors, "after": after.errors}
+    known = [table.assign(stage=stage) for stage, table in stages.items() if table is not None]
+    return pd.concat(known, ignore_index=True)[list(COLUMNS)] if len(known) == 2 else pd.DataFrame(columns=COLUMNS)
+
+
+def _parameters(study: Study, effects: Sequence[Effect], before: Calibration, after: Calibration) -> pd.DataFrame:
+    """Fitted values without and with the added effects; NaN where a parameter was not fitted."""
+    own = {name for effect in effects for name in effect.names}
+    found = [c.verdicts.set_index("parameter")[["value", "std"]].astype(float) for c in (before, after)]
+    table = found[1].rename(columns={"value": "after", "std": "after_std"})
+    table = table.join(found[0].rename(columns={"value": "before", "std": "before_std"}))
+    space = study.model.space
+    table = table[[name in space for name in table.index]]
+    table["unit"] = [space[name].unit for name in table.index]
+    table["added"] = [name in own for name in table.index]
+    table["nominal"] = [space[name].value for name in table.index]
+    columns = ["unit", "added", "nominal", "before", "before_std", "after", "after_std"]
+    return table[columns].reset_index()
+
+
+def _modes(before: Calibration, after: Calibration) -> pd.DataFrame:
+    """All measured modes: nominal, calibrated, and calibrated with the added effects; empty for scalar responses."""
+    if before.modes is None or after.modes is None:
+        return pd.DataFrame()
+    table = before.modes[["mode", "held_out", "damped_freq_measured"]].copy()
+    stages = {"initial": (before.modes, "before"), "before": (before.modes, "after"), "after": (after.modes, "after")}
+    for stage, (modes, own) in stages.items():
+        for kind in ("damped_freq", "error", "mac"):
+            table[f"{kind}_{stage}"] = modes[f"{kind}_{own}"]
+    return table
+
+
+def _magnitude(effect: Effect, study: Study, after: Calibration) -> dict[str, object]:
+    """Name, title, fitted magnitude and its 95 % interval, clipped to the limits of the search."""
+    name, limits = effect.magnitude.name, study.search_space[effect.magnitude.name]
+    known = dict(zip(after.verdicts["parameter"], after.verdicts["std"], strict=True))
+    value, reach = after.best.result.values[name], TWO_SIDED * float(known.get(name, math.nan))
+    interval = np.clip([value - reach, value + reach], limits.lower, limits.upper).tolist()
+    ends = dict(zip(("low", "high"), interval, strict=True))
+    return {"name": effect.name, "title": effect.title, "unit": effect.magnitude.unit, "value": value, **ends}
+
+
+# -- words -------------------------------------------------------------------------------------------------------------
+
+
+def _sentence(magnitudes: Sequence[Mapping[str, Any]], errors: pd.DataFrame, summary: str) -> str:
+    named = " and ".join(f"{s['title']} ({s['name']}), {_with_interval(s)}" for s in magnitudes)
+    if errors.empty:
+        return f"Added: {named}. The errors are unknown: the model cannot be evaluated near the best values."
+    listed = "; ".join(
+        f"{WORDS[r['group']]} {r['rms_before']:.2f} -> {r['rms_after']:.2f} ({r['expected_after']:.2f})"
+        for r in by_group(errors).to_dict("records")
+    )
+    return (
+        f"Added: {named}. {summary} Rms error in standard deviations, before -> after "
+        f"(what a correctly specified model would show): {listed}."
+    )
+
+
+def _unsettled(magnitudes: Sequence[Mapping[str, Any]], found: CandidateFit) -> list[str]:
+    """A sentence for each magnitude that differs from the fit of the explanation, which has the same model."""
+    fit = found.fit
+    std = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
+    fitted = {effect.name: effect.magnitude.name for effect in found.effects}
+    out = []
+    for s in magnitudes:
+        name = fitted[s["name"]]
+        if abs(s["value"] - fit.values[name]) > UNSETTLED * std.get(name, math.inf):
+            there = _with_interval({**s, "value": fit.values[name], "low": math.nan})
+            out.append(
+                f"The explanation fitted {s['name']} = {there}; this calibration ended elsewhere: give its search more "
+                "generations or cases."
+            )
+    return out
+
+
+def _with_interval(magnitude: Mapping[str, Any]) -> str:
+    unit = "" if magnitude["unit"] == "-" else f" {magnitude['unit']}"
+    if math.isnan(magnitude["low"]):
+        return f"{magnitude['value']:.3g}{unit}"
+    return f"{magnitude['value']:.3g}{unit} (95 %: {magnitude['low']:.3g} to {magnitude['high']:.3g}{unit})"
+
+
+def conclusion(errors: pd.DataFrame) -> str:
+    """Whether the extended model fits and predicts better, in words.
+
+    Predictions are judged by held-out data or, where nothing is held out, by leave-one-out errors.
+
+    Parameters
+    ----------
+    errors : DataFrame
+        ``group, stage, rms, expected, p`` of the stages ``before`` and ``after``.
+    """
+    table = by_group(errors).set_index("group")
+    fell = table["rms_after"] < FALLEN * table["rms_before"]
+    quiet = ~fell & (table["p_before"] > WITHIN) & (table["p_after"] > WITHIN)
+    unseen = [group for group in UNSEEN if group in table.index] or ["left_out"]
+    better = [WORDS[g] for g in unseen if fell[g]]
+    same = [WORDS[g] for g in unseen if not fell[g] and not quiet[g]]
+    noise = [WORDS[g] for g in unseen if quiet[g]]
+    words = "the model fits better" if fell["fit"] else "the model fits no better"
+    if better and not same:
+        words += " and predicts held-out data better" if unseen != ["left_out"] else f" and predicts {better[0]} better"
+    elif better:
+        words += f", predicts {' and '.join(better)} better, {' and '.join(same)} no better"
+    else:
+        words += ", predicts no better"
+    words += f"; {' and '.join(noise)} stay within the noise" if noise else ""
+    against = [WORDS[g] for g in contradicting(errors, "after")]
+    return words + (f"; not confirmed: {' and '.join(against)} contradict it" if against else "")
+
+
+def by_group(errors: pd.DataFrame) -> pd.DataFrame:
+    """One row per group of data, in the order of `WORDS`; each column once as ``*_before`` and once as ``*_after``."""
+    before, after = (errors[errors["stage"] == stage] for stage in ("before", "after"))
+    table = before.merge(after, on="group", suffixes=("_before", "_after")).set_index("group")
+    return table.reindex([group for group in WORDS if group in table.index]).reset_index()

@@ -1,0 +1,344 @@
+"""One case of a calibration: a genetic search refined by least squares, or least squares alone."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, partial
+from typing import TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.compare import ComparisonResult, comparison_at
+from calib.analyses.explained_fit import explained_fit
+from calib.analyses.fit_statistics import (
+    FitProgress,
+    FitStatistics,
+    Shared,
+    Terms,
+    criteria,
+    ended,
+    posed,
+    refined,
+    statistics_at,
+)
+from calib.analyses.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator
+from calib.analyses.reduction import Reduction, reduction_of
+from calib.analyses.stored import confirm
+from calib.analyses.user_function import function_of, ledger_key
+from calib.correlation.problem import FunctionProblem
+from calib.errors import EvaluationError, InputError, ToleranceError
+from calib.forward import ForwardProblem
+from calib.inference.cases import Case, CaseResult, run_case
+from calib.inference.genetic import GeneticSettings
+from calib.inference.objective import FrequencyMacObjective, ResponseObjective
+from calib.ledger import Ledger
+from calib.outcome import Outcome, answered, as_cause, key_of
+from calib.problem import Counts, Pair, Problem
+from calib.results import Results
+from calib.sampling import sample
+from calib.several import AnyStudy
+from calib.study import Study
+from calib.study_file import StudyFile
+
+Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
+SearchProgress = Callable[[str, int, int, float], None]
+Starts: TypeAlias = Sequence[Mapping[str, float]]
+
+QUICK_STARTS = 2
+
+SEARCH, FITTED = "search", "least squares"
+"""Names of the points of a case."""
+
+REFITS, REFINE_REFITS = 25, 12
+"""Integer combinations fitted from each start, and after a search (its own and the nearest neighbours)."""
+
+
+@dataclass(frozen=True, eq=False)
+class CaseFound:
+    """Result of one case, from its search to the reported values.
+
+    Attributes
+    ----------
+    result : CaseResult
+        Reported values, with the misfit of the objective there; counts and time of the search, or of least squares
+        where nothing was searched.
+    search : CaseResult or None
+        Where the genetic algorithm ended; None without one.
+    search_full_order : float
+        Misfit of the objective there at full order, whatever the search worked on; NaN without a search.
+    statistics : FitStatistics
+        Fit statistics at the reported values.
+    answer : ComparisonResult
+        Model against measurement there.
+    points : DataFrame
+        Both criteria at the ends of the search and of least squares, at full order: ``case, point, objective,
+        sum_of_squares, prior, total``. The search minimises ``objective``, least squares minimise ``total``. One row
+        for each of the two that ran.
+    """
+
+    result: CaseResult
+    search: CaseResult | None
+    search_full_order: float
+    statistics: FitStatistics
+    answer: ComparisonResult
+    points: pd.DataFrame
+
+    @property
+    def name(self) -> str:
+        """Name of the case."""
+        return self.result.name
+
+    @property
+    def worsened(self) -> bool:
+        """Whether least squares raised the misfit that the search minimised by more than one percent."""
+        return self.result.misfit > 1.01 * self.search_full_order  # NaN without a search
+
+
+def objective_of(study: Study) -> Objective:
+    """Objective that the search minimises."""
+    return objective_for(study.problem, study.settings.calibration.weight_freq, study.settings.calibration.weight_mac)
+
+
+def objective_for(problem: ForwardProblem, weight_freq: float = 1.0, weight_mac: float = 1.0) -> Objective:
+    """The same for a model against its measurement."""
+    if isinstance(problem, FunctionProblem):
+        return ResponseObjective({name: value for name, (value, _) in problem.targets.items()})
+    measured = problem.measured
+    return FrequencyMacObjective(
+        modes=measured.names,
+        natural_freq=dict(zip(measured.names, measured.natural_freq.tolist(), strict=True)),
+        weight_freq=weight_freq,
+        weight_mac=weight_mac,
+        use_mac=measured.has_shapes,
+    )
+
+
+def genetic_settings(study: Study, quick: bool) -> GeneticSettings:
+    """Settings of the genetic algorithm, smaller for a quick run."""
+    own = {one.name for one in fields(GeneticSettings)}
+    given = GeneticSettings(**study.settings.calibration.model_dump(include=own))
+    if not quick:
+        return given
+    population, generations = min(given.population, QUICK_POPULATION), min(given.generations, QUICK_GENERATIONS)
+    return replace(given, population=population, generations=generations)
+
+
+@dataclass(frozen=True, eq=False)
+class CaseFinder:
+    """Runs one case after the other.
+
+    Attributes
+    ----------
+    study : Study
+    home : Results
+        Where the reduced basis is kept.
+    ledger : Ledger
+    workers : int, Injected or None
+        Who evaluates a search; see `calib.analyses.places.Workers`.
+    quick : bool
+        A smaller search for a quick run.
+    progress : SearchProgress
+    seconds : float or None
+        Duration of one evaluation of the study's problem (s), where known.
+    notes : list of str
+        Where a search deviated from the study's settings.
+    """
+
+    study: Study
+    home: Results
+    ledger: Ledger
+    workers: Workers
+    quick: bool
+    progress: SearchProgress
+    seconds: float | None = None
+    notes: list[str] = field(init=False, repr=False, default_factory=list)
+    _shared: dict[str, Shared] = field(init=False, repr=False, default_factory=dict)
+
+    @property
+    def exact(self) -> Problem[Pair]:
+        """The problem that is fitted, at full order."""
+        return posed(self.study, self.ledger)
+
+    @cached_property
+    def known(self) -> tuple[dict[str, float], ...]:
+        """Further starting points: those of the study, and the fit of the same model by an explanation."""
+        return known_starts(self.study, explained_fit(self.study, self.home))
+
+    def by_search(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
+        """Genetic search, refined where requested by least squares from its best point, `known` and the nominal values.
+
+        Fits from starting points that all cases share are run once. The solution of the search is reported unless the
+        data prefer the one from the nominal values: solutions that only the priors distinguish remain several.
+        """
+        study, space = self.study, self.study.search_space
+        settings, objective = genetic_settings(study, self.quick), objective_of(study)
+        reduction = reduction_noted(self.study, self.home, self.notes)
+        remaining = list(cases)
+        while remaining:
+            problem = study.problem if reduction is None else reduction.problem
+            basis = None if reduction is None else reduction.path
+            certify = _as_it_is if reduction is None else reduction.certifier(self.ledger)
+            count = settings.population * settings.generations
+            seconds = self.seconds if reduction is None else None
+            with open_evaluator(study, self.workers, count, problem, basis, seconds) as evaluator, evaluable(study):
+                while remaining:
+                    case = remaining.pop(0)
+                    initial = sample(space, settings.population, case.seed).points
+                    search = run_case(
+                        case, space, objective, settings, evaluator, self.ledger, problem.fingerprint, initial,
+                        progress=partial(self.progress, case.name), certify=certify,
+                    )  # fmt: skip
+                    if study.settings.calibration.refine:
+                        statistics = self.refined(reduction, [search.values], REFINE_REFITS, shared=True)
+                    else:
+                        statistics = statistics_at(self.exact, Terms.of(study), search.values)
+                    yield self._searched(objective, search, statistics)
+                    before = reduction
+                    reduction = None if reduction is None else reduction.after_case(search.values, self.home)
+                    if reduction is not before:
+                        break  # the next cases work on the next version of the basis
+
+    def by_least_squares(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
+        """Least squares from several starting points of each case."""
+        fit = partial(self.refined, reduction_noted(self.study, self.home, self.notes))
+        for case in cases:
+            yield reported(self.study, *least_squares(case, self.study, self.known, self.quick, self.progress, fit))
+
+    def refined(
+        self,
+        reduction: Reduction | None,
+        starts: Starts,
+        refits: int,
+        progress: FitProgress = lambda start, fits, misfit: None,
+        counts: Counts | None = None,
+        shared: bool = False,
+    ) -> FitStatistics:
+        """See `calib.analyses.fit_statistics.refined`.
+
+        ``shared`` adds the starting points that all cases share. ``counts`` counts every requested point.
+        """
+        study, counts = self.study, counts or Counts()
+        exact = posed(study, self.ledger, counts=counts)
+        near = None if reduction is None else posed(study, self.ledger, reduction.problem, counts)
+        common = self._in_common(exact if near is None else near, refits) if shared else None
+        return refined(exact, near, Terms.of(study), starts, refits, progress, self.known, common)
+
+    def _in_common(self, problem: Problem[Pair], refits: int) -> Shared:
+        """Fits from the starting points that all cases share, run once per basis."""
+        key = problem.pair.problem.fingerprint
+        if key not in self._shared:
+            nominal = ended(problem, [self.study.search_space.values], refits)
+            self._shared[key] = Shared(nominal, known=ended(problem, self.known, refits))
+        return self._shared[key]
+
+    def _searched(self, objective: Objective, search: CaseResult, statistics: FitStatistics) -> CaseFound:
+        """A case that a search began, with both criteria at its end, at full order."""
+        problem = self.study.problem
+        if function_of(problem) is not None:
+            key = key_of(search.values)
+            confirm(self.study, self.ledger, self.ledger.lookup(ledger_key(problem), [key])[key])
+        scalar = isinstance(problem, FunctionProblem)
+        full = objective(search.responses if scalar else answered(problem.evaluate, search.values))
+        return reported(self.study, search, statistics, search, (full, *criteria(self.exact, search.values)))
+
+
+def reported(
+    study: Study,
+    result: CaseResult,
+    statistics: FitStatistics,
+    search: CaseResult | None = None,
+    before: tuple[float, float, float] = (math.nan, math.nan, math.nan),
+) -> CaseFound:
+    """The case at its final values for one test, solved at full order even if the search was reduced.
+
+    ``before`` holds the objective and the sums of squares of data and priors at the end of a search.
+    """
+    values = {name: value for name, value in statistics.values.items() if name in study.model.space}
+    responses = answered(study.problem.evaluate, values)
+    final = replace(result, values=statistics.values, misfit=objective_of(study)(responses), responses=responses)
+    points = [] if search is None else [(final.name, SEARCH, *before)]
+    if statistics.fit is not None:
+        points.append((final.name, FITTED, final.misfit, statistics.misfit, statistics.prior_misfit))
+    table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])
+    table["total"] = table["sum_of_squares"] + table["prior"]
+    return CaseFound(final, search, before[0], statistics, comparison_at(study, values), table)
+
+
+def reduction_noted(study: Study, home: Results, notes: list[str]) -> Reduction | None:
+    """The reduced basis of a study's search; None where it misses its tolerance, which is added to the notes."""
+    try:
+        return reduction_of(study, home)
+    except ToleranceError as fault:
+        notes.append(f"Searched at full order: {fault.problem}.")
+        return None
+
+
+def known_starts(study: AnyStudy, *others: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+    """Further starting points of least squares: those of the study, and other points known to fit."""
+    space = study.search_space
+    given = {name: value for name, value in study.settings.calibration.begin_at.items() if name in space}
+    return tuple(space.complete(start) for start in (given, *others) if start)
+
+
+def least_squares(
+    case: Case,
+    study: AnyStudy,
+    known: Sequence[dict[str, float]],
+    quick: bool,
+    progress: SearchProgress,
+    fit: Callable[[Starts, int, FitProgress, Counts], FitStatistics],
+) -> tuple[CaseResult, FitStatistics]:
+    """One case by least squares alone: from known points, the nominal values, and points sampled with its seed.
+
+    ``fit`` takes the starting points, the number of integer combinations, a callback after every fit, and the counts
+    of requested points.
+    """
+    started, space, given = time.perf_counter(), study.search_space, study.settings.calibration.starts
+    count = min(given, QUICK_STARTS) if quick else given
+    sampled = [space.complete(x) for x in sample(space, count, case.seed).points]
+    starts = [*known, space.values, *sampled][: max(count, len(known) + 1)]
+    steps, counts = Steps(case.name, count, progress), Counts()
+    with evaluable(study):
+        statistics = fit(starts, REFITS, steps, counts)
+        progress(case.name, count, count, statistics.misfit)
+    seconds = time.perf_counter() - started
+    return CaseResult.fitted(case.name, statistics.values, counts, steps.table(), seconds), statistics
+
+
+def _as_it_is(outcome: Outcome) -> Outcome:
+    return outcome
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Records the lowest misfit after every fit of a case, and reports it as progress."""
+
+    name: str
+    starts: int
+    progress: SearchProgress
+    lowest: list[float] = field(default_factory=list)
+
+    def __call__(self, start: int, fits: int, misfit: float) -> None:
+        """A fit has ended."""
+        self.lowest.append(misfit)
+        self.progress(self.name, start, self.starts, misfit)
+
+    def table(self) -> pd.DataFrame:
+        """Convergence table with fits in place of generations."""
+        numbers = range(1, len(self.lowest) + 1)
+        return pd.DataFrame({"generation": numbers, "best": self.lowest, "mean": np.nan, "feasible": 1})
+
+
+@contextmanager
+def evaluable(study: StudyFile) -> Iterator[None]:
+    """Turn the failure of every point of a case into an InputError with a remedy."""
+    try:
+        yield
+    except EvaluationError as fault:
+        remedy = "check the model over the search limits"
+        raise InputError(str(fault), place=study.file, remedy=remedy) from as_cause(fault)

@@ -1,0 +1,255 @@
+"""Comparison of model and measurement at one point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.record import begin_analysis, write_record
+from calib.analyses.recorded import traced
+from calib.analyses.uncertainty import std_notes
+from calib.correlation.compare import FAR_ERROR, Comparison
+from calib.correlation.mesh import elements_table, points_table
+from calib.correlation.problem import FunctionProblem
+from calib.correlation.rigid import unpaired_sentence, unpaired_table
+from calib.correlation.sensors import suspicious_sensors
+from calib.correlation.units import frequency_hint, response_hints
+from calib.errors import EvaluationError, InputError
+from calib.forward import ForwardProblem
+from calib.measurement.check import SensorFinding
+from calib.measurement.modal import MeasuredModes
+from calib.outcome import answered, as_cause
+from calib.results import Results
+from calib.study import Study
+
+
+@dataclass(frozen=True)
+class ComparisonResult:
+    """Model against measurement at one point.
+
+    Attributes
+    ----------
+    table : DataFrame
+        ``comparison_*.csv``.
+    mean_freq_error : float
+        Mean absolute frequency error over the paired modes (of a scalar-response study: mean absolute relative error).
+    mean_mac : float
+        Over the paired modes; NaN without shapes.
+    noise_mac : float
+        Mean MAC that noise alone would allow a perfect model; NaN where unknown.
+    comparison : Comparison or None
+        None for scalar responses.
+    sensor_findings : tuple of SensorFinding
+        Suspicious sensors.
+    chosen : mapping from str to int
+        Measured modes that the user has paired, with the number of their model mode.
+    hints : tuple of str
+        Values that look like other units.
+    std_notes : tuple of str
+        Caveats on the standard deviations; see `calib.analyses.uncertainty`.
+    """
+
+    table: pd.DataFrame
+    mean_freq_error: float
+    mean_mac: float
+    noise_mac: float
+    comparison: Comparison | None
+    sensor_findings: tuple[SensorFinding, ...] = ()
+    chosen: Mapping[str, int] = field(default_factory=dict)
+    hints: tuple[str, ...] = ()
+    std_notes: tuple[str, ...] = ()
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Caveats on the comparison and, for modes, where the model fails."""
+        found = self.comparison
+        if found is None:
+            return (*self.hints, *self.std_notes)
+        kinds = [root.kind for root in found.modes.excluded]
+        out = list(self.std_notes)
+        if kinds:
+            parts = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds))
+            out.append(f"Eigenvalues of the model that are no vibration modes and are not paired: {parts}.")
+        out += self.warnings
+        if not found.measured.has_shapes:
+            out.append(
+                "No mode shapes were measured: modes are paired by ascending frequency, with gaps where model or "
+                "measurement has an extra mode, and model modes are tracked by their own shapes when parameters change."
+            )
+            error = dict(zip(found.measured.names, np.abs(found.freq_error), strict=True))
+            met = [f"measured {k} ({name}) matches model mode {j} within {_percent(error[name])}"
+                   for k, name, j in found.shifts]  # fmt: skip
+            if met:
+                out.append(f"Mode numbers differ: {', '.join(met)}.")
+        lost = unpaired_table(found)
+        if lost["looks_rigid"].any():
+            out.append(unpaired_sentence(lost, "The model"))
+        if found.crossings:
+            met = [f"{a} and {b}" for a, b in found.crossings]
+            out.append(f"The order of the model modes differs from the measured one: {', '.join(met)} cross.")
+        if self.chosen:
+            listed = ", ".join(f"{mode} with model mode {number}" for mode, number in self.chosen.items())
+            out.append(f"Paired as the study says and not as computed: {listed}.")
+        return (*out, "Where it fails: " + found.sentence())
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Doubts about units and pairs."""
+        found, out = self.comparison, list(self.hints)
+        if found is not None and found.lost:
+            out.append(
+                f"The model modes of {', '.join(found.lost)} have no successor among the {found.modes.n_modes} "
+                "that are solved here, so these measured modes have no partner: a larger mode_count may find them."
+            )
+        if found is not None and found.far:
+            error = dict(zip(found.measured.names, found.freq_error, strict=True))
+            listed = ", ".join(f"{name} ({100 * error[name]:+.0f} %)" for name in found.far)
+            out.append(
+                f"More than {100 * FAR_ERROR:.0f} % off in frequency: {listed}. Check the pairing and the units."
+            )
+        return tuple(out)
+
+
+def comparison_at(study: Study, values: Mapping[str, float]) -> ComparisonResult:
+    """Compare a study's model and measurement at named values; raises as `comparison_of`."""
+    return comparison_of(study.problem, values, (*study.hints, *_undrawn(study)), std_notes(study))
+
+
+def _undrawn(study: Study) -> tuple[str, ...]:
+    """A note where no node or sensor has a location, so that modes cannot be drawn."""
+    problem = study.problem
+    if isinstance(problem, FunctionProblem) or len(points_table(problem.model.mesh)):
+        return ()
+    return ("No location of the model's nodes or sensors is known: its modes are not drawn.",)
+
+
+def comparison_of(
+    problem: ForwardProblem, values: Mapping[str, float], hints: Sequence[str] = (), std_notes: Sequence[str] = ()
+) -> ComparisonResult:
+    """Compare model and measurement at named values; EvaluationError when the model cannot be solved there.
+
+    ``hints`` and ``std_notes`` are passed on to the result.
+    """
+    if isinstance(problem, FunctionProblem):
+        return _scalar_answer(problem, values, hints, std_notes)
+    comparison = problem.compare(values)
+    table = comparison.comparison_table()
+    sensor_findings = suspicious_sensors(problem, comparison)
+    return ComparisonResult(
+        table=table,
+        mean_freq_error=_mean(table["freq_error"].abs()),
+        mean_mac=_mean(table["mac"]),
+        noise_mac=_mean(pd.Series(comparison.noise_mac())),
+        comparison=comparison,
+        sensor_findings=sensor_findings,
+        chosen=problem.override,
+        hints=(*hints, *_frequency_hints(comparison), *_place_hints(comparison.measured, sensor_findings)),
+        std_notes=tuple(std_notes),
+    )
+
+
+def _place_hints(measured: MeasuredModes, sensor_findings: Sequence[SensorFinding]) -> tuple[str, ...]:
+    """A hint where suspicious sensors are among those whose locations are in doubt."""
+    nodes = {one.node for one in measured.misplaced}
+    doubtful = {s.name for s in measured.sensors if s.node in nodes}
+    named = [name for finding in sensor_findings for name in finding.sensors if name in doubtful]
+    if not named:
+        return ()
+    return (
+        f"Check the locations of {', '.join(dict.fromkeys(named))} first: sensor table and universal file disagree "
+        "there, and the findings on these sensors below may follow from that.",
+    )
+
+
+def _frequency_hints(comparison: Comparison) -> tuple[str, ...]:
+    measured = comparison.measured
+    mac = comparison.mac if measured.has_shapes else None
+    hint = frequency_hint(measured.natural_freq, comparison.modes.natural_freq, mac)
+    return () if hint is None else (hint,)
+
+
+def _scalar_answer(
+    problem: FunctionProblem, values: Mapping[str, float], hints: Sequence[str], std_notes: Sequence[str]
+) -> ComparisonResult:
+    responses = answered(problem.evaluate, values)
+    rows = []
+    for name, (value, std) in problem.targets.items():
+        error = (responses[name] - value) / abs(value) if value else np.nan
+        in_std = (responses[name] - value) / std if std else np.nan
+        rows.append((name, value, responses[name], error, in_std))
+    table = pd.DataFrame(rows, columns=["response", "measured", "model", "error", "error_in_std"])
+    measured = {name: value for name, (value, _) in problem.targets.items()}
+    every = (*hints, *response_hints(measured, responses))
+    return ComparisonResult(
+        table, _mean(table["error"].abs()), np.nan, np.nan, None, hints=every, std_notes=tuple(std_notes)
+    )
+
+
+def compare(study: Study, results: Results) -> ComparisonResult:
+    """Compare the model at its nominal values with the measurement; writes the ``*_before`` tables."""
+    nominal = study.model.space.values
+    try:
+        answer = comparison_at(study, nominal)
+    except EvaluationError as fault:
+        raise InputError(
+            f"the model cannot be evaluated at its nominal values: {fault}",
+            place=study.file,
+            remedy="check parameter values, supports and mode_count",
+        ) from as_cause(traced(study.problem, nominal, fault))
+    begin_analysis(results, "compare")
+    write_comparison(results, answer, "before")
+    sensor_findings = [
+        (f.kind, " ".join(f.sensors), f.mac_before, f.mac_after, f.sentence) for f in answer.sensor_findings
+    ]
+    columns = ["kind", "sensors", "mac_before", "mac_after", "sentence"]
+    results.write_table("sensor_check", pd.DataFrame(sensor_findings, columns=columns))
+    write_record(study, results, "compare", {}, answer.sentences)
+    return answer
+
+
+def before_and_after(before: ComparisonResult, after: ComparisonResult) -> dict[str, float]:
+    """Mean errors and MAC of two comparisons, as in ``summary.json``."""
+    return {
+        "mean_freq_error_before": before.mean_freq_error,
+        "mean_freq_error_after": after.mean_freq_error,
+        "mean_mac_before": before.mean_mac,
+        "mean_mac_after": after.mean_mac,
+    }
+
+
+def write_comparison(results: Results, answer: ComparisonResult, stage: str) -> None:
+    """Write every table of one comparison, named ``*_before`` or ``*_after``."""
+    results.write_table(f"comparison_{stage}", answer.table)
+    if answer.comparison is None:
+        return
+    results.write_table(f"where_it_fails_{stage}", answer.comparison.where_it_fails())
+    write_model_modes(results, answer.comparison, stage)
+    if answer.comparison.measured.has_shapes:
+        results.write_table(f"mac_{stage}", answer.comparison.mac_table())
+        results.write_table(f"comac_{stage}", answer.comparison.comac_table())
+        results.write_table(f"shapes_{stage}", answer.comparison.shapes_table())
+
+
+def write_model_modes(results: Results, comparison: Comparison, stage: str) -> None:
+    """Write the mesh, and frequencies, damping and deflections of the paired model modes, from which they are drawn."""
+    points = points_table(comparison.model.mesh)
+    if points.empty:  # nowhere to draw anything
+        results.remove("mesh_points.csv", "mesh_elements.csv")
+    else:
+        results.write_table("mesh_points", points)
+        results.write_table("mesh_elements", elements_table(comparison.model.mesh))
+    names = {f"{name}_model": name for name in ("natural_freq", "damped_freq", "damping_ratio")}
+    modes = comparison.comparison_table().iloc[comparison.pairing.paired][["mode", *names]]
+    results.write_table(f"model_modes_{stage}", modes.rename(columns=names))
+    results.write_table(f"deflection_{stage}", comparison.deflection_table())
+
+
+def _percent(fraction: float) -> str:
+    return "1 %" if fraction <= 0.01 else f"{100 * fraction:.0f} %"
+
+
+def _mean(values: pd.Series) -> float:
+    return float(values.mean()) if values.notna().any() else float("nan")

@@ -1,0 +1,342 @@
+"""Explanation: which physical effect a study's model lacks, with all tables and sentences on it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.adapter import Adapter
+from calib.analyses.explained_fit import TABLE, explained_fits
+from calib.analyses.explanation_result import ExplanationResult, Told, summary
+from calib.analyses.failures import SHOWN, reasons
+from calib.analyses.function_hypotheses import function_hypotheses
+from calib.analyses.joint_adapter import JointAdapter, together
+from calib.analyses.library import local_perturbations, modal_hypotheses
+from calib.analyses.modal_adapter import ModalAdapter
+from calib.analyses.record import begin_analysis, write_record
+from calib.analyses.reduction import worthwhile
+from calib.analyses.scalar_adapter import ScalarAdapter
+from calib.analyses.state import ADDED
+from calib.analyses.verify import held_out_targets
+from calib.correlation.problem import FunctionProblem
+from calib.correlation.residual import ModalResidual
+from calib.correlation.response_residual import ResponseResidual
+from calib.effect import Effect
+from calib.errors import EvaluationError, InputError
+from calib.function import FunctionModel
+from calib.inference.leave_one_out import leave_one_out
+from calib.joint import TEST
+from calib.loading import with_effects
+from calib.missing import explain as engine
+from calib.missing.accuracy import changing, less_accurate
+from calib.missing.accuracy import sentence as accuracy_sentence
+from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.held_out import contradicting
+from calib.missing.hypotheses import Altered, Hypotheses
+from calib.missing.profile import profile_interval
+from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
+from calib.missing.recommendation import recommend, recommendation_sentence
+from calib.missing.rules import RULES
+from calib.missing.suspect import sentence as suspect_sentence
+from calib.missing.tables import (
+    candidate_fits_table,
+    confounding_table,
+    effects_table,
+    misfit_table,
+    pull_table,
+)
+from calib.missing.verdict import misfit_at, sentences
+from calib.missing.visible import smallest_visible, visible_within_limits
+from calib.outcome import as_cause, failure
+from calib.results import Results
+from calib.settings import ExplainSettings
+from calib.several import AnyStudy
+from calib.structure.modal_function import ModalFunctionModel
+from calib.structure.model import StructuralModel
+from calib.structure.perturbations import Perturbation
+from calib.study import Study
+
+Progress = Callable[[str], None]
+
+
+def explain(
+    study: AnyStudy,
+    results: Results,
+    progress: Progress = lambda words: None,
+    homes: Mapping[str, Results] = MappingProxyType({}),
+    folders: Mapping[str, Results] = MappingProxyType({}),
+) -> ExplanationResult:
+    """Find which effect of the study's library its model lacks; write all tables and ``explanation.json``.
+
+    Without a library, or with all of it in the model, only local perturbations are tested. Several tests are explained
+    together: an effect acts in every test whose library has it.
+
+    Parameters
+    ----------
+    study : Study or JointStudy
+    results : Results
+    progress : callable
+        Called with a description of each step.
+    homes : mapping from str to Results
+        By name of the test: they hold the reduced bases, which full and quick runs share; by default ``results``.
+    folders : mapping from str to Results
+        By name of the test: they take the results of each of several tests.
+
+    Raises
+    ------
+    InputError
+        When there are too few measured data.
+    """
+    tests = study.studies
+    for one in tests:
+        for effect in one.candidates:  # an effect that cannot be built is reported before any solve
+            with_effects(one.model, [effect], str(study.file))
+    _require_consistent(study)
+    if any(one.measured is not None for one in tests):
+        engine.require_modes(sum(len(one.targets) if one.measured is None else one.measured.n_modes for one in tests))
+    started, local = time.perf_counter(), _local(study)
+    adapter = together({s.test: adapter_of(s, homes.get(s.test, results), progress, local.get(s.test)) for s in tests})
+    found = decided(adapter, study.settings.explain, study.file, progress)
+    answer = answered(adapter, found, progress, started)
+    answer = replace(answer, tables=answer.tables | {TABLE: explained_fits(study, found)})
+    seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
+    of_all = {name: table for name, table in answer.tables.items() if TEST not in table}
+    seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
+    if isinstance(adapter, JointAdapter):
+        seen += [(one, folders[one.test], adapter.seen(one.test, answer)) for one in tests]
+    for part, folder, own in seen:
+        keep(part, folder, own)
+        write_record(part, folder, "explain", seeds)
+    return answer
+
+
+def adapter_of(
+    study: Study, home: Results, progress: Progress, local: tuple[Perturbation, ...] | None = None
+) -> Adapter:
+    """The adapter of a study's test; ``local`` perturbations are by default those of its own model."""
+    problem, facts, space = study.problem, Told.of(study), study.search_space.without(study.condition)
+    if isinstance(problem, FunctionProblem):
+        assert isinstance(study.model, FunctionModel)
+        pair = ResponseResidual(problem)
+        scalar, own = function_hypotheses(study.model, pair, study.candidates, space, study.test)
+        return ScalarAdapter(scalar, own, facts, held_out_targets(study))
+    if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
+        modal, own = function_hypotheses(problem.model, ModalResidual(problem), study.candidates, space, study.test)
+    else:
+        modal, own = modal_hypotheses(study, home, progress, local)
+    return ModalAdapter(modal, own, facts, study.whole_problem(), study.finer_model, worthwhile(study))
+
+
+def _local(study: AnyStudy) -> dict[str, tuple[Perturbation, ...]]:
+    """Local perturbations by test: those of one model are the same in all tests of it."""
+    groups: dict[str, list[Study]] = {}
+    for one in study.studies:
+        if isinstance(one.model, StructuralModel):
+            groups.setdefault(repr((one.settings.model, one.settings.model_options)), []).append(one)
+    out: dict[str, tuple[Perturbation, ...]] = {}
+    for group in groups.values():
+        model, used = group[0].model, [one.measured for one in group if one.measured is not None]
+        assert isinstance(model, StructuralModel)
+        of = group[0].test if len(groups) > 1 else ""
+        found = local_perturbations(model, used, group[0].search_space.values, of)
+        out |= {one.test: found for one in group}
+    return out
+
+
+def _require_consistent(study: AnyStudy) -> None:
+    """InputError where two libraries define one name differently."""
+    known: dict[str, Effect] = {}
+    for effect in (e for one in study.studies for e in one.candidates):
+        other = known.setdefault(effect.name, effect)
+        if other.parameters != effect.parameters:
+            raise InputError(
+                f"the libraries of two tests have different effects {effect.name!r}", place=study.file,
+                remedy="give one of them another name, or both the same magnitude",
+            )  # fmt: skip
+
+
+def decided(
+    adapter: Adapter, given: ExplainSettings, place: str | Path, progress: Progress = lambda words: None
+) -> Explanation:
+    """The decision with given settings; InputError, with the study's place, where no model can be fitted."""
+    settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed, adapter.budget_of_fits)
+    try:
+        return engine.explain(adapter.hypotheses, settings, progress)
+    except EvaluationError as fault:
+        words, cause = _not_fitted(adapter, fault)
+        remedy = "check values, limits and supports" if cause is None else "correct the function that fails"
+        raise InputError(f"the model cannot be fitted: {words}", place=place, remedy=remedy) from cause
+
+
+def keep(study: AnyStudy, results: Results, answer: ExplanationResult) -> None:
+    """Write all tables of an explanation and ``explanation.json``."""
+    begin_analysis(results, "explain")
+    results.remove(*ADDED)
+    results.write_table("effects", answer.effects)
+    results.write_table("errors", answer.errors)
+    for name, table in answer.tables.items():
+        results.write_table(name, table)
+    results.write_json("explanation", summary(study, answer))
+
+
+def _not_fitted(adapter: Adapter, fault: EvaluationError) -> tuple[str, EvaluationError | None]:
+    """Why nothing could be fitted, and the commonest failure of the user's own code, if any."""
+    words, failed = str(fault), adapter.failed()
+    if not failed:
+        return words, None
+    common = reasons(failed)[0]
+    if common.error not in words:
+        words = f"{words}; {len(failed)} point{'s' * (len(failed) > 1)} failed, most with {common.error}"
+    return words, as_cause(failure(common.first))
+
+
+def answered(adapter: Adapter, found: Explanation, progress: Progress, started: float) -> ExplanationResult:
+    """Assemble the results of a decision; ``started`` is when it began, in seconds of `time.perf_counter`."""
+    progress("intervals and leave-one-out errors")
+    intervals = {}
+    if found.verdict in ("effect", "indistinguishable"):
+        by_name = {t.names[0]: t for t in found.singles}
+        intervals = {name: profile_interval(by_name[name].fit, name) for name in found.credible if name in by_name}
+    progress("held-out data")
+    found, errors, more_notes, figures = _confirmed(adapter, found)
+    untested = _untested(adapter, found)
+    effects = effects_table(found, intervals, _gains(adapter.hypotheses, found), _visible(adapter, found), untested)
+    progress("what to measure next")
+    examined = adapter.hypotheses.evaluations
+    next_table, recommendation = _next(adapter, found, effects)
+    # Evaluations for intervals and recommendation are counted apart from those of the decision.
+    recommended = adapter.hypotheses.evaluations
+    figures |= {
+        "evaluations_intervals": examined - found.evaluations,
+        "evaluations_recommendation": recommended - examined,
+    }
+    progress("discretisation error")
+    discretisation = adapter.discretisation_error(found)
+    notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
+    facts = adapter.told
+    accuracy = less_accurate(found, adapter.hypotheses, adapter.relative_std, facts.seed)
+    rests = f"These results rest on an assumed standard deviation: {facts.assumed}." if facts.assumed else ""
+    more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy), rests)
+    words = (*sentences(found, effects, errors, recommendation, facts.disagreements), *filter(None, more))
+    errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
+    figures |= {
+        "misfit_at": misfit_at(found.base_adequacy, facts.disagreements)
+        if found.verdict == "misfit_unlocated"
+        else None,
+        "accuracy": facts.accuracy,
+        "std_assumed": facts.assumed,
+        "accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at,
+    }
+    last = "explained" if found.names_something else "attempt"
+    stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
+    tables = {
+        "perturbations": _perturbations(adapter, found),
+        "confounding": confounding_table(found),
+        "pulls": pull_table(found),
+        "misfit_kinds": misfit_table(found),
+        "candidate_fits": candidate_fits_table(found),
+        "next_measurement": next_table,
+        "accuracy": accuracy,
+        "suspects_explained": found.suspects,
+        **adapter.tables(stages),
+    }
+    if discretisation is not None:
+        tables["discretisation"] = discretisation.table
+        figures["discretisation"] = discretisation.largest
+    seconds = time.perf_counter() - started
+    traces = tuple(reason.first.trace for reason in reasons(adapter.failed())[:SHOWN] if reason.first.trace)
+    return ExplanationResult(found, words, tuple(notes), effects, errors, tables, figures, seconds, traces)
+
+
+def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.DataFrame, list[str], dict[str, object]]:
+    """The explanation after the check on held-out data, errors by stage and group, notes, and summary entries.
+
+    An explanation that held-out data contradict is not confirmed; of several indistinguishable effects, only when the
+    data contradict all of them.
+    """
+    last = "after" if found.names_something else "attempt"
+    stages = {"before": found.base} | ({} if found.chosen is None else {last: found.chosen})
+    errors, notes, figures = adapter.errors(stages, found.noise_scale)
+    errors = errors[["group", "stage", "rows", "rms", "expected", "p", "unpaired"]]
+    against = found.names_something and bool(contradicting(errors, last))
+    if against and found.verdict == "indistinguishable":
+        competing = {t.names[0]: t for t in found.singles if t.names[0] in found.credible and t is not found.chosen}
+        others = adapter.errors(competing, found.noise_scale)[0] if competing else errors
+        against = all(contradicting(others, name) for name in competing)
+    if against:
+        found, errors = found.unconfirmed(), errors.replace({"stage": {last: "attempt"}})
+    return found, errors, notes, figures
+
+
+def _untested(adapter: Adapter, found: Explanation) -> list[Effect]:
+    """Effects with which the model could be solved at no magnitude or at no point of their grid."""
+    scores = found.base_adequacy.named
+    absorbed = {n for n in scores.owners if not scores.size[scores.of(n)].any()}
+    tested = {name for group in found.groups for name in group.names} - (absorbed & adapter.failing())
+    return [e for e in adapter.hypotheses.effects if e.name not in tested]
+
+
+def _visible(adapter: Adapter, found: Explanation) -> dict[str, float]:
+    """Smallest detectable magnitudes, from the model itself where the derivative does not determine them.
+
+    This concerns effects that are detectable at no plausible magnitude to first order, and effects found with a
+    magnitude that should not be detectable: their response grows faster than its derivative.
+    """
+    fit, out = found.base.fit, {}
+    fits = {t.names[0]: t for t in found.singles}
+    for effect in (e for group in found.groups for e in group.effects):
+        first, single = smallest_visible(found.base_adequacy.named, effect.name), fits.get(effect.name)
+        seen = (
+            single is not None
+            and found.ln_bayes(single) > RULES.credible
+            and abs(single.fit.values[effect.name]) < first
+        )
+        if seen or (not effect.nuisance and first > effect.plausible):
+            scaled = Altered(adapter.hypotheses.fit_problem((effect.name,)), found.noise_scale)
+            nuisance = {q.name: single.fit.values[q.name] if single else q.value for q in effect.nuisance}
+            within = visible_within_limits(scaled, fit, effect, nuisance)
+            out[effect.name] = np.fmin(first, within) if seen else within
+    return out
+
+
+def _gains(hypotheses: Hypotheses, found: Explanation) -> dict[str, float]:
+    """Gain of every fitted effect in leave-one-out log predictive density, by mode or by response."""
+    groups = [row.mode or row.sensor for row in hypotheses.rows]
+
+    def density(candidate_fit: CandidateFit) -> float:
+        s = candidate_fit.fit
+        return float(np.sum(leave_one_out(s.residual, s.slope, s.prior_sd, groups).elpd))
+
+    base = density(found.base)
+    return {t.names[0]: density(t) - base for t in found.singles}
+
+
+def _next(adapter: Adapter, found: Explanation, effects: pd.DataFrame) -> tuple[pd.DataFrame, str]:
+    """The recommended next measurement, as a table and a sentence."""
+    design = adapter.design(found)
+    if design is None:
+        return pd.DataFrame(columns=list(RECOMMENDATION_COLUMNS)), ""
+    table = recommend(design)
+    pair = None if design.competing is None else design.competing.names
+    unseen = effects.loc[~effects["visible"].astype(bool), "name"].tolist()
+    if found.verdict == "none_explains" and found.perturbation is not None:
+        # The design is for the unexplained perturbation, not for undetectable effects.
+        unseen = [name for name in found.perturbation.names if name in design.effects]
+    return table, recommendation_sentence(table, pair, unseen)
+
+
+def _perturbations(adapter: Adapter, found: Explanation) -> pd.DataFrame:
+    scores, places = found.base_adequacy.perturbations, adapter.places()
+    rows = []
+    for k, name in enumerate(scores.owners):
+        kind, place, sensor = places[name]
+        score = scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0)  # the other sign is not physical
+        rows.append((name, kind, *place, sensor, score, scores.unabsorbed[k]))
+    return pd.DataFrame(rows, columns=["perturbation", "kind", "x", "y", "z", "sensor", "score", "unabsorbed"])

@@ -1,0 +1,78 @@
+"""Fits of an explanation, stored as starting points for a calibration of the same model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from calib.analyses.stale import stale_analyses
+from calib.errors import InputError
+from calib.missing.explanation import Explanation
+from calib.results import Results
+from calib.study import Study
+from calib.study_file import StudyFile
+from calib.study_text import base_of
+from calib.table import read_rows
+
+TABLE = "explained_fits"
+COLUMNS = ("effects", "parameter", "value")
+"""``effects``: those in the fitted model, by name in alphabetical order."""
+
+
+def explained_fits(study: StudyFile, found: Explanation) -> pd.DataFrame:
+    """The base fit and, if any, the fit with the chosen effects; columns `COLUMNS`."""
+    fits = [found.base, *([] if found.chosen is None else [found.chosen])]
+    rows = []
+    for candidate_fit in fits:
+        space = candidate_fit.fit.fit_problem.space
+        effects = _key(*study.settings.with_effects, *candidate_fit.names)
+        rows += [(effects, name, candidate_fit.fit.values[name]) for name in space.free_names]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
+    """Values at which an explanation fitted this study's model; empty without one.
+
+    They come from the study's own explanation, or from that of the study it was extended from. An explanation of
+    another state of its study is ignored.
+
+    Parameters
+    ----------
+    study : Study
+    home : Results
+        Of full runs of the study; results of the other study are in the folder beside it.
+    """
+    sources = [(study.file, home.path)]
+    base = study.settings.base
+    parent = None if base is None else base_of(study.file, base)
+    if parent is not None:
+        sources.append((parent, home.path.parent / parent.parent.name))
+    space, effects = study.search_space, _key(*study.settings.with_effects)
+    for file, folder in sources:
+        found = {}
+        rows = _read(folder / f"{TABLE}.csv", effects)
+        for name, value in rows if rows and "explain" not in stale_analyses(file, Results(folder)) else ():
+            if name in space.free_names:
+                p = space[name]
+                inside = min(max(value, p.lower), p.upper)
+                found[name] = float(round(inside)) if p.integer else inside
+        if found:
+            return found
+    return {}
+
+
+def _key(*names: str) -> str:
+    return " ".join(sorted(names))
+
+
+def _read(path: Path, effects: str) -> list[tuple[str, float]]:
+    if not path.is_file():
+        return []
+    try:
+        rows = [row for row in read_rows(path, COLUMNS) if row.cells["effects"] == effects]
+        return [(row.text("parameter"), row.number("value")) for row in rows]
+    except InputError as fault:
+        remedy = "explain the study again, or remove the file"
+        raise InputError(fault.problem, place=fault.place, remedy=remedy) from None

@@ -1,0 +1,317 @@
+"""Least-squares fits of a study, and their fit statistics: goodness of fit, identifiability, predictions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.uncertainty import assumed_words, in_one
+from calib.correlation.problem import FunctionProblem
+from calib.correlation.residual import ModalResidual
+from calib.correlation.response_residual import ResponseResidual
+from calib.degrees_of_freedom import effective_dof
+from calib.errors import EvaluationError
+from calib.forward import ForwardProblem
+from calib.inference.gauss_newton import FitResult, Prior
+from calib.inference.identify import Identification, identify, prediction_interval
+from calib.inference.integers import MixedResult, fit_mixed
+from calib.inference.region import InfeasibleError
+from calib.inference.verdicts import integer_std, parameter_verdicts
+from calib.joint import JointProblem
+from calib.ledger import Ledger
+from calib.missing.goodness import goodness, misfit_factor, overall
+from calib.missing.suspect import LEVEL, suspects
+from calib.problem import Counts, Pair, Problem
+from calib.several import AnyStudy
+from calib.space import ParameterSpace
+from calib.study import Study
+
+FitProgress = Callable[[int, int, float], None]
+Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
+PosedProblem: TypeAlias = Problem[Pair] | JointProblem
+
+EQUAL = 0.1
+"""Insignificant difference of sums of squares: a third of a standard deviation of one parameter."""
+
+
+def posed(
+    study: Study, ledger: Ledger, problem: ForwardProblem | None = None, counts: Counts | None = None
+) -> Problem[Pair]:
+    """The fit problem of a study: its measurement against its model, every solved point in the ledger.
+
+    ``problem`` replaces the study's own, for example a reduced one; ``counts`` counts every requested point.
+    """
+    given = study.problem if problem is None else problem
+    pair: Pair = ResponseResidual(given) if isinstance(given, FunctionProblem) else ModalResidual(given)
+    return Problem(pair, study.search_space.without(study.condition), ledger, counts=counts or Counts())
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Inputs of the fit statistics beside the problem.
+
+    Attributes
+    ----------
+    alpha : float
+        Level of the test of the overall fit.
+    held_sd : mapping from str to float
+        Standard deviations of held parameters that an earlier study determined; see `identify`.
+    assumed : str
+        Assumed standard deviations, in words; see `calib.analyses.uncertainty.assumed_words`.
+    """
+
+    alpha: float = LEVEL
+    held_sd: Mapping[str, float] = field(default_factory=dict)
+    assumed: str = ""
+
+    @classmethod
+    def of(cls, study: AnyStudy) -> Terms:
+        """The terms of a study."""
+        return cls(study.settings.explain.alpha, study.held_sd, in_one(study, assumed_words))
+
+
+@dataclass(frozen=True, eq=False)
+class FitStatistics:
+    """Fit statistics at one set of values.
+
+    Attributes
+    ----------
+    values : dict
+        All parameters, each in its own unit.
+    misfit, prior_misfit : float
+        Sums of squares of the whitened residual and of the priors; least squares minimise the total.
+    dof : float
+        Effective degrees of freedom of the residual; see `calib.degrees_of_freedom.effective_dof`.
+    p_fit : float
+        Probability that a correctly specified model fits as badly; the same test as in an explanation, see
+        `calib.missing.goodness.overall`.
+    alpha : float
+        Level of that test.
+    birge : float
+        Birge ratio: where the model does not fit, the factor on the standard deviation that brings the worst kind of
+        data to its expected misfit (see `calib.missing.goodness.misfit_factor`), else 1. Parameter standard
+        deviations, shares and predictions use the scaled standard deviation; unseen directions use the stated one.
+    identification : Identification
+    profiles : mapping from str to (numbers, misfits)
+        Lowest misfit at each tried value of every integer; empty without fits.
+    whole : mapping from str to float
+        Standard deviations of integer parameters, from these profiles.
+    complete : bool
+        Whether the fit tried all neighbours of its integers.
+    predictions : DataFrame
+        ``mode, natural_freq, std, lower, upper``.
+    fit : FitResult or None
+        The least-squares fit that led here.
+    suspects : DataFrame
+        Data without which the model fits, see `calib.missing.suspect.suspects`; empty without a converged fit.
+    assumed : str
+        Assumed standard deviations that this rests on; see `calib.analyses.uncertainty.assumed_words`.
+    """
+
+    values: dict[str, float]
+    misfit: float
+    prior_misfit: float
+    dof: float
+    p_fit: float
+    alpha: float
+    birge: float
+    identification: Identification
+    profiles: Profiles
+    whole: Mapping[str, float]
+    complete: bool
+    predictions: pd.DataFrame
+    fit: FitResult | None
+    suspects: pd.DataFrame
+    assumed: str = ""
+
+    def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
+        """One verdict per parameter; see `calib.inference.verdicts.parameter_verdicts`."""
+        table = parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits, self.birge)
+        more = " This rests on an assumed standard deviation." if self.assumed else ""
+        words = table["sentence"].where(table["std"].isna(), table["sentence"] + more)
+        return table.assign(std_from=self.rests_on, sentence=words)
+
+    @property
+    def figures(self) -> dict[str, object]:
+        """Entries of ``summary.json``."""
+        return {
+            "whitened_misfit": self.misfit,
+            "degrees_of_freedom": self.dof,
+            "p_fit": self.p_fit,
+            "birge": self.birge,
+            "std_assumed": self.assumed,
+        }
+
+    @property
+    def rests_on(self) -> str:
+        """Origin of the standard deviation: ``stated`` or ``assumed``."""
+        return "assumed" if self.assumed else "stated"
+
+    @property
+    def criterion(self) -> float:
+        """The sum of squares that least squares minimise: data and priors."""
+        return self.misfit + self.prior_misfit
+
+    @property
+    def fits(self) -> bool | None:
+        """Whether the model fits within the standard deviation; None if it does with as many unknowns as data."""
+        if self.p_fit <= self.alpha:
+            return False
+        return True if self.dof >= 1 else None
+
+    @property
+    def sentence(self) -> str:
+        """Whether the model fits within the standard deviation, in words."""
+        words = (
+            f"Sum of squares {self.misfit:.4g} in standard deviations, {max(self.dof, 0.0):.1f} effective degrees "
+            f"of freedom, p = {self.p_fit:.2g} for the worst kind of data: "
+        )
+        if self.fits is None:
+            return words + "as many unknowns as data, so a perfect fit says nothing about the model."
+        rests = f", which is assumed: {self.assumed}" if self.assumed else ""
+        if self.fits:
+            return words + f"the model fits within the standard deviation{rests}."
+        few = "with as many unknowns as data " if self.dof < 1 else ""
+        wider = f"parameter uncertainties are computed for {self.birge:.2g} times the standard deviation"
+        return (
+            words + f"{few}the model does not fit within the standard deviation{rests}; something is missing; {wider}."
+        )
+
+
+def criteria(problem: PosedProblem, values: Mapping[str, float]) -> tuple[float, float]:
+    """Sums of squares of data and priors at given values; infinite where the model cannot be evaluated."""
+    names = [p.name for p in problem.space.free if not p.integer]
+    try:
+        vector = problem.residual(values)
+    except EvaluationError:
+        return math.inf, math.inf
+    own = Prior.of(problem.space).residual(values, names)
+    return float(vector @ vector), float(own @ own)
+
+
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """Fits from starting points that all cases share; None where there is none, or it cannot be evaluated.
+
+    Attributes
+    ----------
+    nominal : MixedResult or None
+        From the nominal values.
+    known : MixedResult or None
+        From points that are known to fit.
+    """
+
+    nominal: MixedResult | None
+    known: MixedResult | None
+
+
+def ended(problem: PosedProblem, starts: Sequence[Mapping[str, float]], refits: int) -> MixedResult | None:
+    """Best least-squares fit from some starts; None without one, or where none can be evaluated or is feasible."""
+    with suppress(EvaluationError, InfeasibleError):
+        return fit_mixed(problem, problem.space, starts, refits=refits) if starts else None
+    return None
+
+
+def fitted(
+    problem: PosedProblem,
+    terms: Terms,
+    starts: Sequence[Mapping[str, float]],
+    refits: int,
+    progress: FitProgress = lambda start, fits, misfit: None,
+    before: FitStatistics | None = None,
+    shared: Shared | None = None,
+) -> FitStatistics:
+    """The best least-squares fit from several starts, with the limits, constraints and priors of the problem's space.
+
+    ``refits`` bounds the integer combinations tried from every start. ``before`` is an earlier fit that tried them, for
+    a final fit that tries no more. ``shared`` holds fits of the same residual from further starts: the fit from the
+    nominal values replaces the own one only if its data misfit is lower by more than `EQUAL`, the fit from known points
+    if it is better in data and priors together.
+    """
+    space = problem.space
+    found: MixedResult = fit_mixed(problem, space, starts, refits=refits, progress=progress)
+    if shared is not None and shared.nominal is not None:
+        found = found.joined(shared.nominal, EQUAL)
+    if shared is not None and shared.known is not None:
+        found = found.joined(shared.known)
+    if before is not None:
+        return _statistics(problem, terms, found.best.values, found.best, before.profiles, before.complete)
+    profiles = {p.name: found.profile(p.name) for p in space.free if p.integer}
+    return _statistics(problem, terms, found.best.values, found.best, profiles, found.complete)
+
+
+def refined(
+    exact: PosedProblem,
+    near: PosedProblem | None,
+    terms: Terms,
+    starts: Sequence[Mapping[str, float]],
+    refits: int,
+    progress: FitProgress = lambda start, fits, misfit: None,
+    known: Sequence[Mapping[str, float]] = (),
+    shared: Shared | None = None,
+) -> FitStatistics:
+    """Least squares as in `fitted`, first on a reduced problem if there is one, then at full order.
+
+    The full-order fit starts from the best of the reduced fit and ``known``, so that it never ends above them.
+    """
+    found = fitted(exact if near is None else near, terms, starts, refits, progress, shared=shared)
+    if near is None:
+        return found
+    begin = min((found.values, *known), key=lambda values: sum(criteria(exact, values)))
+    return fitted(exact, terms, [begin], 1, before=found)
+
+
+def statistics_at(problem: PosedProblem, terms: Terms, values: Mapping[str, float]) -> FitStatistics:
+    """Fit statistics at given values, without a fit."""
+    return _statistics(problem, terms, dict(values), None, {}, True)
+
+
+def _statistics(
+    problem: PosedProblem,
+    terms: Terms,
+    values: dict[str, float],
+    fit: FitResult | None,
+    profiles: Profiles,
+    complete: bool,
+) -> FitStatistics:
+    space, alpha, held_sd = problem.space, terms.alpha, terms.held_sd
+    names = tuple(p.name for p in space.free if not p.integer)
+    if fit is not None and fit.names == names:
+        vector, slope = fit.residual, fit.jacobian
+    else:
+        vector, slope = problem.residual(values), problem.jacobian(values, names)
+    held = problem.jacobian(values, tuple(held_sd)) * list(held_sd.values()) if held_sd else None
+    prior_sd = np.array([space[n].prior_width for n in names])
+    misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
+    dof = effective_dof(slope, prior_sd, sum(problem.fitted_factors.values()))
+    converged = fit is not None and fit.converged
+    at = _Fitted(vector, slope, prior_sd, converged)
+    kinds, modes = goodness(at, problem)
+    p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, alpha)
+    whole = {
+        name: integer_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
+        for name, (numbers, misfits) in profiles.items()
+    }
+    identification = identify(space, names, slope, values=values, held=held, birge=birge)
+    predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
+    suspected = suspects(at, problem, alpha)
+    return FitStatistics(
+        values=values, misfit=misfit, prior_misfit=float(own @ own), dof=dof, p_fit=p_fit, alpha=alpha,
+        birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
+        predictions=predictions, fit=fit, suspects=suspected,
+        assumed=terms.assumed,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    residual: np.ndarray
+    slope: np.ndarray
+    prior_sd: np.ndarray
+    converged: bool

@@ -1,0 +1,56 @@
+"""Hypotheses on missing effects of a function of scalar responses or of modes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from calib.analyses.function_perturbations import modal_function_perturbations, response_perturbations
+from calib.analyses.function_variants import FunctionVariants, kept
+from calib.analyses.hypotheses import ModelHypotheses, VariantPair
+from calib.effect import Effect
+from calib.function import FunctionModel
+from calib.space import ParameterSpace
+from calib.structure.modal_function import ModalFunctionModel
+from calib.structure.perturbations import Perturbation
+
+P = TypeVar("P", bound=VariantPair)
+
+
+def function_hypotheses(
+    model: FunctionModel | ModalFunctionModel,
+    pair: P,
+    effects: tuple[Effect, ...],
+    space: ParameterSpace | None = None,
+    test: str = "",
+) -> tuple[ModelHypotheses[P], tuple[Perturbation, ...]]:
+    """Hypotheses of a function against its test, and its local perturbations.
+
+    The function is called once per point: its values are cached.
+
+    Parameters
+    ----------
+    model : FunctionModel or ModalFunctionModel
+    pair : ResponseResidual or ModalResidual
+        The test of that model.
+    effects : tuple of Effect
+        Named candidates.
+    space : ParameterSpace, optional
+        Parameters of the model, without those that the test's condition holds; free are those that a calibration would
+        fit. By default the model's own.
+    test : str
+        Name of the test, where there are several; appended to perturbations of this test only.
+    """
+    own = model.space if space is None else space
+    held = [p for p in model.space.parameters if p.name not in own]
+    whole = ParameterSpace((*own.parameters, *held), own.constraints)
+    names, perturbations = [p.name for p in held], tuple[Perturbation, ...]()
+    given: Any = replace(model, space=whole)
+    cached = kept(given)
+    if isinstance(model, ModalFunctionModel):
+        perturbations = modal_function_perturbations(model, whole, pair.problem.measured.sensors, test, names)
+    else:
+        measured = {name: value for name, (value, _) in pair.problem.targets.items()}
+        perturbations = response_perturbations(whole, measured, test, names)
+    variants = FunctionVariants(cached, effects, tuple(a.effect for a in perturbations))
+    return ModelHypotheses(pair.with_model(cached), variants, own), perturbations

@@ -1,0 +1,126 @@
+"""Variants of a function of scalar responses or of modes: with any of its effects and local perturbations."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Generic, TypeVar
+
+from calib.effect import Effect
+from calib.errors import InputError
+from calib.function import FunctionModel, extend_function
+from calib.space import ParameterSpace
+from calib.structure.modal_function import ModalFunctionModel
+
+F = TypeVar("F", FunctionModel, ModalFunctionModel)
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """A function with cached results: variants of a model request the same points repeatedly.
+
+    Attributes
+    ----------
+    function : callable
+    """
+
+    function: Callable[[Mapping[str, float]], Any]
+    _found: dict[tuple[tuple[str, float], ...], Any] = field(init=False, repr=False, default_factory=dict)
+
+    @property
+    def calls(self) -> int:
+        """Calls so far, failed ones included."""
+        return len(self._found)
+
+    def __call__(self, values: Mapping[str, float]) -> Any:
+        """A copy of the function's results; an exception it raised is raised again."""
+        key = tuple(sorted((n, float(v)) for n, v in values.items()))
+        if key not in self._found:
+            try:
+                self._found[key] = self.function(dict(values))
+            except Exception as fault:
+                self._found[key] = fault
+        if isinstance(self._found[key], Exception):
+            raise self._found[key]
+        return copy.deepcopy(self._found[key])
+
+
+def kept(model: F) -> F:
+    """The model with the results of its function cached."""
+    return model if isinstance(model.function, Kept) else replace(model, function=Kept(model.function))
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionVariants(Generic[F]):
+    """A base function extended by effects and local perturbations.
+
+    The counterpart for matrices is `calib.structure.variants.Variants`. All effects and perturbations are
+    parameters of one common model. An effect of magnitude 0 is left out of the evaluation, so that variants share their
+    common calls.
+
+    Attributes
+    ----------
+    model : FunctionModel or ModalFunctionModel
+        The base model.
+    effects, perturbations : tuple of Effect
+        Named effects, then local perturbations, in the order in which they are built upon each other.
+    """
+
+    model: F
+    effects: tuple[Effect, ...]
+    perturbations: tuple[Effect, ...]
+    _built: dict[tuple[str, ...], F] = field(init=False, repr=False, default_factory=dict)
+
+    @property
+    def basis(self) -> None:
+        """None: there is nothing to reduce."""
+        return
+
+    @property
+    def calls(self) -> int:
+        """Calls of the base function so far, failed ones included."""
+        cached: Any = self._base.function
+        return int(cached.calls)
+
+    def added(self, names: Sequence[str]) -> int:
+        """No further modes: a function returns a fixed number."""
+        return 0
+
+    def with_effects(self, names: Sequence[str]) -> F:
+        """A model with the parameters of all effects and local perturbations; InputError for an unknown name."""
+        for name in names:
+            if name not in self._by_name:
+                raise InputError(f"there is no effect {name!r}", place=f"model {self.model.name}")
+        return self._common
+
+    @cached_property
+    def unproven(self) -> tuple[str, ...]:
+        """Effects of nominal magnitude 0: user code builds them and may change the model even then."""
+        return tuple(e.name for e in self.effects if e.magnitude.value == 0)
+
+    def built(self, names: Sequence[str]) -> F:
+        """The base model with only the named effects and local perturbations, built even at magnitude 0."""
+        key = tuple(name for name in self._by_name if name in names)
+        if key not in self._built:
+            self._built[key] = kept(extend_function(self._base, [self._by_name[name] for name in key]))
+        return self._built[key]
+
+    @cached_property
+    def _base(self) -> F:
+        return kept(self.model)
+
+    @cached_property
+    def _by_name(self) -> dict[str, Effect]:
+        return {e.name: e for e in (*self.effects, *self.perturbations)}
+
+    @cached_property
+    def _common(self) -> F:
+        further = tuple(p for e in self._by_name.values() for p in e.parameters)
+        space = ParameterSpace(self.model.space.parameters + further, self.model.space.constraints)
+        return replace(self.model, space=space, function=self._evaluate)
+
+    def _evaluate(self, values: Mapping[str, float]) -> Any:
+        model = self.built([name for name in self._by_name if values.get(name, 0.0) != 0])
+        return model.function({name: float(values[name]) for name in model.space.names})

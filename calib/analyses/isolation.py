@@ -1,0 +1,74 @@
+"""Isolation: a study whose function runs in a child process, so that a crash there does not end the command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from calib.analyses.user_function import function_of, numbered, with_function
+from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.evaluate import Evaluator
+from calib.function import FunctionModel
+from calib.outcome import failure
+from calib.structure.model import StructuralModel
+from calib.study import EvaluationSource, Study
+
+
+@dataclass(frozen=True, eq=False)
+class ChildFunction:
+    """A study's function in one child process, which starts at the first call and is kept.
+
+    The child also has the effects of the study's library: it applies those whose parameters are among the values.
+
+    Attributes
+    ----------
+    evaluator : Evaluator
+        With one process of its own, which ends with this object or with the command.
+    """
+
+    evaluator: Evaluator
+
+    def __call__(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Named responses; EvaluationError where the function fails, takes too long or ends its process."""
+        (outcome,) = self.evaluator.evaluate([values])
+        if outcome.status == "failed":
+            raise failure(outcome)
+        return outcome.responses
+
+
+def evaluator_of(problem: FunctionProblem | ModalProblem) -> Evaluator:
+    """Evaluator of the numbers of a problem's function, in its child process or in this one.
+
+    For a model of matrices it evaluates responses.
+    """
+    function = function_of(problem)
+    if isinstance(function, ChildFunction):
+        return function.evaluator
+    evaluated = function if isinstance(problem, ModalProblem) and function is not None else problem.evaluate
+    return Evaluator(lambda: evaluated)
+
+
+def isolated(study: Study) -> Study:
+    """The same study with its function in a child process; a model of matrices runs no user code and stays as it is.
+
+    The study's effects are built here, so that errors in them are reported, and evaluated there.
+    """
+    problem, model = study.problem, study.model
+    if isinstance(model, StructuralModel):
+        return study
+    source = EvaluationSource.of(study, problem)
+    child = ChildFunction(Evaluator(source, 1, study.settings.calibration.time_limit, isolated=True))
+    return replace(
+        study,
+        model=replace(model, function=child) if isinstance(model, FunctionModel) else numbered(model, child),
+        problem=with_function(problem, child),
+        library=tuple(replace(effect, build=partial(_known_there, effect.build)) for effect in study.library),
+    )
+
+
+def _known_there(build: Callable[[Any], Any], model: Any) -> Any:
+    """Build of an effect that the child's function applies itself: None, or what an invalid builder returned."""
+    built = build(model)
+    return None if callable(built) else built

@@ -1,0 +1,140 @@
+"""Joint calibration: parameters fitted to several tests together."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeAlias
+
+import pandas as pd
+
+from calib.analyses.calibrate import Calibration, CalibrationRun, chosen_cases, keep, notes_on, options_of
+from calib.analyses.case import SearchProgress, Starts, known_starts, least_squares, reduction_noted, reported
+from calib.analyses.compare import before_and_after, compare
+from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
+from calib.analyses.record import begin_analysis, write_record
+from calib.analyses.recorded import recorded
+from calib.analyses.stored import confirmed
+from calib.errors import InputError
+from calib.forward import ForwardProblem
+from calib.joint import JointProblem, of_test, stacked
+from calib.ledger import Ledger
+from calib.problem import Counts
+from calib.results import Results
+from calib.several import JointStudy
+
+
+@dataclass(frozen=True)
+class JointCalibration:
+    """Result of a joint calibration.
+
+    Attributes
+    ----------
+    tests : mapping from str to Calibration
+        The results for each test: its comparisons before and after, and its errors. The parameters are joint.
+    """
+
+    tests: Mapping[str, Calibration]
+
+    @property
+    def any(self) -> Calibration:
+        """The results for one test, for what all share: the parameters and their fit statistics."""
+        return next(iter(self.tests.values()))
+
+    def seen(self, test: str) -> Calibration:
+        """The results for one test."""
+        return self.tests[test]
+
+    @property
+    def verdicts(self) -> pd.DataFrame:
+        """One row per parameter, from all tests together."""
+        return self.any.verdicts
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Identified parameters, goodness of fit, and the errors of each test before and after."""
+        out = [*self.any.parameter_sentences, *self.any.case_sentences]
+        for test, answer in self.tests.items():
+            before, after = answer.before.mean_freq_error, answer.best.answer.mean_freq_error
+            out.append(of_test(test, f"mean absolute error {100 * before:.2f} % before, {100 * after:.2f} % after."))
+            out += [of_test(test, words) for words in (*answer.contradictions, *answer.notes)]
+        return tuple(out)
+
+
+Fitted: TypeAlias = Calibration | JointCalibration
+
+
+def calibrate_jointly(
+    study: JointStudy,
+    folders: Mapping[str, Results],
+    results: Results,
+    ledger: Ledger,
+    only: str | None = None,
+    quick: bool = False,
+    method: str | None = None,
+    progress: SearchProgress = lambda case, generation, generations, best: None,
+    homes: Mapping[str, Results] | None = None,
+) -> JointCalibration:
+    """Fit all tests of a study by least squares from several starting points; write all tables.
+
+    ``folders`` are those of the tests, by name; ``results`` takes the parameters and the tables on all tests;
+    ``homes`` hold the reduced bases of the tests, by default their folders.
+    """
+    started = time.perf_counter()
+    given, homes = study.settings.calibration, homes or folders
+    if (method or (given.method if "method" in given.model_fields_set else "")) == "genetic":
+        raise InputError(
+            "a genetic search takes one test, and the study has several", place=study.file,
+            remedy="leave the method out: several tests are fitted by least squares from several starts",
+        )  # fmt: skip
+    cases = chosen_cases(study, only)
+    for one in study.studies:
+        confirmed(one, ledger)
+    behind_ledger = study.each(lambda one: recorded(one, ledger))
+    before = {one.test: compare(one, folders[one.test]) for one in behind_ledger.studies}
+    notes: dict[str, list[str]] = {one.test: [] for one in behind_ledger.studies}
+    bases = {one.test: reduction_noted(one, homes[one.test], notes[one.test]) for one in behind_ledger.studies}
+    reduced = {test: basis.problem for test, basis in bases.items() if basis is not None}
+    terms, known = Terms.of(study), known_starts(study)
+
+    def problem(instead: Mapping[str, ForwardProblem], counts: Counts) -> JointProblem:
+        return JointProblem({s.test: posed(s, ledger, instead.get(s.test), counts) for s in behind_ledger.studies})
+
+    def fit(starts: Starts, refits: int, progress: FitProgress, counts: Counts) -> FitStatistics:
+        near = problem(reduced, counts) if reduced else None
+        return refined(problem({}, counts), near, terms, starts, refits, progress, known)
+
+    fits = [least_squares(case, behind_ledger, known, quick, progress, fit) for case in cases]
+    answers, options = {}, options_of(only, method)
+    for one in behind_ledger.studies:
+        found = tuple(reported(one, result, statistics) for result, statistics in fits)
+        noted = partial(notes_on, one, ledger, homes[one.test], notes[one.test])
+        ran = CalibrationRun("gauss-newton", started, quick, options, noted, ledger.retried, study.search_space)
+        answers[one.test] = keep(one, folders[one.test], found, before[one.test], ran)
+    answer = JointCalibration(answers)
+    _write(study, results, answer, time.perf_counter() - started)
+    write_record(study, results, "calibrate", {c.name: c.seed for c in cases}, answer.sentences, quick, options)
+    return answer
+
+
+def _write(study: JointStudy, results: Results, answer: JointCalibration, seconds: float) -> None:
+    """Write the parameters and the tables on all tests together; those on one test are in its own folder."""
+    best = answer.any.best
+    begin_analysis(results, "calibrate")
+    for name, table in answer.any.tables.items():
+        results.write_table(name, table)
+    errors = {test: one.errors for test, one in answer.tests.items() if one.errors is not None}
+    results.remove("data_errors.csv")
+    if errors:
+        results.write_table("data_errors", stacked(errors).assign(std_from=best.statistics.rests_on))
+    results.write_json("summary", {
+        "study": study.name,
+        "synthetic": study.synthetic,
+        "method": "gauss-newton",
+        "best_case": best.name,
+        **best.statistics.figures,
+        "seconds": seconds,
+        "tests": {test: before_and_after(one.before, one.best.answer) for test, one in answer.tests.items()},
+    })  # fmt: skip

@@ -1,0 +1,110 @@
+"""Hypotheses of a study with modes: its effects, local perturbations, and a reduced basis that represents them all."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.reduction import Wanted, reduction_of, training, worthwhile
+from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import ModalResidual
+from calib.effect import Effect
+from calib.errors import InputError, ToleranceError
+from calib.measurement.modal import MeasuredModes
+from calib.results import Results
+from calib.space import ParameterSpace
+from calib.structure.basis import Basis
+from calib.structure.effect_basis import effect_basis
+from calib.structure.extend import extend
+from calib.structure.model import StructuralModel
+from calib.structure.perturbations import Perturbation, perturbations
+from calib.structure.variants import Variants
+from calib.study import Study
+from calib.written import is_own
+
+
+def local_perturbations(
+    model: StructuralModel, measured: Sequence[MeasuredModes], values: Mapping[str, float], of: str = ""
+) -> tuple[Perturbation, ...]:
+    """Local perturbations of a model of matrices: of its parts, and at every sensor of its tests.
+
+    Parameters
+    ----------
+    model : StructuralModel
+    measured : sequence of MeasuredModes
+        The fitted data of each test.
+    values : mapping
+        Reference values; see `calib.structure.perturbations.perturbations`.
+    of : str
+        Name of the model, where other models have perturbations of the same names.
+    """
+    placed = {s.name: s for modes in measured for s in modes.sensors if s.point is not None}
+    lowest = min(float(modes.natural_freq.min()) for modes in measured)
+    return perturbations(model, list(placed.values()), values, lowest, of)
+
+
+def modal_hypotheses(
+    study: Study,
+    results: Results,
+    progress: Callable[[str], None] = lambda words: None,
+    local: tuple[Perturbation, ...] | None = None,
+) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
+    """Hypotheses of a study with modes, and its local perturbations, by default those of its own test.
+
+    A basis trained earlier is loaded from the results folder.
+    """
+    problem = study.problem
+    assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
+    model = problem.model
+    if local is None:
+        local = local_perturbations(model, [problem.measured], study.search_space.values)
+    effects, perturbed = study.candidates, tuple(a.effect for a in local)
+    basis = None
+    if worthwhile(study):
+        progress("reduced basis for the effects")
+
+        def search_basis() -> Basis:
+            found = reduction_of(study, results)  # a search trained it, or will need it
+            assert found is not None
+            return found.basis
+
+        with training(study):
+            space, wanted = study.search_space, Wanted.of(study)
+            with contextlib.suppress(ToleranceError):  # then the full model is used, and `ModalAdapter` notes it
+                basis = kept_basis(model, space, effects, perturbed, wanted, results.path, search_basis)
+    variants = Variants(model, effects, perturbed, basis)
+    return ModelHypotheses(ModalResidual(problem), variants, study.search_space.without(study.condition)), local
+
+
+def kept_basis(
+    model: StructuralModel,
+    space: ParameterSpace,
+    effects: Sequence[Effect],
+    local: Sequence[Effect],
+    wanted: Wanted,
+    folder: Path,
+    base: Callable[[], Basis] | None = None,
+) -> Basis:
+    """A basis for the effects and local perturbations of a model, loaded from a folder or trained and stored there.
+
+    The folder holds one such basis. ``base`` returns a basis of the model alone; by default one is trained.
+    EvaluationError when the model cannot be solved at some training point.
+    """
+    digest = hashlib.sha256(extend(model, [*effects, *local]).fingerprint.encode())
+    digest.update(repr([(e.name, e.parameters, e.grid) for e in effects]).encode())
+    digest.update(repr((wanted.count, wanted.freq_max, wanted.tolerance, wanted.seed)).encode())
+    digest.update(repr(space.parameters).encode())
+    path = folder / f"basis_effects_{digest.hexdigest()[:16]}.npz"
+    if path.exists():
+        with suppress(InputError):
+            return Basis.load(path)
+    basis = effect_basis(model, base() if base else wanted.trained(model, space), space, effects, local, wanted.seed)
+    for old in folder.glob("basis_effects_*.npz"):
+        if is_own(old):
+            old.unlink(missing_ok=True)
+    basis.save(path)
+    return basis

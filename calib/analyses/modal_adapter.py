@@ -1,0 +1,151 @@
+"""Adapter of a modal test to the explanation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.discretisation_error import DiscretisationError, discretisation_error
+from calib.analyses.experimental_design import modal_design
+from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.one_test import OneTest
+from calib.analyses.verify import modal_errors
+from calib.correlation.mesh import elements_table, points_table
+from calib.correlation.problem import ModalProblem
+from calib.correlation.residual import ModalResidual
+from calib.correlation.rigid import COLUMNS as UNPAIRED_COLUMNS
+from calib.correlation.rigid import unpaired_sentence, unpaired_table
+from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.recommendation import ExperimentalDesign
+from calib.structure.model import StructuralModel
+
+BASIS_ERROR = 0.05
+"""Largest difference of whitened residuals on the reduced basis from full order, in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModalAdapter(OneTest):
+    """Measured modes against a model with modes.
+
+    Attributes
+    ----------
+    whole : ModalProblem or None
+        The problem with all measured data; None where nothing is held out.
+    finer : callable
+        Returns the same model on a finer mesh, or None.
+    reduced : bool
+        Whether a reduced basis was requested and worthwhile.
+    """
+
+    hypotheses: ModelHypotheses[ModalResidual]
+    whole: ModalProblem | None
+    finer: Callable[[], StructuralModel | None] = lambda: None
+    reduced: bool = False
+    _full: dict[tuple[str, ...], ModalResidual] = field(init=False, repr=False, default_factory=dict)
+
+    @property
+    def problem(self) -> ModalProblem:
+        """The problem with the used data, at full order."""
+        return self.hypotheses.pair.problem
+
+    def notes(self) -> list[str]:
+        """Notes on a missing reduced basis, and on stated, claimed or assumed standard deviations."""
+        out, measured = [], self.problem.measured
+        if self.reduced and self.hypotheses.variants.basis is None:
+            out.append("No reduced basis reached its tolerance: the full model was used.")
+        if measured.n_repeats == 1 and np.isfinite(measured.freq_std).any():
+            out.append("There are no repeats: the standard deviation is the one the file states.")
+        return [*out, *super().notes()]
+
+    def errors(
+        self, stages: Mapping[str, CandidateFit], scale: float
+    ) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
+        """As for any test, with notes on unpaired modes and on the error of the reduced basis."""
+        table, notes, figures = super().errors(stages, scale)
+        notes += filter(None, (unpaired_sentence(self._unpaired(t), _named(t)) for t in stages.values()))
+        worst = 0.0
+        for candidate_fit in stages.values():
+            full = self._at_full_order(candidate_fit.names).residual(candidate_fit.fit.values) / scale
+            worst = max(worst, float(np.abs(full - candidate_fit.fit.residual).max()))
+        if worst > BASIS_ERROR:
+            notes.append(
+                f"The reduced basis is off by {worst:.2g} standard deviations; set use = false in [reduction]."
+            )
+        return table, notes, {**figures, "basis_error": worst}
+
+    def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
+        """At full order; see `calib.analyses.verify.modal_errors`."""
+        fit, fitted, whole = candidate_fit.fit, self._at_full_order(candidate_fit.names), self.whole
+        if whole is not None:
+            added = self.hypotheses.variants.added(candidate_fit.names)
+            whole = whole.with_model(self.problem.model).with_model(fitted.problem.model, added)
+        return modal_errors(
+            fitted.problem, whole, fit.values, fit.names, fit.prior_sd, fitted.floors,
+            self.hypotheses.std_dof, scale, self.told.held_sd,
+        )  # fmt: skip
+
+    def _at_full_order(self, names: tuple[str, ...]) -> ModalResidual:
+        if names not in self._full:
+            variants = self.hypotheses.variants
+            self._full[names] = self.hypotheses.pair.with_model(variants.built(names), variants.added(names))
+        return self._full[names]
+
+    def design(self, found: Explanation) -> ExperimentalDesign | None:
+        """Candidate measurements, from the credible models."""
+        whole = self.problem.measured if self.whole is None else self.whole.measured
+        every = zip(whole.names, whole.natural_freq.tolist(), strict=True)
+        held_out = {name: freq for name, freq in every if name not in self.problem.measured.names}
+        candidates = [e for g in found.groups for e in g.effects]
+        named = found.base_adequacy.named
+        if found.verdict == "none_explains" and found.perturbation is not None:  # to locate the unexplained misfit
+            candidates, named = list(found.perturbation.effects), found.base_adequacy.perturbations
+        if not candidates:
+            return None
+        samples, seed = self.told.samples, self.told.seed
+        return modal_design(
+            self.hypotheses, found.believed, candidates, named, found.noise_scale, held_out, samples, seed
+        )
+
+    def discretisation_error(self, found: Explanation) -> DiscretisationError | None:
+        """Scores that a finer mesh alone would give; None without one."""
+        finer = self.finer()
+        return None if finer is None else discretisation_error(self.hypotheses, found.base.fit, finer)
+
+    def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
+        """``sensor_misfit``: whitened residuals of shapes by sensor; ``unpaired``: modes without partner; the mesh."""
+        mesh = self.problem.model.mesh
+        points = points_table(mesh)
+        return {
+            "sensor_misfit": self._sensors(stages),
+            "unpaired": pd.concat([self._unpaired(t).assign(stage=s) for s, t in stages.items()])[
+                ["stage", *UNPAIRED_COLUMNS]
+            ],
+            **({"mesh_points": points, "mesh_elements": elements_table(mesh)} if len(points) else {}),
+        }  # fmt: skip
+
+    def _unpaired(self, candidate_fit: CandidateFit) -> pd.DataFrame:
+        return unpaired_table(self.hypotheses.fit_problem(candidate_fit.names).at(candidate_fit.fit.values))
+
+    def _sensors(self, stages: Mapping[str, CandidateFit]) -> pd.DataFrame:
+        sensors = {s.name: s for s in self.problem.measured.sensors}
+        parts: dict[tuple[str, str, str], dict[str, float]] = {}
+        for stage, candidate_fit in stages.items():
+            for row, e in zip(self.hypotheses.fit_problem(()).pair.rows, candidate_fit.fit.residual, strict=True):
+                if row.kind == "shape":
+                    parts.setdefault((stage, row.mode, row.sensor), {})[row.part] = float(e)
+        rows = []
+        for (stage, mode, name), entry in parts.items():
+            s = sensors[name]
+            point = s.point or (np.nan, np.nan, np.nan)
+            rows.append(
+                (stage, mode, name, s.node, s.direction, *point, entry.get("re", np.nan), entry.get("im", np.nan))
+            )
+        columns = ["stage", "mode", "sensor", "node", "direction", "x", "y", "z", "re", "im"]
+        return pd.DataFrame(rows, columns=columns)
+
+
+def _named(candidate_fit: CandidateFit) -> str:
+    return "The base model" if not candidate_fit.effects else f"The model with {' and '.join(candidate_fit.names)}"

@@ -1,0 +1,273 @@
+"""Record of an analysis beside its results: measurement, assumptions, versions, seeds, and sentences."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from functools import cache
+from importlib import metadata
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.state import made_from
+from calib.analyses.uncertainty import accuracy_words, assumed_std, assumed_words, in_one, std_notes
+from calib.correlation.response_residual import response_std
+from calib.correlation.standard_deviations import std_for
+from calib.errors import InputError
+from calib.inference import rules as inference
+from calib.joint import said, stacked
+from calib.loading import Model
+from calib.measurement.disagreements import COLUMNS, Disagreement
+from calib.measurement.modal import MeasuredModes
+from calib.missing import rules as missing
+from calib.named_values import ANY, read_json
+from calib.results import Results
+from calib.several import AnyStudy, JointStudy
+from calib.structure.model import Assumption
+from calib.study import Study
+from calib.version import __version__
+
+PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib", "plotly")
+"""Packages whose versions may change a digit or a figure."""
+
+MODE_COLUMNS = (
+    "mode", "held_out", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats",
+    "freq_std_used", "damping_std_used",
+)  # fmt: skip
+SENSOR_COLUMNS = ("sensor", "node", "direction", "x", "y", "z", "part", "held_out", "shape_std")
+
+
+class HasRepeats(Protocol):
+    """A study or a measurement with the disagreements between its repeats."""
+
+    @property
+    def disagreements(self) -> Sequence[Disagreement]:
+        """Values in which one repeat disagrees with the others."""
+        ...
+
+
+def write_record(
+    study: AnyStudy,
+    results: Results,
+    analysis: str,
+    seeds: Mapping[str, int],
+    sentences: Sequence[str] = (),
+    quick: bool = False,
+    options: Sequence[str] = (),
+) -> None:
+    """Write the data and assumptions behind the results, and add one analysis to ``record.json``.
+
+    Writes ``measured.csv``, ``sensors.csv`` (of a modal measurement), ``repeat_disagreements.csv``,
+    ``assumptions.csv``, ``parameter_space.csv`` and ``record.json``, which keeps the earlier analyses of the same
+    folder. For several tests the tables have the rows of all, with a column ``test``.
+
+    Parameters
+    ----------
+    study : Study or JointStudy
+    results : Results
+    analysis : str
+        The verb of the command.
+    seeds : mapping from str to int
+        Of the random numbers behind the results.
+    sentences : sequence of str
+        The reported sentences.
+    quick : bool
+        Whether it was a quick run.
+    options : sequence of str
+        Further options of the command, as they are typed.
+    """
+    tests = study.studies
+    tables = {
+        "measured": {one.test: measured_table(one) for one in tests},
+        "sensors": {
+            one.test: sensors_table(one.whole, one.settings.held_out.sensors)
+            for one in tests
+            if one.whole is not None and one.whole.has_shapes
+        },
+        "repeat_disagreements": {one.test: disagreements_table(one) for one in tests},
+        "assumptions": {one.test: assumptions_table(one) for one in tests},
+    }
+    for name, own in tables.items():
+        if own:
+            results.write_table(name, stacked(own) if len(tests) > 1 else own[study.test])
+    space = study.search_space if isinstance(study, JointStudy) else study.model.space
+    results.write_table("parameter_space", space.frame())
+    given, measured = study.settings, [one.settings.measurement for one in tests]
+    notes = said({one.test: (*one.measurement_notes, *std_notes(one)) for one in tests})
+    record = {
+        "study": study.name,
+        "title": given.title,
+        "synthetic": study.synthetic,
+        "model": given.model,
+        "adopted": {} if given.adopted is None else {n: study.adopted.get(n) for n in given.adopted.parameters},
+        "adopted_from": None if given.adopted is None else given.adopted.study,
+        "effects_known": len(study.library),
+        "effects_in_model": list(given.with_effects),
+        "tests": [one.test for one in tests if one.test],
+        "files": list(dict.fromkeys(f for m in measured for f in (*m.files, *m.shapes, m.responses) if f)),
+        "repeats": study.repeats if isinstance(study, Study) else None,
+        "accuracy": in_one(study, accuracy_words),
+        "std_assumed": in_one(study, assumed_words),
+        "notes": [note.removesuffix(".") for note in notes],
+        "analyses": {
+            **earlier(results, analysis),
+            analysis: {
+                **made_with(),
+                "quick": quick,
+                "options": list(options),
+                "seeds": dict(seeds),
+                "made_from": made_from(study, analysis),
+                "sentences": list(sentences),
+            },
+        },
+    }
+    results.write_json("record", record)
+
+
+def made_with() -> dict[str, Any]:
+    """Time, versions and rules of an analysis made now."""
+    return {
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
+        "rules": {name: asdict(rules) for name, rules in RULES.items()},
+    }
+
+
+RULES: Mapping[str, Any] = {"inference": inference.RULES, "missing": missing.RULES}
+"""Rules that determine the verdicts."""
+
+
+def measured_table(study: Study) -> pd.DataFrame:
+    """All measured data with their standard deviations, held-out data included and marked.
+
+    Modes have `MODE_COLUMNS`: frequencies and their standard deviations in Hz, damping as a ratio, and the number of
+    repeats of the frequency. Scalar responses have ``response, held_out, value, std, repeats, std_used``. Standard
+    deviations are those of the mean over the repeats; for scalar responses they are pooled and include the claimed
+    accuracy. Those ``used`` are the weights of calibration and explanation: pooled, with accuracy and floors, and
+    assumed where nothing is known.
+    """
+    held, whole = study.settings.held_out, study.whole
+    if whole is None:
+        held_out = set(held.responses)
+        counts = {} if study.responses is None else study.responses.counts
+        used = response_std(study.whole_targets)
+        rows = [
+            (name, name in held_out, value, np.nan if std is None else std, counts.get(name, np.nan), taken)
+            for (name, (value, std)), taken in zip(study.whole_targets.items(), used, strict=True)
+        ]
+        return pd.DataFrame(rows, columns=["response", "held_out", "value", "std", "repeats", "std_used"])
+    freq_std, damping_std = _std_used(study, whole)
+    columns = {
+        "mode": list(whole.names),
+        "held_out": [name in held.modes for name in whole.names],
+        **{name: getattr(whole, name) for name in MODE_COLUMNS[2:-3]},
+        "repeats": whole.counts("freq"),
+        "freq_std_used": freq_std * whole.natural_freq,
+        "damping_std_used": damping_std * whole.damping_ratio,
+    }
+    return pd.DataFrame(columns, columns=list(MODE_COLUMNS))
+
+
+def _std_used(study: Study, whole: MeasuredModes) -> tuple[np.ndarray, np.ndarray]:
+    """Relative standard deviations of frequency and damping, (n_modes,): those of the fit, or of the held-out check."""
+    every = std_for(whole)
+    freq, damping = every.freq.copy(), every.damping.copy()
+    if study.measured is not None:
+        fitted, rows = std_for(study.measured), [whole.names.index(name) for name in study.measured.names]
+        freq[rows], damping[rows] = fitted.freq, fitted.damping
+    return freq, damping
+
+
+def check_repeats(of: HasRepeats) -> list[str]:
+    """A sentence for every disagreement between the repeats of a study or a measurement."""
+    return [f"Check this repeat: {one.sentence}." for one in of.disagreements]
+
+
+def disagreements_table(of: HasRepeats) -> pd.DataFrame:
+    """Disagreements between the repeats; columns `calib.measurement.disagreements.COLUMNS`."""
+    rows = [tuple(getattr(one, name) for name in COLUMNS) for one in of.disagreements]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def sensors_table(measured: MeasuredModes, held_out: Sequence[str]) -> pd.DataFrame:
+    """Every sensor with its location (m); columns `SENSOR_COLUMNS`.
+
+    ``shape_std`` is the root mean square over the modes of the standard deviation of its shape entries, with the
+    largest entry of each mode scaled to 1; NaN where unknown.
+    """
+    rows = []
+    for sensor, std in zip(measured.sensors, measured.shape_std, strict=True):
+        known = std[np.isfinite(std)]
+        shape_std = float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+        place = sensor.point or (np.nan, np.nan, np.nan)
+        part = sensor.on or ""
+        rows.append((sensor.name, sensor.node, sensor.direction, *place, part, sensor.name in held_out, shape_std))
+    return pd.DataFrame(rows, columns=list(SENSOR_COLUMNS))
+
+
+def assumptions_table(study: Study) -> pd.DataFrame:
+    """Assumptions of a study; see `assumptions_of`."""
+    return assumptions_of(study.model, assumed_std(study))
+
+
+def assumptions_of(model: Model, std: Iterable[Assumption]) -> pd.DataFrame:
+    """Assumptions on a model, on its parameters' values and limits, and on the standard deviations of the measurement.
+
+    Columns ``item, value, unit, reason``.
+    """
+    rows = [(a.item, a.value, a.unit, a.reason) for a in (*model.assumptions, *std)]
+    rows += [(p.name, f"{p.value:g}", p.unit, p.assumed) for p in model.space.parameters if p.assumed]
+    return pd.DataFrame(rows, columns=["item", "value", "unit", "reason"])
+
+
+def analyses_of(results: Results) -> dict[str, dict[str, Any]]:
+    """Analyses in the folder's record, the latest last; empty when there is no readable record."""
+    return dict(_record(results).get("analyses", {}))
+
+
+def _record(results: Results) -> dict[str, Any]:
+    try:
+        return dict(read_json(results.path / "record.json", {"analyses": {ANY: _ANALYSIS}}))
+    except InputError:
+        return {}
+
+
+def begin_analysis(results: Results, analysis: str) -> None:
+    """Remove an earlier analysis from the record before its tables are overwritten; `write_record` adds the new one.
+
+    An interrupted analysis is not in the record, so that tables of two states are never reported as one.
+    """
+    analyses = analyses_of(results)
+    if analyses.pop(analysis, None) is not None:
+        results.write_json("record", {**_record(results), "analyses": analyses})
+
+
+def earlier(results: Results, analysis: str) -> dict[str, dict[str, Any]]:
+    """Other analyses in the folder's record; ``extend`` is dropped with the analyses it rests on."""
+    gone = {analysis} if results.has("added.json") else {analysis, "extend"}
+    return {name: entry for name, entry in analyses_of(results).items() if name not in gone}
+
+
+_ANALYSIS = {
+    "quick": bool,
+    "options": [str],
+    "made_from": {"files": {ANY: str}, "stated": {ANY: str}, "selected": [str]},
+}
+"""Types of the entries of an analysis that later commands read."""
+
+
+@cache
+def _installed() -> Mapping[str, str]:
+    """Versions of the installed packages; cached, since each lookup searches their folders."""
+    out = {}
+    for name in PACKAGES:
+        try:
+            out[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return MappingProxyType(out)

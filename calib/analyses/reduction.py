@@ -1,0 +1,237 @@
+"""Model reduction for searches: a basis is trained once, frozen, and checked at would-be best points."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.analyses.user_function import ledger_keys_of_modes
+from calib.correlation.problem import ModalProblem
+from calib.errors import EvaluationError, InputError, ToleranceError
+from calib.evaluate import Evaluator
+from calib.ledger import Ledger
+from calib.outcome import Outcome
+from calib.results import Results
+from calib.space import ParameterSpace
+from calib.structure.basis import Basis
+from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
+from calib.structure.training import enrich_basis, train_basis
+from calib.study import Study
+
+WORTHWHILE_DOFS = 300
+"""Degrees of freedom below which a model is fast enough at full order."""
+
+FIRST_ORDER = 10.0
+"""Factor on the tolerance: the error of MAC is of first order, that of frequencies of second."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a basis must represent, and how well; see `calib.structure.training.train_basis`.
+
+    Attributes
+    ----------
+    count : int
+        Number of the lowest modes.
+    freq_max : float
+        Highest frequency to be represented (Hz).
+    tolerance : float
+        Relative error of an eigenvalue.
+    seed : int
+    """
+
+    count: int
+    freq_max: float
+    tolerance: float
+    seed: int
+
+    @classmethod
+    def of(cls, study: Study) -> Wanted:
+        """The requirements of a study with modes."""
+        settings, problem = study.settings.reduction, study.problem
+        assert isinstance(problem, ModalProblem)
+        freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
+        return cls(problem.mode_count, freq_max, settings.tolerance, settings.seed)
+
+    @classmethod
+    def of_basis(cls, basis: Basis) -> Wanted:
+        """The requirements a basis was trained for."""
+        return cls(basis.count, basis.freq_max, basis.tolerance, basis.seed)
+
+    def trained(self, model: StructuralModel, space: ParameterSpace) -> Basis:
+        """A basis of the model alone; EvaluationError when it cannot be solved at some training point."""
+        return train_basis(model, space, self.count, seed=self.seed, freq_max=self.freq_max, tolerance=self.tolerance)
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """The reduced problem of a study during a search.
+
+    Attributes
+    ----------
+    full, problem : ModalProblem
+        The problem at full order, and on the basis.
+    path : Path
+        File of the basis, for worker processes.
+    tolerance : float
+        Relative error of eigenvalues above which a would-be best point is solved at full order.
+    """
+
+    full: ModalProblem
+    problem: ModalProblem
+    path: Path
+    tolerance: float
+
+    @property
+    def basis(self) -> Basis:
+        """The frozen basis."""
+        assert isinstance(self.problem.model, ReducedModel)
+        return self.problem.model.basis
+
+    def certifier(self, ledger: Ledger) -> Callable[[Outcome], Outcome]:
+        """Callback of `calib.inference.cases.run_case` that checks every would-be best point."""
+        exact = Evaluator(lambda: self.full.evaluate)
+
+        def certify(outcome: Outcome) -> Outcome:
+            if self.error_at(outcome.values) <= self.tolerance:
+                return outcome
+            return ledger.evaluate(self.full.fingerprint, [outcome.values], exact)[0]
+
+        return certify
+
+    def error_at(self, values: Mapping[str, float]) -> float:
+        """Largest error indicator of the paired modes."""
+        model = self.problem.model
+        assert isinstance(model, ReducedModel)
+        found = self.problem.compare(values)
+        chosen = found.pairing.model_index[found.pairing.paired]
+        return float(np.max(model.indicator(found.values, found.modes)[chosen], initial=0.0))
+
+    def difference_at(self, values: Mapping[str, float]) -> float:
+        """Largest difference between reduced and full responses at a point, relative in frequency, absolute in MAC."""
+        mine, truth = self.problem.evaluate(values), self.full.evaluate(values)
+        parts = [0.0]
+        for mode in self.full.measured.names:
+            freq, mac = f"natural_freq_{mode}", f"mac_{mode}"
+            if np.isnan(mine[freq]) != np.isnan(truth[freq]):
+                return np.inf
+            parts += [abs(mine[freq] / truth[freq] - 1), abs(mine[mac] - truth[mac])]
+        return float(np.nanmax(parts))
+
+    def after_case(self, values: Mapping[str, float], home: Results) -> Reduction:
+        """The same reduction, or one with an enriched basis when this one misses its tolerance at a case's optimum."""
+        if self.difference_at(values) <= FIRST_ORDER * self.tolerance:
+            return self
+        model = self.full.model
+        assert isinstance(model, StructuralModel)
+        return _on(self.full, enrich_basis(model, self.basis, [values]), home, self.tolerance)
+
+
+def reduction_of(study: Study, home: Results) -> Reduction | None:
+    """Load the basis of a study's search, or train it; None where full order is fast enough.
+
+    Raises
+    ------
+    ToleranceError
+        When a basis misses its tolerance; this is stored, so that training is not repeated.
+    InputError
+        When the model cannot be solved at some training point.
+    """
+    problem = study.problem
+    if not worthwhile(study):
+        return None
+    assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
+    wanted, path = Wanted.of(study), _file(home, 1)
+    basis = _loaded(path) if path.exists() else None
+    if basis is not None and _serves(basis, problem.model, study.search_space, wanted):
+        return _reduced(problem, basis, path, wanted.tolerance)
+    digest = hashlib.sha256(repr((problem.model.fingerprint, wanted, study.search_space)).encode()).hexdigest()[:16]
+    _raise_known(home, digest)
+    with training(study):
+        try:
+            basis = wanted.trained(problem.model, study.search_space)
+        except ToleranceError as fault:
+            home.write_json(_UNREACHED, {"asked": digest, "problem": fault.problem})
+            raise
+    return _on(problem, basis, home, wanted.tolerance)
+
+
+_UNREACHED = "basis_unreached"
+"""Name of the file that records a basis that missed its tolerance."""
+
+
+def _raise_known(home: Results, digest: str) -> None:
+    """ToleranceError where the same training failed before."""
+    try:
+        known = json.loads((home.path / f"{_UNREACHED}.json").read_text("utf-8"))
+        same = known["asked"] == digest
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    if same:
+        raise ToleranceError(str(known.get("problem")), place="reduced model")
+
+
+def _serves(basis: Basis, model: StructuralModel, space: ParameterSpace, wanted: Wanted) -> bool:
+    own = basis.model_fingerprint == model.fingerprint
+    return own and Wanted.of_basis(basis) == wanted and basis.covers(space)
+
+
+@contextlib.contextmanager
+def training(study: Study) -> Iterator[None]:
+    """Turn a failed training into an InputError with a remedy."""
+    try:
+        yield
+    except EvaluationError as fault:
+        raise InputError(
+            f"no reduced basis can be trained: {fault}", place=study.file,
+            remedy="check the model over the search limits, or set use = false under [reduction]",
+        ) from None  # fmt: skip
+
+
+def worthwhile(study: Study) -> bool:
+    """Whether a study is solved on a reduced basis: requested, and the model is large enough."""
+    model = study.problem.model if isinstance(study.problem, ModalProblem) else None
+    return study.settings.reduction.use and isinstance(model, StructuralModel) and model.n_dof >= WORTHWHILE_DOFS
+
+
+def fingerprints(study: Study, home: Results) -> tuple[str, ...]:
+    """Fingerprints under which a ledger stores valid points of a study.
+
+    For responses its own, and those of its reduced problems on the stored bases; for a function of modes also those of
+    the modes.
+    """
+    problem, own = study.problem, [study.problem.fingerprint]
+    if isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel):
+        kept = [_loaded(path) for path in sorted(home.path.glob(_file(home, "*").name))]
+        fitting = [b for b in kept if b is not None and b.model_fingerprint == problem.model.fingerprint]
+        own += [problem.reduced(basis).fingerprint for basis in fitting]
+    return (*own, *ledger_keys_of_modes(problem, study.library_digest))
+
+
+def _on(problem: ModalProblem, basis: Basis, home: Results, tolerance: float) -> Reduction:
+    path = _file(home, basis.version)
+    basis.save(path)
+    return _reduced(problem, basis, path, tolerance)
+
+
+def _reduced(problem: ModalProblem, basis: Basis, path: Path, tolerance: float) -> Reduction:
+    return Reduction(problem, problem.reduced(basis), path, tolerance)
+
+
+def _file(home: Results, version: int | str) -> Path:
+    return home.path / f"basis_v{version}.npz"
+
+
+def _loaded(path: Path) -> Basis | None:
+    """A stored basis; None where it cannot be read, so that it is trained again."""
+    try:
+        return Basis.load(path)
+    except InputError:
+        return None

@@ -1,0 +1,230 @@
+"""Verification: errors of a fitted model on used, left-out (one mode at a time) and held-out data."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import pandas as pd
+
+from calib.correlation.held_out import group_table, held_out_errors
+from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.residual import ModalResidual
+from calib.correlation.response_residual import ResponseResidual
+from calib.correlation.responses import response_rows
+from calib.correlation.standard_deviations import Floors
+from calib.degrees_of_freedom import KNOWN, behind, chance, effective_dof
+from calib.forward import ForwardProblem, Targets
+from calib.inference.identify import posterior, with_held
+from calib.inference.leave_one_out import leave_one_out
+from calib.space import ParameterSpace
+from calib.study import Study
+
+_NONE: Mapping[str, float] = MappingProxyType({})
+
+HELD_OUT_RESPONSES = "held_out_responses"
+"""Group of held-out responses, as tables name it."""
+ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
+
+
+def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
+    """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
+    whole, unseen = study.whole_problem(), held_out_targets(study)
+    return errors_of(study.problem, whole, unseen, study.search_space, values, study.held_sd)
+
+
+def errors_of(
+    problem: ForwardProblem,
+    whole: ModalProblem | None,
+    unseen: Mapping[str, Targets],
+    space: ParameterSpace,
+    values: Mapping[str, float],
+    held_sd: Mapping[str, float] = _NONE,
+) -> pd.DataFrame:
+    """Errors by group of data: used, left out in turn, and held out; see `modal_errors` and `scalar_errors`.
+
+    Parameters
+    ----------
+    problem : ModalProblem or FunctionProblem
+        The problem with the fitted data.
+    whole : ModalProblem or None
+        The same model with all modes and sensors.
+    unseen : mapping from group to targets
+        Held-out scalar responses.
+    space : ParameterSpace
+        Free are the fitted parameters.
+    values : mapping from str to float
+        Fitted values.
+    held_sd : mapping from str to float
+        Standard deviations of held parameters that are uncertain.
+    """
+    names = tuple(p.name for p in space.free if not p.integer)
+    prior_sd = np.array([space[n].prior_width for n in names])
+    if isinstance(problem, ModalProblem):
+        dof = ModalResidual(problem).std_dof
+        return modal_errors(problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd)
+    problem = replace(problem, space=space)
+    held_out = {group: whitened(problem, own, values, names, held_sd) for group, own in unseen.items()}
+    e, g = whitened(problem, problem.targets, values, names, held_sd)
+    return scalar_errors(e, g, names, prior_sd, list(problem.targets), held_out, scalar_std(problem))
+
+
+def held_out_targets(study: Study) -> dict[str, Targets]:
+    """Held-out scalar responses, by their group."""
+    return {HELD_OUT_RESPONSES: {n: study.whole_targets[n] for n in study.settings.held_out.responses}}
+
+
+def whitened(
+    problem: FunctionProblem,
+    targets: Targets,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    held_sd: Mapping[str, float] = _NONE,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened residual (n_targets,) of a function on some targets, and its derivative (n_targets, n_params + n_held).
+
+    The last columns are its changes by one standard deviation of each held parameter.
+    """
+    if not targets:
+        return np.zeros(0), np.zeros((0, len(names) + len(held_sd)))
+    asked = ResponseResidual(replace(problem, targets=targets))
+    unit = np.array([*np.ones(len(names)), *held_sd.values()])
+    return asked.residual(values), asked.jacobian(values, (*names, *held_sd)) * unit
+
+
+def scalar_std(problem: FunctionProblem) -> float:
+    """Degrees of freedom behind the standard deviation of all responses of a function together."""
+    kinds = [row.kind for row in response_rows(problem.targets)]
+    counts = {kind: float(kinds.count(kind)) for kind in kinds}
+    return behind(counts, problem.std_dof)
+
+
+def modal_errors(
+    fitted: ModalProblem,
+    whole: ModalProblem | None,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    prior_sd: np.ndarray,
+    floors: Floors,
+    std_dof: Mapping[str, float],
+    scale: float = 1.0,
+    held_sd: Mapping[str, float] = _NONE,
+) -> pd.DataFrame:
+    """Errors of a fitted modal model by group of data, rms in standard deviations.
+
+    Parameters
+    ----------
+    fitted : ModalProblem
+        With the used data.
+    whole : ModalProblem or None
+        The same model with all data.
+    values : mapping
+        Fitted values.
+    names : sequence of str
+        Fitted parameters, integer ones left out.
+    prior_sd : ndarray (n_params,)
+    floors : Floors
+    std_dof : mapping from str to float
+        By kind of response; infinite where the standard deviation is known.
+    scale : float
+        Factor on the standard deviation.
+    held_sd : mapping from parameter name to float
+        Standard deviations of held parameters that are uncertain; they add to the expected error of held-out data.
+
+    Returns
+    -------
+    DataFrame
+        ``group, rows, rms, expected, p, unpaired``; groups ``fit``, ``left_out`` (each mode predicted from all others),
+        ``held_out_sensors``, ``held_out_modes``. ``expected`` is what a correctly specified model would show.
+    """
+    residual = ModalResidual(fitted, floors)
+    found = fitted.compare(values)
+    vector = residual.of(found) / scale
+    jacobian = residual.slope_of(found, names, residual.derivatives(found, names)) / scale
+    known = posterior(names, jacobian, prior_sd)
+    modes = [row.mode for row in residual.rows]
+    predicted = leave_one_out(vector, -jacobian, prior_sd, modes)
+    own: dict[Hashable, int] = {mode: residual.n_fitted_factors_of({mode}) for mode in dict.fromkeys(modes)}
+    finite = {kind: dof for kind, dof in std_dof.items() if np.isfinite(dof)}
+    held_out = pd.DataFrame(columns=[*ERROR_COLUMNS, "chi2", "dof"])
+    if whole is not None and (whole.measured.n_modes, len(whole.measured.sensors)) != (
+        fitted.measured.n_modes, len(fitted.measured.sensors),
+    ):  # fmt: skip
+        held = None
+        if held_sd:
+            held = residual.slope_of(found, tuple(held_sd), residual.derivatives(found, tuple(held_sd)))
+            held = held * list(held_sd.values()) / scale
+        unit = np.array([*np.ones(len(names)), *held_sd.values()])
+        covariance = with_held(known, jacobian, held) * np.outer(unit, unit) / scale**2
+        held_out = held_out_errors(fitted, whole, values, (*names, *held_sd), covariance, floors, finite or None)
+        if scale != 1.0:
+            held_out = _scaled(held_out, scale, min(finite.values(), default=KNOWN))
+    dof = effective_dof(jacobian, prior_sd, residual.n_fitted_factors)
+    return group_table(
+        residual.rows,
+        vector,
+        dof,
+        predicted.residual,
+        predicted.variance,
+        held_out,
+        fitted_factors=residual.n_fitted_factors,
+        left_out_p=predicted.p(own, min(finite.values(), default=np.inf)),
+        unpaired=fitted.measured.n_modes - len(found.pairing.paired),
+        std_dof=finite or None,
+    )
+
+
+def _scaled(table: pd.DataFrame, scale: float, std: float) -> pd.DataFrame:
+    """Errors in units of a larger standard deviation, with unchanged degrees of freedom."""
+    table = table.assign(rms=table["rms"] / scale, chi2=table["chi2"] / scale**2)
+    return table.assign(p=chance(table["chi2"].to_numpy(float), table["dof"].to_numpy(float), std))
+
+
+def scalar_errors(
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    names: Sequence[str],
+    prior_sd: np.ndarray,
+    labels: Sequence[str],
+    held_out: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    std: float = KNOWN,
+) -> pd.DataFrame:
+    """The same for scalar responses, each of which is left out in turn.
+
+    Parameters
+    ----------
+    residual : ndarray (n_rows,)
+        Whitened, of the used responses.
+    jacobian : ndarray (n_rows, n_params + n_held)
+        Its derivative, and its changes by one standard deviation of each held parameter.
+    names : sequence of str
+    prior_sd : ndarray (n_params,)
+    labels : sequence of str, length n_rows
+        Names of the responses.
+    held_out : mapping from group to (residual, jacobian)
+        Whitened residuals of held-out responses with derivatives of the same columns; empty groups are left out.
+    std : float
+        Degrees of freedom behind the standard deviations; see `scalar_std`.
+    """
+    jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
+    known = with_held(posterior(names, jacobian, prior_sd), jacobian, held)
+    predicted = leave_one_out(residual, -jacobian, prior_sd, list(labels))
+    dof = effective_dof(jacobian, prior_sd)
+    p, p_left_out = float(chance(residual @ residual, dof, std)), predicted.p({}, std)
+    rows: list[tuple[str, int, float, float, float, int]] = [
+        ("fit", len(residual), _rms(residual), float(np.sqrt(dof / len(residual))), p, 0),
+        ("left_out", len(residual), _rms(predicted.residual), _rms(np.sqrt(predicted.variance)), p_left_out, 0),
+    ]
+    for group, (e, g) in held_out.items():
+        if len(e):
+            covariance = np.eye(len(e)) + g @ known @ g.T
+            chi2 = float(e @ np.linalg.solve(covariance, e))
+            expected = float(np.sqrt(np.trace(covariance) / len(e)))
+            rows.append((group, len(e), _rms(e), expected, float(chance(chi2, len(e), std)), 0))
+    return pd.DataFrame(rows, columns=list(ERROR_COLUMNS))
+
+
+def _rms(e: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(e**2)))

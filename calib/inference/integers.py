@@ -1,0 +1,181 @@
+"""Mixed-integer least squares: coordinate search over the integers around continuous fits, from several starts."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from calib.errors import EvaluationError, InputError
+from calib.inference.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, fit
+from calib.inference.region import InfeasibleError
+from calib.space import ParameterSpace
+
+
+@dataclass(frozen=True, eq=False)
+class MixedResult:
+    """Best fit over integer parameters and starts.
+
+    Attributes
+    ----------
+    best : FitResult
+    by_start : tuple of FitResult
+        The best fit of every start.
+    combinations : DataFrame
+        One row per fit: ``start``, every integer parameter, ``misfit``, ``converged``.
+    exhausted : tuple of int
+        Starts that used up their refits before all neighbours were tried.
+    """
+
+    best: FitResult
+    by_start: tuple[FitResult, ...]
+    combinations: pd.DataFrame
+    exhausted: tuple[int, ...]
+
+    def joined(self, other: MixedResult, tolerance: float | None = None) -> MixedResult:
+        """The result merged with one from other starts of the same problem; their start numbers follow on.
+
+        The best fit is the one with the lower misfit. With a ``tolerance``, the other's best must also lower the sum
+        of squares of the data by more than that: a fit that only the prior prefers does not replace the own best.
+        """
+        n = int(self.combinations["start"].max()) + 1
+        more = other.combinations.assign(start=other.combinations["start"] + n)
+        data_prefer = tolerance is None or other.best.data_misfit < self.best.data_misfit - tolerance
+        return MixedResult(
+            min((self.best, other.best), key=lambda r: r.misfit) if data_prefer else self.best,
+            (*self.by_start, *other.by_start),
+            pd.concat([self.combinations, more], ignore_index=True),
+            (*self.exhausted, *(k + n for k in other.exhausted)),
+        )
+
+    @property
+    def complete(self) -> bool:
+        """Whether all neighbours of the best integers were tried."""
+        nearest = int((self.combinations["misfit"] - self.best.misfit).abs().to_numpy().argmin())
+        return int(self.combinations["start"].to_numpy()[nearest]) not in self.exhausted
+
+    def profile(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Integers tried and the lowest misfit of each, the other integers being free, both (n,)."""
+        lowest = self.combinations.groupby(name)["misfit"].min()
+        return lowest.index.to_numpy(dtype=float), lowest.to_numpy(dtype=float)
+
+
+def fit_mixed(
+    problem: LeastSquares,
+    space: ParameterSpace,
+    starts: Sequence[Mapping[str, float]] = ({},),
+    prior: Prior | None = None,
+    settings: FitSettings = DEFAULT,
+    refits: int = 40,
+    progress: Callable[[int, int, float], None] = lambda start, fits, misfit: None,
+) -> MixedResult:
+    """Fit from several starts, integer parameters by coordinate search around each continuous optimum.
+
+    From the start's integers the search goes to the best neighbour (one parameter up or down by one), refitting
+    the others from where they are, until no neighbour is better; then to neighbours that differ in two parameters.
+    Failed combinations count as infinitely bad; those that break a constraint are skipped. All neighbours of the
+    result have been tried unless its start is listed in `MixedResult.exhausted`.
+
+    Parameters
+    ----------
+    problem, space, prior, settings
+        As in `fit`.
+    starts : sequence of mapping
+        Named values, such as Latin hypercube points; a parameter without one takes its nominal value.
+    refits : int
+        Largest number of fits for every start.
+    progress : callable
+        Called after every fit with start, number of fits of this start and lowest misfit so far.
+
+    Raises
+    ------
+    EvaluationError
+        When no start can be evaluated.
+    """
+    if not starts:
+        raise InputError("no start is given", place="fit", remedy="give at least one point")
+    whole = tuple(p.name for p in space.free if p.integer)
+    rows: list[dict[str, float | bool]] = []
+    ends, exhausted, fault = [], [], ""
+    lowest = math.inf
+    for k, start in enumerate(starts):
+        walk = _Walk(problem, space, prior, settings, refits, whole)
+        here = walk.fit(space.complete(dict(start)))
+        if here is not None:
+            lowest = min(lowest, here.misfit)
+        while here is not None:
+            progress(k, len(walk.tried), lowest)
+            better = walk.better(here)
+            if better is None:
+                break
+            here = better
+            lowest = min(lowest, here.misfit)
+        fault = walk.fault or fault
+        rows += [{"start": k, **dict(zip(whole, key, strict=True)), "misfit": m, "converged": c}
+                 for key, (m, c) in walk.tried.items()]  # fmt: skip
+        if here is not None:
+            ends.append(here)
+            if walk.exhausted:
+                exhausted.append(k)
+    if not ends:
+        raise EvaluationError(f"the fit cannot start anywhere: {fault}")
+    table = pd.DataFrame(rows, columns=["start", *whole, "misfit", "converged"])
+    return MixedResult(min(ends, key=lambda r: r.misfit), tuple(ends), table, tuple(exhausted))
+
+
+@dataclass(eq=False)
+class _Walk:
+    """Coordinate search over integers from one start."""
+
+    problem: LeastSquares
+    space: ParameterSpace
+    prior: Prior | None
+    settings: FitSettings
+    refits: int
+    whole: tuple[str, ...]
+    tried: dict[tuple[int, ...], tuple[float, bool]] = field(default_factory=dict)
+    fault: str = ""
+    exhausted: bool = False
+
+    def fit(self, values: Mapping[str, float]) -> FitResult | None:
+        key = tuple(round(values[n]) for n in self.whole)
+        try:
+            found = fit(self.problem, self.space, values, self.prior, self.settings)
+        except EvaluationError as fault:
+            self.fault = str(fault)
+            self.tried[key] = (math.inf, False)
+            return None
+        self.tried[key] = (found.misfit, found.converged)
+        return found
+
+    def better(self, here: FitResult) -> FitResult | None:
+        """The best untried neighbour if it is better, single changes first; None at the optimum."""
+        for changed in (1, 2):
+            best = None
+            for names in itertools.combinations(self.whole, min(changed, len(self.whole))):
+                if len(names) < changed:
+                    return None
+                for signs in itertools.product((-1, 1), repeat=changed):
+                    values = dict(here.values)
+                    for name, sign in zip(names, signs, strict=True):
+                        values[name] += sign
+                    if not all(self.space[n].lower <= values[n] <= self.space[n].upper for n in names):
+                        continue
+                    if tuple(round(values[n]) for n in self.whole) in self.tried:
+                        continue
+                    if len(self.tried) >= self.refits:
+                        self.exhausted = True
+                        return best
+                    try:
+                        found = self.fit(values)
+                    except InfeasibleError:
+                        continue
+                    if found is not None and found.misfit < (here if best is None else best).misfit:
+                        best = found
+            if best is not None:
+                return best
+        return None

@@ -1,0 +1,245 @@
+"""Result of an explanation: fitted models, their tests and the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pandas as pd
+
+from calib.degrees_of_freedom import LEAST_DOF
+from calib.effect import Effect
+from calib.missing.collinear import Group
+from calib.missing.linearised_fit import LinearisedFit
+from calib.missing.score import Scores
+from calib.missing.suspect import COLUMNS
+
+
+@dataclass(frozen=True, eq=False)
+class AdequacyTests:
+    """Tests of one fitted model.
+
+    Attributes
+    ----------
+    named, perturbations : Scores
+        Of the effects and of the local perturbations that the model lacks.
+    p_named, p_perturbations : float
+        Family-wise p-values of the largest score.
+    kinds, modes : DataFrame
+        Goodness of fit by kind, and by mode and kind.
+    p_fit : float
+        Of the goodness of fit as a whole.
+    sensors : DataFrame
+        Misfit by sensor, worst first.
+    """
+
+    named: Scores
+    perturbations: Scores
+    p_named: float
+    p_perturbations: float
+    kinds: pd.DataFrame
+    modes: pd.DataFrame
+    p_fit: float
+    sensors: pd.DataFrame = field(default_factory=pd.DataFrame)
+
+    @property
+    def p_family(self) -> float:
+        """Family-wise p-value of the largest score among named effects and local perturbations."""
+        return min(1.0, 2 * min(self.p_named, self.p_perturbations))
+
+    @property
+    def dof(self) -> float:
+        """Effective degrees of freedom left by the fit."""
+        return float(self.kinds["dof"].sum())
+
+    @property
+    def can_tell(self) -> bool:
+        """Whether enough degrees of freedom are left to reject the fit."""
+        return self.dof >= LEAST_DOF
+
+    def passes(self, alpha: float) -> bool:
+        """Whether nothing seems missing."""
+        return self.p_family > alpha and self.p_fit > alpha
+
+    def adequate(self, alpha: float) -> bool:
+        """Whether no systematic misfit is left after an effect has been added.
+
+        Goodness of fit is an unspecific test: it must be far off to reject an effect that explains the data.
+        """
+        return self.p_family > alpha and self.p_fit > alpha / 10
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateFit:
+    """A model with effects, fitted.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+    fit : LinearisedFit
+    ln_evidence : float
+    implausible : str
+        Why it is physically implausible although it may fit; empty when it is plausible.
+    """
+
+    effects: tuple[Effect, ...]
+    fit: LinearisedFit
+    ln_evidence: float
+    implausible: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects."""
+        return tuple(e.name for e in self.effects)
+
+    def magnitude(self, name: str) -> tuple[float, float]:
+        """Fitted magnitude of an effect and its linearised standard deviation."""
+        k = self.fit.names.index(name)
+        return self.fit.values[name], float(np.sqrt(self.fit.covariance[k, k]))
+
+
+@dataclass(frozen=True, eq=False)
+class WrongDatum:
+    """The base model with one datum taken as wrong by an unknown amount.
+
+    Attributes
+    ----------
+    what : str
+        Such as ``frequency of 2B``.
+    kind : {"value", "shape", "mode", "sensor"}
+    ln_evidence : float
+        As that of a fitted model, see `calib.missing.evidence.ln_evidence`.
+    p_fit : float
+        Of the goodness of fit to all other data.
+    """
+
+    what: str
+    kind: str
+    ln_evidence: float
+    p_fit: float
+
+    @property
+    def told(self) -> str:
+        """In words, such as ``a wrong frequency of 2B``."""
+        return f"a wrong {self.what}" if self.kind in ("value", "shape") else f"a wrong measurement of {self.what}"
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Result of an explanation.
+
+    Attributes
+    ----------
+    verdict : str
+        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``unconfirmed`` (an effect fits, but
+        held-out data contradict it or it had no unnamed competing model), ``partial``, ``none_explains``,
+        ``misfit_unlocated`` (the fit is bad, and no effect or local perturbation stands out) or
+        ``noise_underestimated``.
+    base : CandidateFit
+        Without effects.
+    base_adequacy : AdequacyTests
+    groups : tuple of Group
+        Candidates, collinear ones in one group.
+    candidate_fits : tuple of CandidateFit
+        Every fitted effect, best first, then every fitted pair.
+    perturbation : CandidateFit or None
+        The best unnamed local perturbation.
+    chosen : CandidateFit or None
+        The explanation by one effect or two; the best attempt when none explains.
+    chosen_adequacy : AdequacyTests or None
+    credible : tuple of str
+        Effects that explain about as well as the best; for a pair, both and those collinear with either.
+    noise_scale : float
+        Factor applied to the standard deviation: 1 unless it was found understated.
+    measured_scale : float
+        Factor on the standard deviation that the shapes call for at the best fit.
+    evaluations : int
+    alpha : float
+        Significance level of the tests.
+    begun_anew : bool
+        Whether single effects were also fitted from the nominal values, beside the base fit.
+    fault : CandidateFit or None
+        The measurement fault that explains about as well as the best effect of an ``indistinguishable`` result.
+    datum : WrongDatum or None
+        The wrong datum that explains about as well as that effect, or better; None beside a fault.
+    suspects : DataFrame
+        Data left out in turn, see `calib.missing.suspect.suspects`.
+    """
+
+    verdict: str
+    base: CandidateFit
+    base_adequacy: AdequacyTests
+    groups: tuple[Group, ...]
+    candidate_fits: tuple[CandidateFit, ...]
+    perturbation: CandidateFit | None
+    chosen: CandidateFit | None
+    chosen_adequacy: AdequacyTests | None
+    credible: tuple[str, ...]
+    noise_scale: float
+    measured_scale: float
+    evaluations: int
+    alpha: float = 0.01
+    begun_anew: bool = False
+    fault: CandidateFit | None = None
+    datum: WrongDatum | None = None
+    suspects: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(COLUMNS)))
+
+    def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
+        """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""
+        return candidate_fit.ln_evidence - self.base.ln_evidence
+
+    @property
+    def refused(self) -> str:
+        """First reason why the best attempt is not named; empty when an effect is named.
+
+        ``implausible``, ``dof`` (too few effective degrees of freedom are left to test the fit), ``misfit``,
+        ``local_perturbation`` (one fits better) or ``evidence`` (it is too weak).
+        """
+        candidate_fit, adequacy = self.chosen, self.chosen_adequacy
+        if (
+            candidate_fit is None
+            or adequacy is None
+            or self.verdict not in ("none_explains", "misfit_unlocated", "partial")
+        ):
+            return ""
+        if candidate_fit.implausible:
+            return "implausible"
+        if not adequacy.can_tell:
+            return "dof"
+        if not adequacy.adequate(self.alpha):
+            return "misfit"
+        better = self.perturbation is not None and self.perturbation.ln_evidence > candidate_fit.ln_evidence
+        return "local_perturbation" if better else "evidence"
+
+    @property
+    def names_something(self) -> bool:
+        """Whether the verdict names an effect."""
+        return self.verdict in ("effect", "indistinguishable", "two_effects")
+
+    @property
+    def uncontested(self) -> bool:
+        """Whether the parameters absorb every local perturbation, so that a wrong name would not show."""
+        return not (self.base_adequacy.perturbations.size > 0).any()
+
+    def unconfirmed(self) -> Explanation:
+        """The same with nothing named: what fits is the best attempt."""
+        return replace(self, verdict="unconfirmed", credible=(), fault=None, datum=None)
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Effects and measurement faults that explain about as well as the best, in words."""
+        fault = () if self.fault is None else self.fault.names
+        return (*self.credible, *fault, *(() if self.datum is None else (self.datum.told,)))
+
+    @property
+    def singles(self) -> tuple[CandidateFit, ...]:
+        """Candidate fits with one named effect, best first."""
+        return tuple(t for t in self.candidate_fits if len(t.effects) == 1)
+
+    @property
+    def believed(self) -> tuple[CandidateFit, ...]:
+        """Models taken as true: what is named, the two best indistinguishable ones, or else the base model."""
+        if not self.names_something or self.chosen is None:
+            return (self.base,)
+        competing = [t for t in self.singles if t.names[0] in self.credible][:2]
+        return tuple(competing) if self.verdict == "indistinguishable" and len(competing) > 1 else (self.chosen,)

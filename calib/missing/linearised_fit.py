@@ -1,0 +1,325 @@
+"""Linearised fit of a model to the measurement, and the projection off what its parameters absorb."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg as la
+
+from calib.errors import EvaluationError
+from calib.inference.gauss_newton import FitSettings, Prior
+from calib.inference.gauss_newton import fit as gauss_newton
+from calib.inference.identify import posterior
+from calib.missing.hypotheses import FitProblem
+from calib.missing.rules import RULES
+
+FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8, evaluations=40)
+"""For the verdict. A decrease of the sum of squares by a few thousandths is negligible for it; a converging fit needs
+about ten residuals, up to 40 when integer parameters move."""
+ROUGH = FitSettings(iterations=6, gain=0.05, relative=3e-4, rejections=4)
+"""For ranking candidates, which need not converge."""
+_TURNS = 3
+_ALL_AT_ONCE = 3
+"""Up to so many integer parameters are moved together (26 neighbours), more one at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedFit:
+    """End point of a fit, with its linearisation.
+
+    The priors are appended to the residual: ``r = [e; -(theta - c)/s]`` and ``A = [G; diag(1/s)]`` with
+    ``G = -de/dtheta``.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Effects and local perturbations of the model.
+    fit_problem : FitProblem
+    names : tuple of str
+        Fitted parameters, length p; integer ones are not among them.
+    values : dict
+        All parameters, each in its own unit.
+    residual : ndarray (n_rows,)
+    slope : ndarray (n_rows, p)
+        G, per one of each parameter's own unit.
+    prior_sd, shift : ndarray (p,)
+        Prior standard deviation s, and the pull ``(theta - c)/s``.
+    converged : bool
+        Whether the fit converged; otherwise the point is no optimum and its residual no minimum.
+    """
+
+    effects: tuple[str, ...]
+    fit_problem: FitProblem
+    names: tuple[str, ...]
+    values: dict[str, float]
+    residual: np.ndarray
+    slope: np.ndarray
+    prior_sd: np.ndarray
+    shift: np.ndarray
+    converged: bool = False
+
+    @property
+    def misfit(self) -> float:
+        """Sum of squares, data and prior."""
+        return float(self.residual @ self.residual + self.shift @ self.shift)
+
+    @cached_property
+    def augmented(self) -> np.ndarray:
+        """r, (n_rows + p,)."""
+        return np.concatenate([self.residual, -self.shift])
+
+    @cached_property
+    def _orthonormal(self) -> np.ndarray:
+        # Columns scaled by the prior: the span is the same, the numbers do not depend on units.
+        scaled = np.vstack([self.slope * self.prior_sd, np.eye(len(self.names))])
+        return la.qr(scaled, mode="economic")[0]
+
+    @cached_property
+    def scaled_information(self) -> np.ndarray:
+        """``S G^T G S + I`` with S the prior standard deviations, (p, p)."""
+        g = self.slope * self.prior_sd
+        return g.T @ g + np.eye(len(self.names))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance in the parameters' own units, (p, p); see `calib.inference.identify.posterior`."""
+        return posterior(self.names, self.slope, self.prior_sd).covariance
+
+    def project_out(self, columns: np.ndarray) -> np.ndarray:
+        """Part of changes of the data (n_rows, m) that the parameters cannot absorb: ``P [g; 0]``, (n_rows + p, m)."""
+        wide = np.vstack([columns, np.zeros((len(self.names), columns.shape[1]))])
+        rest = wide - self._orthonormal @ (self._orthonormal.T @ wide)
+        return rest - self._orthonormal @ (self._orthonormal.T @ rest)
+
+    def update(self, change: np.ndarray) -> np.ndarray:
+        """First-order change of the fitted parameters (p,), in their units, for a change of the residual (n_rows,)."""
+        right = (self.slope * self.prior_sd).T @ change
+        return self.prior_sd * la.solve(self.scaled_information, right, assume_a="pos")
+
+    def granting(self, names: Collection[str]) -> LinearisedFit:
+        """The fit with the priors of some parameters centred on their fitted values.
+
+        The pull of a fitted magnitude by its prior is not a misfit that another effect should explain.
+        """
+        moved = np.where([name in names for name in self.names], 0.0, self.shift)
+        return replace(self, shift=moved)
+
+    def relinearised(self, change: Mapping[str, float], residual: np.ndarray) -> LinearisedFit:
+        """First-order end point of a fit with other values of held parameters.
+
+        ``change`` holds these values, and ``residual`` (n_rows,) is evaluated with them at the fitted values of the
+        others. The fitted parameters are updated; the slope is kept.
+        """
+        right = (self.slope * self.prior_sd).T @ residual - self.shift
+        step = la.solve(self.scaled_information, right, assume_a="pos")
+        moved = {n: self.values[n] + d for n, d in zip(self.names, self.prior_sd * step, strict=True)}
+        left = residual - self.slope @ (self.prior_sd * step)
+        return replace(self, values={**self.values, **moved, **change}, residual=left, shift=self.shift + step)
+
+
+def fitted(
+    fit_problem: FitProblem,
+    effects: tuple[str, ...],
+    start: Mapping[str, float],
+    whole: int = 0,
+    settings: FitSettings = FINE,
+) -> LinearisedFit:
+    """Fit a problem from a start.
+
+    Parameters
+    ----------
+    fit_problem : FitProblem
+    effects : tuple of str
+    start : mapping
+        Moved inside the limits where it is outside.
+    whole : int
+        How far integer parameters may move from the start: 0 keeps them, 1 tries their neighbours, and so on.
+        Other integers are ranked by the sum of squares after a first-order update of the other parameters, and fitted
+        when it predicts a decrease.
+    settings : FitSettings
+        Its ``evaluations`` limit all these fits together.
+
+    Raises
+    ------
+    EvaluationError
+        When the start cannot be evaluated.
+    """
+    fit, used = _fitted(fit_problem, effects, start, settings)
+    for turn in range(_TURNS if whole else 0):
+        if used >= settings.evaluations:
+            break
+        better = _better_whole(fit, whole if turn == 0 else min(whole, 2))
+        if better is None:
+            break
+        there, more = _fitted(fit_problem, effects, better, replace(settings, evaluations=settings.evaluations - used))
+        used += more
+        if there.misfit >= fit.misfit:
+            break
+        fit = there
+    return fit
+
+
+def linearised(fit_problem: FitProblem, effects: tuple[str, ...], values: Mapping[str, float]) -> LinearisedFit:
+    """Linearise a fit problem at any point.
+
+    Raises
+    ------
+    EvaluationError
+        When the point cannot be evaluated.
+    """
+    space = fit_problem.space
+    names = tuple(p.name for p in space.free if not p.integer)
+    prior, complete = Prior.of(space), space.complete(dict(values))
+    return LinearisedFit(
+        effects=effects,
+        fit_problem=fit_problem,
+        names=names,
+        values=complete,
+        residual=fit_problem.residual(complete),
+        slope=-fit_problem.jacobian(complete, names),
+        prior_sd=prior.widths(names),
+        shift=prior.residual(complete, names),
+    )
+
+
+def grown(fit: LinearisedFit, fit_problem: FitProblem, effects: tuple[str, ...]) -> LinearisedFit:
+    """A fit extended by further effects of zero magnitude; its sum of squares is the same.
+
+    Only the derivatives by their magnitudes are evaluated; they are set to zero where the model fails.
+    """
+    space = fit_problem.space
+    further = tuple(p.name for p in space.free if not p.integer and p.name not in fit.values)
+    values = {**{p.name: p.value for p in space.parameters}, **fit.values}
+    try:
+        slope = -fit_problem.jacobian(values, further)
+    except EvaluationError:
+        slope = np.zeros((len(fit.residual), len(further)))
+    return replace(
+        fit,
+        effects=effects,
+        fit_problem=fit_problem,
+        names=(*fit.names, *further),
+        values=values,
+        slope=np.hstack([fit.slope, slope]),
+        prior_sd=np.concatenate([fit.prior_sd, Prior.of(space).widths(further)]),
+        shift=np.concatenate([fit.shift, np.zeros(len(further))]),
+        converged=False,
+    )
+
+
+def nearest_whole(fit_problem: FitProblem, start: Mapping[str, float]) -> dict[str, float]:
+    """A start with the integers for which one Gauss-Newton step predicts the lowest sum of squares.
+
+    Every combination is linearised by itself, at the other values of the start, since moving a support changes the
+    derivatives by all other parameters. Beginning with the integers of the start, the search moves to the best
+    neighbour, each integer at most one off, until no neighbour predicts a lower sum of squares.
+    """
+    space = fit_problem.space
+    whole = [p for p in space.free if p.integer]
+    complete = space.complete(dict(start))
+    names = [p.name for p in space.free if not p.integer]
+    prior = Prior.of(space)
+    sd, shift = prior.widths(names), prior.residual(complete, names)
+    predicted: dict[tuple[int, ...], float] = {}
+
+    def prediction(numbers: tuple[int, ...]) -> float:
+        if numbers not in predicted:
+            here = {**complete, **{p.name: float(n) for p, n in zip(whole, numbers, strict=True)}}
+            try:
+                slope, residual = fit_problem.jacobian(here, names) * sd, fit_problem.residual(here)
+            except EvaluationError:
+                predicted[numbers] = math.inf
+                return math.inf
+            matrix = np.vstack([slope, np.eye(len(names))])
+            right = np.concatenate([residual, shift])
+            basis = la.qr(matrix, mode="economic")[0]
+            predicted[numbers] = float(right @ right - np.sum((basis.T @ right) ** 2))
+        return predicted[numbers]
+
+    if not whole:
+        return complete
+    here = tuple(round(complete[p.name]) for p in whole)
+    moves = list(itertools.product((-1, 0, 1), repeat=len(whole))) if len(whole) <= _ALL_AT_ONCE else _axes(len(whole))
+    while True:
+        near = [tuple(n + d for n, d in zip(here, move, strict=True)) for move in moves]
+        inside = [n for n in near if all(p.lower <= k <= p.upper for k, p in zip(n, whole, strict=True))]
+        best = min([here, *inside], key=prediction)
+        if best == here:
+            return {**complete, **{p.name: float(n) for p, n in zip(whole, here, strict=True)}}
+        here = best
+
+
+def _axes(count: int) -> list[tuple[int, ...]]:
+    """Moves of one integer at a time."""
+    return [tuple(d if j == k else 0 for j in range(count)) for k in range(count) for d in (-1, 1)]
+
+
+def _fitted(
+    fit_problem: FitProblem, effects: tuple[str, ...], start: Mapping[str, float], settings: FitSettings
+) -> tuple[LinearisedFit, int]:
+    """The fit with the integers of the start, and the number of residuals evaluated."""
+    space = fit_problem.space
+    inside = {n: min(max(v, space[n].lower), space[n].upper) for n, v in start.items() if n in space.free_names}
+    prior = Prior.of(space)
+    result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings)
+    fit = LinearisedFit(
+        effects=effects,
+        fit_problem=fit_problem,
+        names=result.names,
+        values=result.values,
+        residual=result.residual,
+        slope=-result.jacobian,
+        prior_sd=prior.widths(result.names),
+        shift=prior.residual(result.values, result.names),
+        converged=result.converged,
+    )
+    return fit, result.evaluations
+
+
+def neighbours(fit: LinearisedFit) -> list[LinearisedFit]:
+    """First-order fits with other integers, each at most one off; see `LinearisedFit.relinearised`."""
+    whole = [p for p in fit.fit_problem.space.free if p.integer]
+    moves = itertools.product((-1, 0, 1), repeat=len(whole)) if len(whole) <= _ALL_AT_ONCE else _axes(len(whole))
+    out = []
+    for move in moves:
+        change = {p.name: round(fit.values[p.name]) + d for p, d in zip(whole, move, strict=True)}
+        if any(move) and all(p.lower <= change[p.name] <= p.upper for p in whole):
+            there = _relinearised(fit, change)
+            out += [] if there is None else [there]
+    return out
+
+
+def _better_whole(fit: LinearisedFit, reach: int) -> dict[str, float] | None:
+    """Start with more promising integers, tried one by one and all together; None when there are none."""
+    tried: list[LinearisedFit] = []
+    favourites: dict[str, float] = {}
+    for p in fit.fit_problem.space.free:
+        if not p.integer:
+            continue
+        here = round(fit.values[p.name])
+        lowest = fit.misfit - RULES.worth
+        for number in range(max(here - reach, round(p.lower)), min(here + reach, round(p.upper)) + 1):
+            there = None if number == here else _relinearised(fit, {p.name: number})
+            if there is None:
+                continue
+            tried.append(there)
+            if there.misfit < lowest:
+                favourites[p.name], lowest = number, there.misfit
+    if len(favourites) > 1:
+        together = _relinearised(fit, favourites)
+        tried += [] if together is None else [together]
+    return min(tried, key=lambda there: there.misfit).values if favourites else None
+
+
+def _relinearised(fit: LinearisedFit, change: Mapping[str, float]) -> LinearisedFit | None:
+    """The fit with other values of held parameters; None where the model cannot be solved."""
+    held = {name: float(value) for name, value in change.items()}
+    try:
+        return fit.relinearised(held, fit.fit_problem.residual({**fit.values, **held}))
+    except EvaluationError:
+        return None

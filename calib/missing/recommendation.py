@@ -1,0 +1,209 @@
+"""Experimental design: expected gain of each candidate measurement, and the recommendation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import scipy.linalg as la
+
+from calib.missing.candidate_measurement import CandidateMeasurement
+from calib.missing.competing import EIGHT_OF_TEN, BayesFactor, CompetingModels
+from calib.missing.rules import RULES
+
+WORTHWHILE = 1.2
+"""Smallest factor on the expected score for which a measurement is recommended."""
+HELD_OUT = ", held-out so far"
+"""End of the name of a measured mode that is held out for verification."""
+COLUMNS = (
+    "measurement", "kind", "effect", "gain", "gain_low", "gain_high", "magnitude_min", "ln_bayes", "ln_bayes_low",
+    "ln_bayes_high", "chance", "words",
+)  # fmt: skip
+AVERAGED = (
+    "These gains are averaged over the posterior of parameters and magnitudes; the range in brackets covers 8 of 10 "
+    "cases."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """A model linearised at one posterior sample.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters, length p, including those of the effects of the model.
+    prior_sd : ndarray (p,)
+    slope : ndarray (n_rows, p)
+        Whitened, of all measured and candidate rows, per unit of each parameter; 0 in rows that would not exist, such
+        as those of a mode that cannot be identified.
+    columns : ndarray (n_rows, m)
+        Signatures of the effects, per unit of magnitude; for an effect of the model, its slope.
+    weight : float
+        Probability of the sample relative to the others.
+    """
+
+    names: tuple[str, ...]
+    prior_sd: np.ndarray
+    slope: np.ndarray
+    columns: np.ndarray
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentalDesign:
+    """Candidate measurements and the linearisations over which their gains are averaged; needs no new data.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Length m.
+    measured : ndarray (n_rows,), bool
+        Measured rows.
+    measurements : tuple of CandidateMeasurement
+    linearisations : tuple of Linearisation
+        At posterior samples.
+    competing : CompetingModels or None
+        Two indistinguishable models.
+    """
+
+    effects: tuple[str, ...]
+    measured: np.ndarray
+    measurements: tuple[CandidateMeasurement, ...]
+    linearisations: tuple[Linearisation, ...]
+    competing: CompetingModels | None = None
+
+    def sizes(self, measurement: CandidateMeasurement | None) -> np.ndarray:
+        """Lengths of the projected signatures, (n_linearisations, m): expected scores of unit magnitudes."""
+        rows = self.measured if measurement is None or measurement.rows is None else self.measured | measurement.rows
+        scale = 1.0 if measurement is None else measurement.scale
+        known = {} if measurement is None else measurement.prior_sd
+        return np.array([self._sizes(linearisation, rows, scale, known) for linearisation in self.linearisations])
+
+    def _sizes(
+        self, linearisation: Linearisation, rows: np.ndarray, scale: float, known: Mapping[str, float]
+    ) -> np.ndarray:
+        prior = np.array(
+            [min(s, known.get(n, math.inf)) for n, s in zip(linearisation.names, linearisation.prior_sd, strict=True)]
+        )
+        g, columns = linearisation.slope[rows] / scale * prior, linearisation.columns[rows] / scale
+        information, cross = g.T @ g + np.eye(len(prior)), g.T @ columns
+        whole = np.sum(columns * columns, axis=0)
+        out = np.empty(len(self.effects))
+        for k, name in enumerate(self.effects):
+            others = [j for j, n in enumerate(linearisation.names) if n != name]
+            own = cross[others, k]
+            absorbed = la.solve(information[np.ix_(others, others)], own, assume_a="pos") if others else own
+            out[k] = math.sqrt(max(whole[k] - own @ absorbed, 0.0))
+        return out
+
+    def averaged(self, values: np.ndarray) -> tuple[float, float, float]:
+        """Mean over linearisations with a finite value, and the quantiles of `EIGHT_OF_TEN`; NaN where none has one."""
+        weights = np.array([linearisation.weight for linearisation in self.linearisations])
+        known = np.isfinite(values) & (weights > 0)
+        if not known.any():
+            return math.nan, math.nan, math.nan
+        values, weights = values[known], weights[known]
+        low, high = np.quantile(values, EIGHT_OF_TEN, weights=weights, method="inverted_cdf")
+        return float(np.average(values, weights=weights)), float(low), float(high)
+
+
+def recommend(design: ExperimentalDesign, threshold: float = 4.0) -> pd.DataFrame:
+    """Gain of every candidate measurement for every effect, best first.
+
+    Parameters
+    ----------
+    design : ExperimentalDesign
+    threshold : float
+        Expected score of the smallest visible magnitude.
+
+    Returns
+    -------
+    DataFrame
+        ``measurement, kind, effect``; ``gain``: factor on the expected score of the effect, the mean over the
+        linearisations, between ``gain_low`` and ``gain_high`` in 8 of 10; ``magnitude_min``: magnitude whose mean score
+        then is the threshold; ``ln_bayes``: expected log Bayes factor for the true one of two competing models, with
+        its range, and the ``chance`` that it is beyond 20:1 (NaN without competing models); ``words``.
+    """
+    now, competing = design.sizes(None), design.competing
+    rows = []
+    for measurement in design.measurements:
+        there = design.sizes(measurement)
+        bayes_factor = BayesFactor(*[math.nan] * 4) if competing is None else competing.bayes_factor(measurement)
+        for k, name in enumerate(design.effects):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                gain, low, high = design.averaged(np.where(now[:, k] > 0, there[:, k] / now[:, k], np.nan))
+            size = design.averaged(there[:, k])[0]
+            least = threshold / size if size > 0 else math.inf
+            words = f"{measurement.name}: {gain:.2g} times the score of {name} ({low:.2g} to {high:.2g})"
+            if competing is not None and name == competing.names[0]:
+                words = f"{measurement.name}: {_in_words(bayes_factor, competing.names)}"
+            expected = (bayes_factor.mean, bayes_factor.low, bayes_factor.high, bayes_factor.chance)
+            rows.append((measurement.name, measurement.kind, name, gain, low, high, least, *expected, words))
+    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    if competing is None:
+        return table.sort_values("gain", ascending=False, ignore_index=True, kind="stable")
+    # Of the rows of a measurement that of the pair comes first: its words give the Bayes factor.
+    table["own"] = table["effect"] == competing.names[0]
+    order = ["ln_bayes", "own", "gain"]
+    return table.sort_values(order, ascending=False, ignore_index=True, kind="stable").drop(columns="own")
+
+
+def _in_words(bayes_factor: BayesFactor, pair: tuple[str, str]) -> str:
+    spread = f"{_as_ratio(bayes_factor.low)} to {_as_ratio(bayes_factor.high)}"
+    right = f"beyond 20:1 with a chance of {100 * bayes_factor.chance:.0f} %"
+    return f"odds of {_as_ratio(bayes_factor.mean)} for the true one of {pair[0]} and {pair[1]} ({spread}), {right}"
+
+
+def _as_ratio(ln_bayes: float) -> str:
+    """A log Bayes factor as a ratio, such as 150:1, or 1:3 against."""
+    if abs(ln_bayes) >= math.log(1e4):
+        return "over 10,000:1" if ln_bayes > 0 else "under 1:10,000"
+    size = f"{float(f'{math.exp(abs(ln_bayes)):.2g}'):g}"
+    return f"{size}:1" if ln_bayes >= 0 else f"1:{size}"
+
+
+def recommendation_sentence(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Sequence[str]) -> str:
+    """The best next measurement in a sentence; empty when none is worthwhile.
+
+    A held-out mode needs no new measurement, but no longer verifies the result once it is used: the sentence says so
+    and also names the best new measurement.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `recommend`.
+    pair : (str, str) or None
+        Two indistinguishable effects.
+    unseen : sequence of str
+        Effects that are not visible; used without a pair.
+    """
+    if table.empty:
+        return ""
+    if pair is not None:
+        own = table[table["effect"] == pair[0]]
+        best = own.iloc[0]
+        if float(best["ln_bayes"]) < RULES.credible:
+            intro = f"No measurement looked at would tell {pair[0]} from {pair[1]}"
+            return f"{intro}; the best gives {best['words']}. {AVERAGED}"
+        advice = [_with_what_is_new(own)]
+        intro = "To tell them apart, measure next: "
+    else:
+        wanted = [table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)] for name in unseen]
+        advice = [_with_what_is_new(own) for own in wanted if len(own)][:3]
+        intro = "To see more, measure next: "
+    if not advice:
+        return ""
+    used = " A held-out mode that is used no longer verifies the result." if any(HELD_OUT in t for t in advice) else ""
+    return f"{intro}{'; '.join(advice)}. {AVERAGED}{used}"
+
+
+def _with_what_is_new(measurements: pd.DataFrame) -> str:
+    """Words of the best measurement; for a held-out mode, with those of the best new one."""
+    words, new = measurements["words"].astype(str), ~measurements["measurement"].astype(str).str.endswith(HELD_OUT)
+    if new.iloc[0] or not new.any():
+        return str(words.iloc[0])
+    return f"{words.iloc[0]} (new: {words[new].iloc[0]})"

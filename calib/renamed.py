@@ -1,0 +1,42 @@
+"""Former names of keys, tables and columns: they are refused with an error that gives the present name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+KEYS: Mapping[str, str] = {"withheld": "held_out", "polish": "refine", "draws": "samples"}
+"""Keys of ``study.toml``, by their last part."""
+
+TABLES: Mapping[str, str] = {
+    "atoms.csv": "perturbations.csv",
+    "influence.csv": "variance_share.csv",
+    "strain.csv": "pulls.csv",
+    "tried.csv": "candidate_fits.csv",
+}
+"""Files of a results folder."""
+
+COLUMNS: Mapping[str, str] = {
+    "atom": "perturbation",
+    "freedom": "dof",
+    "gamma": "unabsorbed",
+    "heldout_gain": "held_out_gain",
+    "in_scatter": "in_std",
+    "option": "measurement",
+    "phi": "magnitude",
+    "phi_high": "magnitude_high",
+    "phi_low": "magnitude_low",
+    "phi_min": "magnitude_min",
+    "posterior": "model_probability",
+    "scatter": "std_from",
+    "strained": "pulled",
+    "withheld": "held_out",
+}
+"""Columns of these tables."""
+
+RECORD: Mapping[str, str] = {"questions": "analyses"}
+"""Keys of ``record.json``."""
+
+
+def old_column(missing: str, header: Iterable[str]) -> str | None:
+    """The former name of a missing column, if the header has it."""
+    return next((name for name in header if COLUMNS.get(name) == missing), None)

@@ -1,0 +1,147 @@
+"""Results of the analyses in a results folder, read for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import pandas as pd
+
+from calib.errors import InputError
+from calib.named_values import ANY, read_json
+from calib.report.shown import Folder
+from calib.report.tables import read_table
+
+STAGES = ("before", "after")
+_ANALYSIS = {
+    "when": str, "quick": bool, "versions": {ANY: str}, "seeds": {ANY: float}, "sentences": [str],
+}  # fmt: skip
+RECORD = {
+    "study": str, "notebook": bool, "model": str, "adopted": {ANY: float}, "adopted_from": str, "effects_known": float,
+    "effects_in_model": [str], "files": [str], "repeats": float, "notes": [str], "analyses": {ANY: _ANALYSIS},
+}  # fmt: skip
+_FIGURES = {
+    name: float
+    for name in (
+        *("misfit", "search_misfit", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before"),
+        *("mean_mac_after", "noise_freq_error", "noise_mac", "seconds", "evaluations", "solved", "infeasible"),
+        "failed",
+    )
+}
+SUMMARY = {"best_case": str, "method": str, **_FIGURES, "cases": {ANY: _FIGURES}}
+EXPLANATION = {
+    "verdict": str, "sentence": str, "sentences": [str], "notes": [str], "chosen": [str], "credible_set": [str],
+    "p_family": float, "p_fit": float, "adequacy_p_family": float, "adequacy_p_fit": float, "evaluations": float,
+    "errors": {ANY: {"before": float, "after": float}},
+}  # fmt: skip
+ADDED = {
+    "sentence": str, "conclusion": str, "effects": [{"name": str}], "study": str, "mean_freq_error": float,
+    "mean_mac": float,
+}  # fmt: skip
+"""Types of the named values that the page reads, by file."""
+
+
+@dataclass(frozen=True)
+class StudyResults:
+    """Tables and records of one folder; those of an analysis that was not run are None or empty.
+
+    Attributes
+    ----------
+    folder : Path
+    title : str
+        Title of the study.
+    synthetic : bool
+        Whether the measurement is synthetic.
+    stale : mapping from analysis to str
+        Analyses of another state of the study, with a sentence about each; ``folder`` hides their results.
+    """
+
+    folder: Folder
+    title: str
+    synthetic: bool
+    stale: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """``record.json``: provenance of the results."""
+        return self._json("record", RECORD)
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """``summary.json`` of a calibration."""
+        return self._json("summary", SUMMARY, ("mean_freq_error_before", "mean_freq_error_after"))
+
+    @cached_property
+    def explanation(self) -> dict[str, Any]:
+        """``explanation.json``."""
+        return self._json("explanation", EXPLANATION)
+
+    @cached_property
+    def added(self) -> dict[str, Any]:
+        """``added.json``: the effects added after an explanation, or why there are none."""
+        found = self._json("added", ADDED, ("sentence",))
+        if found.get("effects") and not {"study", "mean_freq_error", "mean_mac"} <= found.keys():
+            raise InputError("it is incomplete", place=self.folder / "added.json", remedy="run the analysis again")
+        return found
+
+    @property
+    def added_names(self) -> tuple[str, ...]:
+        """Names of the effects that were added."""
+        return tuple(str(effect["name"]) for effect in self.added.get("effects", ()))
+
+    def has(self, name: str) -> bool:
+        """Whether the folder has a table of that name."""
+        return (self.folder / f"{name}.csv").exists()
+
+    def table(
+        self, name: str, text: Sequence[str] = (), numbers: Sequence[str] = (), **more: Any
+    ) -> pd.DataFrame | None:
+        """Read ``name.csv`` as `calib.report.tables.read_table` does; None without the file or without rows in it."""
+        if not self.has(name):
+            return None
+        table = read_table(self.folder / f"{name}.csv", text, numbers, may_be_empty=True, **more)
+        return None if table.empty else table
+
+    def sentences(self, analysis: str) -> tuple[str, ...]:
+        """Sentences that an analysis reported; none if it was not run or is stale."""
+        record = {} if analysis in self.stale else self.analyses.get(analysis, {})
+        return tuple(str(words) for words in record.get("sentences", ()))
+
+    @property
+    def analyses(self) -> Mapping[str, Mapping[str, Any]]:
+        """The analyses that were run, with their versions and seeds."""
+        return dict(self.record.get("analyses", {}))
+
+    @property
+    def name(self) -> str:
+        """Name of the study on the command line."""
+        return str(self.record.get("study", "STUDY"))
+
+    @property
+    def scalar(self) -> bool:
+        """Whether the study compares scalar responses, which have no modes."""
+        for table in ("measured", "comparison_before", "comparison_after"):
+            if self.has(table):
+                with (self.folder / f"{table}.csv").open(encoding="utf-8", errors="replace") as stream:
+                    return stream.readline().startswith("response,")
+        return self.has("response_misfit")
+
+    def compared(self, stage: str) -> pd.DataFrame | None:
+        """``comparison_before.csv`` or ``comparison_after.csv`` of a modal study."""
+        numbers = [
+            *("model_mode", "natural_freq_measured", "natural_freq_model", "freq_error", "damping_ratio_measured"),
+            *("damping_ratio_model", "mac", "emac", "margin"),
+        ]
+        return None if self.scalar else self.table(f"comparison_{stage}", ["mode"], numbers, unique="mode")
+
+    @property
+    def noise_mac(self) -> float:
+        """Mean MAC of a perfect model with this noise; NaN where unknown."""
+        value = self.summary.get("noise_mac")
+        return float("nan") if value is None else float(value)
+
+    def _json(self, name: str, kinds: Mapping[Any, Any], required: Sequence[str] = ()) -> dict[str, Any]:
+        path = self.folder / f"{name}.json"
+        return read_json(path, kinds, required) if path.exists() else {}

@@ -1,0 +1,74 @@
+"""User functions run in a child process, where effects act as in this one."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calib.analyses.isolation import ChildFunction, isolated
+from calib.analyses.places import open_evaluator
+from calib.errors import EvaluationError, InputError
+from calib.function import extend_function
+from calib.loading import with_effects
+from calib.outcome import WORKER_DIED
+from calib.study import Study
+
+
+def test_effects_act_in_the_child_as_in_this_process(sums):
+    here = Study.load(sums)
+    there = isolated(here)
+    point = {"a": 2.0, "b": 0.5}
+    assert there.problem.evaluate(point) == here.problem.evaluate(point)
+    (effect,), (own,) = there.candidates, here.candidates
+    more = {"bend": 0.4, "bend_at": 1.5, "bend_scale": 2.0}
+    extended, expected = extend_function(there.model, [effect]), extend_function(here.model, [own])
+    assert extended.function is there.problem.function and extended.space == expected.space
+    assert extended.function(point | more) == expected.function(point | more)
+
+
+def test_a_function_and_its_effects_run_in_one_other_process(sums):
+    file = sums / "model.py"
+    text = file.read_text().replace('{"s": v["a"] + v["b"]}', '{"s": float(os.getpid())}')
+    text = text.replace('model.function(v)["s"] + v["bend"] * v["bend_at"] * v["bend_scale"]', "float(os.getpid())")
+    file.write_text("import os\n" + text)
+    study = isolated(Study.load(sums))
+    point = {"a": 1.0, "b": 1.0, "bend": 0.1, "bend_at": 1.0, "bend_scale": 2.0}
+    pids = {study.problem.evaluate({"a": 1.0, "b": 1.0})["s"]}
+    pids.add(extend_function(study.model, study.candidates).function(point)["s"])
+    with open_evaluator(study, None, 3) as evaluator:
+        pids |= {outcome.responses["s"] for outcome in evaluator.evaluate([{"a": float(k)} for k in range(3)])}
+    assert len(pids) == 1 and os.getpid() not in pids
+
+
+def test_an_effect_that_ends_the_process_is_a_failed_point(sums):
+    file = sums / "model.py"
+    file.write_text("import os\n" + file.read_text().replace('model.function(v)["s"]', "os._exit(1)"))
+    study = isolated(Study.load(sums))
+    extended = extend_function(study.model, study.candidates)
+    with pytest.raises(EvaluationError, match=WORKER_DIED):
+        extended.function({"a": 1.0, "b": 1.0, "bend": 0.1, "bend_at": 1.0, "bend_scale": 2.0})
+    assert study.problem.evaluate({"a": 1.0, "b": 1.0}) == {"s": 2.0}
+
+
+def test_an_invalid_effect_is_refused_before_any_evaluation(sums):
+    study = isolated(Study.load(sums))
+    (effect,) = study.candidates
+    wrong = replace(effect, build=effect.build.func)  # the wrapper without its inner builder
+    with pytest.raises(InputError, match="bend"):
+        with_effects(study.model, [wrong], "here")
+    broken = replace(effect, build=type(effect.build)(effect.build.func, lambda model: 5))
+    with pytest.raises(InputError, match="it builds int"):
+        with_effects(study.model, [broken], "here")
+
+
+def test_models_of_matrices_stay_in_this_process():
+    study = Study.load(Path(__file__).parents[2] / "studies/four_storey_rig")
+    assert isolated(study) is study
+
+
+def test_the_child_is_the_one_worker(sums):
+    study = isolated(Study.load(sums))
+    assert isinstance(study.problem.function, ChildFunction)
+    with open_evaluator(study, 1, 10) as evaluator:
+        assert evaluator is study.problem.function.evaluator

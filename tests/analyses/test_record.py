@@ -1,0 +1,83 @@
+"""The record beside the results: measurement, assumptions, versions, seeds and sentences."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib import __version__
+from calib.analyses.compare import compare
+from calib.analyses.record import measured_table, sensors_table, write_record
+from calib.missing.rules import RULES
+from calib.results import Results
+from calib.settings import AdoptedSettings
+from calib.study import Study
+
+
+def record(results):
+    return json.loads((results.path / "record.json").read_text("utf-8"))
+
+
+def test_held_out_modes_and_sensors_are_listed_and_marked(guyed):
+    study, results, _, _ = guyed
+    measured = pd.read_csv(results.path / "measured.csv")
+    assert list(measured["mode"]) == list(study.whole.names)
+    assert list(measured.loc[measured["held_out"], "mode"]) == ["B3x"]
+    np.testing.assert_allclose(measured["natural_freq"], study.whole.natural_freq, rtol=1e-9)
+    np.testing.assert_allclose(measured["freq_std"], study.whole.freq_std, rtol=1e-9)
+    sensors = pd.read_csv(results.path / "sensors.csv")
+    assert list(sensors.loc[sensors["held_out"], "sensor"]) == ["2x", "4z"]
+    assert list(sensors["sensor"]) == [s.name for s in study.whole.sensors]
+
+
+def test_the_standard_deviation_of_a_sensor_is_the_root_mean_square_over_its_modes(guyed):
+    whole = guyed[0].whole
+    std = np.tile([3.0, 4.0], (len(whole.sensors), whole.n_modes))[:, : whole.n_modes].astype(float)
+    std[0, 0] = np.nan
+    std[1] = np.nan
+    table = sensors_table(replace(whole, shape_std=std), ())
+    assert table["shape_std"][0] == pytest.approx(np.sqrt(np.mean(std[0, 1:] ** 2)))
+    assert np.isnan(table["shape_std"][1])
+
+
+def test_scalar_responses_are_listed_with_their_standard_deviation(chain):
+    study = chain[0]
+    table = measured_table(study)
+    assert list(table.columns) == ["response", "held_out", "value", "std", "repeats", "std_used"]
+    assert dict(zip(table["response"], table["value"], strict=True)) == {n: v for n, (v, _) in study.targets.items()}
+    assert not table["held_out"].any()
+
+
+def test_the_record_names_versions_and_seeds_and_keeps_earlier_analyses(guyed, tmp_path):
+    study = guyed[0]
+    results = Results.at(tmp_path, study.name)
+    answer = compare(Study.load(study.file), results)
+    write_record(study, results, "sensitivity", {"samples": 7}, ["Two matter."], quick=True)
+    content = record(results)
+    assert content["study"] == study.name and content["synthetic"] is study.synthetic
+    assert content["repeats"] == study.whole.n_repeats
+    assert list(content["analyses"]) == ["compare", "sensitivity"]
+    first, second = content["analyses"].values()
+    assert first["sentences"] == list(answer.sentences) and first["seeds"] == {} and not first["quick"]
+    assert second["seeds"] == {"samples": 7} and second["quick"] and second["sentences"] == ["Two matter."]
+    assert first["rules"]["missing"]["credible"] == RULES.credible and len(first["rules"]["inference"]) > 5
+    assert first["versions"]["calib"] == __version__ and first["versions"]["numpy"] == np.__version__
+
+
+def test_adopted_values_are_recorded_with_their_source(guyed, tmp_path):
+    study, results = guyed[0], Results.at(tmp_path, "mast")
+    write_record(study, results, "compare", {})
+    assert record(results)["adopted"] == {} and record(results)["adopted_from"] is None
+    given = study.settings.model_copy(update={"adopted": AdoptedSettings(study="../older", parameters=("E",))})
+    write_record(replace(study, settings=given, adopted={"E": 205.0, "K_base": 1.0}), results, "compare", {})
+    assert record(results)["adopted"] == {"E": 205.0} and record(results)["adopted_from"] == "../older"
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"analyses": 3}'])
+def test_a_damaged_record_is_replaced(guyed, tmp_path, content):
+    results = Results.at(tmp_path, guyed[0].name)
+    (results.path / "record.json").write_text(content)
+    write_record(guyed[0], results, "compare", {})
+    assert list(record(results)["analyses"]) == ["compare"]
