@@ -49,7 +49,7 @@ NewFolder = Annotated[
     Path, typer.Argument(metavar="FOLDER", callback=_possible, help="A folder that does not exist yet.")
 ]
 Quick = Annotated[
-    bool, typer.Option("--quick", help="A small search for a first look; its results go to a sub-folder quick/.")
+    bool, typer.Option("--quick", help="A quick run, with small searches; its results go to a sub-folder quick/.")
 ]
 Workers = Annotated[
     int | None,

@@ -48,7 +48,7 @@ def numbers(given: Any, place: str) -> np.ndarray:
     return found
 
 
-def whole(given: Any, least: int, place: str) -> int:
+def integer(given: Any, least: int, place: str) -> int:
     """An integer of at least ``least``; InputError for anything else."""
     found = number(given, place)
     if not (found >= least and found == found // 1 and found < float("inf")):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.discretisation_error import DiscretisationError
-from calib.analyses.explanation_result import Told
+from calib.analyses.explanation_result import MeasurementFacts
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.recommendation import ExperimentalDesign
@@ -22,7 +22,7 @@ class Adapter(Protocol):
     """
 
     @property
-    def told(self) -> Told:
+    def facts(self) -> MeasurementFacts:
         """Facts about the measurement beside its rows."""
         ...
 

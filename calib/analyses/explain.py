@@ -14,7 +14,7 @@ import pandas as pd
 
 from calib.analyses.adapter import Adapter
 from calib.analyses.explained_fit import TABLE, explained_fits
-from calib.analyses.explanation_result import ExplanationResult, Told, summary
+from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts, summary
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.function_hypotheses import function_hypotheses
 from calib.analyses.joint_adapter import JointAdapter, together
@@ -121,7 +121,7 @@ def adapter_of(
     study: Study, home: Results, progress: Progress, local: tuple[Perturbation, ...] | None = None
 ) -> Adapter:
     """The adapter of a study's test; ``local`` perturbations are by default those of its own model."""
-    problem, facts, space = study.problem, Told.of(study), study.search_space.without(study.condition)
+    problem, facts, space = study.problem, MeasurementFacts.of(study), study.search_space.without(study.condition)
     if isinstance(problem, FunctionProblem):
         assert isinstance(study.model, FunctionModel)
         pair = ResponseResidual(problem)
@@ -220,7 +220,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     progress("discretisation error")
     discretisation = adapter.discretisation_error(found)
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
-    facts = adapter.told
+    facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.relative_std, facts.seed)
     rests = f"These results rest on an assumed standard deviation: {facts.assumed}." if facts.assumed else ""
     more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy), rests)

@@ -21,7 +21,7 @@ GROUPS = ("fit", *UNSEEN_GROUPS)
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class MeasurementFacts:
     """Facts about a measurement beside its rows, as an explanation needs them.
 
     Attributes
@@ -51,7 +51,7 @@ class Told:
     samples: int
 
     @classmethod
-    def of(cls, study: Study) -> Told:
+    def of(cls, study: Study) -> MeasurementFacts:
         """The facts about a study's measurement."""
         own = study.settings.explain
         return cls(

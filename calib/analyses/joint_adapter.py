@@ -10,7 +10,7 @@ import pandas as pd
 
 from calib.analyses.adapter import Adapter
 from calib.analyses.discretisation_error import DiscretisationError
-from calib.analyses.explanation_result import ExplanationResult, Told
+from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.joint import TEST, of_test, said, stacked
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.joint import JointHypotheses
@@ -28,19 +28,19 @@ class JointAdapter:
         By name of the test.
     hypotheses : JointHypotheses
         Of all tests.
-    told : Told
+    facts : MeasurementFacts
     """
 
     adapters: Mapping[str, Adapter]
     hypotheses: JointHypotheses
-    told: Told
+    facts: MeasurementFacts
 
     @classmethod
     def of(cls, adapters: Mapping[str, Adapter]) -> JointAdapter:
         """Several adapters as one; seed and number of samples are those of the first."""
-        facts = {test: adapter.told for test, adapter in adapters.items()}
+        facts = {test: adapter.facts for test, adapter in adapters.items()}
         first = next(iter(facts.values()))
-        of_all = Told(
+        of_all = MeasurementFacts(
             assumed="; ".join(of_test(test, one.assumed) for test, one in facts.items() if one.assumed),
             accuracy="; ".join(of_test(test, one.accuracy) for test, one in facts.items()),
             notes=said({test: one.notes for test, one in facts.items()}),

@@ -84,7 +84,7 @@ class ModalAdapter(OneTest):
             whole = whole.with_model(self.problem.model).with_model(fitted.problem.model, added)
         return modal_errors(
             fitted.problem, whole, fit.values, fit.names, fit.prior_sd, fitted.floors,
-            self.hypotheses.std_dof, scale, self.told.held_sd,
+            self.hypotheses.std_dof, scale, self.facts.held_sd,
         )  # fmt: skip
 
     def _at_full_order(self, names: tuple[str, ...]) -> ModalResidual:
@@ -104,7 +104,7 @@ class ModalAdapter(OneTest):
             candidates, named = list(found.perturbation.effects), found.base_adequacy.perturbations
         if not candidates:
             return None
-        samples, seed = self.told.samples, self.told.seed
+        samples, seed = self.facts.samples, self.facts.seed
         return modal_design(
             self.hypotheses, found.believed, candidates, named, found.noise_scale, held_out, samples, seed
         )

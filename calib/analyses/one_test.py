@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.discretisation_error import DiscretisationError
-from calib.analyses.explanation_result import Told
+from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.hypotheses import Failure, ModelHypotheses
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.recommendation import ExperimentalDesign
@@ -30,12 +30,12 @@ class OneTest(ABC):
     hypotheses : ModelHypotheses
     perturbations : tuple of Perturbation
         Its local perturbations.
-    told : Told
+    facts : MeasurementFacts
     """
 
     hypotheses: ModelHypotheses[Any]
     perturbations: tuple[Perturbation, ...]
-    told: Told
+    facts: MeasurementFacts
 
     @property
     def relative_std(self) -> np.ndarray:
@@ -52,7 +52,7 @@ class OneTest(ABC):
 
     def notes(self) -> list[str]:
         """Notes on claimed or assumed standard deviations, and on repeats that disagree."""
-        return list(self.told.notes)
+        return list(self.facts.notes)
 
     def errors(
         self, stages: Mapping[str, CandidateFit], scale: float

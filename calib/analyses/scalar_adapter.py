@@ -34,7 +34,7 @@ class ScalarAdapter(OneTest):
         s, used = candidate_fit.fit, self.hypotheses.pair.problem
         held_out = {group: self._whitened(own, candidate_fit, s.names, scale) for group, own in self.held_out.items()}
         slope = -s.slope
-        if held_out and self.told.held_sd:  # held parameters are not fitted, so their columns are not in its slope
+        if held_out and self.facts.held_sd:  # held parameters are not fitted, so their columns are not in its slope
             slope = np.hstack([slope, self._whitened(used.targets, candidate_fit, (), scale)[1]])
         labels = [row.sensor for row in self.hypotheses.rows]
         return scalar_errors(s.residual, slope, s.names, s.prior_sd, labels, held_out, scalar_std(used))
@@ -44,7 +44,7 @@ class ScalarAdapter(OneTest):
     ) -> tuple[np.ndarray, np.ndarray]:
         """See `calib.analyses.verify.whitened`; for the model with the effects of the candidate fit."""
         problem = self.hypotheses.fit_problem(candidate_fit.names).pair.problem
-        residual, jacobian = whitened(problem, targets, candidate_fit.fit.values, names, self.told.held_sd)
+        residual, jacobian = whitened(problem, targets, candidate_fit.fit.values, names, self.facts.held_sd)
         return residual / scale, jacobian / scale
 
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:

@@ -13,7 +13,7 @@ import pandas as pd
 
 from calib.analyses.adapter import Adapter
 from calib.analyses.explain import answered, decided
-from calib.analyses.explanation_result import ExplanationResult, Told
+from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.analyses.function_hypotheses import function_hypotheses
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.joint_adapter import together
@@ -31,7 +31,7 @@ from calib.front.posed import Effects, P, PosedProblem
 from calib.front.shown import Shown
 from calib.front.test import ModalTest, Model, ResponseTest, Test, under
 from calib.function import FunctionModel
-from calib.given import objects, whole
+from calib.given import integer, objects
 from calib.settings import ExplainSettings, ReductionSettings
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
@@ -108,7 +108,7 @@ class Explained(Shown, Generic[P]):
 
 def explained(problem: P, effects: Effects, seed: int) -> Explained[P]:
     """See `calib.front.problem.Problem.explain`."""
-    library, seed = library_of(problem, effects), whole(seed, 0, "seed")
+    library, seed = library_of(problem, effects), integer(seed, 0, "seed")
     started = time.perf_counter()
     adapter = together(_sides(problem, library, seed))
     found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain")
@@ -146,29 +146,29 @@ def _side(
     model: Model, test: Test, effects: tuple[Effect, ...], local: tuple[Perturbation, ...], seed: int, several: bool
 ) -> Adapter:
     """Adapter of one test; perturbations of this test alone bear its name where there are several tests."""
-    held, notes = under(model, test.name, test.condition), _notes(test, seed)
+    held, facts = under(model, test.name, test.condition), _facts(test, seed)
     space, name = held.space.without(dict(test.condition)), test.name if several else ""
     if isinstance(test, ResponseTest):
         assert isinstance(held, FunctionModel)
         scalar, tested = function_hypotheses(held, test.pair(held), effects, space, name)
-        return ScalarAdapter(scalar, tested, notes, {HELD_OUT_RESPONSES: test.unseen})
+        return ScalarAdapter(scalar, tested, facts, {HELD_OUT_RESPONSES: test.unseen})
     pair, whole = test.pair(held), test.whole_problem(held)
     if isinstance(held, ModalFunctionModel):
         modal, tested = function_hypotheses(held, pair, effects, space, name)
-        return ModalAdapter(modal, tested, notes, whole)
+        return ModalAdapter(modal, tested, facts, whole)
     assert isinstance(held, StructuralModel)
     changes, large = tuple(a.effect for a in local), held.n_dof >= WORTHWHILE_DOFS
     basis = _basis(held, pair.problem, effects, changes, seed) if large else None
     modal = ModelHypotheses(pair, Variants(held, effects, changes, basis), space)
-    return ModalAdapter(modal, local, notes, whole, reduced=large)
+    return ModalAdapter(modal, local, facts, whole, reduced=large)
 
 
-def _notes(test: Test, seed: int) -> Told:
+def _facts(test: Test, seed: int) -> MeasurementFacts:
     measured = test.modes if isinstance(test, ModalTest) else test.measured
     assumed, claimed = in_words(test.assumed), test.claimed
     notes = (*notes_on(claimed, assumed), *check_repeats(measured))
     table = disagreements_table(measured)
-    return Told(assumed, claimed or "none", notes, table, {}, seed, ExplainSettings().samples)
+    return MeasurementFacts(assumed, claimed or "none", notes, table, {}, seed, ExplainSettings().samples)
 
 
 def _basis(

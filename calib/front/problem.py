@@ -22,8 +22,8 @@ from calib.front.sensitivity import Assessed, assessed
 from calib.front.shown import Compared
 from calib.front.test import ModalTest, Model, ResponseTest, Test, under
 from calib.function import FunctionModel, extend_function
+from calib.given import integer, objects
 from calib.given import names as names_of
-from calib.given import objects, whole
 from calib.given import values as values_of
 from calib.inference.genetic import GeneticSettings
 from calib.joint import JointProblem
@@ -204,7 +204,7 @@ class Problem:
         EvaluationError
             When no start can be evaluated.
         """
-        starts, seed = whole(starts, 1, "starts"), whole(seed, 0, "seed")
+        starts, seed = integer(starts, 1, "starts"), integer(seed, 0, "seed")
         problem = self._of(parameters)
         space = problem.space
         sampled = sample(space, starts - 1, seed).points if starts > 1 else ()
@@ -276,8 +276,8 @@ class Problem:
         >>> fit.search.table["asked"].tolist()
         [200, 200]
         """
-        cases, seed = whole(cases, 1, "cases"), whole(seed, 0, "seed")
-        settings = GeneticSettings(whole(population, 4, "population"), whole(generations, 1, "generations"))
+        cases, seed = integer(cases, 1, "cases"), integer(seed, 0, "seed")
+        settings = GeneticSettings(integer(population, 4, "population"), integer(generations, 1, "generations"))
         problem = self._of(parameters)
         found = searched(problem, range(seed, seed + cases), settings, executor)
         return Fit(problem, refined(problem, found), found)
@@ -326,7 +326,7 @@ class Problem:
         >>> float(found.spearman["f"].round(1)["thickness"])
         0.9
         """
-        samples, seed = whole(samples, 3, "samples"), whole(seed, 0, "seed")
+        samples, seed = integer(samples, 3, "samples"), integer(seed, 0, "seed")
         return assessed(self._of(parameters), samples, seed, executor)
 
     def judge(self, values: Mapping[str, float]) -> Fit[Problem]:

@@ -59,7 +59,7 @@ class Study:
     workers : int, Injected or None
         Number of worker processes; None for one per core where that pays. An executor takes their place.
     quick : bool
-        Small searches for a first look; their results go to a subfolder.
+        A quick run, with small searches; its results go to a sub-folder.
     listener : Listener
         Receives progress and results.
     read : Study, JointStudy or None

@@ -18,7 +18,7 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.standard_deviations import assumptions
 from calib.errors import InputError
 from calib.function import FunctionModel
-from calib.given import by_name, names, number, objects, values, whole
+from calib.given import by_name, integer, names, number, objects, values
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
@@ -83,10 +83,10 @@ class ModalTest:
             self, "clusters", {m: names(c, f"{place}, clusters") for m, c in by_name(self.clusters, place).items()}
         )
         chosen = by_name(self.override, f"{place}, override")
-        object.__setattr__(self, "override", {m: whole(k, 1, f"{place}, override of {m}") for m, k in chosen.items()})
+        object.__setattr__(self, "override", {m: integer(k, 1, f"{place}, override of {m}") for m, k in chosen.items()})
         number(self.threshold, f"{place}, threshold")
         if self.mode_count is not None:
-            object.__setattr__(self, "mode_count", whole(self.mode_count, 1, f"{place}, mode_count"))
+            object.__setattr__(self, "mode_count", integer(self.mode_count, 1, f"{place}, mode_count"))
         if self.freq_window is not None:
             object.__setattr__(self, "freq_window", _window(self.freq_window, f"{place}, freq_window"))
         try:

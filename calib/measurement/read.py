@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.errors import InputError
-from calib.given import objects, whole
+from calib.given import integer, objects
 from calib.given import path as path_of
 from calib.measurement.csv_format import ONE, read_modes_csv, read_sensor_table, read_shapes_csv
 from calib.measurement.disagreements import Pooling
@@ -68,7 +68,7 @@ def read_modes(
     """
     paths, shape_paths = _found(files), _found(shapes)
     sensor_table = None if sensors is None else path_of(sensors, "sensors")
-    repeats = None if repeats is None else whole(repeats, 0, "repeats")
+    repeats = None if repeats is None else integer(repeats, 0, "repeats")
     if pooling not in ("robust", "plain"):
         raise InputError(f"pooling is {pooling!r}", place="measurement", remedy="write 'robust' or 'plain'")
     is_uff = _check_arguments(paths, shape_paths, repeats, std_of)

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.errors import EvaluationError, InputError, again
 from calib.fingerprint import digest_of
-from calib.given import objects, whole
+from calib.given import integer, objects
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.outcome import answered
 from calib.space import ParameterSpace
@@ -133,7 +133,7 @@ class ModalFunctionModel:
                 f"its function is {self.function!r:.40}", place=place, remedy="give a function of named values"
             )
         object.__setattr__(self, "sensors", _sensors(self.sensors, f"{place}, sensors"))
-        object.__setattr__(self, "n_modes", whole(self.n_modes, 1, f"{place}, n_modes"))
+        object.__setattr__(self, "n_modes", integer(self.n_modes, 1, f"{place}, n_modes"))
         if not (isinstance(self.step, int | float) and 0 < self.step <= 0.1):
             raise InputError(f"its step is {self.step!r:.40}", place=place, remedy="give a part of the range, to 0.1")
 

@@ -104,7 +104,7 @@ def test_figures_and_reports_of_both_are_drawn_and_redrawn(within, drawn, monkey
     assert (FOLDER / "added_errors.png").stat().st_size > 5000 and (OWN / "comparison.png").exists()
     page = (FOLDER / "report.html").read_text()
     assert 'id="errors"' in page and "Prediction errors before and after adding the effects" in page
-    assert "predicts held-out data better" in page and "a quick look" in page
+    assert "predicts held-out data better" in page and ", a quick run." in page
     assert "mast_extended" in page and (OWN / "report.html").exists()
     for figure in [*Path("results").rglob("*.png"), *Path("results").rglob("report.html")]:
         figure.unlink()

@@ -63,7 +63,7 @@ def versions(results: StudyResults) -> Section | None:
     rows = tuple(
         (
             analysis if record.get("notebook") else f"calib {analysis}",
-            ("a quick look" if a.get("quick") else "full") + ", stale" * (analysis in results.stale),
+            ("quick run" if a.get("quick") else "full run") + ", stale" * (analysis in results.stale),
             str(a.get("when", "")).replace("T", " ").replace("+00:00", " UTC"),
             _listed(a.get("seeds", {})) or "none needed",
             *([] if same else [used[analysis]]),

@@ -47,7 +47,7 @@ def _origin(results: StudyResults) -> str:
     last = max(results.analyses.values(), key=lambda a: str(a.get("when", "")), default=None)
     if last is None:
         return ""
-    quick = ", a quick look" if any(a.get("quick") for a in results.analyses.values()) else ""
+    quick = ", a quick run" if any(a.get("quick") for a in results.analyses.values()) else ""
     version = last.get("versions", {}).get("calib", "")
     what = "A fit from Python" if results.record.get("notebook") else f"Study {results.name}, analysed"
     return f"{what} on {str(last.get('when', ''))[:10]} by calib {version}{quick}."
