@@ -15,14 +15,13 @@ from calib.analyses.record import begin_analysis, write_record
 from calib.effect import Effect
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
+from calib.missing.local import WIDE
 from calib.missing.verdict import GROUPS
 from calib.results import Results
 from calib.study import Study
 
 WORDS = {"fit": "used data", **GROUPS}
 COLUMNS = ("group", "stage", "rows", "rms", "expected", "p", "unpaired")
-TWO_SIDED = 1.96
-"""Standard deviations on either side that hold 95 %."""
 FALLEN = 0.98
 """Ratio of two errors below which the second counts as reduced: less hardly shows in the two printed decimals."""
 UNSETTLED = 2.0
@@ -190,7 +189,7 @@ def _magnitude(effect: Effect, study: Study, after: Calibration) -> dict[str, ob
     """Name, title, fitted magnitude and its 95 % interval, clipped to the limits of the search."""
     name, limits = effect.magnitude.name, study.search_space[effect.magnitude.name]
     known = dict(zip(after.verdicts["parameter"], after.verdicts["std"], strict=True))
-    value, reach = after.best.result.values[name], TWO_SIDED * float(known.get(name, math.nan))
+    value, reach = after.best.result.values[name], WIDE * float(known.get(name, math.nan))
     interval = np.clip([value - reach, value + reach], limits.lower, limits.upper).tolist()
     ends = dict(zip(("low", "high"), interval, strict=True))
     return {"name": effect.name, "title": effect.title, "unit": effect.magnitude.unit, "value": value, **ends}

@@ -26,7 +26,7 @@ from calib.analyses.fit_statistics import (
     refined,
     statistics_at,
 )
-from calib.analyses.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator
+from calib.analyses.places import QUICK_GENERATIONS, QUICK_POPULATION, QUICK_STARTS, Workers, open_evaluator
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.analyses.stored import confirm
 from calib.analyses.user_function import function_of, ledger_key
@@ -48,8 +48,6 @@ from calib.study_file import StudyFile
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
 SearchProgress = Callable[[str, int, int, float], None]
 Starts: TypeAlias = Sequence[Mapping[str, float]]
-
-QUICK_STARTS = 2
 
 SEARCH, FITTED = "search", "least squares"
 """Names of the points of a case."""

@@ -25,7 +25,8 @@ from calib.written import LOG
 QUICK = "quick"
 """Sub-folder of results made with ``--quick``."""
 
-QUICK_SAMPLES, QUICK_POPULATION, QUICK_GENERATIONS = 60, 20, 15
+QUICK_SAMPLES, QUICK_POPULATION, QUICK_GENERATIONS, QUICK_STARTS = 60, 20, 15, 2
+QUICK_TRAJECTORIES, QUICK_BASE = 5, 16
 """Sizes of a quick run: enough to see whether a study works, too few to rely on its results."""
 
 LEDGER = "ledger.sqlite"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from calib.missing.score import Scores, family_p, scored
 from calib.problem import Labelled, Rows
 
 GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
-"""Accuracies tried, relative to each value; for shapes, to the largest entry."""
+"""Accuracies tried, ascending, relative to each value; for shapes, to the largest entry."""
 COLUMNS = ("accuracy", "p_family", "p_fit", "misfit", "dof", "missing")
 
 
@@ -25,9 +24,8 @@ def less_accurate(
     labelled: Labelled,
     relative_std: np.ndarray,
     seed: int,
-    grid: Sequence[float] = GRID,
 ) -> pd.DataFrame:
-    """Repeat the tests of the base model for each accuracy, added in quadrature to the standard deviation of every row.
+    """Repeat the tests of the base model for accuracies of `GRID`, added in quadrature to every standard deviation.
 
     Nothing is solved again: the base fit is linearised, and its parameters and all scores are updated for the new
     weights. A lower accuracy only removes evidence, so that only a verdict that something is missing can change; the
@@ -43,8 +41,6 @@ def less_accurate(
         (``noise_scale``).
     seed : int
         Of the samples behind the probabilities.
-    grid : sequence of float
-        Ascending.
 
     Returns
     -------
@@ -54,7 +50,7 @@ def less_accurate(
     """
     lines: list[tuple[float, float, float, float, float, bool]] = []
     rows, std = labelled.rows, np.asarray(relative_std, dtype=float) * found.noise_scale
-    for accuracy in grid if found.verdict not in ("nothing_detectable", "noise_underestimated") else ():
+    for accuracy in GRID if found.verdict not in ("nothing_detectable", "noise_underestimated") else ():
         with np.errstate(invalid="ignore"):
             weight = np.where(np.isfinite(std), std / np.hypot(std, accuracy), 1.0)
         fit = _weighted(found.base.fit, weight)

@@ -178,7 +178,7 @@ class Explanation:
     noise_scale: float
     measured_scale: float
     evaluations: int
-    alpha: float = 0.01
+    alpha: float
     begun_anew: bool = False
     fault: CandidateFit | None = None
     datum: WrongDatum | None = None

@@ -8,7 +8,7 @@ from calib.effect import Effect
 from calib.missing.explanation import CandidateFit
 
 WIDE = 1.96
-"""Half-width of a 95 % interval, in standard deviations."""
+"""Half-width of a 95 % interval, in standard deviations; the root of the increase of the sum of squares at its ends."""
 
 
 def unit_words(unit: str) -> str:

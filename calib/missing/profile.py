@@ -9,10 +9,10 @@ import numpy as np
 from calib.errors import EvaluationError
 from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.local import WIDE
 
-_RISE = 1.96
-"""Root of the increase of the sum of squares at the ends of a 95 % interval."""
 _TRIES = 3
+"""Most corrections of one end; for a Gaussian posterior the first one is exact."""
 
 
 def profile_interval(fit: LinearisedFit, name: str) -> tuple[float, float]:
@@ -34,18 +34,18 @@ def profile_interval(fit: LinearisedFit, name: str) -> tuple[float, float]:
 def _end(fit: LinearisedFit, k: int, std: float) -> float:
     name = fit.names[k]
     p, centre = fit.fit_problem.space[name], fit.values[name]
-    here = centre + _RISE * std
+    here = centre + WIDE * std
     for _ in range(_TRIES):
         inside = min(max(here, p.lower), p.upper)
         rise = _rise(fit, k, inside)
         if math.isnan(rise):
             return inside
-        if inside != here and rise < _RISE:
+        if inside != here and rise < WIDE:
             return inside
         if rise <= 0 or inside == centre:
             return inside
-        here = centre + (inside - centre) * _RISE / rise
-        if abs(rise / _RISE - 1) < 0.05:
+        here = centre + (inside - centre) * WIDE / rise
+        if abs(rise / WIDE - 1) < 0.05:
             break
     return min(max(here, p.lower), p.upper)
 

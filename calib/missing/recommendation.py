@@ -111,22 +111,16 @@ class ExperimentalDesign:
         return float(np.average(values, weights=weights)), float(low), float(high)
 
 
-def recommend(design: ExperimentalDesign, threshold: float = 4.0) -> pd.DataFrame:
+def recommend(design: ExperimentalDesign) -> pd.DataFrame:
     """Gain of every candidate measurement for every effect, best first.
-
-    Parameters
-    ----------
-    design : ExperimentalDesign
-    threshold : float
-        Expected score of the smallest visible magnitude.
 
     Returns
     -------
     DataFrame
         ``measurement, kind, effect``; ``gain``: factor on the expected score of the effect, the mean over the
         linearisations, between ``gain_low`` and ``gain_high`` in 8 of 10; ``magnitude_min``: magnitude whose mean score
-        then is the threshold; ``ln_bayes``: expected log Bayes factor for the true one of two competing models, with
-        its range, and the ``chance`` that it is beyond 20:1 (NaN without competing models); ``words``.
+        then is `Rules.detectable`; ``ln_bayes``: expected log Bayes factor for the true one of two competing models,
+        with its range, and the ``chance`` that it is beyond 20:1 (NaN without competing models); ``words``.
     """
     now, competing = design.sizes(None), design.competing
     rows = []
@@ -137,7 +131,7 @@ def recommend(design: ExperimentalDesign, threshold: float = 4.0) -> pd.DataFram
             with np.errstate(divide="ignore", invalid="ignore"):
                 gain, low, high = design.averaged(np.where(now[:, k] > 0, there[:, k] / now[:, k], np.nan))
             size = design.averaged(there[:, k])[0]
-            least = threshold / size if size > 0 else math.inf
+            least = RULES.detectable / size if size > 0 else math.inf
             words = f"{measurement.name}: {gain:.2g} times the score of {name} ({low:.2g} to {high:.2g})"
             if competing is not None and name == competing.names[0]:
                 words = f"{measurement.name}: {_in_words(bayes_factor, competing.names)}"

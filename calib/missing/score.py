@@ -65,21 +65,6 @@ class Scores:
         """Scores of the same columns at another end point of the fit; see `LinearisedFit.relinearised`."""
         return replace(self, z=self.unit.T @ fit.augmented)
 
-    def only(self, names: Sequence[str]) -> Scores:
-        """The columns of some candidates."""
-        kept = [k for k, owner in enumerate(self.owners) if owner in names]
-        return Scores(
-            owners=tuple(self.owners[k] for k in kept),
-            points=tuple(self.points[k] for k in kept),
-            raw=self.raw[:, kept],
-            unit=self.unit[:, kept],
-            size=self.size[kept],
-            z=self.z[kept],
-            unabsorbed=self.unabsorbed[kept],
-            signed=self.signed[kept],
-            onset=self.onset[kept],
-        )
-
     def of(self, name: str) -> list[int]:
         """Columns of a candidate."""
         return [k for k, owner in enumerate(self.owners) if owner == name]

@@ -128,9 +128,7 @@ def confounded_with(found: Explanation, name: str) -> list[str]:
     out = []
     for other, r in zip(names, rho, strict=True):
         told_apart = expected_ln_bayes(magnitude, float(r)) >= RULES.credible
-        if other != name and (
-            abs(r) > RULES.confounded or (abs(r) > 0.5 and magnitude > RULES.detectable and not told_apart)
-        ):
+        if other != name and (abs(r) > RULES.confounded or (magnitude > RULES.detectable and not told_apart)):
             out.append(other)
     return out
 

@@ -14,8 +14,8 @@ from calib.missing.local import WIDE, local_perturbation, unit_words
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
 
-_LEAST = 1 / 4000
-"""Smallest p-value that is stated; the samples do not resolve smaller ones."""
+_LEAST = 2 / RULES.draws
+"""Smallest p-value that is stated: that of the samples, for the smaller of two tests (`AdequacyTests.p_family`)."""
 _REPEATS = 3
 """Largest number of repeats named in a sentence."""
 

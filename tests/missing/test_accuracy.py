@@ -24,7 +24,7 @@ def test_an_assumed_accuracy_counts_as_known_standard_deviation(toy):
 
     def p_fit(dof):
         std_dof = {row.kind: dof for row in rows}
-        return less_accurate(found, Rows(rows, {}, std_dof), np.full(len(rows), 2.5e-4), 1, (1e-3,))["p_fit"][0]
+        return less_accurate(found, Rows(rows, {}, std_dof), np.full(len(rows), 2.5e-4), 1)["p_fit"][0]
 
     few, known = p_fit(4.0), p_fit(np.inf)
     assert known < few < 2 * known < 1e-4
