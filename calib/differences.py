@@ -9,13 +9,16 @@ import numpy as np
 from calib.errors import EvaluationError
 from calib.space import Parameter, ParameterSpace
 
+STEP = 1e-4
+"""Half step of a central difference, over the range of a parameter."""
+
 
 def central_jacobian(
     residual: Callable[[Mapping[str, float]], np.ndarray],
     space: ParameterSpace,
     values: Mapping[str, float],
     names: Sequence[str],
-    step: float = 1e-4,
+    step: float = STEP,
 ) -> np.ndarray:
     """Derivative of a vector by central differences, per one of each parameter's own unit, shape (n_rows, n_params).
 

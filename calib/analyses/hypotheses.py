@@ -9,6 +9,7 @@ from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 
+from calib.differences import STEP
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.outcome import Outcome, key_of
@@ -16,8 +17,13 @@ from calib.problem import Counts, Label, Pair, Problem
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
 
-NEUTRAL = 1e-4
-"""Tolerance for the change of a row by an effect of magnitude 0, in standard deviations."""
+NEUTRAL = STEP
+"""Tolerance for the change of a row by an effect of magnitude 0, in standard deviations.
+
+A difference that ends at 0 takes a jump there for a slope: over a step of `STEP` times the range of the magnitude, a
+jump of this size for one standard deviation over the whole range. Solvers round below it: by some 1e-9 of a frequency,
+whose standard deviation is rarely less than 1e-5 of it.
+"""
 
 _REMEMBERED = 64
 """Points cached, so that a derivative does not solve the model again."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.responses import ResponseRow, response_rows
-from calib.differences import central_jacobian
+from calib.differences import STEP, central_jacobian
 from calib.errors import EvaluationError, InputError
 from calib.fingerprint import digest_of
 from calib.function import FunctionModel
@@ -48,7 +48,7 @@ class ResponseResidual:
     """
 
     problem: FunctionProblem
-    step: float = 1e-4
+    step: float = STEP
 
     def __post_init__(self) -> None:
         for name, (value, std) in self.problem.targets.items():

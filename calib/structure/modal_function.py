@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.differences import STEP
 from calib.errors import EvaluationError, InputError, again
 from calib.fingerprint import digest_of
 from calib.given import integer, objects
@@ -22,9 +23,6 @@ from calib.structure.modal_result import modes_of, numbers_of
 from calib.structure.mode_tracking import followed_derivatives
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
-
-STEP = 1e-4
-"""Half step of a central difference, over the range of a parameter."""
 
 REMEMBERED = 1000
 """Points whose modes are cached."""
