@@ -193,7 +193,7 @@ def calibrate(
     notes = partial(notes_on, study, ledger, finder.home, finder.notes)
     options = options_of(only, method)
     ran = CalibrationRun(chosen, started, quick, options, notes, ledger.retried, study.search_space)
-    return keep(study, results, found, before, ran)
+    return keep(study, results, found, best_of([found]), before, ran)
 
 
 def options_of(only: str | None, method: str | None) -> tuple[str, ...]:
@@ -239,10 +239,15 @@ class CalibrationRun:
 
 
 def keep(
-    study: Study, results: Results, found: Sequence[CaseFound], before: ComparisonResult, ran: CalibrationRun
+    study: Study,
+    results: Results,
+    found: Sequence[CaseFound],
+    number: int,
+    before: ComparisonResult,
+    ran: CalibrationRun,
 ) -> Calibration:
-    """Assemble the calibration from its cases; writes all tables and ``summary.json``."""
-    best, space = best_of(found), ran.space
+    """Assemble the calibration of a test from its cases, of which one is the best; writes its tables and summary."""
+    best, space = found[number], ran.space
     reported = [case.result for case in found]
     searched = [case.search for case in found if case.search is not None]
     tables = tables_of(space, [(case.result, case.statistics) for case in found], best.statistics, searched)
@@ -284,14 +289,17 @@ def keep(
     return answer
 
 
-def best_of(found: Sequence[CaseFound]) -> CaseFound:
-    """The case that is reported; see `Calibration.best`."""
-    fitted = [case for case in found if case.statistics.fit is not None] or list(found)
-    lowest = min(case.statistics.criterion for case in fitted)
-    equal = [case for case in fitted if case.statistics.criterion <= lowest + EQUAL]
-    if fitted[0].statistics.fit is None:
-        equal = fitted
-    return min(equal, key=lambda case: case.result.misfit)
+def best_of(tests: Sequence[Sequence[CaseFound]]) -> int:
+    """Number of the case that is reported, see `Calibration.best`; of several tests the same for all.
+
+    ``tests`` holds the cases of each test. Their statistics are joint; their misfits add up.
+    """
+    every = [case.statistics for case in tests[0]]
+    equal = [k for k, statistics in enumerate(every) if statistics.fit is not None]
+    if equal:
+        lowest = min(every[k].criterion for k in equal)
+        equal = [k for k in equal if every[k].criterion <= lowest + EQUAL]
+    return min(equal or range(len(every)), key=lambda k: sum(cases[k].result.misfit for cases in tests))
 
 
 def _worsened(case: CaseFound) -> str:

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import pandas as pd
 
-from calib.analyses.calibrate import Calibration, CalibrationRun, chosen_cases, keep, notes_on, options_of
+from calib.analyses.calibrate import Calibration, CalibrationRun, best_of, chosen_cases, keep, notes_on, options_of
 from calib.analyses.case import SearchProgress, Starts, known_starts, least_squares, reduction_noted, reported
 from calib.analyses.compare import before_and_after, compare
 from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
@@ -107,12 +107,12 @@ def calibrate_jointly(
         return refined(problem({}, counts), near, terms, starts, refits, progress, known)
 
     fits = [least_squares(case, behind_ledger, known, quick, progress, fit) for case in cases]
-    answers, options = {}, options_of(only, method)
+    found = {s.test: [reported(s, *case) for case in fits] for s in behind_ledger.studies}
+    answers, options, best = {}, options_of(only, method), best_of(list(found.values()))
     for one in behind_ledger.studies:
-        found = tuple(reported(one, result, statistics) for result, statistics in fits)
         noted = partial(notes_on, one, ledger, homes[one.test], notes[one.test])
         ran = CalibrationRun("gauss-newton", started, quick, options, noted, ledger.retried, study.search_space)
-        answers[one.test] = keep(one, folders[one.test], found, before[one.test], ran)
+        answers[one.test] = keep(one, folders[one.test], found[one.test], best, before[one.test], ran)
     answer = JointCalibration(answers)
     _write(study, results, answer, time.perf_counter() - started)
     write_record(study, results, "calibrate", {c.name: c.seed for c in cases}, answer.sentences, quick, options)
