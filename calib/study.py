@@ -132,27 +132,20 @@ class Study(StudyFile):
         return tuple(effect for effect in self.library if effect.name not in self.settings.with_effects)
 
     def whole_problem(self) -> ModalProblem | None:
-        """The modal problem over everything measured, held-out data included; None for scalar responses.
+        """The modal problem over everything measured; None where no mode and no sensor is held out.
 
-        For verification only: never given to a fit. More model modes are solved, as the held-out modes need.
+        See `calib.correlation.problem.ModalProblem.over`.
 
         Raises
         ------
         InputError
             When a held-out sensor has no place on the model, or a held-out mode an impossible pair.
         """
-        problem, whole, pairing = self.problem, self.whole, self.settings.pairing
-        if not isinstance(problem, ModalProblem) or whole is None:
+        problem, whole, pairing, held = self.problem, self.whole, self.settings.pairing, self.settings.held_out
+        if not isinstance(problem, ModalProblem) or whole is None or not (held.modes or held.sensors):
             return None
-        if pairing.mode_count is None:
-            more = 2 * (whole.n_modes - problem.measured.n_modes)
-            count = min(problem.mode_count + more, problem.model.n_modes)
-        else:
-            count = problem.mode_count + max(0, whole.n_modes - pairing.mode_count)
         try:
-            return replace(
-                problem, measured=whole, mode_clusters=pairing.clusters, override=pairing.override, mode_count=count
-            )
+            return problem.over(whole, pairing.clusters, pairing.override, pairing.mode_count)
         except InputError as fault:
             raise misfit(self, fault) from None
 

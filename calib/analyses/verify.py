@@ -50,7 +50,7 @@ def errors_of(
     problem : ModalProblem or FunctionProblem
         The problem with the fitted data.
     whole : ModalProblem or None
-        The same model with all modes and sensors.
+        The same model with all modes and sensors; None where nothing is held out.
     unseen : mapping from group to targets
         Held-out scalar responses.
     space : ParameterSpace
@@ -119,7 +119,7 @@ def modal_errors(
     fitted : ModalProblem
         With the used data.
     whole : ModalProblem or None
-        The same model with all data.
+        The same model with all data; None where nothing is held out.
     values : mapping
         Fitted values.
     names : sequence of str
@@ -149,9 +149,7 @@ def modal_errors(
     own: dict[Hashable, int] = {mode: residual.n_fitted_factors_of({mode}) for mode in dict.fromkeys(modes)}
     finite = {kind: dof for kind, dof in std_dof.items() if np.isfinite(dof)}
     held_out = pd.DataFrame(columns=[*ERROR_COLUMNS, "chi2", "dof"])
-    if whole is not None and (whole.measured.n_modes, len(whole.measured.sensors)) != (
-        fitted.measured.n_modes, len(fitted.measured.sensors),
-    ):  # fmt: skip
+    if whole is not None:
         held = None
         if held_sd:
             held = residual.slope_of(found, tuple(held_sd), residual.derivatives(found, tuple(held_sd)))

@@ -146,6 +146,31 @@ class ModalProblem:
             return replace(self, model=model)
         return replace(self, model=model, mode_count=self.mode_count + added, base=self)
 
+    def over(
+        self,
+        whole: MeasuredModes,
+        clusters: Mapping[str, tuple[str, ...]],
+        override: Mapping[str, int],
+        mode_count: int | None,
+    ) -> ModalProblem:
+        """The problem over held-out data too, for verification only; more model modes are solved, as they need.
+
+        Parameters
+        ----------
+        whole : MeasuredModes
+            Everything measured.
+        clusters, override : mapping
+            Of all modes.
+        mode_count : int or None
+            What the user requests; None for the usual number.
+        """
+        if mode_count is None:
+            more = 2 * (whole.n_modes - self.measured.n_modes)
+            count = min(self.mode_count + more, self.model.n_modes)
+        else:
+            count = self.mode_count + max(0, whole.n_modes - mode_count)
+        return replace(self, measured=whole, mode_clusters=clusters, override=override, mode_count=count)
+
     def reduced(self, basis: Basis) -> ModalProblem:
         """The same problem with a reduced model; InputError when the basis belongs to another model."""
         if not isinstance(self.model, StructuralModel):

@@ -103,7 +103,24 @@ class ModalTest:
 
     def problem(self, model: Model) -> ModalProblem:
         """The forward problem of a model, without held-out data."""
-        return self._against(model, self.used)
+        if isinstance(model, FunctionModel):
+            raise InputError(
+                f"the model {model.name} has no modes",
+                place=f"test {self.name}",
+                remedy="give a ResponseTest, or a ModalFunctionModel",
+            )
+        used = self.used
+        count = self.mode_count if self.mode_count is not None else usual_mode_count(used, model.n_modes)
+        held_out = set(self.held_out) - set(used.names)
+        return ModalProblem(
+            model=model,
+            measured=used,
+            mode_clusters={m: c for m, c in self.clusters.items() if m not in held_out},
+            mode_count=count,
+            threshold=self.threshold,
+            freq_window=self.freq_window,
+            override={m: k for m, k in self.override.items() if m not in held_out},
+        )
 
     def pair(self, model: Model) -> ModalResidual:
         """The whitened residual of a model, without held-out data."""
@@ -111,7 +128,9 @@ class ModalTest:
 
     def whole_problem(self, model: Model) -> ModalProblem | None:
         """The forward problem with held-out data, for verification; None where nothing is held out."""
-        return self._against(model, self.modes) if self.held_out else None
+        if not self.held_out:
+            return None
+        return self.problem(model).over(self.modes, self.clusters, self.override, self.mode_count)
 
     def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
         """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
@@ -126,25 +145,6 @@ class ModalTest:
     def assumed(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is stated."""
         return assumptions(self.used)
-
-    def _against(self, model: Model, modes: MeasuredModes) -> ModalProblem:
-        if isinstance(model, FunctionModel):
-            raise InputError(
-                f"the model {model.name} has no modes",
-                place=f"test {self.name}",
-                remedy="give a ResponseTest, or a ModalFunctionModel",
-            )
-        count = self.mode_count if self.mode_count is not None else usual_mode_count(modes, model.n_modes)
-        known = set(modes.names)
-        return ModalProblem(
-            model=model,
-            measured=modes,
-            mode_clusters={m: c for m, c in self.clusters.items() if m in known or m not in self.held_out},
-            mode_count=count,
-            threshold=self.threshold,
-            freq_window=self.freq_window,
-            override={m: k for m, k in self.override.items() if m in known or m not in self.held_out},
-        )
 
 
 @dataclass(frozen=True, eq=False)
