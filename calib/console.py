@@ -43,7 +43,7 @@ class _Printing(Listener):
         return progress.search()
 
     def doing(self) -> AbstractContextManager[Doing]:
-        return progress.told()
+        return progress.doing()
 
     def first(self, earlier: StudyFile, path: Path) -> None:
         say(f"{earlier.settings.title} comes first: {path} takes over what it finds.")

@@ -42,7 +42,7 @@ def search() -> Iterator[Callable[[str, int, int, float], None]]:
 
 
 @contextmanager
-def told() -> Iterator[Callable[[str], None]]:
+def doing() -> Iterator[Callable[[str], None]]:
     """A line that names the current step."""
     with Progress(
         TextColumn("{task.description}"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
 import pandas as pd
 
 from calib.analyses.discretisation_error import DiscretisationError
@@ -29,11 +28,6 @@ class Adapter(Protocol):
     @property
     def hypotheses(self) -> Hypotheses:
         """Hypotheses that the decision compares."""
-        ...
-
-    @property
-    def relative_std(self) -> np.ndarray:
-        """Standard deviation of every row over its value, of shapes over the largest entry, (n_rows,)."""
         ...
 
     @property

@@ -221,7 +221,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     discretisation = adapter.discretisation_error(found)
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
-    accuracy = less_accurate(found, adapter.hypotheses, adapter.relative_std, facts.seed)
+    accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
     rests = f"These results rest on an assumed standard deviation: {facts.assumed}." if facts.assumed else ""
     more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy), rests)
     words = (*sentences(found, effects, errors, recommendation, facts.disagreements), *filter(None, more))

@@ -128,7 +128,7 @@ class FitStatistics:
     predictions: pd.DataFrame
     fit: FitResult | None
     suspects: pd.DataFrame
-    assumed: str = ""
+    assumed: str
 
     def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
         """One verdict per parameter; see `calib.inference.verdicts.parameter_verdicts`."""

@@ -21,7 +21,7 @@ def function_hypotheses(
     model: FunctionModel | ModalFunctionModel,
     pair: P,
     effects: tuple[Effect, ...],
-    space: ParameterSpace | None = None,
+    space: ParameterSpace,
     test: str = "",
 ) -> tuple[ModelHypotheses[P], tuple[Perturbation, ...]]:
     """Hypotheses of a function against its test, and its local perturbations.
@@ -35,15 +35,14 @@ def function_hypotheses(
         The test of that model.
     effects : tuple of Effect
         Named candidates.
-    space : ParameterSpace, optional
+    space : ParameterSpace
         Parameters of the model, without those that the test's condition holds; free are those that a calibration would
-        fit. By default the model's own.
+        fit.
     test : str
         Name of the test, where there are several; appended to perturbations of this test only.
     """
-    own = model.space if space is None else space
-    held = [p for p in model.space.parameters if p.name not in own]
-    whole = ParameterSpace((*own.parameters, *held), own.constraints)
+    held = [p for p in model.space.parameters if p.name not in space]
+    whole = ParameterSpace((*space.parameters, *held), space.constraints)
     names, perturbations = [p.name for p in held], tuple[Perturbation, ...]()
     given: Any = replace(model, space=whole)
     cached = kept(given)
@@ -53,4 +52,4 @@ def function_hypotheses(
         measured = {name: value for name, (value, _) in pair.problem.targets.items()}
         perturbations = response_perturbations(whole, measured, test, names)
     variants = FunctionVariants(cached, effects, tuple(a.effect for a in perturbations))
-    return ModelHypotheses(pair.with_model(cached), variants, own), perturbations
+    return ModelHypotheses(pair.with_model(cached), variants, space), perturbations

@@ -52,11 +52,6 @@ class JointAdapter:
         return cls(adapters, JointHypotheses({test: adapter.hypotheses for test, adapter in adapters.items()}), of_all)
 
     @property
-    def relative_std(self) -> np.ndarray:
-        """See `calib.analyses.adapter.Adapter`."""
-        return np.concatenate([adapter.relative_std for adapter in self.adapters.values()])
-
-    @property
     def budget_of_fits(self) -> float:
         """Sum over the tests, since every fit solves each model."""
         return sum(adapter.budget_of_fits for adapter in self.adapters.values())

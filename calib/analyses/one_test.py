@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from calib.analyses.discretisation_error import DiscretisationError
@@ -36,11 +35,6 @@ class OneTest(ABC):
     hypotheses: ModelHypotheses[Any]
     perturbations: tuple[Perturbation, ...]
     facts: MeasurementFacts
-
-    @property
-    def relative_std(self) -> np.ndarray:
-        """Standard deviation of every row over its value, of shapes over the largest entry, (n_rows,)."""
-        return self.hypotheses.relative_std
 
     @property
     def budget_of_fits(self) -> float:

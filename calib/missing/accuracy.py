@@ -19,12 +19,7 @@ GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 COLUMNS = ("accuracy", "p_family", "p_fit", "misfit", "dof", "missing")
 
 
-def less_accurate(
-    found: Explanation,
-    labelled: Labelled,
-    relative_std: np.ndarray,
-    seed: int,
-) -> pd.DataFrame:
+def less_accurate(found: Explanation, labelled: Labelled, relative_std: np.ndarray, seed: int) -> pd.DataFrame:
     """Repeat the tests of the base model for accuracies of `GRID`, added in quadrature to every standard deviation.
 
     Nothing is solved again: the base fit is linearised, and its parameters and all scores are updated for the new

@@ -40,6 +40,11 @@ class Hypotheses(Labelled, Protocol):
         ...
 
     @property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row over its value, of shapes over the largest entry, (n_rows,)."""
+        ...
+
+    @property
     def evaluations(self) -> int:
         """Number of model evaluations so far."""
         ...
