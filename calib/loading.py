@@ -99,22 +99,7 @@ class Sources:
                 found += " of " + (", ".join(sorted({type(effect).__name__ for effect in library})) or "nothing")
             name = self.settings.effects.rpartition(":")[2]
             raise InputError(f"{name} returns {found}", place=place, remedy="return a tuple of Effect")
-        owner: dict[str, str] = {}
-        for effect in library:
-            for name in effect.names:
-                if name in base.space:
-                    raise InputError(
-                        f"the effect {effect.name!r} has a parameter {name!r}, as has the model {base.name!r}",
-                        place=place,
-                        remedy="rename it or leave the effect out of the library",
-                    )
-                if name in owner:
-                    raise InputError(
-                        f"the effects {owner[name]!r} and {effect.name!r} both have a parameter {name!r}",
-                        place=place,
-                        remedy="rename one of them",
-                    )
-                owner[name] = effect.name
+        require_distinct(library, base, place)
         return library
 
     def included(self, library: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -213,6 +198,26 @@ class _FromSource(importlib.machinery.SourceFileLoader):
 
 
 _NEIGHBOURS = Neighbours(module_of)
+
+
+def require_distinct(library: Sequence[Effect], base: Model, place: str) -> None:
+    """InputError where two parameters of a library, or one of them and one of the base model, share a name."""
+    owner: dict[str, str] = {}
+    for effect in library:
+        for name in effect.names:
+            if name in base.space:
+                raise InputError(
+                    f"the effect {effect.name!r} has a parameter {name!r}, as has the model {base.name!r}",
+                    place=place,
+                    remedy="rename it or leave the effect out of the library",
+                )
+            if name in owner:
+                raise InputError(
+                    f"the effects {owner[name]!r} and {effect.name!r} both have a parameter {name!r}",
+                    place=place,
+                    remedy="rename one of them",
+                )
+            owner[name] = effect.name
 
 
 def pick(library: Sequence[Effect], name: str, place: str) -> Effect:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -33,7 +33,7 @@ from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel
 from calib.inference.leave_one_out import leave_one_out
 from calib.joint import TEST
-from calib.loading import with_effects
+from calib.loading import Model, with_effects
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
@@ -95,10 +95,7 @@ def explain(
         When there are too few measured data.
     """
     tests = study.studies
-    for one in tests:
-        for effect in one.candidates:  # an effect that cannot be built is reported before any solve
-            with_effects(one.model, [effect], str(study.file))
-    _require_consistent(study)
+    require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     if any(one.measured is not None for one in tests):
         engine.require_modes(sum(len(one.targets) if one.measured is None else one.measured.n_modes for one in tests))
     started, local = time.perf_counter(), _local(study)
@@ -150,16 +147,18 @@ def _local(study: AnyStudy) -> dict[str, tuple[Perturbation, ...]]:
     return out
 
 
-def _require_consistent(study: AnyStudy) -> None:
-    """InputError where two libraries define one name differently."""
+def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: str) -> None:
+    """InputError, before any solve, where an effect cannot be built or two models have different ones of one name."""
     known: dict[str, Effect] = {}
-    for effect in (e for one in study.studies for e in one.candidates):
-        other = known.setdefault(effect.name, effect)
-        if other.parameters != effect.parameters:
-            raise InputError(
-                f"the libraries of two tests have different effects {effect.name!r}", place=study.file,
-                remedy="give one of them another name, or both the same magnitude",
-            )  # fmt: skip
+    for model, effects in libraries:
+        for effect in effects:
+            with_effects(model, [effect], place)
+            other = known.setdefault(effect.name, effect)
+            if other.parameters != effect.parameters:
+                raise InputError(
+                    f"two models have different effects {effect.name!r}", place=place,
+                    remedy="give one of them another name, or both the same parameters",
+                )  # fmt: skip
 
 
 def decided(

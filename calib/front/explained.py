@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.explain import answered, decided
+from calib.analyses.explain import answered, decided, require_usable
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.analyses.function_hypotheses import function_hypotheses
 from calib.analyses.hypotheses import ModelHypotheses
@@ -32,6 +32,7 @@ from calib.front.shown import Shown
 from calib.front.test import ModalTest, Model, ResponseTest, Test, under
 from calib.function import FunctionModel
 from calib.given import integer, objects
+from calib.loading import require_distinct
 from calib.settings import ExplainSettings, ReductionSettings
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
@@ -109,8 +110,12 @@ class Explained(Shown, Generic[P]):
 def explained(problem: P, effects: Effects, seed: int) -> Explained[P]:
     """See `calib.front.problem.Problem.explain`."""
     library, seed = library_of(problem, effects), integer(seed, 0, "seed")
+    known = [(model, library.get(model.name, ())) for model, _ in problem.by_model]
+    for model, own in known:
+        require_distinct(own, model, "effects")
+    require_usable(known, "effects")
     started = time.perf_counter()
-    adapter = together(_sides(problem, library, seed))
+    adapter = together(_adapters(problem, library, seed))
     found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain")
     return Explained(problem, library, answered(adapter, found, lambda words: None, started))
 
@@ -128,7 +133,7 @@ def library_of(problem: PosedProblem, effects: Effects) -> Library:
     return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
 
 
-def _sides(problem: PosedProblem, effects: Library, seed: int) -> dict[str, Adapter]:
+def _adapters(problem: PosedProblem, effects: Library, seed: int) -> dict[str, Adapter]:
     """Adapters by name of the test; all tests of one model share its local perturbations."""
     groups = problem.by_model
     out: dict[str, Adapter] = {}
@@ -138,11 +143,11 @@ def _sides(problem: PosedProblem, effects: Library, seed: int) -> dict[str, Adap
         if isinstance(model, StructuralModel):
             measured = [test.used for test in tests if isinstance(test, ModalTest)]
             local = local_perturbations(model, measured, model.space.values, model.name if len(groups) > 1 else "")
-        out |= {test.name: _side(model, test, own, local, seed, several) for test in tests}
+        out |= {test.name: _adapter(model, test, own, local, seed, several) for test in tests}
     return out
 
 
-def _side(
+def _adapter(
     model: Model, test: Test, effects: tuple[Effect, ...], local: tuple[Perturbation, ...], seed: int, several: bool
 ) -> Adapter:
     """Adapter of one test; perturbations of this test alone bear its name where there are several tests."""

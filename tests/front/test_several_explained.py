@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import eigh
 
 import calib
-from calib.front.explained import _sides
+from calib.front.explained import _adapters
 from calib.structure.affine import Monomial
 from calib.structure.attach import outer_term
 from calib.structure.extend import Addition
@@ -154,8 +154,8 @@ def test_local_perturbations_are_one_in_all_tests_of_a_model(both, tests):
     half = len(problem.posed.rows) // 2
     assert np.abs(scores.raw[:half, one]).max() > 0 and np.abs(scores.raw[half:, one]).max() > 0
     fewer = replace(tests[1], modes=tests[1].modes.without((), ("3x",)))
-    sides = _sides(calib.Problem(shear_frame(), [tests[0], fewer]), {"matrices": LIBRARY}, 1)
-    assert "grounded spring at sensor 3x" in {e.name for e in sides["loaded"].hypotheses.perturbations}
+    adapters = _adapters(calib.Problem(shear_frame(), [tests[0], fewer]), {"matrices": LIBRARY}, 1)
+    assert "grounded spring at sensor 3x" in {e.name for e in adapters["loaded"].hypotheses.perturbations}
 
 
 def test_a_load_that_is_held_differs_by_test(both):
