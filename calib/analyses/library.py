@@ -73,7 +73,8 @@ def modal_hypotheses(
             return found.basis
 
         with training(study):
-            space, wanted = study.search_space, Wanted.of(study)
+            settings = study.settings.reduction
+            space, wanted = study.search_space, Wanted.of(problem, settings.tolerance, settings.seed)
             with contextlib.suppress(ToleranceError):  # then the full model is used, and `ModalAdapter` notes it
                 basis = kept_basis(model, space, effects, perturbed, wanted, results.path, search_basis)
     variants = Variants(model, effects, perturbed, basis)

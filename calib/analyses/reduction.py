@@ -53,12 +53,10 @@ class Wanted:
     seed: int
 
     @classmethod
-    def of(cls, study: Study) -> Wanted:
-        """The requirements of a study with modes."""
-        settings, problem = study.settings.reduction, study.problem
-        assert isinstance(problem, ModalProblem)
+    def of(cls, problem: ModalProblem, tolerance: float, seed: int) -> Wanted:
+        """The requirements of a problem: all its modes, up to the end of its frequency window."""
         freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
-        return cls(problem.mode_count, freq_max, settings.tolerance, settings.seed)
+        return cls(problem.mode_count, freq_max, tolerance, seed)
 
     @classmethod
     def of_basis(cls, basis: Basis) -> Wanted:
@@ -144,11 +142,11 @@ def reduction_of(study: Study, home: Results) -> Reduction | None:
     InputError
         When the model cannot be solved at some training point.
     """
-    problem = study.problem
+    problem, settings = study.problem, study.settings.reduction
     if not worthwhile(study):
         return None
     assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
-    wanted, path = Wanted.of(study), _file(home, 1)
+    wanted, path = Wanted.of(problem, settings.tolerance, settings.seed), _file(home, 1)
     basis = _loaded(path) if path.exists() else None
     if basis is not None and _serves(basis, problem.model, study.search_space, wanted):
         return _reduced(problem, basis, path, wanted.tolerance)

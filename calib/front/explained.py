@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, TypeAlias
 
-import numpy as np
 import pandas as pd
 
 from calib.analyses.adapter import Adapter
@@ -180,8 +179,7 @@ def _basis(
     model: StructuralModel, used: ModalProblem, effects: tuple[Effect, ...], local: tuple[Effect, ...], seed: int
 ) -> Basis | None:
     """A reduced basis of a large model with all effects and perturbations; None where the tolerance is not reached."""
-    highest = used.freq_window[1] if used.freq_window else float(np.inf)
-    wanted = Wanted(used.mode_count, highest, ReductionSettings().tolerance, seed)
+    wanted = Wanted.of(used, ReductionSettings().tolerance, seed)
     with suppress(ToleranceError):
         return effect_basis(model, wanted.trained(model, model.space), model.space, effects, local, seed)
     return None

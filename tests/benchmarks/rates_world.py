@@ -174,7 +174,8 @@ class World:
         local: Sequence[Effect],
         count: int | None = None,
     ) -> Basis:
-        folder, wanted = self.folder / name, Wanted.of(self.study)
+        settings = self.study.settings.reduction
+        folder, wanted = self.folder / name, Wanted.of(self.study.problem, settings.tolerance, settings.seed)
         folder.mkdir(parents=True, exist_ok=True)
         return kept_basis(model, space, effects, local, replace(wanted, count=count or wanted.count), folder)
 
