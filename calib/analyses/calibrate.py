@@ -415,7 +415,7 @@ def _summary(
         "noise_freq_error": float(np.mean(_noise_errors(study))),
         "noise_mac": best.answer.noise_mac,
         **best.statistics.figures,
-        "accuracy": accuracy_words(study),
+        "accuracy": accuracy_words(study) or "none",
         **{key: sum(getattr(case.result, name) for case in found) for key, name in counts.items()},
         "seconds": seconds,
         "held_out_modes": list(study.settings.held_out.modes),

@@ -229,7 +229,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "misfit_at": misfit_at(found.base_adequacy, facts.disagreements)
         if found.verdict == "misfit_unlocated"
         else None,
-        "accuracy": facts.accuracy,
+        "accuracy": facts.accuracy or "none",
         "std_assumed": facts.assumed,
         "accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at,
     }

@@ -29,7 +29,7 @@ class MeasurementFacts:
     assumed : str
         Assumed standard deviations, in words; see `calib.analyses.uncertainty.assumed_words`.
     accuracy : str
-        Accuracy claimed in addition to the repeats; ``none`` without.
+        Accuracy claimed in addition to the repeats, in words; empty without.
     notes : tuple of str
         Caveats on the standard deviations, and repeats that disagree.
     disagreements : DataFrame

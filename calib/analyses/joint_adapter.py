@@ -42,7 +42,7 @@ class JointAdapter:
         first = next(iter(facts.values()))
         of_all = MeasurementFacts(
             assumed="; ".join(of_test(test, one.assumed) for test, one in facts.items() if one.assumed),
-            accuracy="; ".join(of_test(test, one.accuracy) for test, one in facts.items()),
+            accuracy="; ".join(of_test(test, one.accuracy) for test, one in facts.items() if one.accuracy),
             notes=said({test: one.notes for test, one in facts.items()}),
             disagreements=stacked({test: one.disagreements for test, one in facts.items()}),
             held_sd={name: sd for one in facts.values() for name, sd in one.held_sd.items()},

@@ -111,7 +111,7 @@ def write_record(
         "tests": [one.test for one in tests if one.test],
         "files": list(dict.fromkeys(f for m in measured for f in (*m.files, *m.shapes, m.responses) if f)),
         "repeats": study.repeats if isinstance(study, Study) else None,
-        "accuracy": in_one(study, accuracy_words),
+        "accuracy": in_one(study, accuracy_words) or "none",
         "std_assumed": in_one(study, assumed_words),
         "notes": [note.removesuffix(".") for note in notes],
         "analyses": {

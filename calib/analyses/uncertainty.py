@@ -48,8 +48,7 @@ def in_words(assumed: Iterable[Assumption]) -> str:
 
 def std_notes(study: Study) -> tuple[str, ...]:
     """Notes on the standard deviations of a study; see `notes_on`."""
-    claimed = accuracy_words(study) if study.settings.measurement.accuracy is not None else ""
-    return notes_on(claimed, assumed_words(study))
+    return notes_on(accuracy_words(study), assumed_words(study))
 
 
 def notes_on(claimed: str, assumed: str) -> tuple[str, ...]:
@@ -61,14 +60,16 @@ def notes_on(claimed: str, assumed: str) -> tuple[str, ...]:
 
 
 def accuracy_words(study: Study) -> str:
-    """The claimed accuracy of a study in words; ``none`` without."""
+    """The claimed accuracy of a study in words; empty without."""
+    if study.whole is not None:
+        return study.whole.accuracy.words
     return claimed_words(study.settings.measurement.accuracy)
 
 
 def claimed_words(given: str | float | Mapping[str, str | float] | None) -> str:
-    """A claimed accuracy in words; ``none`` without."""
+    """A claimed accuracy of scalar responses in words; empty without."""
     if given is None:
-        return "none"
+        return ""
     if isinstance(given, Mapping):
         return ", ".join(f"{value} of {name}" for name, value in given.items())
     return f"{given} of every value"

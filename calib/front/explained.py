@@ -172,7 +172,7 @@ def _facts(test: Test, seed: int) -> MeasurementFacts:
     assumed, claimed = in_words(test.assumed), test.claimed
     notes = (*notes_on(claimed, assumed), *check_repeats(measured))
     table = disagreements_table(measured)
-    return MeasurementFacts(assumed, claimed or "none", notes, table, {}, seed, ExplainSettings().samples)
+    return MeasurementFacts(assumed, claimed, notes, table, {}, seed, ExplainSettings().samples)
 
 
 def _basis(

@@ -221,7 +221,7 @@ class ResponseTest:
     @property
     def claimed(self) -> str:
         """The claimed accuracy, in words; empty without."""
-        return "" if self.accuracy is None else claimed_words(self.accuracy)
+        return claimed_words(self.accuracy)
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:

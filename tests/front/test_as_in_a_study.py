@@ -1,8 +1,14 @@
-"""Held-out modes of a test in memory are verified with as many model modes as they need."""
+"""A test in memory is treated as that of a study: what is held out, and what is claimed of its accuracy."""
 
 from pathlib import Path
 
+import pytest
+
 import calib
+from calib.analyses.uncertainty import accuracy_words
+from calib.example import write_example
+from calib.front.test import test_of as in_memory
+from calib.study import Study
 from models.four_storey_rig import four_storey_rig
 
 MEASURED = Path(__file__).resolve().parents[2] / "studies/four_storey_rig/measured.csv"
@@ -17,3 +23,12 @@ def test_a_held_out_mode_beyond_the_requested_ones_is_solved_for_its_verificatio
     errors = calib.Problem(model, test).calibrate(["k1", "k2"]).errors.set_index("group")
     assert errors.loc["held_out_modes", "rows"] >= 1 and errors.loc["held_out_modes", "unpaired"] == 0
     assert calib.ModalTest(modes, mode_count=4).whole_problem(model) is None
+
+
+@pytest.mark.parametrize("claimed", ["", 'accuracy = "1 %"', 'accuracy = { freq = "1 %", shape = 0.02 }'])
+def test_a_claimed_accuracy_is_told_in_the_same_words(tmp_path, claimed):
+    file = write_example(tmp_path / "mast") and tmp_path / "mast/study.toml"
+    file.write_text(file.read_text().replace("[measurement]", f"[measurement]\n{claimed}", 1))
+    study = Study.load(file)
+    assert in_memory(study).claimed == accuracy_words(study) == study.measured.accuracy.words
+    assert bool(claimed) is ("1 % of natural frequencies" in accuracy_words(study))
