@@ -121,7 +121,8 @@ class _Printing(Listener):
         rows += [
             (str(n), "", "no response: too few are known, or none changes") for n in names if n not in largest.index
         ]
-        say(f"{count(answer.points, 'point')}. {answer.note}".rstrip())
+        for sentence in answer.sentences:
+            say(sentence)
         table(("parameter", f"largest {size}", "on"), rows)
         say(f"All of them are in {folder.path / (answer.method + '.csv')}.")
 
@@ -148,11 +149,7 @@ class _Printing(Listener):
         for sentence in answer.sentences:
             if sentence not in answer.contradictions:  # told at the end, beside the errors they rest on
                 say(sentence)
-        if answer.retried:
-            say(
-                f"Evaluated again: {count(answer.retried, 'point')} at which an earlier process died or ran out of "
-                "memory or time_limit."
-            )
+        _tell_retried(answer)
         _print_suspects(best.statistics.suspects)
         say(f"\nAfter calibration (case {best.name}):")
         _print_answer(best.answer)
@@ -294,6 +291,8 @@ def _tell_joint_calibration(answer: JointCalibration, folder: Results) -> None:
     _print_verdicts(answer.verdicts, answer.any.best)
     for sentence in answer.sentences:
         say(sentence)
+    _tell_retried(answer.any)
+    _print_suspects(answer.any.best.statistics.suspects)
     rows = [
         (test, WORDS[r["group"]], *_errors(r))
         for test, one in answer.tests.items()
@@ -303,6 +302,14 @@ def _tell_joint_calibration(answer: JointCalibration, folder: Results) -> None:
     say("Errors in standard deviations:")
     table(("test", "data", *_ERRORS), rows, left=("data",))
     say(f"The joint results are in {folder.path}, those of each test beside it.")
+
+
+def _tell_retried(answer: Calibration) -> None:
+    if answer.retried:
+        say(
+            f"Evaluated again: {count(answer.retried, 'point')} at which an earlier process died or ran out of "
+            "memory or time_limit."
+        )
 
 
 def _errors(row: Mapping[Any, Any]) -> tuple[str, ...]:

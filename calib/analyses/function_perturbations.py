@@ -18,7 +18,7 @@ from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_result import modes_of
 from calib.structure.mode_tracking import successors
 from calib.structure.modes import Modes
-from calib.structure.perturbations import RELATIVE, Perturbation
+from calib.structure.perturbations import LESS, MORE, RELATIVE, Perturbation
 
 FAULT = 0.1
 """Plausible measurement error of a part of the results: of its scale, or of its offset over its mean size."""
@@ -139,7 +139,7 @@ def _change(p: Parameter, name: str, read: Read, mix: Mix | None = None) -> Pert
     A change in all results returns those of the function unchecked.
     """
     span = 0.0 if p.value != 0 else p.upper - p.lower
-    magnitude = Parameter(name, 0.0, -1.0 if span else -0.9, 1.0 if span else 9.0, "-", prior_sd=RELATIVE)
+    magnitude = Parameter(name, 0.0, -1.0 if span else LESS, 1.0 if span else MORE, "-", prior_sd=RELATIVE)
 
     def build(model: Model) -> Callable[[Mapping[str, float]], Any]:
         def changed(values: Mapping[str, float]) -> Any:
@@ -162,7 +162,10 @@ def _change(p: Parameter, name: str, read: Read, mix: Mix | None = None) -> Pert
 def _misread(
     name: str, what: str, read: Read, alter: Alter, size: str = "each value", lower: float = -1.0
 ) -> Perturbation:
-    """A measurement error of a part of the results, which reads too high."""
+    """A measurement error of a part of the results, which reads too high: from ``lower`` to as much as ``size``.
+
+    Frequencies and damping ratios stay positive: they read no less than half.
+    """
     lacks, look_for = f"The measured {what} has no such error.", f"How {what} was measured."
     magnitude = Parameter(name, 0.0, lower, 1.0, "-", prior_sd=FAULT)
     return Perturbation(
@@ -179,7 +182,7 @@ def _gain(sensor: Sensor, row: int, of_test: str) -> Perturbation:
         return replace(modes, shapes=shapes)
 
     name = f"gain of sensor {sensor.name}{of_test}"
-    magnitude = Parameter(name, 0.0, -0.9, 9.0, "-", prior_sd=RELATIVE)
+    magnitude = Parameter(name, 0.0, LESS, MORE, "-", prior_sd=RELATIVE)
     lacks, look_for = "All sensors have the right gain.", "Its calibration and its mounting."
     return Perturbation(
         _fault(name, lacks, look_for, magnitude, _modes, alter), "response", sensor.point or _NOWHERE, sensor.name

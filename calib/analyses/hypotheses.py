@@ -166,6 +166,8 @@ class ModelHypotheses(Generic[P]):
         holds may be missing.
     without : tuple of str
         Effects of the variants that are not candidates.
+    counts : Counts
+        Points requested from all fit problems.
     """
 
     pair: P

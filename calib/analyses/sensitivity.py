@@ -233,8 +233,9 @@ class Screening:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the sampling ignores."""
-        return (self.note,) if self.note else ()
+        """Number of points, and what the sampling ignores."""
+        points = f"{self.points} point{'s' * (self.points != 1)}."
+        return (f"{points} {self.note}".rstrip(),)
 
 
 def screen(
@@ -262,10 +263,10 @@ def screen(
     analysis = f"sensitivity --method {method}"
     begin_analysis(results, analysis)
     results.write_table(method, table)
-    said = f"{len(design.points)} points. {design.note}".rstrip()
     options = ["--ignore-constraints"] * ignore_constraints
-    write_record(study, results, analysis, {"points": seed}, [said], quick, options)
-    return Screening(method, table, len(design.points), design.note)
+    answer = Screening(method, table, len(design.points), design.note)
+    write_record(study, results, analysis, {"points": seed}, answer.sentences, quick, options)
+    return answer
 
 
 # -- evaluations -------------------------------------------------------------------------------------------------------

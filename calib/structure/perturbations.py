@@ -23,7 +23,9 @@ LOCAL = 0.1
 """Plausible stiffness of a grounded spring, over the local stiffness at the reference values."""
 HEAVY = 0.01
 """Plausible added mass, over the mass of the model that moves in that direction."""
-LEAST = {"stiffness": -0.9, "damping": -1.0, "mass": -0.9}
+LESS, MORE = -0.9, 9.0
+"""Smallest and largest relative change: to a tenth, and to ten times."""
+LEAST = {"stiffness": LESS, "damping": -1.0, "mass": LESS}
 """Smallest relative change of a part: a damper may fail, but the model needs its springs and masses."""
 
 
@@ -95,7 +97,7 @@ def _scaled(part: Part, suffix: str) -> Perturbation:
             return Addition(stiffness=term)
         return Addition(damping=term) if part.kind == "damping" else Addition(mass=term)
 
-    magnitude = Parameter(name, 0.0, LEAST[part.kind], 9.0, "-", prior_sd=RELATIVE)
+    magnitude = Parameter(name, 0.0, LEAST[part.kind], MORE, "-", prior_sd=RELATIVE)
     effect = replace(_effect(name, magnitude, build, "scales it by one more than this"), part=name)
     return Perturbation(effect, part.kind, part.place)
 
