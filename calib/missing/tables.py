@@ -124,7 +124,7 @@ def confounded_with(found: Explanation, name: str) -> list[str]:
     rho = correlation(named, columns)[names.index(name)]
     candidate_fit = next((t for t in found.singles if t.names == (name,)), None)
     k = named.best(name)
-    magnitude = 0.0 if candidate_fit is None else candidate_fit.magnitude(name)[0] * float(named.size[k])
+    magnitude = 0.0 if candidate_fit is None else abs(candidate_fit.magnitude(name)[0]) * float(named.size[k])
     out = []
     for other, r in zip(names, rho, strict=True):
         told_apart = expected_ln_bayes(magnitude, float(r)) >= RULES.credible

@@ -343,3 +343,20 @@ def test_every_candidate_fit_is_listed(one, nothing, toy):
     assert len(candidate_fits_table(nothing[1])) == 1
     _, two = found_in(toy(), {"E0": 1.5, "E4": 1.5})
     assert "E0 + E4" in set(candidate_fits_table(two)["effects"])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_effect_of_either_sign_is_confounded_with_what_its_size_does_not_tell_apart(one, monkeypatch, sign):
+    """Of two signatures with a correlation of 0.85, a score of 4.3 gives a Bayes factor below 20:1, one of 5 above."""
+    _, found = one
+    named, names = found.base_adequacy.named, [n for group in found.groups for n in group.names]
+    alike = np.full((len(names), len(names)), 0.85)
+    monkeypatch.setattr("calib.missing.tables.correlation", lambda *given: alike)
+    single = next(t for t in found.singles if t.names == ("E3",))
+
+    def others(score):
+        values = {**single.fit.values, "E3": sign * score / float(named.size[named.best("E3")])}
+        fitted = replace(single, fit=replace(single.fit, values=values))
+        return confounded_with(replace(found, candidate_fits=(fitted,)), "E3")
+
+    assert others(4.3) == [n for n in names if n != "E3"] and others(5.0) == []
