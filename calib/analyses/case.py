@@ -67,8 +67,6 @@ class CaseFound:
         where nothing was searched.
     search : CaseResult or None
         Where the genetic algorithm ended; None without one.
-    search_full_order : float
-        Misfit of the objective there at full order, whatever the search worked on; NaN without a search.
     statistics : FitStatistics
         Fit statistics at the reported values.
     answer : ComparisonResult
@@ -81,7 +79,6 @@ class CaseFound:
 
     result: CaseResult
     search: CaseResult | None
-    search_full_order: float
     statistics: FitStatistics
     answer: ComparisonResult
     points: pd.DataFrame
@@ -90,6 +87,12 @@ class CaseFound:
     def name(self) -> str:
         """Name of the case."""
         return self.result.name
+
+    @property
+    def search_full_order(self) -> float:
+        """Misfit of the objective where the search ended, at full order whatever it worked on; NaN without a search."""
+        own = self.points.loc[self.points["point"] == SEARCH, "objective"]
+        return float(own.iloc[0]) if len(own) else math.nan
 
     @property
     def worsened(self) -> bool:
@@ -264,7 +267,7 @@ def reported(
         points.append((final.name, FITTED, final.misfit, statistics.misfit, statistics.prior_misfit))
     table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])
     table["total"] = table["sum_of_squares"] + table["prior"]
-    return CaseFound(final, search, before[0], statistics, comparison_at(study, values), table)
+    return CaseFound(final, search, statistics, comparison_at(study, values), table)
 
 
 def reduction_noted(study: Study, home: Results, notes: list[str]) -> Reduction | None:

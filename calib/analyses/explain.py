@@ -114,10 +114,8 @@ def explain(
     return answer
 
 
-def adapter_of(
-    study: Study, home: Results, progress: Progress, local: tuple[Perturbation, ...] | None = None
-) -> Adapter:
-    """The adapter of a study's test; ``local`` perturbations are by default those of its own model."""
+def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Perturbation, ...] | None) -> Adapter:
+    """The adapter of a study's test; ``local`` are the perturbations of its model, None for a function."""
     problem, facts, space = study.problem, MeasurementFacts.of(study), study.search_space.without(study.condition)
     if isinstance(problem, FunctionProblem):
         assert isinstance(study.model, FunctionModel)

@@ -78,14 +78,11 @@ class Reduction:
         The problem at full order, and on the basis.
     path : Path
         File of the basis, for worker processes.
-    tolerance : float
-        Relative error of eigenvalues above which a would-be best point is solved at full order.
     """
 
     full: ModalProblem
     problem: ModalProblem
     path: Path
-    tolerance: float
 
     @property
     def basis(self) -> Basis:
@@ -94,11 +91,14 @@ class Reduction:
         return self.problem.model.basis
 
     def certifier(self, ledger: Ledger) -> Callable[[Outcome], Outcome]:
-        """Callback of `calib.inference.cases.run_case` that checks every would-be best point."""
+        """Callback of `calib.inference.cases.run_case` that checks every would-be best point.
+
+        Where the error indicator exceeds the tolerance of the basis, the point is solved at full order.
+        """
         exact = Evaluator(lambda: self.full.evaluate)
 
         def certify(outcome: Outcome) -> Outcome:
-            if self.error_at(outcome.values) <= self.tolerance:
+            if self.error_at(outcome.values) <= self.basis.tolerance:
                 return outcome
             return ledger.evaluate(self.full.fingerprint, [outcome.values], exact)[0]
 
@@ -125,11 +125,11 @@ class Reduction:
 
     def after_case(self, values: Mapping[str, float], home: Results) -> Reduction:
         """The same reduction, or one with an enriched basis when this one misses its tolerance at a case's optimum."""
-        if self.difference_at(values) <= FIRST_ORDER * self.tolerance:
+        if self.difference_at(values) <= FIRST_ORDER * self.basis.tolerance:
             return self
         model = self.full.model
         assert isinstance(model, StructuralModel)
-        return _on(self.full, enrich_basis(model, self.basis, [values]), home, self.tolerance)
+        return _on(self.full, enrich_basis(model, self.basis, [values]), home)
 
 
 def reduction_of(study: Study, home: Results) -> Reduction | None:
@@ -149,7 +149,7 @@ def reduction_of(study: Study, home: Results) -> Reduction | None:
     wanted, path = Wanted.of(problem, settings.tolerance, settings.seed), _file(home, 1)
     basis = _loaded(path) if path.exists() else None
     if basis is not None and _serves(basis, problem.model, study.search_space, wanted):
-        return _reduced(problem, basis, path, wanted.tolerance)
+        return Reduction(problem, problem.reduced(basis), path)
     digest = hashlib.sha256(repr((problem.model.fingerprint, wanted, study.search_space)).encode()).hexdigest()[:16]
     _raise_known(home, digest)
     with training(study):
@@ -158,7 +158,7 @@ def reduction_of(study: Study, home: Results) -> Reduction | None:
         except ToleranceError as fault:
             home.write_json(_UNREACHED, {"asked": digest, "problem": fault.problem})
             raise
-    return _on(problem, basis, home, wanted.tolerance)
+    return _on(problem, basis, home)
 
 
 _UNREACHED = "basis_unreached"
@@ -213,14 +213,10 @@ def fingerprints(study: Study, home: Results) -> tuple[str, ...]:
     return (*own, *ledger_keys_of_modes(problem, study.library_digest))
 
 
-def _on(problem: ModalProblem, basis: Basis, home: Results, tolerance: float) -> Reduction:
+def _on(problem: ModalProblem, basis: Basis, home: Results) -> Reduction:
     path = _file(home, basis.version)
     basis.save(path)
-    return _reduced(problem, basis, path, tolerance)
-
-
-def _reduced(problem: ModalProblem, basis: Basis, path: Path, tolerance: float) -> Reduction:
-    return Reduction(problem, problem.reduced(basis), path, tolerance)
+    return Reduction(problem, problem.reduced(basis), path)
 
 
 def _file(home: Results, version: int | str) -> Path:

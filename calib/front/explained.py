@@ -22,7 +22,6 @@ from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.reduction import WORTHWHILE_DOFS, Wanted
 from calib.analyses.scalar_adapter import ScalarAdapter
 from calib.analyses.uncertainty import in_words, notes_on
-from calib.analyses.verify import HELD_OUT_RESPONSES
 from calib.correlation.problem import ModalProblem
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
@@ -155,7 +154,7 @@ def _adapter(
     if isinstance(test, ResponseTest):
         assert isinstance(held, FunctionModel)
         scalar, tested = function_hypotheses(held, test.pair(held), effects, space, name)
-        return ScalarAdapter(scalar, tested, facts, {HELD_OUT_RESPONSES: test.unseen})
+        return ScalarAdapter(scalar, tested, facts, test.unseen)
     pair, whole = test.pair(held), test.whole_problem(held)
     if isinstance(held, ModalFunctionModel):
         modal, tested = function_hypotheses(held, pair, effects, space, name)

@@ -210,13 +210,13 @@ class ResponseTest:
         return ResponseResidual(self.problem(model))
 
     @property
-    def unseen(self) -> dict[str, tuple[float, float | None]]:
-        """Held-out responses."""
-        return {name: self.measured.targets[name] for name in self.held_out}
+    def unseen(self) -> dict[str, dict[str, tuple[float, float | None]]]:
+        """Held-out responses, by their group."""
+        return {HELD_OUT_RESPONSES: {name: self.measured.targets[name] for name in self.held_out}}
 
     def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
         """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
-        return errors_of(self.problem(model), None, {HELD_OUT_RESPONSES: self.unseen}, model.space, values)
+        return errors_of(self.problem(model), None, self.unseen, model.space, values)
 
     @property
     def claimed(self) -> str:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import pandas as pd
 
 from calib.missing.rules import RULES
 
-UNSEEN = ("held_out_sensors", "held_out_modes", "held_out_responses")
-"""Groups of held-out data."""
+UNSEEN: Mapping[str, str] = {
+    "held_out_sensors": "held-out sensors",
+    "held_out_modes": "held-out modes",
+    "held_out_responses": "held-out responses",
+}
+"""Groups of held-out data, in words."""
 
 
 def contradicting(errors: pd.DataFrame, stage: str) -> tuple[str, ...]:
@@ -20,5 +26,5 @@ def contradicting(errors: pd.DataFrame, stage: str) -> tuple[str, ...]:
     stage : str
         Of the model, such as ``after``.
     """
-    own = errors[(errors["stage"] == stage) & errors["group"].isin(UNSEEN)]
+    own = errors[(errors["stage"] == stage) & errors["group"].isin(list(UNSEEN))]
     return tuple(own.loc[own["p"] < RULES.contradicted, "group"].astype(str))

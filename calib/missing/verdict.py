@@ -9,7 +9,7 @@ import pandas as pd
 
 from calib.effect import Effect
 from calib.missing.explanation import AdequacyTests, Explanation
-from calib.missing.held_out import contradicting
+from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE, local_perturbation, unit_words
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
@@ -20,13 +20,8 @@ _REPEATS = 3
 """Largest number of repeats named in a sentence."""
 
 
-GROUPS = {
-    "left_out": "data left out in turn",
-    "held_out_sensors": "held-out sensors",
-    "held_out_modes": "held-out modes",
-    "held_out_responses": "held-out responses",
-}
-"""Groups of held-out data, in words."""
+GROUPS = {"left_out": "data left out in turn", **UNSEEN}
+"""Groups of data that a fit has not seen, in words."""
 
 
 def sentences(
