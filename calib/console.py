@@ -13,16 +13,17 @@ import pandas as pd
 from calib import progress, terminal
 from calib.analyses.added import WORDS, Added, by_group, to_add
 from calib.analyses.calibrate import Calibration
-from calib.analyses.case import CaseFound
+from calib.analyses.case import CaseFound, SearchProgress
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.extend import Extension
 from calib.analyses.joint_calibration import Fitted, JointCalibration
 from calib.analyses.record import assumptions_table, check_repeats
-from calib.analyses.sensitivity import Screening, Sensitivity
+from calib.analyses.sensitivity import SampleProgress, Screening, Sensitivity
 from calib.analyses.versions import Versions
-from calib.front.listener import Doing, Listener, Sampled, Searched
+from calib.front.listener import Listener
 from calib.missing.explanation import Explanation
+from calib.missing.refits import Progress
 from calib.missing.verdict import rounded
 from calib.results import Results
 from calib.study import Study
@@ -36,13 +37,13 @@ ASSUMPTIONS_SHOWN = 60
 
 
 class _Printing(Listener):
-    def samples(self) -> AbstractContextManager[Sampled]:
+    def samples(self) -> AbstractContextManager[SampleProgress]:
         return progress.samples()
 
-    def search(self) -> AbstractContextManager[Searched]:
+    def search(self) -> AbstractContextManager[SearchProgress]:
         return progress.search()
 
-    def doing(self) -> AbstractContextManager[Doing]:
+    def doing(self) -> AbstractContextManager[Progress]:
         return progress.doing()
 
     def first(self, earlier: StudyFile, path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -43,6 +43,7 @@ from calib.missing.hypotheses import Altered, Hypotheses
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
 from calib.missing.recommendation import recommend, recommendation_sentence
+from calib.missing.refits import Progress
 from calib.missing.rules import RULES
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import (
@@ -62,8 +63,6 @@ from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
 from calib.study import Study
-
-Progress = Callable[[str], None]
 
 
 def explain(

@@ -15,6 +15,7 @@ from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
 from calib.measurement.modal import MeasuredModes
+from calib.missing.refits import Progress
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
@@ -50,7 +51,7 @@ def local_perturbations(
 def modal_hypotheses(
     study: Study,
     results: Results,
-    progress: Callable[[str], None] = lambda words: None,
+    progress: Progress = lambda words: None,
     local: tuple[Perturbation, ...] | None = None,
 ) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
     """Hypotheses of a study with modes, and its local perturbations, by default those of its own test.

@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TypeAlias
 
 from calib.analyses.added import Added
+from calib.analyses.case import SearchProgress
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.extend import Extension
 from calib.analyses.joint_calibration import Fitted
-from calib.analyses.sensitivity import Screening, Sensitivity
+from calib.analyses.sensitivity import SampleProgress, Screening, Sensitivity
 from calib.analyses.versions import Versions
 from calib.missing.explanation import Explanation
+from calib.missing.refits import Progress
 from calib.results import Results
 from calib.study import Study
 from calib.study_file import StudyFile
-
-Sampled: TypeAlias = Callable[[int, int], None]
-Searched: TypeAlias = Callable[[str, int, int, float], None]
-Doing: TypeAlias = Callable[[str], None]
 
 
 class Listener:
     """Receives progress and results of a study's analyses; this one is silent, that of the command prints them."""
 
-    def samples(self) -> AbstractContextManager[Sampled]:
+    def samples(self) -> AbstractContextManager[SampleProgress]:
         """Callback for the number of samples done and their total."""
         return nullcontext(lambda done, total: None)
 
-    def search(self) -> AbstractContextManager[Searched]:
+    def search(self) -> AbstractContextManager[SearchProgress]:
         """Callback for case, generation, number of generations and the best misfit so far."""
         return nullcontext(lambda case, generation, generations, best: None)
 
-    def doing(self) -> AbstractContextManager[Doing]:
+    def doing(self) -> AbstractContextManager[Progress]:
         """Callback for the current step, in words."""
         return nullcontext(lambda words: None)
 
