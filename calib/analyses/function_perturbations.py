@@ -162,7 +162,7 @@ def _change(p: Parameter, name: str, read: Read, mix: Mix | None = None) -> Pert
 def _misread(
     name: str, what: str, read: Read, alter: Alter, size: str = "each value", lower: float = -1.0
 ) -> Perturbation:
-    """A measurement error of a part of the results, which reads too high: from ``lower`` to as much as ``size``.
+    """A measurement error of a part of the results, which reads too high by ``lower`` to 1 times ``size``.
 
     Frequencies and damping ratios stay positive: they read no less than half.
     """

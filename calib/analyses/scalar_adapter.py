@@ -34,7 +34,7 @@ class ScalarAdapter(OneTest):
         s, used = candidate_fit.fit, self.hypotheses.pair.problem
         held_out = {group: self._whitened(own, candidate_fit, s.names, scale) for group, own in self.held_out.items()}
         slope = -s.slope
-        if held_out and self.facts.held_sd:  # held parameters are not fitted, so their columns are not in its slope
+        if self.facts.held_sd:  # held parameters are not fitted, so their columns are not in its slope
             slope = np.hstack([slope, self._whitened(used.targets, candidate_fit, (), scale)[1]])
         labels = [row.sensor for row in self.hypotheses.rows]
         return scalar_errors(s.residual, slope, s.names, s.prior_sd, labels, held_out, scalar_std(used))
