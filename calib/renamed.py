@@ -16,11 +16,16 @@ TABLES: Mapping[str, str] = {
 """Files of a results folder."""
 
 COLUMNS: Mapping[str, str] = {
+    "adopted": "nominal",
     "atom": "perturbation",
+    "fits_within_scatter": "fits_within_std",
     "freedom": "dof",
     "gamma": "unabsorbed",
     "heldout_gain": "held_out_gain",
     "in_scatter": "in_std",
+    "influence_floor": "variance_share_floor",
+    "influence_response": "variance_share_response",
+    "max_influence": "max_variance_share",
     "option": "measurement",
     "phi": "magnitude",
     "phi_high": "magnitude_high",
