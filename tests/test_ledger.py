@@ -28,6 +28,9 @@ def ok(**values):
     return Outcome(values, "ok", {"y": sum(values.values())}, "", 0.5)
 
 
+KEYS = [key_of({"x": float(k)}) for k in range(5)]
+
+
 class Counting:
     """An evaluator that counts, and returns given outcomes for some points."""
 
@@ -155,10 +158,10 @@ def statuses(ledger, run):
 
 def test_reused_means_requested_before(ledger):
     ledger.append("f", [ok(x=1.0)])  # known, such as from a batch whose generation was not recorded: not reused
-    ledger.record("A", "f", 1, [Asked("k1", "ok", 1.0), Asked("k2", "ok", 2.0), Asked("k1", "ok", 1.0)])
-    ledger.record("A", "f", 2, [Asked("k2", "ok", 2.0), Asked("k3", "infeasible"), Asked("k4", "failed")])
-    ledger.record("B", "f", 1, [Asked("k3", "ok", 1.0), Asked("k4", "failed"), Asked("k2", "ok", 2.0)])
-    ledger.record("C", "g", 1, [Asked("k2", "ok", 1.0)])
+    ledger.record("A", "f", 1, [Asked(KEYS[1], "ok", 1.0), Asked(KEYS[2], "ok", 2.0), Asked(KEYS[1], "ok", 1.0)])
+    ledger.record("A", "f", 2, [Asked(KEYS[2], "ok", 2.0), Asked(KEYS[3], "infeasible"), Asked(KEYS[4], "failed")])
+    ledger.record("B", "f", 1, [Asked(KEYS[3], "ok", 1.0), Asked(KEYS[4], "failed"), Asked(KEYS[2], "ok", 2.0)])
+    ledger.record("C", "g", 1, [Asked(KEYS[2], "ok", 1.0)])
     assert statuses(ledger, "A") == ["solved", "solved", "reused", "reused", "infeasible", "failed"]
     assert statuses(ledger, "B") == ["solved", "failed", "reused"]
     assert statuses(ledger, "C") == ["solved"]
@@ -170,14 +173,19 @@ def test_reused_means_requested_before(ledger):
 
 
 def test_a_run_that_started_later_reuses_nothing_of_what_followed(ledger):
-    ledger.record("A", "f", 1, [Asked("k1", "ok", 1.0)])
-    ledger.record("B", "f", 1, [Asked("k2", "ok", 1.0)])  # asked while A was interrupted
-    ledger.record("A", "f", 2, [Asked("k2", "ok", 1.0)])
+    ledger.record("A", "f", 1, [Asked(KEYS[1], "ok", 1.0)])
+    ledger.record("B", "f", 1, [Asked(KEYS[2], "ok", 1.0)])  # asked while A was interrupted
+    ledger.record("A", "f", 2, [Asked(KEYS[2], "ok", 1.0)])
     assert statuses(ledger, "A") == ["solved", "solved"]
 
 
 def test_recording_again_changes_nothing(ledger):
-    rows = [Asked("k1", "ok", 1.0), Asked("k1", "ok", 1.0), Asked("k2", "failed"), Asked("k3", "infeasible")]
+    rows = [
+        Asked(KEYS[1], "ok", 1.0),
+        Asked(KEYS[1], "ok", 1.0),
+        Asked(KEYS[2], "failed"),
+        Asked(KEYS[3], "infeasible"),
+    ]
     for generation in (1, 2):
         ledger.record("A", "f", generation, rows)
     before = ledger.history("A")
@@ -189,9 +197,9 @@ def test_recording_again_changes_nothing(ledger):
 
 def test_a_history_tells_one_search(ledger):
     for generation in (1, 2, 3):
-        ledger.record("A", "f", generation, [Asked(f"k{generation}", "failed" if generation == 2 else "ok", 1.0)])
-    ledger.record("A", "f", 1, [Asked("k1", "ok", 1.0)])
-    ledger.record("A", "f", 2, [Asked("k2", "ok", 0.5)])  # the machine was mended
+        ledger.record("A", "f", generation, [Asked(KEYS[generation], "failed" if generation == 2 else "ok", 1.0)])
+    ledger.record("A", "f", 1, [Asked(KEYS[1], "ok", 1.0)])
+    ledger.record("A", "f", 2, [Asked(KEYS[2], "ok", 0.5)])  # the machine was mended
     assert ledger.history("A")[["generation", "status"]].values.tolist() == [[1, "solved"], [2, "solved"]]
 
 
@@ -258,18 +266,19 @@ def test_a_full_disk_leaves_whole_batches_only(ledger):
     assert ledger.count("f") == 2
 
 
-def test_an_interrupted_batch_leaves_nothing(ledger, monkeypatch):
-    def interrupted(fingerprint, keys):
-        if key_of({"x": 3.0}) in keys:
+def test_an_interrupted_batch_leaves_nothing(ledger):
+    class Interrupted:
+        def __float__(self):
+            assert ledger.count("f") == 2
             raise KeyboardInterrupt
-        return {}
 
-    monkeypatch.setattr(ledger, "lookup", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        ledger.append("f", [ok(x=1.0), ok(x=2.0), ok(x=3.0)])
-    monkeypatch.undo()
+        ledger.append("f", [ok(x=1.0), ok(x=2.0), replace(ok(x=3.0), responses={"other": Interrupted()})])
     assert ledger.count("f") == 0
-    ledger.append("f", [ok(x=1.0)])
+    named = replace(ok(x=1.0), responses={"another": 1.0})  # the integer of names that were rolled back is free again
+    ledger.append("f", [named, replace(ok(x=2.0), responses={"other": 2.0})])
+    assert list(ledger.lookup("f", KEYS[1:2]).values()) == [named]
+    assert ledger.lookup("f", KEYS[2:3])[KEYS[2]].responses == {"other": 2.0}
 
 
 def test_a_locked_ledger(tmp_path):

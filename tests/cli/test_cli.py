@@ -172,7 +172,7 @@ def test_rows_of_the_reduced_problem_are_not_called_stale(here, capsys):
     question = ["calibrate", str(ROOT / "studies/bogie"), "--quick", "--case", "GB1", "--workers", "1"]
     assert cli.execute(question) == 0
     first = capsys.readouterr().out
-    rows = sqlite3.connect("results/bogie/ledger.sqlite").execute("select count(distinct fingerprint) from evaluation")
+    rows = sqlite3.connect("results/bogie/ledger.sqlite").execute("select count(distinct fingerprint) from evaluations")
     assert rows.fetchone() == (2,)  # on the basis and at full order
     assert cli.execute(question) == 0
     again = capsys.readouterr().out

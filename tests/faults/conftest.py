@@ -245,10 +245,12 @@ def ledger_rows(path: Path) -> tuple[tuple, tuple]:
     with contextlib.closing(sqlite3.connect(path)) as database:
         assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         return tuple(
-            tuple(sorted(database.execute(f"SELECT {columns} FROM {table}").fetchall(), key=repr))
-            for table, columns in (
-                ("evaluation", "fingerprint, key, attempt, parameters, responses, status, error"),
-                ("history", "run, generation, individual, fingerprint, key, status, misfit"),
+            tuple(sorted(database.execute(query).fetchall(), key=repr))
+            for query in (
+                "SELECT fingerprint, key, attempt, p.names, parameters, r.names, responses, status, error"
+                " FROM state JOIN point ON state = state.id JOIN evaluation ON point = point.id"
+                " JOIN names p ON parameter_names = p.id JOIN names r ON response_names = r.id",
+                "SELECT run, generation, individual, fingerprint, key, status, misfit FROM individuals",
             )
         )
 

@@ -108,8 +108,11 @@ def faulty(here, monkeypatch):
 
 def evaluations() -> list[tuple[int, str, str]]:
     with sqlite3.connect("results/faulty/ledger.sqlite") as database:
-        found = database.execute("SELECT parameters, status, error FROM evaluation").fetchall()
-    return [(int(json.loads(p)["what"]), status, error) for p, status, error in found]
+        found = database.execute(
+            "SELECT value, status, error FROM evaluations JOIN parameters USING (fingerprint, key, attempt)"
+            " WHERE name = 'what'"
+        ).fetchall()
+    return [(int(value), status, error) for value, status, error in found]
 
 
 def check_rows(last: int) -> None:

@@ -260,7 +260,7 @@ def test_without_its_damaged_ledger_a_study_is_evaluated_again(answered, capsys)
 
 
 def test_damaged_rows(answered, capsys):
-    for rubbish in ('{"natural_freq_B1x": ', "[1.0]", '{"natural_freq_B1x": "much"}'):
+    for rubbish in ('{"natural_freq_B1x": 1.0}', b"", b"not eight bytes a number"):
         with contextlib.closing(sqlite3.connect(LEDGER, isolation_level=None)) as database:
             database.execute("DROP TRIGGER IF EXISTS evaluation_stays")
             database.execute("UPDATE evaluation SET responses = ?", (rubbish,))

@@ -17,10 +17,14 @@ def everything(path):
     """Evaluations and history as tables, without what depends on the clock."""
     with sqlite3.connect(path) as database:
         return [
-            database.execute(f"SELECT {columns} FROM {table} ORDER BY {order}").fetchall()
-            for table, columns, order in (
-                ("evaluation", "fingerprint, key, attempt, parameters, responses, status, error", "id"),
-                ("history", "run, generation, individual, fingerprint, key, status, misfit", "id"),
+            database.execute(query).fetchall()
+            for query in (
+                "SELECT fingerprint, key, attempt, p.names, parameters, r.names, responses, status, error"
+                " FROM state JOIN point ON state = state.id JOIN evaluation ON point = point.id"
+                " JOIN names p ON parameter_names = p.id JOIN names r ON response_names = r.id ORDER BY evaluation.id",
+                "SELECT run.name, generation, individual, fingerprint, hex(key), status, misfit"
+                " FROM state JOIN point ON state = state.id JOIN history ON point = point.id"
+                " JOIN run ON run = run.id ORDER BY history.id",
             )
         ]
 
