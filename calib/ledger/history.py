@@ -82,13 +82,13 @@ class History:
         """Points requested by a run: ``generation, individual, key, status, misfit``, sorted by the first two."""
         columns = ["generation", "individual", "key", "status", "misfit"]
         with self._database.explaining():
-            found = self._database.execute(
+            rows = self._database.execute(
                 "SELECT generation, individual, key, status, misfit FROM history JOIN point ON point.id = history.point"
                 " WHERE run = (SELECT id FROM run WHERE name = ?) ORDER BY generation, individual",
                 (run,),
             )
-            rows = [(g, place, key_of_blob(key), status, misfit) for g, place, key, status, misfit in found]
-        return pd.DataFrame(rows, columns=columns).astype({"misfit": float})
+            table = [(g, place, key_of_blob(key), status, misfit) for g, place, key, status, misfit in rows]
+        return pd.DataFrame(table, columns=columns).astype({"misfit": float})
 
 
 def _nullable(value: float) -> float | None:

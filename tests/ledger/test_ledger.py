@@ -214,18 +214,22 @@ def complaint(path, busy_seconds=0.1):
 
 
 def test_what_is_no_ledger(tmp_path):
-    text, foreign, newer = (tmp_path / name for name in ("text.sqlite", "foreign.sqlite", "newer.sqlite"))
+    text, foreign, newer, like = (tmp_path / f"{name}.sqlite" for name in ("text", "foreign", "newer", "like"))
     text.write_text("parameters, responses\n" * 100)
     with sqlite3.connect(foreign) as other:
         other.execute("CREATE TABLE evaluation (x)")
     with sqlite3.connect(newer) as other:
         other.execute("CREATE TABLE evaluation (x)")
         other.execute("PRAGMA user_version = 99")
-    before = [p.read_bytes() for p in (text, foreign, newer)]
+    with sqlite3.connect(like) as other:  # its version happens to be one of ours
+        other.execute("CREATE TABLE evaluation (x)")
+        other.execute("PRAGMA user_version = 1")
+    before = [p.read_bytes() for p in (text, foreign, newer, like)]
     assert "not a ledger" in complaint(text)
     assert "not a ledger" in complaint(foreign) and "not a ledger" in complaint(newer)
-    assert text.read_bytes() == before[0]
-    for path in (foreign, newer):
+    assert "not a ledger" in complaint(like)
+    assert [p.read_bytes() for p in (text, foreign, newer, like)] == before
+    for path in (foreign, newer, like):
         with sqlite3.connect(path) as other:
             assert other.execute("SELECT name FROM sqlite_master").fetchall() == [("evaluation",)]
 

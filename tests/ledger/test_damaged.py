@@ -2,6 +2,7 @@
 
 import random
 
+import numpy as np
 import pytest
 
 from calib.errors import InputError
@@ -18,6 +19,15 @@ def whole(tmp_path_factory):
     with Ledger.open(path) as ledger:
         ledger.append("f", [Outcome(p, "ok", {"r": p["a"]}, "", 0.1) for p in POINTS])
         ledger.record("run", "f", 0, [Asked(key_of(p), "ok", p["a"]) for p in POINTS[:20]])
+        ledger.keep_vectors("rows", key_of(POINTS[0]), {"": np.ones(50), "a": np.zeros(50)})
+    return path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def of_version_1(contents, tmp_path_factory):
+    """Bytes of the same evaluations before they are converted."""
+    path = tmp_path_factory.mktemp("ledger") / "former.sqlite"
+    contents([("f", Outcome(p, "ok", {"r": p["a"]}, "", 0.1)) for p in POINTS]).write(path)
     return path.read_bytes()
 
 
@@ -29,8 +39,9 @@ def damaged(data, rng):
     return bytes(out[: rng.randrange(len(out))] if rng.random() < 0.1 else out)
 
 
-def test_a_damaged_ledger_is_used_or_refused(whole, tmp_path):
-    told = set()
+@pytest.mark.parametrize("version", ["whole", "of_version_1"])
+def test_a_damaged_ledger_is_used_or_refused(version, request, tmp_path):
+    whole, told = request.getfixturevalue(version), set()
     for number in range(200):
         path = tmp_path / f"{number}.sqlite"
         path.write_bytes(damaged(whole, random.Random(number)))
@@ -39,6 +50,8 @@ def test_a_damaged_ledger_is_used_or_refused(whole, tmp_path):
                 found = ledger.lookup("f", map(key_of, POINTS))
                 assert all(isinstance(outcome, Outcome) for outcome in found.values())
                 ledger.count("f"), ledger.other_fingerprints("g"), ledger.history("run")
+                ledger.stored("f"), ledger.failed("f"), ledger.stored_at("f", POINTS[3])
+                ledger.vectors("rows", key_of(POINTS[0]), ["", "a"])
                 ledger.append("f", [Outcome({"a": 99.0, "b": 1.0}, "ok", {"r": 1.0}, "", 0.1)])
                 ledger.record("run", "f", 1, [Asked(key_of(p), "ok", 1.0) for p in POINTS[5:25]])
             told.add("used")
