@@ -37,8 +37,13 @@ def array(content: object) -> np.ndarray:
     return np.frombuffer(content, dtype="<f8").astype(float)
 
 
+def blob_of_key(key: str) -> bytes:
+    """The key of a point, which is hexadecimal."""
+    return bytes.fromhex(key)
+
+
 def key_of_blob(content: object) -> str:
-    """The key of a point, hexadecimal."""
+    """The key of a point again."""
     if not isinstance(content, bytes):
         raise sqlite3.DatabaseError("malformed key")
     return content.hex()

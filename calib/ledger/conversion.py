@@ -13,11 +13,9 @@ from datetime import datetime
 from calib.ledger.blobs import array
 from calib.ledger.database import Database
 from calib.ledger.identifiers import Identifiers
-from calib.ledger.rows import add_evaluation, add_individuals, add_vectors
+from calib.ledger.rows import Rows
 from calib.ledger.schema import create
 from calib.outcome import Outcome
-
-_FORMER = ("evaluation", "history", "vector")
 
 
 def convert(database: Database) -> None:
@@ -28,52 +26,45 @@ def convert(database: Database) -> None:
     present = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     for trigger in ("evaluation_stays", "evaluation_remains"):
         database.execute(f"DROP TRIGGER IF EXISTS {trigger}")
-    for table in _FORMER:
-        if table in present or table != "vector":  # made on first use
-            database.execute(f"ALTER TABLE {table} RENAME TO former_{table}")
+    database.execute("DROP INDEX IF EXISTS history_key")
+    former = [table for table in ("evaluation", "history", "vector") if table in present]
+    for table in former:
+        database.execute(f"ALTER TABLE {table} RENAME TO former_{table}")
     create(database)
+    rows = Rows(database, Identifiers(database))
     try:
-        _copy_evaluations(database)
-        _copy_history(database)
-        if "vector" in present:
-            _copy_vectors(database)
+        _copy_evaluations(database, rows)
+        _copy_history(database, rows)
+        if "vector" in former:  # it was made on first use
+            _copy_vectors(database, rows)
     except (ValueError, TypeError, AttributeError):
         raise sqlite3.DatabaseError("malformed row") from None
-    for table in _FORMER:
-        database.execute(f"DROP TABLE IF EXISTS former_{table}")
+    for table in former:
+        database.execute(f"DROP TABLE former_{table}")
 
 
-def _copy_evaluations(database: Database) -> None:
-    identifiers = Identifiers(database)
+def _copy_evaluations(database: Database, rows: Rows) -> None:
     for fingerprint, key, attempt, parameters, responses, status, error, seconds, created in database.execute(
         "SELECT fingerprint, key, attempt, parameters, responses, status, error, seconds, created"
         " FROM former_evaluation ORDER BY id"
     ):
-        point = identifiers.of_points(fingerprint, [key])[key]
         milliseconds = round(1000 * datetime.fromisoformat(created).timestamp())
         outcome = Outcome(_read(parameters), status, _read(responses), error, seconds)
-        add_evaluation(database, identifiers, point, attempt, outcome, milliseconds)
+        rows.add_evaluation(fingerprint, key, attempt, outcome, milliseconds)
 
 
-def _copy_history(database: Database) -> None:
-    identifiers = Identifiers(database)
-    add_individuals(
-        database,
-        (
-            (identifiers.of_run(run), generation, k, identifiers.of_points(fingerprint, [key])[key], status, misfit)
-            for run, generation, k, fingerprint, key, status, misfit in database.execute(
-                "SELECT run, generation, individual, fingerprint, key, status, misfit FROM former_history ORDER BY id"
-            )
-        ),
-    )
+def _copy_history(database: Database, rows: Rows) -> None:
+    for run, fingerprint, *individual in database.execute(
+        "SELECT run, fingerprint, generation, individual, key, status, misfit FROM former_history ORDER BY id"
+    ):
+        rows.add_individuals(run, fingerprint, [individual])
 
 
-def _copy_vectors(database: Database) -> None:
-    identifiers = Identifiers(database)
+def _copy_vectors(database: Database, rows: Rows) -> None:
     for fingerprint, key, name, numbers in database.execute(
         "SELECT fingerprint, key, name, numbers FROM former_vector"
     ):
-        add_vectors(database, identifiers.of_points(fingerprint, [key])[key], {name: array(numbers)})
+        rows.add_vectors(fingerprint, key, {name: array(numbers)})
 
 
 def _read(text: str) -> dict[str, float]:

@@ -9,10 +9,12 @@ from typing import Literal
 
 import pandas as pd
 
-from calib.ledger.blobs import key_of_blob
+from calib.ledger.blobs import blob_of_key, key_of_blob
 from calib.ledger.database import Database
-from calib.ledger.identifiers import Identifiers
-from calib.ledger.rows import add_individuals
+from calib.ledger.rows import Rows
+from calib.ledger.schema import STATE
+
+_RUN = "(SELECT id FROM run WHERE name = ?)"
 
 
 @dataclass(frozen=True)
@@ -36,55 +38,52 @@ class Asked:
 class History:
     """The searches of one ledger."""
 
-    def __init__(self, database: Database, identifiers: Identifiers):
+    def __init__(self, database: Database, rows: Rows):
         self._database = database
-        self._identifiers = identifiers
+        self._rows = rows
 
     def record(self, run: str, fingerprint: str, generation: int, asked: Sequence[Asked]) -> None:
         """Record one generation; see `calib.ledger.Ledger.record`."""
         with self._database.transaction():
-            number = self._identifiers.of_run(run)
             recorded = self._database.execute(
-                "SELECT key, status, misfit FROM history JOIN point ON point.id = history.point"
-                " WHERE run = ? AND generation = ? ORDER BY individual",
-                (number, generation),
+                f"SELECT key, status, misfit FROM history WHERE run = {_RUN} AND generation = ? ORDER BY individual",
+                (run, generation),
             ).fetchall()
             if recorded:
                 stored = [(key_of_blob(k), s if s in ("infeasible", "failed") else "ok", m) for k, s, m in recorded]
                 if stored == [(a.key, a.status, _nullable(a.misfit)) for a in asked]:
                     return
-                self._database.execute("DELETE FROM history WHERE run = ? AND generation >= ?", (number, generation))
-            points = self._identifiers.of_points(fingerprint, [a.key for a in asked])
-            earlier = self._asked_earlier(number, points.values())
+                self._database.execute(f"DELETE FROM history WHERE run = {_RUN} AND generation >= ?", (run, generation))
+            earlier = self._asked_earlier(run, fingerprint, [a.key for a in asked])
             rows = []
             for individual, one in enumerate(asked):
                 status: str = one.status
                 if status == "ok":
-                    status = "reused" if points[one.key] in earlier else "solved"
+                    status = "reused" if one.key in earlier else "solved"
                 if status != "infeasible":
-                    earlier.add(points[one.key])
-                rows.append((number, generation, individual, points[one.key], status, _nullable(one.misfit)))
-            add_individuals(self._database, rows)
+                    earlier.add(one.key)
+                rows.append((generation, individual, one.key, status, _nullable(one.misfit)))
+            self._rows.add_individuals(run, fingerprint, rows)
 
-    def _asked_earlier(self, run: int, points: Iterable[int]) -> set[int]:
+    def _asked_earlier(self, run: str, fingerprint: str, keys: Iterable[str]) -> set[str]:
         """Those of some points that this run requested, or another one before this one's first generation."""
         first = self._database.execute(
-            "SELECT id FROM history WHERE run = ? ORDER BY generation, individual LIMIT 1", (run,)
+            f"SELECT run, id FROM history WHERE run = {_RUN} ORDER BY generation, individual LIMIT 1", (run,)
         ).fetchone()
-        start = first[0] if first else None
+        number, start = first or (None, None)
         query = (
-            "SELECT DISTINCT point FROM history WHERE point IN ({}) AND status <> 'infeasible'"
+            f"SELECT DISTINCT key FROM history WHERE key IN ({{}}) AND state = {STATE} AND status <> 'infeasible'"
             " AND (run = ? OR ? IS NULL OR id < ?)"
         )
-        return {point for (point,) in self._database.among(query, points, run, start, start)}
+        rows = self._database.among(query, map(blob_of_key, keys), fingerprint, number, start, start)
+        return {key_of_blob(key) for (key,) in rows}
 
     def of(self, run: str) -> pd.DataFrame:
         """Points requested by a run: ``generation, individual, key, status, misfit``, sorted by the first two."""
         columns = ["generation", "individual", "key", "status", "misfit"]
         with self._database.explaining():
             rows = self._database.execute(
-                "SELECT generation, individual, key, status, misfit FROM history JOIN point ON point.id = history.point"
-                " WHERE run = (SELECT id FROM run WHERE name = ?) ORDER BY generation, individual",
+                f"SELECT {', '.join(columns)} FROM history WHERE run = {_RUN} ORDER BY generation, individual",
                 (run,),
             )
             table = [(g, place, key_of_blob(key), status, misfit) for g, place, key, status, misfit in rows]

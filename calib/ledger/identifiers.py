@@ -1,4 +1,4 @@
-"""Integers that stand for fingerprints, points, lists of names and runs."""
+"""Integers that stand for fingerprints, lists of names and runs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import sqlite3
 from collections.abc import Iterable
 
-from calib.ledger.blobs import key_of_blob
 from calib.ledger.database import Database
 
 
@@ -26,17 +25,6 @@ class Identifiers:
     def of_run(self, name: str) -> int:
         """Of a search."""
         return self._of("run", "name", name)
-
-    def of_points(self, fingerprint: str, keys: Iterable[str]) -> dict[str, int]:
-        """Of points of a state, by key."""
-        state, wanted = self.of_state(fingerprint), list(dict.fromkeys(keys))
-        query = "SELECT key, id FROM point WHERE key IN ({}) AND state = ?"
-        rows = self._database.among(query, map(bytes.fromhex, wanted), state)
-        found = {key_of_blob(key): number for key, number in rows}
-        for key in wanted:
-            if key not in found:
-                found[key] = self._added("INSERT INTO point (state, key) VALUES (?, ?)", state, bytes.fromhex(key))
-        return found
 
     def of_names(self, names: Iterable[str]) -> int:
         """Of names in this order."""
@@ -66,9 +54,8 @@ class Identifiers:
 
     def _of(self, table: str, column: str, text: str) -> int:
         row = self._database.execute(f"SELECT id FROM {table} WHERE {column} = ?", (text,)).fetchone()
-        return int(row[0]) if row else self._added(f"INSERT INTO {table} ({column}) VALUES (?)", text)
-
-    def _added(self, statement: str, *given: object) -> int:
-        added = self._database.execute(statement, given).lastrowid
+        if row:
+            return int(row[0])
+        added = self._database.execute(f"INSERT INTO {table} ({column}) VALUES (?)", (text,)).lastrowid
         assert added is not None
         return added

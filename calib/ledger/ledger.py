@@ -17,13 +17,13 @@ import numpy as np
 import pandas as pd
 
 from calib.evaluate import BatchEvaluator
-from calib.ledger.blobs import array, key_of_blob, named
+from calib.ledger.blobs import array, blob_of_key, key_of_blob, named
 from calib.ledger.conversion import convert
 from calib.ledger.database import Database, connected, marks
 from calib.ledger.history import Asked, History
 from calib.ledger.identifiers import Identifiers
-from calib.ledger.rows import add_evaluation, add_vectors
-from calib.ledger.schema import VERSION, create, version_of
+from calib.ledger.rows import Rows
+from calib.ledger.schema import STATE, VERSION, create, version_of
 from calib.outcome import Outcome, key_of
 
 _BUSY_SECONDS = 30.0
@@ -44,7 +44,8 @@ class Ledger:
         self.retried = 0
         self._database = database
         self._identifiers = Identifiers(database)
-        self._history = History(database, self._identifiers)
+        self._rows = Rows(database, self._identifiers)
+        self._history = History(database, self._rows)
         self._tried: set[tuple[str, str]] = set()
 
     @staticmethod
@@ -98,12 +99,11 @@ class Ledger:
         """Stored outcomes by key; of several attempts the last one."""
         query = (
             "SELECT key, parameter_names, parameters, response_names, responses, status, error, seconds"
-            " FROM point JOIN evaluation ON evaluation.point = point.id"
-            " WHERE key IN ({}) AND state = (SELECT id FROM state WHERE fingerprint = ?) ORDER BY key, attempt"
+            f" FROM evaluation WHERE key IN ({{}}) AND state = {STATE} ORDER BY key, attempt"
         )
         found: dict[str, Outcome] = {}
         with self._database.explaining():
-            for row in self._database.among(query, map(bytes.fromhex, keys), fingerprint):
+            for row in self._database.among(query, map(blob_of_key, keys), fingerprint):
                 key, names, parameters, responding, responses, status, error, seconds = row
                 values = named(self._identifiers.names(names), parameters)
                 answer = named(self._identifiers.names(responding), responses)
@@ -121,11 +121,10 @@ class Ledger:
         created = time.time_ns() // 1_000_000
         with self._database.transaction():
             known = self.lookup(fingerprint, keys)
-            points = self._identifiers.of_points(fingerprint, keys)
             for key, outcome in zip(keys, outcomes, strict=True):
                 if key not in known or known[key].transient:
-                    attempts = self._attempts(points[key]) if key in known else 0
-                    add_evaluation(self._database, self._identifiers, points[key], attempts + 1, outcome, created)
+                    attempts = self._attempts(fingerprint, key) if key in known else 0
+                    self._rows.add_evaluation(fingerprint, key, attempts + 1, outcome, created)
                     known[key] = outcome
 
     def evaluate(
@@ -165,9 +164,9 @@ class Ledger:
     def stored_at(self, fingerprint: str, values: Mapping[str, float]) -> str:
         """Day and time (UTC) at which a point was last evaluated; empty when it never was."""
         created = self._number(
-            f"SELECT MAX(created) FROM {_EVALUATED} WHERE fingerprint = ? AND key = ?",
+            f"SELECT MAX(created) FROM evaluation WHERE state = {STATE} AND key = ?",
             fingerprint,
-            bytes.fromhex(key_of(values)),
+            blob_of_key(key_of(values)),
         )
         return f"{datetime.fromtimestamp(created / 1000, UTC):%Y-%m-%d %H:%M} UTC" if created else ""
 
@@ -179,23 +178,29 @@ class Ledger:
 
     def count(self, fingerprint: str) -> int:
         """Number of points evaluated in this state of model and measurement."""
-        return self._number(f"SELECT COUNT(*) FROM {_EVALUATED} WHERE attempt = 1 AND fingerprint = ?", fingerprint)
+        return self._number(f"SELECT COUNT(*) FROM evaluation WHERE state = {STATE} AND attempt = 1", fingerprint)
 
     def other_fingerprints(self, *current: str) -> int:
         """Number of rows that belong to other states of model and measurement than the current ones."""
-        return self._number(f"SELECT COUNT(*) FROM {_EVALUATED} WHERE fingerprint NOT IN ({marks(current)})", *current)
+        return self._number(
+            "SELECT COUNT(*) FROM evaluation WHERE state IN"
+            f" (SELECT id FROM state WHERE fingerprint NOT IN ({marks(current)}))",
+            *current,
+        )
 
     def _keys(self, fingerprint: str, status: str) -> list[str]:
         """Sorted keys of the points with an attempt of that status."""
         with self._database.explaining():
             rows = self._database.execute(
-                f"SELECT DISTINCT key FROM {_EVALUATED} WHERE fingerprint = ? AND status = ? ORDER BY key",
+                f"SELECT DISTINCT key FROM evaluation WHERE state = {STATE} AND status = ? ORDER BY key",
                 (fingerprint, status),
             )
             return [key_of_blob(key) for (key,) in rows]
 
-    def _attempts(self, point: int) -> int:
-        return self._number("SELECT COUNT(*) FROM evaluation WHERE point = ?", point)
+    def _attempts(self, fingerprint: str, key: str) -> int:
+        return self._number(
+            f"SELECT COUNT(*) FROM evaluation WHERE state = {STATE} AND key = ?", fingerprint, blob_of_key(key)
+        )
 
     def _number(self, query: str, *given: object) -> int:
         """The one number that a query finds; 0 for NULL."""
@@ -207,21 +212,17 @@ class Ledger:
 
     def vectors(self, fingerprint: str, key: str, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Stored vectors of one point by name, such as its residual and the columns of its Jacobian."""
-        query = (
-            "SELECT name, numbers FROM vector JOIN point ON point.id = point JOIN state ON state.id = state"
-            " WHERE name IN ({}) AND fingerprint = ? AND key = ?"
-        )
+        query = f"SELECT name, numbers FROM vector WHERE name IN ({{}}) AND state = {STATE} AND key = ?"
         found: dict[str, np.ndarray] = {}
         with self._database.explaining():
-            for name, numbers in self._database.among(query, names, fingerprint, bytes.fromhex(key)):
+            for name, numbers in self._database.among(query, names, fingerprint, blob_of_key(key)):
                 found[name] = array(numbers)
         return found
 
     def keep_vectors(self, fingerprint: str, key: str, vectors: Mapping[str, np.ndarray]) -> None:
         """Add vectors of one point, each (n,), in one transaction; one that is already stored stays."""
         with self._database.transaction():
-            point = self._identifiers.of_points(fingerprint, [key])[key]
-            add_vectors(self._database, point, vectors)
+            self._rows.add_vectors(fingerprint, key, vectors)
 
     # -- history -------------------------------------------------------------------------------------------------------
 
@@ -240,9 +241,6 @@ class Ledger:
     def history(self, run: str) -> pd.DataFrame:
         """Points requested by a run: ``generation, individual, key, status, misfit``, sorted by the first two."""
         return self._history.of(run)
-
-
-_EVALUATED = "state JOIN point ON point.state = state.id JOIN evaluation ON evaluation.point = point.id"
 
 
 def _prepare(database: Database) -> None:

@@ -6,44 +6,60 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from calib.ledger.blobs import packed, packed_array
+from calib.ledger.blobs import blob_of_key, packed, packed_array
 from calib.ledger.database import Database
 from calib.ledger.identifiers import Identifiers
 from calib.outcome import Outcome
 
 
-def add_evaluation(
-    database: Database, identifiers: Identifiers, point: int, attempt: int, outcome: Outcome, created: int
-) -> None:
-    """Add one evaluation of a point, made at ``created`` (milliseconds since 1970, UTC)."""
-    database.execute(
-        "INSERT INTO evaluation (point, attempt, status, error, seconds, created,"
-        " parameter_names, response_names, parameters, responses) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-        (
-            point,
-            attempt,
-            outcome.status,
-            outcome.error,
-            outcome.seconds,
-            created,
-            identifiers.of_names(outcome.values),
-            identifiers.of_names(outcome.responses),
-            packed(outcome.values.values()),
-            packed(outcome.responses.values()),
-        ),
-    )
+class Rows:
+    """Writer of the rows of one ledger.
 
+    Parameters
+    ----------
+    database : Database
+    identifiers : Identifiers
+    """
 
-def add_individuals(database: Database, rows: Iterable[tuple[int, int, int, int, str, float | None]]) -> None:
-    """Add individuals: run, generation, place in it, point, status, misfit."""
-    database.executemany(
-        "INSERT INTO history (run, generation, individual, point, status, misfit) VALUES (?, ?, ?, ?, ?, ?)", rows
-    )
+    def __init__(self, database: Database, identifiers: Identifiers):
+        self._database = database
+        self._identifiers = identifiers
 
+    def add_evaluation(self, fingerprint: str, key: str, attempt: int, outcome: Outcome, created: int) -> None:
+        """Add one evaluation, made at ``created`` (milliseconds since 1970, UTC)."""
+        self._database.execute(
+            "INSERT INTO evaluation (state, key, attempt, status, error, seconds, created,"
+            " parameter_names, response_names, parameters, responses) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                self._identifiers.of_state(fingerprint),
+                blob_of_key(key),
+                attempt,
+                outcome.status,
+                outcome.error,
+                outcome.seconds,
+                created,
+                self._identifiers.of_names(outcome.values),
+                self._identifiers.of_names(outcome.responses),
+                packed(outcome.values.values()),
+                packed(outcome.responses.values()),
+            ),
+        )
 
-def add_vectors(database: Database, point: int, vectors: Mapping[str, np.ndarray]) -> None:
-    """Add vectors of a point by name; one that is already stored stays."""
-    database.executemany(
-        "INSERT OR IGNORE INTO vector (point, name, numbers) VALUES (?, ?, ?)",
-        [(point, name, packed_array(numbers)) for name, numbers in vectors.items()],
-    )
+    def add_individuals(
+        self, run: str, fingerprint: str, rows: Iterable[tuple[int, int, str, str, float | None]]
+    ) -> None:
+        """Add individuals of a run: generation, place in it, key, status and misfit."""
+        number, state = self._identifiers.of_run(run), self._identifiers.of_state(fingerprint)
+        self._database.executemany(
+            "INSERT INTO history (run, state, generation, individual, key, status, misfit)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?)",
+            [(number, state, generation, k, blob_of_key(key), *rest) for generation, k, key, *rest in rows],
+        )
+
+    def add_vectors(self, fingerprint: str, key: str, vectors: Mapping[str, np.ndarray]) -> None:
+        """Add vectors of a point by name; one that is already stored stays."""
+        state, point = self._identifiers.of_state(fingerprint), blob_of_key(key)
+        self._database.executemany(
+            "INSERT OR IGNORE INTO vector (state, key, name, numbers) VALUES (?, ?, ?, ?)",
+            [(state, point, name, packed_array(numbers)) for name, numbers in vectors.items()],
+        )

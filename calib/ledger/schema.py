@@ -1,6 +1,6 @@
 """The tables of a ledger.
 
-Fingerprints, points, lists of names and runs are stored once each; elsewhere an integer stands for them.
+Fingerprints, lists of names and names of runs are stored once each; elsewhere an integer stands for them.
 """
 
 from __future__ import annotations
@@ -16,15 +16,11 @@ FORMER = (1,)
 # Blobs stand last: SQLite reads a row from its front.
 _TABLES = (
     "CREATE TABLE state (id INTEGER PRIMARY KEY, fingerprint TEXT NOT NULL UNIQUE)",
-    """CREATE TABLE point (
-        id INTEGER PRIMARY KEY,
-        state INTEGER NOT NULL REFERENCES state,
-        key BLOB NOT NULL,
-        UNIQUE (state, key))""",
     "CREATE TABLE names (id INTEGER PRIMARY KEY, names TEXT NOT NULL UNIQUE)",
     """CREATE TABLE evaluation (
         id INTEGER PRIMARY KEY,
-        point INTEGER NOT NULL REFERENCES point,
+        state INTEGER NOT NULL REFERENCES state,
+        key BLOB NOT NULL,
         attempt INTEGER NOT NULL,
         status TEXT NOT NULL CHECK (status IN ('ok', 'failed')),
         error TEXT NOT NULL,
@@ -34,26 +30,31 @@ _TABLES = (
         response_names INTEGER NOT NULL REFERENCES names,
         parameters BLOB NOT NULL,
         responses BLOB NOT NULL,
-        UNIQUE (point, attempt))""",
+        UNIQUE (state, key, attempt))""",
     "CREATE TABLE run (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE)",
     """CREATE TABLE history (
         id INTEGER PRIMARY KEY AUTOINCREMENT,
         run INTEGER NOT NULL REFERENCES run,
         generation INTEGER NOT NULL,
         individual INTEGER NOT NULL,
-        point INTEGER NOT NULL REFERENCES point,
+        state INTEGER NOT NULL REFERENCES state,
+        key BLOB NOT NULL,
         status TEXT NOT NULL CHECK (status IN ('solved', 'reused', 'infeasible', 'failed')),
         misfit REAL,
         UNIQUE (run, generation, individual))""",
-    "CREATE INDEX history_point ON history (point)",
+    "CREATE INDEX history_key ON history (state, key)",
     """CREATE TABLE vector (
         id INTEGER PRIMARY KEY,
-        point INTEGER NOT NULL REFERENCES point,
+        state INTEGER NOT NULL REFERENCES state,
+        key BLOB NOT NULL,
         name TEXT NOT NULL,
         numbers BLOB NOT NULL,
-        UNIQUE (point, name))""",
+        UNIQUE (state, key, name))""",
 )
-_APPEND_ONLY = ("state", "point", "names", "evaluation")
+STATE = "(SELECT id FROM state WHERE fingerprint = ?)"
+"""The integer of a fingerprint, in a query."""
+
+_APPEND_ONLY = ("state", "names", "evaluation")
 
 
 def create(database: Database) -> None:

@@ -35,42 +35,39 @@ def _decoded(columns: str, source: str) -> str:
     CROSS JOIN powers ON powers.size = abs(exponent)"""
 
 
-_AT = "point JOIN state ON state.id = point.state"
-_WHERE = "state.fingerprint, lower(hex(point.key)) AS key"
+def _point(table: str) -> str:
+    return f"state.fingerprint, lower(hex({table}.key)) AS key"
 
 
 def _of(kind: str) -> str:
     """One row a value of the parameters or the responses."""
     source = f"""
-        SELECT {_WHERE}, attempt, each.value AS name, substr(evaluation.{kind}s, 8 * each.key + 1, 8) AS packed
-        FROM {_AT} JOIN evaluation ON evaluation.point = point.id
+        SELECT {_point("evaluation")}, attempt, each.value AS name,
+            substr(evaluation.{kind}s, 8 * each.key + 1, 8) AS packed
+        FROM evaluation JOIN state ON state.id = evaluation.state
         JOIN names ON names.id = evaluation.{kind}_names JOIN json_each(names.names) AS each"""
     return f"""CREATE VIEW {kind}s (fingerprint, key, attempt, name, value) AS WITH RECURSIVE {_POWERS}
     {_decoded("fingerprint, key, attempt, name", source)}"""
 
 
+_VECTORS = f"""
+        SELECT {_point("vector")}, vector.name, place, substr(vector.numbers, 8 * place + 1, 8) AS packed
+        FROM vector JOIN state ON state.id = vector.state JOIN places ON 8 * place < length(vector.numbers)"""
+
 VIEWS = (
     f"""CREATE VIEW evaluations (fingerprint, key, attempt, status, error, seconds, created) AS
-    SELECT {_WHERE}, attempt, status, error, seconds,
+    SELECT {_point("evaluation")}, attempt, status, error, seconds,
         strftime('%Y-%m-%dT%H:%M:%f+00:00', evaluation.created / 1000.0, 'unixepoch')
-    FROM {_AT} JOIN evaluation ON evaluation.point = point.id""",
+    FROM evaluation JOIN state ON state.id = evaluation.state""",
     _of("parameter"),
     _of("response"),
     f"""CREATE VIEW individuals (run, generation, individual, fingerprint, key, status, misfit) AS
-    SELECT run.name, generation, individual, {_WHERE}, status, misfit
-    FROM run JOIN history ON history.run = run.id JOIN point ON point.id = history.point
-    JOIN state ON state.id = point.state""",
+    SELECT run.name, generation, individual, {_point("history")}, status, misfit
+    FROM history JOIN run ON run.id = history.run JOIN state ON state.id = history.state""",
     f"""CREATE VIEW vectors (fingerprint, key, name, place, value) AS WITH RECURSIVE {_POWERS},
     places (place) AS (
         SELECT 0 UNION ALL SELECT place + 1 FROM places WHERE place + 1 < (SELECT MAX(length(numbers)) / 8 FROM vector))
-    {
-        _decoded(
-            "fingerprint, key, name, place",
-            f'''
-        SELECT {_WHERE}, vector.name, place, substr(vector.numbers, 8 * place + 1, 8) AS packed
-        FROM {_AT} JOIN vector ON vector.point = point.id JOIN places ON 8 * place < length(vector.numbers)''',
-        )
-    }""",
+    {_decoded("fingerprint, key, name, place", _VECTORS)}""",
 )
 """``evaluations`` and ``individuals`` of searches, one row each.
 

@@ -248,7 +248,7 @@ def ledger_rows(path: Path) -> tuple[tuple, tuple]:
             tuple(sorted(database.execute(query).fetchall(), key=repr))
             for query in (
                 "SELECT fingerprint, key, attempt, p.names, parameters, r.names, responses, status, error"
-                " FROM state JOIN point ON state = state.id JOIN evaluation ON point = point.id"
+                " FROM state JOIN evaluation ON state = state.id"
                 " JOIN names p ON parameter_names = p.id JOIN names r ON response_names = r.id",
                 "SELECT run, generation, individual, fingerprint, key, status, misfit FROM individuals",
             )

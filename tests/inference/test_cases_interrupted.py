@@ -20,11 +20,10 @@ def everything(path):
             database.execute(query).fetchall()
             for query in (
                 "SELECT fingerprint, key, attempt, p.names, parameters, r.names, responses, status, error"
-                " FROM state JOIN point ON state = state.id JOIN evaluation ON point = point.id"
+                " FROM state JOIN evaluation ON state = state.id"
                 " JOIN names p ON parameter_names = p.id JOIN names r ON response_names = r.id ORDER BY evaluation.id",
                 "SELECT run.name, generation, individual, fingerprint, hex(key), status, misfit"
-                " FROM state JOIN point ON state = state.id JOIN history ON point = point.id"
-                " JOIN run ON run = run.id ORDER BY history.id",
+                " FROM state JOIN history ON state = state.id JOIN run ON run = run.id ORDER BY history.id",
             )
         ]
 
