@@ -21,7 +21,7 @@ from calib.outcome import Outcome
 def convert(database: Database) -> None:
     """Replace the tables of version 1, inside a transaction: evaluations and individuals keep their order.
 
-    InputError where a row is damaged.
+    A damaged row raises ``sqlite3.DatabaseError``, as damaged pages do.
     """
     present = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     for trigger in ("evaluation_stays", "evaluation_remains"):

@@ -42,9 +42,9 @@ class Database(sqlite3.Connection):
         try:
             yield
         except sqlite3.Error as fault:
-            raise explained(fault, self.path) from None
+            raise _explained(fault, self.path) from None
         except UnicodeDecodeError:  # a text in it, or in SQLite's complaint about it, is no text any more
-            raise explained(sqlite3.DatabaseError("malformed text"), self.path) from None
+            raise _explained(sqlite3.DatabaseError("malformed text"), self.path) from None
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -94,7 +94,7 @@ class Database(sqlite3.Connection):
             self.execute("PRAGMA secure_delete = OFF")
 
     def shrink(self) -> None:
-        """Return unused pages to the disk, where they are the most of the file; without effect while it is in use."""
+        """Return unused pages to the disk, where they are most of the file."""
         with self.explaining():
             (pages,), (free,) = (self.execute(f"PRAGMA {n}").fetchone() for n in ("page_count", "freelist_count"))
         if free > max(_LEAST_FREE, _SHARE_FREE * pages):
@@ -112,11 +112,11 @@ def connected(path: Path, busy_seconds: float) -> Database:
         ) from None
     # SQLite would leave companion files behind that cannot be written either, even once the ledger can.
     if path.is_file() and not os.access(path, os.W_OK):
-        raise explained(sqlite3.OperationalError("readonly"), path)
+        raise _explained(sqlite3.OperationalError("readonly"), path)
     try:
         database = sqlite3.connect(path, timeout=busy_seconds, isolation_level=None, factory=Database)
     except sqlite3.Error as fault:
-        raise explained(fault, path) from None
+        raise _explained(fault, path) from None
     database.path = path
     return database
 
@@ -137,7 +137,7 @@ _REMEDIES = (
 )
 
 
-def explained(fault: sqlite3.Error, path: Path) -> InputError:
+def _explained(fault: sqlite3.Error, path: Path) -> InputError:
     """A fault of SQLite as a sentence with a remedy."""
     text = str(fault)
     with suppress(OSError):
