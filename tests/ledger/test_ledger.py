@@ -149,6 +149,21 @@ def test_failures_are_final_unless_transient(tmp_path):
         assert other.execute("SELECT COUNT(*) FROM evaluation").fetchone() == (5,)  # every attempt is kept
 
 
+# -- vectors -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_vector_stays_as_it_was_first_stored(ledger):
+    first, other = np.array([0.1, math.nan, -0.0]), np.arange(4.0)
+    ledger.keep_vectors("f", KEYS[1], {"": first, "a": other})
+    ledger.keep_vectors("f", KEYS[1], {"": other, "b": first[:0]})
+    ledger.keep_vectors("f", KEYS[2], {"": other})
+    found = ledger.vectors("f", KEYS[1], ["", "a", "b", "c"])
+    assert {name: numbers.tobytes() for name, numbers in found.items()} == {
+        "": first.tobytes(), "a": other.tobytes(), "b": b""
+    }  # fmt: skip
+    assert ledger.vectors("g", KEYS[1], [""]) == {} and ledger.count("f") == 0
+
+
 # -- history -----------------------------------------------------------------------------------------------------------
 
 
