@@ -1,8 +1,9 @@
-"""Draw every figure for which a results folder has the tables."""
+"""The figures of a results folder: which there are, from which tables, and who draws them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,7 @@ from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
-from calib.report.shown import Folder, Shown
-from calib.report.style import add_heading, save, style
+from calib.report.shown import Folder
 from calib.report.tables import read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import perturbation_map_figure, sensor_misfit_figure
@@ -31,51 +31,42 @@ from calib.report.where import perturbation_map_figure, sensor_misfit_figure
 _STAGES = ("before", "after")
 _OF_MODEL = {"initial": "before any calibration", "before": "before calibration", "after": "after calibration"}
 """Stages of a model and their names in captions; ``initial`` is before the calibration of an earlier study too."""
-_Add = Callable[[str, str, Callable[[], Figure]], None]
 
 
-def draw_all(folder: Path, title: str, synthetic: bool, hidden: frozenset[str] = frozenset()) -> list[Path]:
-    """Draw every figure whose tables exist in a folder, beside the tables; nothing is computed anew.
+@dataclass(frozen=True)
+class Drawing:
+    """A figure that can be drawn.
 
-    Parameters
+    Attributes
     ----------
-    folder : Path
-        The CSV tables, and optionally ``summary.json`` with a key ``best_case``.
-    title : str
-        First part of every figure's heading.
-    synthetic : bool
-        Whether the measurement is synthetic; every figure is then labelled so.
-    hidden : frozenset of str
-        Names of stale tables, which are not drawn.
+    name : str
+        Name of its file, without suffix.
+    caption : str
+        Part of its heading.
+    draw : callable
+        Returns it.
+    tables : tuple of str
+        The tables that it shows, CSV files of the folder without suffix.
+    """
 
-    Returns
-    -------
-    list of Path
-        The PNG files written, in a fixed order.
+    name: str
+    caption: str
+    draw: Callable[[], Figure]
+    tables: tuple[str, ...]
+
+
+def plan(folder: Folder) -> dict[str, Drawing]:
+    """Every figure for which a results folder has the tables, by name; all tables are read, nothing is drawn.
 
     Raises
     ------
     InputError
-        The folder is missing, or a table is damaged; nothing is drawn then.
+        A table is damaged.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise InputError("there is no such folder of results", place=folder)
-    with style():
-        written = []
-        for name, caption, draw in _plan(Shown(folder, hidden)):
-            figure = draw()
-            add_heading(figure, f"{title}: {caption}" if title else caption, synthetic)
-            written.append(save(figure, folder / f"{name}.png"))
-    return written
+    drawings: dict[str, Drawing] = {}
 
-
-def _plan(folder: Folder) -> list[tuple[str, str, Callable[[], Figure]]]:
-    """Name, caption and drawing function of every figure; reads all tables before anything is drawn."""
-    plan: list[tuple[str, str, Callable[[], Figure]]] = []
-
-    def add(name: str, caption: str, draw: Callable[[], Figure]) -> None:
-        plan.append((name, caption, draw))
+    def add(name: str, caption: str, draw: Callable[[], Figure], *tables: str) -> None:
+        drawings[name] = Drawing(name, caption, draw, tables or (name,))
 
     compared = {stage: _comparison(folder / f"comparison_{stage}.csv") for stage in _STAGES}
     before, after = compared["before"], compared["after"]
@@ -141,10 +132,10 @@ def _plan(folder: Folder) -> list[tuple[str, str, Callable[[], Figure]]]:
         runs = read_table(path, ["case"], ["generation", *misfit], complete=["generation"], unbounded=misfit)
         add("convergence", "convergence of the search", lambda: _owner(draw_convergence(runs)))
     _plan_explanation(folder, add)
-    return plan
+    return drawings
 
 
-def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: _Add) -> None:
+def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: Callable[..., None]) -> None:
     """Figures of the mesh: the model, its modes, and measured shapes over them."""
     mesh = read_mesh(folder)
     if mesh is None:
@@ -195,7 +186,7 @@ def _shapes(path: Path) -> pd.DataFrame | None:
     return read_table(path, ["mode", "direction"], ["x", "y", "z", "measured_re"]) if path.exists() else None
 
 
-def _plan_explanation(folder: Folder, add: _Add) -> None:
+def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
     """Figures of the search for a missing effect; a table without rows has no figure."""
 
     def read(name: str, text: list[str], numbers: list[str], **more: Any) -> pd.DataFrame | None:

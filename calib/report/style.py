@@ -6,7 +6,7 @@ import contextlib
 import re
 import textwrap
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from calib.report.svg import svg_text, without_hover
 from calib.written import replacing
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILLION, PURPLE = (
@@ -41,6 +42,8 @@ ATTEMPT: dict[str, Any] = {"facecolor": "#D0D0D0", "hatch": "xxxx", "edgecolor":
 WIDTH = 8.0
 """Width of a figure in inches: 1200 pixels at `DPI`, so that text appears at the size chosen here."""
 DPI = 150
+FORMATS = ("svg", "png", "pdf")
+"""Formats of files, in the order in which they are written: the last removes the words under the mouse."""
 SYNTHETIC = "synthetic measurement"
 
 FALLBACKS = (
@@ -157,19 +160,30 @@ def add_heading(figure: Figure, title: str, synthetic: bool) -> None:
         figure.subplots_adjust(top=top)
 
 
-def save(figure: Figure, path: Path) -> Path:
-    """Save as PNG; an interruption leaves the old picture or none.
+def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Save in each format, as ``stem`` with its suffix; an interruption leaves the old picture or none.
 
     Dollar signs in names are literal. A note is added where no font has a character of a name.
     """
+    take_dollars_literally(figure)
+    written = []
+    for kind in sorted(formats, key=FORMATS.index):
+        path = stem.with_name(f"{stem.name}.{kind}")
+        with replacing(path) as draft:
+            if kind == "svg":
+                draft.write_text(svg_text(figure, stem.name), encoding="utf-8")
+            elif _lacks_glyphs(figure, draft, kind):
+                figure.text(0.995, 0.003, NO_GLYPH, ha="right", va="bottom", fontsize=6.5, color=GREY)
+                _lacks_glyphs(figure, draft, kind)
+        written.append(path)
+    return written
+
+
+def take_dollars_literally(figure: Figure) -> None:
+    """Keep the dollar signs of names from being read as formulas."""
     for text in _texts(figure):
         if "$" in text.get_text() and not _POWER.fullmatch(text.get_text()):
             text.set_parse_math(False)
-    with replacing(path) as draft:
-        if _lacks_glyphs(figure, draft):
-            figure.text(0.995, 0.003, NO_GLYPH, ha="right", va="bottom", fontsize=6.5, color=GREY)
-            _lacks_glyphs(figure, draft)
-    return path
 
 
 def _texts(artist: Artist) -> Iterator[Text]:
@@ -185,11 +199,13 @@ def _texts(artist: Artist) -> Iterator[Text]:
             yield from _texts(child)
 
 
-def _lacks_glyphs(figure: Figure, draft: Path) -> bool:
+def _lacks_glyphs(figure: Figure, draft: Path, kind: str) -> bool:
     """Write a picture; return whether a font lacked a character."""
-    with warnings.catch_warnings(record=True) as caught:
+    if kind == "pdf":
+        without_hover(figure)  # addresses would become links
+    with warnings.catch_warnings(record=True) as caught, matplotlib.rc_context({"pdf.fonttype": 42}):
         warnings.simplefilter("always")
-        figure.savefig(draft, format="png", dpi=DPI, facecolor="white")
+        figure.savefig(draft, format=kind, dpi=DPI, facecolor="white")
     missing = [w for w in caught if "missing from font" in str(w.message)]
     for other in caught:
         if other not in missing:
