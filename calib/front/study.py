@@ -31,9 +31,10 @@ from calib.front.test import test_of
 from calib.given import path as path_of
 from calib.joint import said, stacked
 from calib.missing.explanation import Explanation
-from calib.report.draw import draw_all
+from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
+from calib.report.shown import Shown
 from calib.results import Results
 from calib.several import AnyStudy, JointStudy, load
 from calib.study import Study as Loaded
@@ -402,8 +403,9 @@ class Study:
         with_report = report or folder.has(REPORT)
         stale = stale_answers(study, folder, None if self.results == RESULTS else self.results)
         try:
-            figures = draw_all(folder.path, title, synthetic, stale.files)
-            written = write_report(folder.path, title, synthetic, stale.sentences, stale.files) if with_report else None
+            shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
+            written = write_report(shown) if with_report else None
+            figures = shown.figures.save()
         except OSError as fault:
             raise InputError(
                 f"a figure or the report cannot be written ({fault.strerror})",

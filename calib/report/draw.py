@@ -21,12 +21,14 @@ from calib.report.mesh import read_mesh, rest_lines
 from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
+from calib.report.responses import draw_response_misfit, draw_responses
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.shown import Folder
 from calib.report.tables import read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import perturbation_map_figure, sensor_misfit_figure
+from calib.report.worst import draw_worst
 
 _STAGES = ("before", "after")
 _OF_MODEL = {"initial": "before any calibration", "before": "before calibration", "after": "after calibration"}
@@ -71,7 +73,19 @@ def plan(folder: Folder) -> dict[str, Drawing]:
     compared = {stage: _comparison(folder / f"comparison_{stage}.csv") for stage in _STAGES}
     before, after = compared["before"], compared["after"]
     if before is not None or after is not None:
-        add("comparison", "model against measurement", lambda: comparison_figure(before, after))
+        add(
+            "comparison", "model against measurement", lambda: comparison_figure(before, after),
+            *_there(folder, "comparison"),
+        )  # fmt: skip
+    for stage in _STAGES:
+        if (errors := _scalar_comparison(folder / f"comparison_{stage}.csv")) is not None:
+            both = (errors, None) if stage == "before" else (None, errors)
+            add(
+                f"responses_{stage}",
+                f"errors of the responses {stage} calibration",
+                lambda both=both: _owner(draw_responses(*both)),  # type: ignore[misc]
+                f"comparison_{stage}",
+            )
     for stage in _STAGES:
         path = folder / f"mac_{stage}.csv"
         if path.exists():
@@ -79,10 +93,17 @@ def plan(folder: Folder) -> dict[str, Drawing]:
             add(path.stem, f"MAC {stage} calibration", lambda mac=mac: _owner(draw_mac_matrix(mac)))  # type: ignore[misc]
     sensors = {stage: _comac(folder / f"comac_{stage}.csv") for stage in _STAGES}
     if any(table is not None for table in sensors.values()):
-        add("comac", "CoMAC of the sensors", lambda: _owner(draw_comac(sensors["before"], sensors["after"])))
+        add("comac", "CoMAC of the sensors", lambda: _owner(draw_comac(sensors["before"], sensors["after"])),
+            *_there(folder, "comac"))  # fmt: skip
     _plan_modes(folder, compared, add)
     if (every := _every_mode(folder / "modes.csv")) is not None:
         add("modes", "damped frequencies of all measured modes", lambda: _owner(draw_frequencies(every)))
+    worst = {stage: _failing(folder / f"where_it_fails_{stage}.csv") for stage in _STAGES}
+    if any(table is not None for table in worst.values()):
+        add(
+            "where_it_fails", "the worst comparisons", lambda: _owner(draw_worst(worst["before"], worst["after"])),
+            *_there(folder, "where_it_fails"),
+        )  # fmt: skip
     path = folder / "sensitivity.csv"
     if path.exists():
         rank = read_table(path, ["parameter"], others_are_numbers=True)
@@ -144,7 +165,7 @@ def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: C
     placed = next((table for table in shapes.values() if table is not None), None)
     sensors = None if placed is None else placed[placed["mode"] == placed["mode"].iloc[0]]
     if sensors is not None or face_groups(mesh):  # a mesh of lines alone is drawn with its modes
-        add("model", "the model", lambda: model_figure(mesh, sensors))
+        add("model", "the model", lambda: model_figure(mesh, sensors), "mesh_points", "mesh_elements")
     for stage, words in _OF_MODEL.items():
         moved, listed = folder / f"deflection_{stage}.csv", folder / f"model_modes_{stage}.csv"
         if not moved.exists() or not listed.exists():
@@ -156,16 +177,18 @@ def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: C
             add(
                 f"model_modes_{stage}{page}",
                 f"modes of the model {words}, damped frequency",
-                lambda some=some, motion=motion: model_modes_figure(some, motion, mesh),  # type: ignore[misc]
+                lambda some=some, motion=motion: model_modes_figure(some, motion, mesh),
+                f"model_modes_{stage}",
             )
         measured = shapes.get(stage)
         if measured is not None:
             add(
                 f"mode_shapes_{stage}",
                 f"mode shapes {words}, measured/model",
-                lambda measured=measured, motion=motion, facts=compared[stage]: mode_shapes_figure(  # type: ignore[misc]
+                lambda measured=measured, motion=motion, facts=compared[stage]: mode_shapes_figure(
                     measured, motion, mesh, facts
                 ),
+                f"shapes_{stage}",
             )
 
 
@@ -203,7 +226,11 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
     attempt = any(t is not None and (t["stage"] == "attempt").any() for t in (kinds, errors))
     if kinds is not None:
         caption = "misfit beyond noise, by mode and kind of response"
-        add("where_it_fails_sigma", caption, lambda: where_it_fails_figure(kinds, name=name))
+        add("where_it_fails_sigma", caption, lambda: where_it_fails_figure(kinds, name=name), "misfit_kinds")
+    left = read("response_misfit", ["stage", "response"], ["residual"])
+    if left is not None:
+        caption = "residuals of the responses after the fit"
+        add("response_misfit", caption, lambda: _owner(draw_response_misfit(left, name=name)))
     rest = rest_lines(folder)
     sensors = read("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
     if rest is not None and sensors is not None and (sensors["stage"] == "base").any():
@@ -214,6 +241,7 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
             "perturbation_map",
             "scores of local perturbations: places to inspect, not causes",
             lambda: perturbation_map_figure(perturbations, rest),
+            "perturbations",
         )
     if pulls is not None:
         add("pulls", "parameter pulls", lambda: _owner(draw_pulls(pulls, attempt=attempt)))
@@ -226,14 +254,14 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
         unbounded=["magnitude_min"],
     )  # fmt: skip
     if effects is not None:
-        add("ranked_effects", "evidence for each effect", lambda: ranked_effects_figure(effects))
+        add("ranked_effects", "evidence for each effect", lambda: ranked_effects_figure(effects), "effects")
     if (path := folder / "confounding.csv").exists():
         signatures = _square(path, "effect", may_be_empty=True)
         if not signatures.empty:
             caption = "correlation of the effects' signatures"
             add("confounding", caption, lambda: _owner(draw_confounding(signatures, effects=effects)))
     if errors is not None:
-        add("errors_before_after", "errors before and after", lambda: _owner(draw_errors(errors, name=name)))
+        add("errors_before_after", "errors before and after", lambda: _owner(draw_errors(errors, name=name)), "errors")
     both = read("added_errors", ["group", "stage"], ["rms", "expected", "p"])
     if both is not None:
         caption = "errors before and after, both models calibrated"
@@ -241,7 +269,7 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
     versions = read("versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["effects"])
     if versions is not None:
         caption = "errors over the versions of the model"
-        add("errors_over_versions", caption, lambda: _owner(draw_error_versions(versions)))
+        add("errors_over_versions", caption, lambda: _owner(draw_error_versions(versions)), "versions")
     gains = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]
     candidates = read("next_measurement", ["measurement", "kind"], gains, unbounded=gains, blank=["effect"])
     if candidates is not None:
@@ -273,6 +301,25 @@ def _of_scalar_responses(path: Path) -> bool:
             return stream.readline().startswith("response,")
     except (OSError, UnicodeDecodeError):
         return False  # the reader of the whole table reports the fault
+
+
+def _there(folder: Folder, name: str) -> list[str]:
+    """Names of the tables of each stage."""
+    return [f"{name}_{stage}" for stage in _STAGES if (folder / f"{name}_{stage}.csv").exists()]
+
+
+def _scalar_comparison(path: Path) -> pd.DataFrame | None:
+    if not path.exists() or not _of_scalar_responses(path):
+        return None
+    return read_table(path, ["response"], ["measured", "model", "error", "error_in_std"], unique="response")
+
+
+def _failing(path: Path) -> pd.DataFrame | None:
+    """The comparisons with a standard deviation; None without the file or any."""
+    if not path.exists():
+        return None
+    table = read_table(path, ["kind", "what"], ["in_std"], may_be_empty=True)
+    return table if table["in_std"].notna().any() else None
 
 
 def _comac(path: Path) -> pd.DataFrame | None:

@@ -31,7 +31,7 @@ from calib.report.style import (
 
 LEAST_BAYES_FACTOR = 3.0
 """ln Bayes factor from which one explanation counts as better than another."""
-_COLLINEAR = 0.9
+COLLINEAR = 0.9
 """Correlation above which two signatures count as collinear."""
 _WIDE = 60.0
 """Largest ln Bayes factor that is drawn on a linear axis."""
@@ -81,7 +81,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     if rows.empty:
         return blank(ax, "no effect was tested")
     values = rows["ln_bayes"].to_numpy(dtype=float)
-    looks, seen, threshold = _looks(rows), _flags(rows["visible"]), _threshold(len(rows))
+    looks, seen, limit = _looks(rows), _flags(rows["visible"]), threshold(len(rows))
     odd_ones = [bool(words) for words in rows["implausible"].fillna("")]
     spans = rows[["ln_bayes_third", "ln_bayes", "ln_bayes_triple"]].to_numpy(dtype=float)
     ax.axvline(0.0, color=BLACK, linewidth=0.8)
@@ -102,7 +102,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         end = max(0.0, *known) if len(known) else 0.0
         ax.annotate(
             words + (" implausible" if odd else ""),
-            (max(end, threshold), row),
+            (max(end, limit), row),
             xytext=(4, 0),
             textcoords="offset points",
             va="center",
@@ -111,8 +111,8 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.6},
             zorder=4,
         )
-    ax.axvline(threshold, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
-    everything = np.append(spans[np.isfinite(spans)], [0.0, threshold])
+    ax.axvline(limit, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
+    everything = np.append(spans[np.isfinite(spans)], [0.0, limit])
     low, high = float(everything.min()), float(everything.max())
     label = "ln Bayes factor against the base model (–)"
     if high > _WIDE or low < -_WIDE:
@@ -230,7 +230,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
         text = f"{round(values[i, j], 2) + 0.0:.2f}".replace("-", "−")
         ax.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
     separate_cells(ax, count, count)
-    for i, j in np.argwhere((np.abs(values) > _COLLINEAR) & ~np.eye(count, dtype=bool)):
+    for i, j in np.argwhere((np.abs(values) > COLLINEAR) & ~np.eye(count, dtype=bool)):
         looks: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.8, "clip_on": False, "zorder": 4}
         ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="collinear", **looks))
     known = {name: f"γ\xa0{unabsorbed[name]:.2f}" for name in names if not pd.isna(unabsorbed.get(name, math.nan))}
@@ -238,7 +238,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     words = [_two_lines(str(titles.get(n, n)), f" ({ends[n]})" if ends[n] else "") for n in names]
     ax.set_xticks(range(count), names, rotation=90, fontsize=8)
     ax.set_yticks(range(count), words, fontsize=7.5)
-    note = f"outlined: |ρ| > {_COLLINEAR:g}, collinear"
+    note = f"outlined: |ρ| > {COLLINEAR:g}, collinear"
     ax.set_xlabel(note + ("; γ: unabsorbed fraction" if known else ""))
     label = "correlation ρ of the signatures (–)"
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
@@ -250,7 +250,7 @@ def _two_lines(title: str, end: str = "") -> str:
     return textwrap.fill(title + end, max(26, math.ceil(0.58 * len(title + end))), break_long_words=False)
 
 
-def _threshold(count: int) -> float:
+def threshold(count: int) -> float:
     """Threshold of the ln Bayes factor for one of so many effects; the best of more effects fits better by chance."""
     return math.log(max(count, 1)) + LEAST_BAYES_FACTOR
 
@@ -274,7 +274,7 @@ def _handles(rows: pd.DataFrame) -> list[Artist]:
     """Legend entries of the evidence."""
     there = _looks(rows)
     handles: list[Artist] = [Patch(label=name, **look) for name, look in _LOOKS.items() if name in there]
-    words = f"threshold ln {len(rows)} + {LEAST_BAYES_FACTOR:g} = {_threshold(len(rows)):.1f}"
+    words = f"threshold ln {len(rows)} + {LEAST_BAYES_FACTOR:g} = {threshold(len(rows)):.1f}"
     handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=1.0, label=words))
     if rows[["ln_bayes_third", "ln_bayes_triple"]].notna().to_numpy().any():
         handles.append(Line2D([], [], color=BLACK, linewidth=1.1, label="prior width ÷ 3 to × 3"))

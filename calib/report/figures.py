@@ -15,7 +15,6 @@ from calib.report.style import add_heading, save, style, take_dollars_literally
 from calib.report.svg import svg_text
 
 
-
 class Figures:
     """Figures of one folder.
 

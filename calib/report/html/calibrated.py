@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pandas as pd
 
-from calib.report.calibration import final_places, searched
-from calib.report.html.compared import error_plot, mac_plot, mode_table, scalar_blocks
-from calib.report.html.look import name_axis, new, number_axis, shown
+from calib.report.calibration import final_places
+from calib.report.html.compared import error_picture, mac_picture, mode_table, scalar_blocks
 from calib.report.html.numbers import counted, fixed, flag, percent, significant, with_unit, yes
-from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
+from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.style import CASES
 
 TERMS = (
     ("case", "one search from its own random start; cases that end in different values have found no unique optimum"),
@@ -30,7 +27,6 @@ TERMS = (
     ),
     ("spread", "largest difference of a parameter between the searches, before least squares, over its range"),
 )
-_SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x", "star")
 
 
 def section(results: StudyResults) -> Section | None:
@@ -52,7 +48,7 @@ def section(results: StudyResults) -> Section | None:
         *(Words(words, "reported") for words in results.sentences("calibrate")),
         Terms(TERMS),
         *_verdicts(results, best),
-        _parameter_plot(table, best),
+        *_parameter_picture(results, table, best),
         *_convergence(results),
         *_after(results, best),
         *_uncertainty(results),
@@ -126,64 +122,26 @@ def _verdicts(results: StudyResults, best: str) -> list[Block]:
     return [Table("Identifiability of the parameters", heads, rows, (5, 6))]
 
 
-def _parameter_plot(table: pd.DataFrame, best: str) -> Plot:
-    names, cases = list(dict.fromkeys(table["parameter"])), list(dict.fromkeys(table["case"]))
-    figure = new(130 + 36 * len(names))
-    for k, case in enumerate(cases):
-        rows = table[table["case"] == case].set_index("parameter").reindex(names)
-        words = [
-            shown(
-                f"{n}, {case}: {with_unit(r['value'], str(r['unit']), 5)} (limits {significant(r['lower'])} to "
-                f"{significant(r['upper'])}; the search {significant(r['search_value'], 5)})"
-            )
-            for n, r in rows.iterrows()
-        ]
-        shift = (k - (len(cases) - 1) / 2) * min(0.14, 0.7 / len(cases))
-        figure.add_scatter(
-            x=searched(rows).to_numpy(dtype=float), y=np.arange(len(names)) + shift, mode="markers", hovertext=words,
-            hoverinfo="text", showlegend=True,
-            name=shown(f"{case} (reported)" if case == best else case),
-            marker={"color": CASES[k % len(CASES)], "size": 9, "symbol": _SYMBOLS[k % len(_SYMBOLS)]},
-        )  # fmt: skip
+def _parameter_picture(results: StudyResults, table: pd.DataFrame, best: str) -> list[Picture]:
     final = final_places(table, best)
-    if final is not None:
-        final = final.reindex(names)
-        figure.add_scatter(
-            x=final["place"].to_numpy(), y=np.arange(len(names)), mode="markers", hoverinfo="skip", showlegend=True,
-            name=shown(f"{best} after least squares (± 2 std)"),
-            marker={"color": "black", "size": 8, "symbol": "diamond"},
-            error_x={"type": "data", "array": final["reach"].to_numpy(), "thickness": 1.5},
-        )  # fmt: skip
-    figure.update_layout(
-        xaxis=number_axis("position between the limits: 0 at the lower, 1 at the upper", range=[-0.05, 1.05]),
-        yaxis=name_axis(names, reverse=True),
-    )
     bound = table[(table["case"] == best) & table["on_bound"].map(flag)]["parameter"].tolist()
     note = f"At a limit: {', '.join(bound)}." if bound else "None is at a limit."
     what = "Calibrated parameters of every case" if final is None else "Parameters at the end of every search"
-    caption = f"{what}, between their limits. {note}"
     rows = table[table["case"] == best]
     positions = ", ".join(f"{n} {fixed(v, 2)}" for n, v in zip(rows["parameter"], rows["ratio"], strict=True))
-    return Plot("parameters", caption, f"Dots. Positions in case {best}: {positions}. {note}", figure)
+    alt = f"Bars. Positions in case {best}: {positions}. {note}"
+    return results.picture("parameters", f"{what}, between their limits. {note}", alt)
 
 
-def _convergence(results: StudyResults) -> list[Block]:
+def _convergence(results: StudyResults) -> list[Picture]:
     misfit = ["best", "mean"]
     table = results.table("convergence", ["case"], ["generation", *misfit], complete=["generation"], unbounded=misfit)
     if table is None:
         return []
     step = "generation" if results.summary.get("method") == "genetic" else "fit"
-    figure = new(380, xaxis=number_axis(step), yaxis=number_axis("misfit", type="log"))
-    ends = []
-    for k, (case, rows) in enumerate(table.groupby("case", sort=False)):
-        best = rows["best"].replace(np.inf, np.nan).to_numpy(dtype=float)
-        line = {"color": CASES[k % len(CASES)], "dash": ("solid", "dash", "dot", "dashdot")[k % 4], "width": 2}
-        figure.add_scatter(
-            x=rows["generation"].to_numpy(), y=best, mode="lines", line=line, name=shown(case), showlegend=True
-        )
-        ends.append(f"{case} {significant(float(best[-1]))}" if len(best) else str(case))
+    ends = "; ".join(f"{case} {significant(rows['best'].iloc[-1])}" for case, rows in table.groupby("case", sort=False))
     caption = f"Lowest misfit so far over the {step}s of every case."
-    return [Plot("convergence", caption, f"Falling lines. They end at: {', '.join(ends)}.", figure)]
+    return results.picture("convergence", caption, f"Falling lines. They end at: {ends}.")
 
 
 def _after(results: StudyResults, best: str) -> list[Block]:
@@ -195,8 +153,8 @@ def _after(results: StudyResults, best: str) -> list[Block]:
     stages = {"after": after} if before is None else {"before": before, "after": after}
     return [
         mode_table(after, f"The model after calibration (case {best})"),
-        error_plot(stages, "errors-after", results.noise_mac),
-        *mac_plot(results, "after"),
+        *error_picture(results, stages),
+        *mac_picture(results, "after"),
     ]
 
 

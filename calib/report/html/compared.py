@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pandas as pd
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
-from calib.report.html.look import PATTERNS, add_matrix, filled, name_axis, new, number_axis, shown
 from calib.report.html.numbers import fixed, percent, significant
-from calib.report.html.page import Block, Plot, Section, Shapes, Table, Terms, Words
+from calib.report.html.page import Block, Picture, Section, Shapes, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE, scene
-from calib.report.html.study_results import StudyResults
-from calib.report.style import AFTER, BEFORE, GREY
+from calib.report.html.study_results import STAGES, StudyResults
 
-COLOURS = {"before": BEFORE, "after": AFTER}
 TERMS = (
     ("MAC", "modal assurance criterion: 1 for proportional shapes, 0 for orthogonal ones"),
     (
@@ -41,10 +38,10 @@ def section(results: StudyResults) -> Section | None:
         *sentences,
         mode_table(table, "Mode by mode before calibration"),
         Terms(TERMS if table["mac"].notna().any() else ()),
-        error_plot({"before": table}, "errors-before", results.noise_mac),
-        *mac_plot(results, "before"),
+        *([] if results.compared("after") is not None else error_picture(results, {"before": table})),
+        *mac_picture(results, "before"),
         *_shapes(results),
-        *comac_plot(results),
+        *comac_picture(results),
     ]
     return Section("compared", title, tuple(blocks))
 
@@ -69,35 +66,12 @@ def mode_table(table: pd.DataFrame, caption: str) -> Table:
     return Table(caption, (*heads, "MAC", "EMAC", "margin") if shapes else tuple(heads), tuple(rows))
 
 
-def error_plot(stages: dict[str, pd.DataFrame], name: str, noise_mac: float) -> Plot:
-    """Bars of the frequency error and of the MAC of every mode, by stage."""
-    modes = list(dict.fromkeys(mode for table in stages.values() for mode in table["mode"]))
+def error_picture(results: StudyResults, stages: Mapping[str, pd.DataFrame]) -> list[Picture]:
+    """Frequency error and MAC of every mode, by stage."""
     shapes = any(table["mac"].notna().any() for table in stages.values())
-    count = 2 if shapes else 1
-    figure = make_subplots(rows=1, cols=count, horizontal_spacing=0.09, figure=new(380))
-    for stage, table in stages.items():
-        rows = table.set_index("mode").reindex(modes)
-        for k, (column, factor, unit, digits) in enumerate(
-            (("freq_error", 100.0, " %", 2), ("mac", 1.0, "", 3))[:count]
-        ):
-            values = factor * rows[column].to_numpy(dtype=float)
-            words = [f"{m}, {stage}: {fixed(v, digits, sign=not k)}{unit}" for m, v in zip(modes, values, strict=True)]
-            marker = filled(COLOURS[stage], PATTERNS[stage])
-            figure.add_bar(
-                x=list(range(len(modes))), y=values, name=f"{stage} calibration", marker=marker, legendgroup=stage,
-                hovertext=[shown(w) for w in words], hoverinfo="text", showlegend=k == 0, row=1, col=k + 1,
-            )  # fmt: skip
-    figure.update_layout(
-        xaxis=name_axis(modes, "measured mode"), yaxis=number_axis("error of the natural frequency, %"), barmode="group"
-    )
-    if shapes:
-        figure.update_layout(xaxis2=name_axis(modes, "measured mode"), yaxis2=number_axis("MAC", range=[0, 1.05]))
-        if not np.isnan(noise_mac):
-            figure.add_hline(y=noise_mac, line={"color": GREY, "dash": "dash"}, row=1, col=2)
     summary = " ".join(_summary(stage, table, shapes) for stage, table in stages.items())
-    line = " Dashed: the mean MAC that noise alone allows." if shapes and not np.isnan(noise_mac) else ""
     what = "Frequency errors, and MAC of the shapes." if shapes else "Frequency errors."
-    return Plot(name, f"{what} {summary}{line}", f"Bars. {summary}", figure)
+    return results.picture("comparison", f"{what} {summary}", f"Bars. {summary}")
 
 
 def _summary(stage: str, table: pd.DataFrame, shapes: bool) -> str:
@@ -112,25 +86,18 @@ def _summary(stage: str, table: pd.DataFrame, shapes: bool) -> str:
     return note + "."
 
 
-def mac_plot(results: StudyResults, stage: str) -> list[Plot]:
+def mac_picture(results: StudyResults, stage: str) -> list[Picture]:
     """Matrix of the MAC of every measured mode with every model mode."""
     table = results.table(f"mac_{stage}", ["mode"], others_are_numbers=True)
     if table is None:
         return []
-    columns = [c for c in table.columns if c != "mode"]
     modes = table["mode"].astype(str).tolist()
-    values = table[columns].to_numpy(dtype=float)
-    figure = new(max(260, 120 + 34 * len(modes)), plot_bgcolor="#EDEDED")
-    cells = [[fixed(v, 2) for v in row] for row in values]
-    add_matrix(figure, values, modes, columns, cells, colours="Blues", span=(0.0, 1.0), label="MAC")
-    figure.update_layout(
-        xaxis=name_axis(columns, "model mode", tickangle=-90 if len(columns) > 8 else 0),
-        yaxis=name_axis(modes, "measured mode", reverse=True),
-    )
+    values = table.drop(columns="mode").to_numpy(dtype=float)
     best = np.nanmax(values, axis=1) if np.isfinite(values).any() else np.full(len(modes), np.nan)
     note = "; ".join(f"{m} {fixed(v, 2)}" for m, v in zip(modes, best, strict=True))
     caption = f"MAC of measured with model modes, {stage} calibration. One dark cell per row is a clear pair."
-    return [Plot(f"mac-{stage}", caption, f"Matrix of MAC values. The largest of each measured mode: {note}.", figure)]
+    alt = f"Matrix of MAC values. The largest of each measured mode: {note}."
+    return results.picture(f"mac_{stage}", caption, alt)
 
 
 def _shapes(results: StudyResults) -> list[Block]:
@@ -147,27 +114,16 @@ def _shapes(results: StudyResults) -> list[Block]:
     return [Shapes("mode-shapes", caption, f"Mode shapes {first['name']}: {words}.", found)]
 
 
-def comac_plot(results: StudyResults) -> list[Plot]:
+def comac_picture(results: StudyResults) -> list[Picture]:
     """CoMAC of the sensors before and after calibration, worst first."""
-    stages = {s: t for s in COLOURS if (t := results.table(f"comac_{s}", ["sensor"], ["comac"])) is not None}
+    stages = {s: t for s in STAGES if (t := results.table(f"comac_{s}", ["sensor"], ["comac"])) is not None}
     if not stages:
         return []
-    newest = list(stages.values())[-1].set_index("sensor")["comac"]
-    order = list(newest.sort_values(kind="stable", na_position="last").index)
-    figure = new(360, xaxis=name_axis(order, "sensor, worst first", tickangle=-90), yaxis=number_axis("CoMAC"))
-    for stage, table in stages.items():
-        values = table.set_index("sensor")["comac"].reindex(order).to_numpy(dtype=float)
-        symbol = "circle-open" if stage == "before" else "circle"
-        marker = {"color": COLOURS[stage], "size": 9, "symbol": symbol, "line": {"width": 2, "color": COLOURS[stage]}}
-        words = [shown(f"{s}, {stage}: {fixed(v, 3)}") for s, v in zip(order, values, strict=True)]
-        figure.add_scatter(
-            x=list(range(len(order))), y=values, mode="markers", marker=marker, name=f"{stage} calibration",
-            hovertext=words, hoverinfo="text", showlegend=True,
-        )  # fmt: skip
-    worst = ", ".join(f"{s} {fixed(newest[s], 3)}" for s in order[:3])
     stage = list(stages)[-1]
+    newest = stages[stage].set_index("sensor")["comac"].sort_values(kind="stable", na_position="last")
+    worst = ", ".join(f"{s} {fixed(v, 3)}" for s, v in newest.head(3).items())
     alt = f"Dots. The worst sensors {stage} calibration: {worst}; the mean is {fixed(newest.mean(), 3)}."
-    return [Plot("comac", "CoMAC of every sensor; low values show where the shapes disagree.", alt, figure)]
+    return results.picture("comac", "CoMAC of every sensor; low values show where the shapes disagree.", alt)
 
 
 def scalar_blocks(results: StudyResults, stage: str) -> list[Block]:
@@ -186,22 +142,18 @@ def scalar_blocks(results: StudyResults, stage: str) -> list[Block]:
         for r in table.to_dict("records")
     )
     heads = ("response", "measured", "model", "error, %", "error in std")
-    figure, known = new(380), table["error_in_std"].notna().any()
-    column, unit = ("error_in_std", "in standard deviations") if known else ("error", "relative to the response")
-    names = table["response"].astype(str).tolist()
-    _add_responses(figure, names, table[column].to_numpy(dtype=float), stage)
-    figure.update_layout(xaxis=name_axis(names, "", tickangle=-90), yaxis=number_axis(f"error {unit}"))
+    column, unit = (
+        ("error_in_std", "in standard deviations")
+        if table["error_in_std"].notna().any()
+        else ("error", "relative to the response")
+    )
     size = table[column].abs()
-    worst = "" if not size.notna().any() else f" The largest is that of {names[int(size.argmax())]}."
+    worst = f" The largest is that of {table['response'][int(size.argmax())]}." if size.notna().any() else ""
     note = f"Mean absolute error {stage} calibration: {percent(table['error'].abs().mean())} %.{worst}"
     return [
         Words(note),
-        Plot(f"responses-{stage}", f"Errors of all responses {unit}, {stage} calibration.", f"Bars. {note}", figure),
+        *results.picture(
+            f"responses_{stage}", f"Errors of all responses {unit}, {stage} calibration.", f"Bars. {note}"
+        ),
         Table(f"Every response {stage} calibration", heads, rows),
     ]
-
-
-def _add_responses(figure: go.Figure, names: list[str], values: np.ndarray, stage: str) -> None:
-    marker = filled(COLOURS[stage], PATTERNS[stage])
-    words = [shown(f"{n}: {fixed(v, 2, sign=True)}") for n, v in zip(names, values, strict=True)]
-    figure.add_bar(x=list(range(len(names))), y=values, marker=marker, hovertext=words, hoverinfo="text")

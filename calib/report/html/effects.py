@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 import pandas as pd
-from plotly.subplots import make_subplots
 
-from calib.report.explanation import LEAST_BAYES_FACTOR, ranked
-from calib.report.html.look import add_matrix, filled, name_axis, new, number_axis, shown, wrapped
+from calib.report.explanation import COLLINEAR, ranked, threshold
 from calib.report.html.numbers import counted, fixed, flag, significant, with_unit
-from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
-from calib.report.html.space import AXES_NOTE, add_dots, new_space
+from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
+from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
-from calib.report.mesh import rest_lines
-from calib.report.style import BLACK, BLUE, GREY, ORANGE, REST, SKY
 
 NUMBERS = (
     "z", "unabsorbed", "magnitude", "magnitude_low", "magnitude_high", "magnitude_min", "plausible", "largest",
@@ -30,12 +23,6 @@ TERMS = (
     ("model probability", "posterior probability among the base model and the effects of the library"),
     ("credible set", "the effects that remain possible explanations"),
 )
-LOOKS = {
-    "credible set": (ORANGE, ""),
-    "refitted": (BLUE, ""),
-    "not refitted: linear estimate": (SKY, "/"),
-    "not visible with these data": (REST, "."),
-}
 _SHOWN_PERTURBATIONS = 12
 
 
@@ -64,7 +51,7 @@ def section(results: StudyResults) -> Section | None:
     blocks = [
         Words(f"Tested: {counted(len(table), 'effect')} of the study's library. {note}{grey}"),
         Terms(TERMS),
-        _effect_plot(table),
+        *_effect_picture(results, table),
         _effect_rows(table),
         *_physics(table),
         *_confounding(results),
@@ -73,79 +60,14 @@ def section(results: StudyResults) -> Section | None:
     return Section("effects", "Candidate effects, ranked", tuple(blocks))
 
 
-def _look(row: Mapping[Any, Any]) -> str:
-    names = list(LOOKS)
-    if flag(row["credible"]):
-        return names[0]
-    if not flag(row["visible"]):
-        return names[3]
-    return names[1] if flag(row["refitted"]) else names[2]
-
-
-def _effect_plot(table: pd.DataFrame) -> Plot:
-    records = table.to_dict("records")
-    labels = [
-        words
-        if flag(r["visible"])
-        else "<br>".join(f'<span style="color:{GREY}">{w}</span>' for w in words.split("<br>"))
-        for r in records
-        for words in [wrapped(str(r["title"]))]
-    ]
-    threshold = float(np.log(max(len(table), 1)) + LEAST_BAYES_FACTOR)
-    look = new(150 + 40 * len(table), margin={"l": 60, "r": 30, "t": 60, "b": 60}, barmode="overlay")
-    figure = make_subplots(1, 2, shared_yaxes=True, column_widths=[0.6, 0.4], horizontal_spacing=0.04, figure=look)
-    for name, (colour, pattern) in LOOKS.items():
-        at = [k for k, r in enumerate(records) if _look(r) == name]
-        if not at:
-            continue
-        rows = table.iloc[at]
-        words = [
-            shown(f"{r['name']}: ln Bayes {fixed(r['ln_bayes'], 1)}, z {fixed(r['z'], 1)}")
-            for r in rows.to_dict("records")
-        ]
-        written = [
-            fixed(v, 1) + (" implausible" if i else "")
-            for v, i in zip(rows["ln_bayes"], rows["implausible"], strict=True)
-        ]
-        figure.add_bar(
-            x=rows["ln_bayes"].to_numpy(dtype=float), y=at, orientation="h", name=name, showlegend=True, text=written,
-            hoverinfo="text", hovertext=words, textposition="outside", cliponaxis=False, row=1, col=1,
-            marker=filled(colour, pattern),
-        )  # fmt: skip
-    figure.add_vline(x=threshold, line={"color": BLACK, "dash": "dash", "width": 1}, row=1, col=1)
-    ratio = (table["magnitude_min"] / table["plausible"]).to_numpy(dtype=float)
-    seen = table["visible"].map(flag).to_numpy(dtype=bool)
-    for mask, symbol, colour in ((seen, "circle", BLUE), (~seen, "circle-open", GREY)):
-        known = np.flatnonzero(mask & np.isfinite(ratio))
-        words = [
-            shown(f"{r['name']}: visible from {with_unit(r['magnitude_min'], str(r['unit']))}, "
-                  f"plausible magnitude {with_unit(r['plausible'], str(r['unit']))}")
-            for r in table.iloc[known].to_dict("records")
-        ]  # fmt: skip
-        figure.add_scatter(
-            x=ratio[known], y=known, mode="markers", hovertext=words, hoverinfo="text", showlegend=False, row=1, col=2,
-            marker={"color": colour, "size": 10, "symbol": symbol, "line": {"width": 2, "color": colour}},
-        )  # fmt: skip
-    figure.add_vline(x=1.0, line={"color": BLACK, "width": 1}, row=1, col=2)
-    axis = name_axis(labels, reverse=True, ticktext=labels)
-    figure.update_layout(
-        xaxis=number_axis("ln Bayes against the base model", range=_room(table["ln_bayes"], threshold)),
-        xaxis2=number_axis("smallest visible magnitude / plausible magnitude", type="log", dtick=1),
-        yaxis=axis,
-        yaxis2=name_axis(labels, reverse=True, ticktext=labels, showticklabels=False),
-    )
-    best = "; ".join(f"{r['title']} {fixed(r['ln_bayes'], 1)}" for r in records[:3])
+def _effect_picture(results: StudyResults, table: pd.DataFrame) -> list[Picture]:
+    best = "; ".join(f"{r['title']} {fixed(r['ln_bayes'], 1)}" for r in table.head(3).to_dict("records"))
     caption = (
-        f"Left: evidence for each effect, with the threshold for one of {len(table)} effects, {fixed(threshold, 1)}, "
-        "dashed. Right: smallest visible magnitude; beyond the line at 1 only an implausibly large effect is visible."
+        f"Left: evidence for each effect, with the threshold for one of {len(table)} effects, "
+        f"{fixed(threshold(len(table)), 1)}, dashed. Right: smallest visible magnitude; beyond the line at 1 only an "
+        "implausibly large effect is visible."
     )
-    return Plot("ranked-effects", caption, f"Bars and dots. The strongest evidence: {best}.", figure)
-
-
-def _room(values: pd.Series, threshold: float) -> list[float]:
-    known = [v for v in values if np.isfinite(v)] + [0.0, threshold]
-    low, high = min(known), max(known)
-    return [low - 0.12 * (high - low), high + 0.35 * (high - low)]
+    return results.picture("ranked_effects", caption, f"Bars and dots. The strongest evidence: {best}.")
 
 
 def _effect_rows(table: pd.DataFrame) -> Table:
@@ -193,22 +115,23 @@ def _physics(table: pd.DataFrame) -> list[Table]:
     return [Table("Description of the effects", heads, rows, (1, 2), grey)]
 
 
-def _confounding(results: StudyResults) -> list[Plot]:
+def _confounding(results: StudyResults) -> list[Picture]:
     table = results.table("confounding", ["effect"], others_are_numbers=True)
     if table is None:
         return []
     names = table["effect"].astype(str).tolist()
     values = table.set_index("effect").reindex(columns=names).to_numpy(dtype=float)
-    figure = new(max(320, 180 + 28 * len(names)), plot_bgcolor="#EDEDED")
-    cells = [[fixed(v, 2) for v in row] for row in values]
-    add_matrix(figure, values, names, names, cells, colours="RdBu_r", span=(-1.0, 1.0), label="correlation")
-    figure.update_layout(xaxis=name_axis(names, tickangle=-90), yaxis=name_axis(names, reverse=True))
     close = [
-        f"{names[i]} and {names[j]} {fixed(values[i, j], 2)}" for i, j in np.argwhere(np.abs(np.tril(values, -1)) > 0.9)
+        f"{names[i]} and {names[j]} {fixed(values[i, j], 2)}"
+        for i, j in np.argwhere(np.abs(np.tril(values, -1)) > COLLINEAR)
     ]
-    note = f"Collinear (over 0.9): {'; '.join(close)}." if close else "No two effects are collinear (over 0.9)."
+    note = (
+        f"Collinear (over {COLLINEAR}): {'; '.join(close)}."
+        if close
+        else f"No two effects are collinear (over {COLLINEAR})."
+    )
     caption = f"Correlation of the effects' signatures after projecting out the parameters. {note}"
-    return [Plot("confounding", caption, f"Matrix of correlations. {note}", figure)]
+    return results.picture("confounding", caption, f"Matrix of correlations. {note}")
 
 
 def _local_perturbations(results: StudyResults) -> list[Block]:
@@ -223,19 +146,9 @@ def _local_perturbations(results: StudyResults) -> list[Block]:
     )
     first = ", ".join(f"{r[0]} {r[2]}" for r in rows[:3])
     caption = f"Local perturbations with the largest scores, of {len(table)}: places to inspect, not causes"
-    placed = table.dropna(subset=["x", "y", "z", "score"])
-    out: list[Block] = []
-    if len(placed):
-        points, score = placed[["x", "y", "z"]].to_numpy(dtype=float), placed["score"].to_numpy(dtype=float)
-        reach = float(np.abs(score).max()) or 1.0
-        figure = new_space(rest_lines(results.folder), points)
-        marker = {
-            "color": score, "colorscale": "RdBu_r", "cmin": -reach, "cmax": reach, "line": {"color": BLACK, "width": 1},
-            "size": 4 + 16 * np.abs(score) / reach, "colorbar": {"title": {"text": "score z"}, "thickness": 14},
-        }  # fmt: skip
-        words = [f"{r['perturbation']}: z {fixed(r['score'], 1, sign=True)}" for r in placed.to_dict("records")]
-        add_dots(figure, points, words, "local perturbations", marker)
-        note = f"Scores of local perturbations at their locations: places to inspect, not causes. {AXES_NOTE}"
-        alt = f"Scores of {len(placed)} local perturbations. The largest: {first}."
-        out.append(Plot("local-perturbations", note, alt, figure))
-    return [*out, Table(caption, ("local perturbation", "kind", "score z", "γ"), rows, (1,))]
+    note = f"Scores of local perturbations at their locations: places to inspect, not causes. {AXES_NOTE}"
+    alt = f"Scores of {counted(len(table), 'local perturbation')}. The largest: {first}."
+    return [
+        *results.picture("perturbation_map", note, alt),
+        Table(caption, ("local perturbation", "kind", "score z", "γ"), rows, (1,)),
+    ]

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from calib.report.html.look import name_axis, new, number_axis, shown
 from calib.report.html.numbers import chance, fixed, flag, with_unit, yes
-from calib.report.html.page import Block, Plot, Section, Table, Words
+from calib.report.html.page import Block, Section, Table, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, added
 
 _OF_VERDICT = 2
 """Number of sentences that state the verdict; the others support it."""
-_COLOURS = (ORANGE, BLUE, GREEN, PURPLE, SKY)
 
 
 def pulls(results: StudyResults) -> Section | None:
@@ -23,31 +18,6 @@ def pulls(results: StudyResults) -> Section | None:
     )
     if table is None:
         return None
-    models, names = list(dict.fromkeys(table["model"])), list(dict.fromkeys(table["parameter"]))
-    believed = "explained" if _names_something(results) else "attempt"
-    figure = new(130 + 34 * len(names))
-    for k, model in enumerate(models):
-        rows = table[table["model"] == model].set_index("parameter").reindex(names)
-        label = "base model" if model == "base" else added(believed, model)
-        words = [
-            shown(
-                f"{n}, {label}: {with_unit(r['nominal'], str(r['unit']))} → "
-                f"{with_unit(r['value'], str(r['unit']), 4)}, {fixed(r['standardised'], 1, sign=True)}"
-            )
-            for n, r in rows.iterrows()
-        ]
-        figure.add_scatter(
-            x=rows["standardised"].to_numpy(dtype=float), y=np.arange(len(names)) + 0.16 * (k - (len(models) - 1) / 2),
-            mode="markers", hovertext=words, hoverinfo="text", name=shown(label), showlegend=True,
-            marker={"color": _COLOURS[k % len(_COLOURS)], "size": 10, "symbol": ("circle", "square", "diamond")[k % 3]},
-        )  # fmt: skip
-    limits = table["limit"].dropna().round(3).unique()
-    for limit in limits:
-        for side in (-limit, limit):
-            figure.add_vline(x=side, line={"color": BLACK, "dash": "dash", "width": 1})
-    reach = 1.1 * float(np.nanmax(np.abs([*table["standardised"].replace([np.inf, -np.inf], np.nan), *limits, 3.0])))
-    axis = number_axis("pull: standardised shift from the nominal value", range=[-reach, reach])
-    figure.update_layout(xaxis=axis, yaxis=name_axis(names, reverse=True))
     pulled = [f"{r['parameter']} ({r['model']})" for r in table.to_dict("records") if flag(r["pulled"])]
     note = f"Pulled: {', '.join(pulled)}." if pulled else "No parameter is pulled."
     rows = tuple(
@@ -73,7 +43,7 @@ def pulls(results: StudyResults) -> Section | None:
         "Parameter pulls",
         (
             Words(intro),
-            Plot("pulls", caption, f"Dots. {note}", figure),
+            *results.picture("pulls", caption, f"Dots. {note}"),
             Table("Parameter pulls", heads, rows, (1, 5)),
         ),
     )
@@ -115,7 +85,3 @@ def candidate_fits(results: StudyResults) -> Section | None:
     intro = f"All models that were fitted.{work} The misfit is the sum of squares in standard deviations."
     heads = ("added to the base model", "misfit", "ln Bayes", "implausible because")
     return Section("candidate_fits", "Candidate fits", (Words(intro), Table("Candidate fits", heads, rows, (3,))))
-
-
-def _names_something(results: StudyResults) -> bool:
-    return results.explanation.get("verdict") in ("effect", "indistinguishable", "two_effects")

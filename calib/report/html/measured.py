@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pandas as pd
 
 from calib.report.html.numbers import counted, fixed, flag, percent, significant, yes
-from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
-from calib.report.html.space import AXES_NOTE, add_dots, new_space
+from calib.report.html.page import Block, Section, Table, Terms, Words
+from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
-from calib.report.mesh import rest_lines
-from calib.report.style import BLUE, MEASURED
 
 USED = ("held out", "used")
 SYNTHETIC = "The measurement is synthetic: a computer made it from a model with noise added; no structure was measured."
@@ -137,19 +134,9 @@ def _map(results: StudyResults, table: pd.DataFrame) -> list[Block]:
     placed = table.dropna(subset=["x", "y", "z"])
     if placed.empty:
         return []
-    points = placed[["x", "y", "z"]].to_numpy(dtype=float)
-    held = np.array([flag(value) for value in placed["held_out"]])
-    words = [f"{s} (direction {d})" for s, d in zip(placed["sensor"], placed["direction"], strict=True)]
-    figure = new_space(rest_lines(results.folder), points)
-    for mask, name, marker in (
-        (~held, "used", {"color": BLUE, "size": 5}),
-        (held, "held out", {"color": MEASURED, "size": 6, "symbol": "diamond"}),
-    ):
-        if mask.any():
-            add_dots(figure, points[mask], [w for w, m in zip(words, mask, strict=True) if m], name, marker)
-    alt = f"Positions of {counted(len(placed), 'sensor')} on the structure, {int(held.sum())} of them held out."
-    caption = f"Positions of the sensors; point at one for its name, drag to turn. {AXES_NOTE}"
-    return [Plot("sensor-map", caption, alt, figure)]
+    held = int(sum(flag(value) for value in placed["held_out"]))
+    alt = f"Positions of {counted(len(placed), 'sensor')} on the structure, {held} of them held out."
+    return [*results.picture("model", f"The model and the sensors on it. {AXES_NOTE}", alt)]
 
 
 def _suspicious(results: StudyResults) -> list[Block]:

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
-import plotly.graph_objects as go
-
 LONGEST = 12
 """Rows of the longest table that is shown unfolded."""
 
@@ -62,24 +60,25 @@ class Table:
         return len(self.rows) > LONGEST
 
 
-@dataclass(frozen=True, eq=False)
-class Plot:
-    """An interactive figure.
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the folder.
 
     Attributes
     ----------
     name : str
-        Identifier in the page.
+        Its name in `calib.report.draw.plan`, and its identifier in the page.
     caption : str
     alt : str
         Text alternative for readers who cannot see the figure.
-    figure : Figure
+    tables : tuple of str
+        The tables that it shows, without suffix; each is offered as a file.
     """
 
     name: str
     caption: str
     alt: str
-    figure: go.Figure
+    tables: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +88,7 @@ class Shapes:
     Attributes
     ----------
     name, caption, alt : str
-        As in `Plot`.
+        As in `Picture`.
     scene : mapping
         Values for JSON; see `calib.report.html.space.scene`.
     """
@@ -100,7 +99,7 @@ class Shapes:
     scene: Mapping[str, Any]
 
 
-Block: TypeAlias = Words | Terms | Table | Plot | Shapes
+Block: TypeAlias = Words | Terms | Table | Picture | Shapes
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,15 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from calib.report.html.look import name_axis, new, number_axis, shown, wrapped
 from calib.report.html.numbers import fixed, significant
-from calib.report.html.page import Plot, Section, Table, Words
+from calib.report.html.page import Section, Table, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.style import GREEN, GREY, ORANGE, PURPLE, SKY
 from calib.report.verification import best_candidates
-
-_TICKS = [factor * 10**power for power in range(-1, 6) for factor in (1, 2, 5)]
-_KINDS = {"sensor": SKY, "mode": ORANGE, "repeats": GREEN, "bench": PURPLE}
 
 
 def section(results: StudyResults) -> Section | None:
@@ -28,20 +23,6 @@ def section(results: StudyResults) -> Section | None:
     if table is None:
         return None
     best = best_candidates(table)
-    finite = best["gain"].replace(np.inf, np.nan)
-    words = [shown(f"{r['measurement']}: × {fixed(r['gain'], 2)} for {r['effect']}") for r in best.to_dict("records")]
-    labels = [wrapped(str(name), 48) for name in best["measurement"]]
-    lines = max(label.count("<br>") + 1 for label in labels)
-    figure = new(120 + (18 + 16 * lines) * len(best), margin={"l": 60, "r": 60, "t": 30, "b": 60})
-    figure.add_bar(
-        x=finite.to_numpy(dtype=float), y=list(range(len(best))), orientation="h", hovertext=words, hoverinfo="text",
-        text=[f"× {fixed(v, 1)}" for v in best["gain"]], textposition="outside", cliponaxis=False,
-        marker={"color": [_KINDS.get(str(kind), GREY) for kind in best["kind"]]},
-    )  # fmt: skip
-    figure.update_layout(
-        xaxis=number_axis("expected gain: factor in the score; 1 is no gain", type="log", tickvals=_TICKS),
-        yaxis=name_axis(labels, reverse=True, ticktext=labels),
-    )
     competing = table["ln_bayes"].notna().any()
     rows = tuple(
         (
@@ -75,7 +56,7 @@ def section(results: StudyResults) -> Section | None:
         "Recommended measurements",
         (
             Words(f"{intro} {largest}"),
-            Plot("next-measurement", caption, f"Bars. {largest}", figure),
+            *results.picture("next_measurement", caption, f"Bars. {largest}"),
             Table("Candidate measurements, best first", heads, rows, (1, 2)),
         ),
     )

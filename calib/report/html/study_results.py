@@ -11,6 +11,8 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.named_values import ANY, read_json
+from calib.report.figures import Figures
+from calib.report.html.page import Picture
 from calib.report.shown import Folder
 from calib.report.tables import read_table
 
@@ -85,6 +87,16 @@ class StudyResults:
         if found.get("effects") and not {"study", "mean_freq_error", "mean_mac"} <= found.keys():
             raise InputError("it is incomplete", place=self.folder / "added.json", remedy="run the analysis again")
         return found
+
+    @cached_property
+    def figures(self) -> Figures:
+        """The figures of the folder."""
+        return Figures(self.folder, self.title, self.synthetic)
+
+    def picture(self, name: str, caption: str, alt: str) -> list[Picture]:
+        """Return the figure of that name with its caption and its text alternative; none where there is no such."""
+        drawing = self.figures.plan.get(name)
+        return [] if drawing is None else [Picture(name, caption, alt, drawing.tables)]
 
     @property
     def added_names(self) -> tuple[str, ...]:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-import plotly.graph_objects as go
 
-from calib.report.html.look import add_matrix, name_axis, new, number_axis, shown
 from calib.report.html.numbers import fixed, flag, significant
-from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
+from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.sensitivity import MEASURES, RESPONSE_KINDS
 
@@ -23,9 +21,9 @@ TERMS = (
     ("noise floor", "value that chance alone reaches in a sample of this size"),
 )
 _MATRICES = (
-    ("partial", "partial rank correlation", "RdBu_r", (-1.0, 1.0)),
-    ("sensitivity", "Spearman's rank correlation", "RdBu_r", (-1.0, 1.0)),
-    ("variance_share", "variance share (square root)", "Blues", (0.0, 1.0)),
+    ("partial", "partial rank correlation"),
+    ("sensitivity", "Spearman's rank correlation"),
+    ("variance_share", "variance share (square root)"),
 )
 
 
@@ -41,26 +39,6 @@ def _selection(results: StudyResults) -> list[Block]:
     if table is None:
         return []
     names = table["parameter"].astype(str).tolist()
-    figure = new(130 + 44 * len(names), barmode="group")
-    for measure, (label, colour) in MEASURES.items():
-        size, floor = (
-            table[f"max_{measure}"].abs().to_numpy(dtype=float),
-            table[f"{measure}_floor"].to_numpy(dtype=float),
-        )
-        passed = size >= floor
-        words = [
-            shown(f"{n}, {label}: {fixed(s, 2)} (noise floor {fixed(f, 2)})")
-            for n, s, f in zip(names, size, floor, strict=True)
-        ]
-        marker = {"color": [colour if p else "white" for p in passed], "line": {"color": colour, "width": 1.5}}
-        figure.add_bar(
-            x=size, y=list(range(len(names))), orientation="h", marker=marker, hovertext=words, hoverinfo="text",
-            name=shown(label), showlegend=True,
-        )  # fmt: skip
-    figure.update_layout(
-        xaxis=number_axis("largest absolute value over all responses", range=[0, 1]),
-        yaxis=name_axis(names, reverse=True),
-    )
     rows = tuple(
         (
             str(r["parameter"]),
@@ -77,51 +55,19 @@ def _selection(results: StudyResults) -> list[Block]:
     return [
         *sentences,
         Terms(TERMS),
-        Plot("selection", caption, f"Bars. Selected: {', '.join(chosen) or 'none'}.", figure),
+        *results.picture("selection", caption, f"Bars. Selected: {', '.join(chosen) or 'none'}."),
         Table("Selection of parameters", heads, rows, (4, 5)),
     ]
 
 
-def _matrix(results: StudyResults) -> list[Plot]:
-    found = [
-        (label, colours, span, table)
-        for name, label, colours, span in _MATRICES
-        if (table := results.table(name, ["parameter"], others_are_numbers=True)) is not None
-    ]
-    if not found:
-        return []
-    parameters = found[0][3]["parameter"].astype(str).tolist()
-    responses = [c for c in found[0][3].columns if c != "parameter"]
-    labels = [_label(r) for r in responses]
-    figure = new(
-        max(300, 200 + 30 * len(parameters)), plot_bgcolor="#EDEDED", margin={"l": 60, "r": 20, "t": 70, "b": 90}
-    )
-    for k, (label, colours, span, table) in enumerate(found):
-        values = table.set_index("parameter").reindex(index=parameters, columns=responses).to_numpy(dtype=float)
-        cells = [[fixed(v, 2) if abs(v) >= 0.25 else "" for v in row] for row in values]
-        hover = [
-            [f"{p}, {r}: {fixed(v, 2)}" for r, v in zip(labels, row, strict=True)]
-            for p, row in zip(parameters, values, strict=True)
-        ]
-        add_matrix(
-            figure, values, parameters, labels, cells, colours=colours, span=span, label=label, hover=hover,
-            visible=k == 0,
-        )  # fmt: skip
-    figure.update_layout(xaxis=name_axis(labels, tickangle=-90), yaxis=name_axis(parameters, reverse=True))
-    _choose(figure, [label for label, *_ in found])
-    caption = (
-        "Every parameter and every response; values below 0.25 are not written. Choose the measure above the figure."
-    )
-    return [Plot("sensitivity-matrix", caption, f"Matrix. {_strongest(found[0][3], found[0][0], responses)}", figure)]
-
-
-def _choose(figure: go.Figure, labels: list[str]) -> None:
-    buttons = [
-        {"label": shown(label), "method": "restyle", "args": [{"visible": [j == k for j in range(len(labels))]}]}
-        for k, label in enumerate(labels)
-    ]
-    place = {"x": 0.0, "xanchor": "left", "y": 1.0, "yanchor": "bottom", "direction": "right", "type": "buttons"}
-    figure.update_layout(updatemenus=[{**place, "buttons": buttons, "showactive": True, "pad": {"b": 8}}])
+def _matrix(results: StudyResults) -> list[Picture]:
+    out = []
+    for name, label in _MATRICES:
+        table = results.table(name, ["parameter"], others_are_numbers=True)
+        if table is not None:
+            alt = f"Matrix. {_strongest(table, label, [c for c in table.columns if c != 'parameter'])}"
+            out += results.picture(name, f"{label.capitalize()} of every parameter with every response.", alt)
+    return out
 
 
 def _strongest(table: pd.DataFrame, label: str, responses: list[str]) -> str:
@@ -140,24 +86,16 @@ def _label(response: str) -> str:
     return response
 
 
-def _inputs(results: StudyResults) -> list[Plot]:
+def _inputs(results: StudyResults) -> list[Picture]:
     table = results.table("input_correlation", ["parameter"], others_are_numbers=True)
     if table is None or len(table) < 2:
         return []
     names = table["parameter"].astype(str).tolist()
-    values = table.set_index("parameter").reindex(columns=names).to_numpy(dtype=float)
-    values = np.where(np.tril(np.ones_like(values, dtype=bool), -1), values, np.nan)[1:, :-1]
-    figure = new(max(300, 160 + 30 * len(names)))
-    cells = [[fixed(v, 2) if abs(v) >= 0.25 else "" for v in row] for row in values]
-    add_matrix(
-        figure, values, names[1:], names[:-1], cells, colours="RdBu_r", span=(-1.0, 1.0), label="rank correlation"
-    )
-    figure.update_layout(xaxis=name_axis(names[:-1], tickangle=-90), yaxis=name_axis(names[1:], reverse=True))
-    size = np.where(np.isfinite(values), np.abs(values), -1.0)
-    i, j = np.unravel_index(int(size.argmax()), size.shape)
-    alt = f"Matrix. The largest is {fixed(values[i, j], 2)}, of {names[1:][i]} and {names[j]}."
+    values = np.abs(np.tril(table.set_index("parameter").reindex(columns=names).to_numpy(dtype=float), -1))
+    i, j = np.unravel_index(int(np.nan_to_num(values, nan=-1.0).argmax()), values.shape)
+    alt = f"Matrix. The largest is {fixed(table[names[j]][i], 2)}, of {names[i]} and {names[j]}."
     caption = "Rank correlation of the sampled parameters, induced by constraints; without constraints about 0."
-    return [Plot("input-correlation", caption, alt, figure)]
+    return results.picture("input_correlation", caption, alt)
 
 
 def _screenings(results: StudyResults) -> list[Block]:

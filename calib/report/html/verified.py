@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
 import pandas as pd
 
-from calib.report.html.look import PATTERNS, filled, name_axis, new, number_axis, shown
 from calib.report.html.numbers import chance, fixed, flag, percent, significant, with_unit
-from calib.report.html.page import Block, Plot, Section, Table, Terms, Words
+from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.style import AFTER, BEFORE, BLACK, CASES
 from calib.report.verification import GROUPS
 
 TERMS = (
@@ -23,11 +20,10 @@ TERMS = (
     ("p", "probability that a correctly specified model has at least this error"),
 )
 STAGES = {
-    "before": ("base model", BEFORE),
-    "after": ("with the missing effect", AFTER),
-    "attempt": ("best attempt, not believed", "#BDBDBD"),
+    "before": "base model",
+    "after": "with the missing effect",
+    "attempt": "best attempt, not believed",
 }
-_GAP = 0.3
 
 
 def errors(results: StudyResults) -> Section | None:
@@ -61,7 +57,7 @@ def _added(results: StudyResults) -> list[Block]:
     table = results.table("added_errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
     if table is not None:
         what = f"before and after adding {name}, both models calibrated"
-        out += [_error_plot(table, what), _both_table(table, f"Errors {what}")]
+        out += [*_error_picture(results, "added_errors", table, what), _both_table(table, f"Errors {what}")]
     labels = {"initial": "nothing fitted", "before": "calibrated", "after": "extended"}
     caption = f"Every measured mode: nothing fitted, calibrated, and extended with {name} and calibrated again"
     return [*out, *_added_parameters(results, name), *_mode_table(results, "added_modes", labels, caption)]
@@ -101,41 +97,14 @@ def _explained(results: StudyResults) -> list[Block]:
         return []
     name = " + ".join(results.explanation.get("chosen", []))
     what = f"before and after adding {name}" if name else "of the base model"
-    return [_error_plot(table, what), _error_table(table, f"Errors {what}")]
+    return [*_error_picture(results, "errors_before_after", table, what), _error_table(table, f"Errors {what}")]
 
 
-def _error_plot(table: pd.DataFrame, what: str) -> Plot:
+def _error_picture(results: StudyResults, figure: str, table: pd.DataFrame, what: str) -> list[Picture]:
     """Errors by stage and group of data."""
-    groups = _groups(table)
-    stages = [s for s in STAGES if (table["stage"] == s).any()]
-    figure = new(400, barmode="group", bargap=_GAP)
-    for k, stage in enumerate(stages):
-        rows = table[table["stage"] == stage].set_index("group").reindex(groups)
-        label, colour = STAGES[stage]
-        words = [
-            shown(
-                f"{GROUPS.get(g, g)}, {label}: {fixed(r['rms'], 2)} σ; expected {fixed(r['expected'], 2)}; "
-                f"p {chance(r['p'])}"
-            )
-            for g, r in zip(groups, rows.to_dict("records"), strict=True)
-        ]
-        figure.add_bar(
-            x=list(range(len(groups))), y=rows["rms"].to_numpy(dtype=float), name=label, showlegend=True,
-            hovertext=words, hoverinfo="text",
-            marker=filled(colour, PATTERNS[stage]),
-        )  # fmt: skip
-        # The bars of a group share the width that bargap leaves between two names.
-        at = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * (1.0 - _GAP) / len(stages)
-        figure.add_scatter(
-            x=at, y=rows["expected"].to_numpy(dtype=float), mode="markers", name="expected", showlegend=k == 0,
-            hoverinfo="skip",
-            legendrank=2000, marker={"symbol": "line-ew", "size": 40, "line": {"width": 3, "color": BLACK}},
-        )  # fmt: skip
-    labels = [GROUPS.get(g, g) for g in groups]
-    figure.update_layout(xaxis=name_axis(labels), yaxis=number_axis("rms error, σ", rangemode="tozero"))
-    note = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
+    note = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in _groups(table))
     caption = f"Error {what}, in standard deviations; black lines: expected for a correctly specified model."
-    return Plot("errors", caption, f"Bars. {note}.", figure)
+    return results.picture(figure, caption, f"Bars. {note}.")
 
 
 def _arrow(table: pd.DataFrame, group: str) -> str:
@@ -146,7 +115,7 @@ def _error_table(table: pd.DataFrame, caption: str) -> Table:
     rows = tuple(
         (
             GROUPS.get(str(r["group"]), str(r["group"])),
-            STAGES.get(str(r.get("stage", "")), ("calibrated model",))[0],
+            STAGES.get(str(r.get("stage", "")), "calibrated model"),
             fixed(r["rows"], 0),
             fixed(r["rms"], 2),
             fixed(r["expected"], 2),
@@ -238,24 +207,7 @@ def _versions(results: StudyResults) -> list[Block]:
     )
     if table is None:
         return []
-    groups, versions = _groups(table), sorted(set(table["version"]))
-    effects = table.groupby("version")["effects"].first()
-    labels = [f"{v:g}: {effects[v] or 'base model'}" for v in versions]
-    figure = new(400)
-    for k, group in enumerate(groups):
-        over = table[table["group"] == group].groupby("version")[["rms", "expected"]].first().reindex(versions)
-        looks = {"color": CASES[k % len(CASES)]}
-        at, name = list(range(len(versions))), GROUPS.get(group, group)
-        figure.add_scatter(
-            x=at, y=over["rms"].to_numpy(dtype=float), mode="lines+markers", name=name, line=looks,
-            marker={"size": 9, "symbol": ("circle", "square", "diamond", "triangle-up")[k % 4]},
-        )  # fmt: skip
-        figure.add_scatter(
-            x=at, y=over["expected"].to_numpy(dtype=float), mode="lines", line={**looks, "dash": "dash", "width": 1},
-            name=f"{name}, expected", showlegend=False,
-        )  # fmt: skip
-    figure.update_layout(xaxis=name_axis(labels), yaxis=number_axis("rms error, σ", rangemode="tozero"))
-    note = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in groups)
+    note = "; ".join(f"{GROUPS.get(g, g)} {_arrow(table, g)}" for g in _groups(table))
     rows = tuple(
         (f"{r['version']:g}", str(r["effects"]) or "base model", GROUPS.get(str(r["group"]), str(r["group"])),
          fixed(r["rms"], 2), fixed(r["expected"], 2))
@@ -264,7 +216,7 @@ def _versions(results: StudyResults) -> list[Block]:
     caption = "Errors over the versions of the model; dashed: expected for a correctly specified model."
     heads = ("version", "added", "data", "rms, σ", "expected, σ")
     return [
-        Plot("versions", caption, f"Lines. {note}.", figure),
+        *results.picture("errors_over_versions", caption, f"Lines. {note}."),
         Table("Errors over the versions of the model", heads, rows, (1, 2)),
     ]
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from base64 import b64encode
 from importlib import resources
+from itertools import count
 from pathlib import Path
-from types import MappingProxyType
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
-from calib.errors import InputError
 from calib.report.html import (
     calibrated,
     compared,
@@ -24,11 +22,10 @@ from calib.report.html import (
     variance_share,
     verified,
 )
-from calib.report.html.look import as_json, scalar_json
-from calib.report.html.page import Plot, Section, Shapes
+from calib.report.html.look import scalar_json
+from calib.report.html.page import Section, Shapes
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
-from calib.report.shown import Shown
 from calib.written import replacing
 
 NAME = "report.html"
@@ -57,38 +54,18 @@ def sections(results: StudyResults) -> tuple[Section, ...]:
     return tuple(found for section in SECTIONS if (found := section(results)) is not None)
 
 
-def write_report(
-    folder: Path,
-    title: str,
-    synthetic: bool,
-    stale: Mapping[str, str] = MappingProxyType({}),
-    hidden: frozenset[str] = frozenset(),
-) -> Path:
+def write_report(results: StudyResults) -> Path:
     """Write ``report.html`` from the tables of a folder, beside them; nothing is computed anew.
-
-    Parameters
-    ----------
-    folder : Path
-    title : str
-        Title of the study.
-    synthetic : bool
-        Whether the measurement is synthetic; the page then says so at the top.
-    stale : mapping from analysis to str
-        Analyses of another state of the study, with a sentence about each.
-    hidden : frozenset of str
-        Names of the tables with their results, none of which the page shows.
 
     Raises
     ------
     InputError
         The folder is missing, or a table is damaged; nothing is written then.
     """
-    if not folder.is_dir():
-        raise InputError("there is no such folder of results", place=folder)
-    text = page(StudyResults(Shown(folder, hidden), title, synthetic, stale))
-    with replacing(folder / NAME) as draft:
+    text, path = page(results), results.folder / NAME
+    with replacing(path) as draft:
         draft.write_text(text, encoding="utf-8")
-    return folder / NAME
+    return path
 
 
 def page(results: StudyResults) -> str:
@@ -98,20 +75,26 @@ def page(results: StudyResults) -> str:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["data"] = _data
-    environment.tests["plot"] = lambda block: isinstance(block, Plot)
+    environment.filters["svg"] = lambda picture: Markup(results.figures.svg(picture.name))
+    environment.filters["file"] = lambda table: _address(results.folder / f"{table}.csv")
+    environment.globals["number"] = count(1).__next__
     return environment.get_template("report.html").render(
         results=results,
         summary=summary(results),
         sections=sections(results),
         style=Markup(_file("report.css")),
         script=Markup(_file("report.js")),
-        plotly=Markup(get_plotlyjs()),
     )
 
 
-def _data(block: Plot | Shapes) -> Markup:
-    """A figure as JSON for the script; nothing in it can end the script element."""
-    return Markup(as_json(block.figure) if isinstance(block, Plot) else scalar_json(block.scene))
+def _data(block: Shapes) -> Markup:
+    """A scene as JSON for the script; nothing in it can end the script element."""
+    return Markup(scalar_json(block.scene))
+
+
+def _address(path: Path) -> str:
+    """A file as an address that holds all of it."""
+    return f"data:text/csv;base64,{b64encode(path.read_bytes()).decode('ascii')}"
 
 
 def _file(name: str) -> str:

@@ -1,0 +1,86 @@
+"""Figures of scalar responses: errors of the model, and residuals after a fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from calib.report.style import AFTER, ATTEMPT, BEFORE, BLACK, added, legend_above, own_axes, plain
+from calib.report.svg import hover
+
+_LOOKS = {
+    "before": {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"},
+    "after": {"facecolor": AFTER},
+    "attempt": ATTEMPT,
+}
+_MOST_UPRIGHT = 6
+"""Responses whose names still stand level below the axis."""
+
+
+def draw_responses(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None) -> Axes:
+    """Draw the error of every scalar response, before and after calibration.
+
+    Parameters
+    ----------
+    before, after : DataFrame, optional
+        Columns ``response``, ``error`` (relative to the response) and ``error_in_std`` (NaN where no standard deviation
+        is known).
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        Bars in standard deviations where any are known, otherwise in percent of the response.
+    """
+    tables = {stage: table for stage, table in (("before", before), ("after", after)) if table is not None}
+    in_std = any(table["error_in_std"].notna().any() for table in tables.values())
+    column, factor = ("error_in_std", 1.0) if in_std else ("error", 100.0)
+    label = "error (standard deviations)" if in_std else "error (%)"
+    bars = {
+        f"{stage} calibration": (stage, factor * table.set_index("response")[column]) for stage, table in tables.items()
+    }
+    return _bars(bars, label, ax)
+
+
+def draw_response_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") -> Axes:
+    """Draw the residual of every response after the fit.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``stage`` (``base``, ``explained`` or ``attempt``), ``response``, ``residual`` in standard deviations.
+    ax : Axes, optional
+    name : str
+        The effects in the extended model, for the legend.
+    """
+    looks = {"base": "before", "explained": "after", "attempt": "attempt"}
+    bars = {
+        "base model, calibrated" if stage == "base" else added(stage, name): (
+            look, table[table["stage"] == stage].set_index("response")["residual"]
+        )
+        for stage, look in looks.items()
+        if (table["stage"] == stage).any()
+    }  # fmt: skip
+    return _bars(bars, "residual (standard deviations)", ax)
+
+
+def _bars(series: dict[str, tuple[str, pd.Series]], label: str, ax: Axes | None) -> Axes:
+    """Bars of each series beside each other; NaN has no bar."""
+    names = list(dict.fromkeys(name for _, values in series.values() for name in values.index))
+    level = len(names) <= _MOST_UPRIGHT
+    ax = own_axes(ax, 3.0 if level else 3.8)
+    width = 0.8 / max(len(series), 1)
+    for k, (words, (look, values)) in enumerate(series.items()):
+        own = values.reindex(names)
+        at = np.arange(len(names)) + (k - (len(series) - 1) / 2) * width
+        for bar, (name, value) in zip(ax.bar(at, own, width, label=words, **_LOOKS[look]), own.items(), strict=True):
+            hover(bar, f"{name}, {words}: {plain(value)}")
+    ax.axhline(0.0, color=BLACK, linewidth=0.8)
+    ax.set_xticks(range(len(names)), names, rotation=0 if level else 90)
+    ax.set_xlim(-0.6, max(len(names), 1) - 0.4)
+    ax.set_ylabel(label)
+    ax.grid(axis="y")
+    ax.tick_params(axis="x", length=0)
+    legend_above(ax)
+    return ax
