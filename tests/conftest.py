@@ -71,16 +71,18 @@ def functions_in_this_process() -> Iterator[None]:
 def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made and their files written, but without pixels, which take longest: for tests of the files."""
 
-    def named(figure: Any, path: Path) -> Path:
+    def named(figure: Any, stem: Path, formats: Any = ()) -> list[Path]:
+        path = stem.with_name(f"{stem.name}.png")
         with replacing(path) as draft:
-            draft.write_bytes(b"\x89PNG" + path.stem.encode())
-        return path
+            draft.write_bytes(b"\x89PNG" + stem.name.encode())
+        return [path]
 
-    monkeypatch.setattr("calib.report.draw.save", named)
+    monkeypatch.setattr("calib.report.figures.save", named)
+    monkeypatch.setattr("calib.report.figures.svg_text", lambda figure, name: f"<svg><!-- {name} --></svg>")
 
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures are drawn and no report is written, which take longest of all in a test of something else."""
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
-    monkeypatch.setattr("calib.front.study.write_report", lambda folder, *given: folder / "report.html")
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
+    monkeypatch.setattr("calib.front.study.write_report", lambda results: results.folder / "report.html")

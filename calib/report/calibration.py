@@ -12,7 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from calib.report.numbers import significant, with_unit
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
+from calib.report.svg import hover
 
 _FINAL = 38.0
 """Offset in points of the best case's value from the Axes, where every bar has its own value beside it."""
@@ -58,6 +60,10 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
         lengths = 100.0 * searched(rows).to_numpy(dtype=float)
         bars = ax.barh(y, lengths, height * 0.92, color=CASES[k % len(CASES)], label=str(case))
         for bar, name in zip(bars, names, strict=True):
+            row = rows.loc[name]
+            searched_for = row.get("search_value", math.nan)
+            words = f"{name}, {case}: {with_unit(row['value'], str(row['unit']), 5)}"
+            hover(bar, words + ("" if pd.isna(searched_for) else f"; the search {significant(searched_for, 5)}"))
             if unstable[name]:
                 bar.set_hatch("/////")
                 bar.set_edgecolor("white")
@@ -235,7 +241,10 @@ def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         last = best[np.isfinite(best)]
         label = f"{case} (ends at {last[-1]:.3g})" if len(last) else f"{case} (no feasible point)"
         marker = "o" if len(best) == 1 else ""
-        ax.plot(generation, best, line_style, color=colour, linewidth=1.9, marker=marker, label=label, zorder=3)
+        hover(
+            *ax.plot(generation, best, line_style, color=colour, linewidth=1.9, marker=marker, label=label, zorder=3),
+            label,
+        )
         if has_mean:
             ax.plot(generation, mean, "--", color=colour, linewidth=0.8, alpha=0.8, marker=marker, markersize=3)
     if has_mean:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from calib.report.numbers import fixed
 from calib.report.style import (
     AFTER,
     BEFORE,
@@ -18,6 +21,7 @@ from calib.report.style import (
     own_axes,
     separate_cells,
 )
+from calib.report.svg import hover, hover_cells, hover_points
 
 _LOOKS = {"before": {"color": BEFORE, "hatch": "////", "edgecolor": "white"}, "after": {"color": AFTER}}
 _MAX_SENSORS = 40
@@ -54,7 +58,7 @@ def draw_frequency_error(
         for name, errors in values.items()
     }
     ax.axhline(0.0, color="black", linewidth=0.8)
-    _bars(ax, values, labels, "{:+.1f}")
+    _bars(ax, values, labels, "{:+.1f}", lambda value: f"{fixed(value, 2, sign=True)} %")
     modes = next(iter(values.values())).index
     frequencies = pd.concat([t["natural_freq_measured"] for t in series.values()]).groupby(level=0, sort=False).first()
     names = [f"{mode}\n{frequencies[mode]:.2f} Hz" for mode in modes]
@@ -78,7 +82,7 @@ def draw_mac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax:
     ax = own_axes(ax, 2.6)
     values = {name: table["mac"] for name, table in _series(before, after).items()}
     labels = {name: f"{name}: mean MAC {_mean(mac, '{:.3f}')}{_paired(mac)}" for name, mac in values.items()}
-    _bars(ax, values, labels, "{:.2f}")
+    _bars(ax, values, labels, "{:.2f}", lambda value: f"MAC {fixed(value, 3)}")
     modes = next(iter(values.values())).index
     ax.set_xticks(range(len(modes)), list(modes))
     _crowded(ax, [str(mode) for mode in modes])
@@ -126,6 +130,14 @@ def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_yticks(range(rows), table["mode"].astype(str))
     ax.set_xlabel("model mode")
     ax.set_ylabel("measured mode")
+    names = [str(c) for c in table.columns if c != "mode"]
+    hover_cells(
+        ax,
+        [
+            [f"{mode}, model mode {name}: {fixed(value, 3)}" for name, value in zip(names, row, strict=True)]
+            for mode, row in zip(table["mode"], values, strict=True)
+        ],
+    )
     separate_cells(ax, rows, columns)
     ax.figure.colorbar(image, ax=ax, label="MAC (–)", fraction=0.04, pad=0.02, aspect=40)
     return ax
@@ -167,6 +179,7 @@ def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, a
             label=f"{name}: mean CoMAC {_mean(values[name], '{:.3f}')}",
             **dots[name],  # type: ignore[arg-type]
         )
+        hover_points(ax, x, height, [f"{s}, {name}: {fixed(v, 3)}" for s, v in zip(shown, height, strict=True)])
     lowest = min((float(np.nanmin(h)) for h in heights.values() if np.isfinite(h).any()), default=0.0)
     ax.set_ylim(max(0.0, np.floor(10.0 * lowest - 0.5) / 10.0), 1.03)
     ax.set_xlim(-0.7, len(shown) - 0.3)
@@ -186,14 +199,18 @@ def _series(before: pd.DataFrame | None, after: pd.DataFrame | None, key: str = 
     return {name: t.reindex(index) for name, t in given.items()}
 
 
-def _bars(ax: Axes, values: dict[str, pd.Series], labels: dict[str, str], number: str) -> None:
-    """Draw grouped bars with their values; a missing value is labelled."""
+def _bars(
+    ax: Axes, values: dict[str, pd.Series], labels: dict[str, str], number: str, words: Callable[[float], str]
+) -> None:
+    """Draw grouped bars with their values, and ``words`` of each under the mouse; a missing value is labelled."""
     width = 0.8 / len(values)
     for k, (name, series) in enumerate(values.items()):
         x = np.arange(len(series)) + (k - (len(values) - 1) / 2) * width
         heights = series.to_numpy(dtype=float)
         missing = np.isnan(heights)
         bars = ax.bar(x, heights, width * 0.94, label=labels[name], **_LOOKS[name])  # type: ignore[arg-type]
+        for bar, (mode, height) in zip(bars, series.items(), strict=True):
+            hover(bar, f"{mode}, {name}: {words(height)}")
         if len(series) * len(values) <= 20:
             texts = ["" if gone else _signed(h, number) for h, gone in zip(heights, missing, strict=True)]
             ax.bar_label(bars, texts, fontsize=7, padding=2)

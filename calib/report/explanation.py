@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
+from calib.report.numbers import fixed, significant
 from calib.report.style import (
     BLACK,
     BLUE,
@@ -28,6 +29,7 @@ from calib.report.style import (
     own_axes,
     separate_cells,
 )
+from calib.report.svg import hover, hover_cells, hover_points
 
 LEAST_BAYES_FACTOR = 3.0
 """ln Bayes factor from which one explanation counts as better than another."""
@@ -86,7 +88,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     spans = rows[["ln_bayes_third", "ln_bayes", "ln_bayes_triple"]].to_numpy(dtype=float)
     ax.axvline(0.0, color=BLACK, linewidth=0.8)
     for row, (value, look, odd, span, visible) in enumerate(zip(values, looks, odd_ones, spans, seen, strict=True)):
-        ax.barh(
+        (bar,) = ax.barh(
             row,
             value,
             0.68,
@@ -94,6 +96,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
             hatch="//////" if odd else None,
             **{**_LOOKS[look], **({"edgecolor": "white"} if odd else {})},
         )
+        hover(bar, f"{rows['name'][row]}: ln Bayes {fixed(value, 1)}, {look}" + (", implausible" if odd else ""))
         known = span[np.isfinite(span)]
         if len(known) > 1:
             ax.plot([known.min(), known.max()], [row, row], color=BLACK, linewidth=1.1, gid="prior", zorder=3)
@@ -165,6 +168,11 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         edge = BLUE if flag else GREY
         gid = "visible" if flag else "not visible"
         ax.plot(ratio[shown], at[shown], "o", color=edge, markerfacecolor=face, markersize=6, gid=gid, zorder=3)
+    words = [
+        f"{n}: smallest visible magnitude {significant(r, 2)} of the plausible one"
+        for n, r in zip(rows["name"], ratio, strict=True)
+    ]
+    hover_points(ax, np.where(known, ratio, np.nan), at, words)
     never = np.isposinf(ratio)
     ax.plot(np.full(never.sum(), high * 1.9), at[never], ">", color=GREY, markersize=6, gid="never")
     for row, (z, probability) in enumerate(zip(rows["z"], rows["model_probability"], strict=True)):
@@ -229,6 +237,13 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
         colour = "white" if abs(values[i, j]) > 0.65 else BLACK
         text = f"{round(values[i, j], 2) + 0.0:.2f}".replace("-", "−")
         ax.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
+    hover_cells(
+        ax,
+        [
+            [f"{a}, {b}: {fixed(v, 2)}" for b, v in zip(names, row, strict=True)]
+            for a, row in zip(names, values, strict=True)
+        ],
+    )
     separate_cells(ax, count, count)
     for i, j in np.argwhere((np.abs(values) > COLLINEAR) & ~np.eye(count, dtype=bool)):
         looks: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.8, "clip_on": False, "zorder": 4}

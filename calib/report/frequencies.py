@@ -10,7 +10,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from calib.report.numbers import fixed
 from calib.report.style import AFTER, BEFORE, BLACK, GREY, PURPLE, own_axes
+from calib.report.svg import hover_points
 
 STAGES = {"initial": ("D", PURPLE), "before": ("s", BEFORE), "after": ("o", AFTER)}
 """Marker and colour of each stage that a table may have."""
@@ -47,6 +49,9 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         marker, colour = STAGES[stage]
         looks: dict[str, Any] = {"linestyle": "none", "marker": marker, "color": colour, "markersize": 6}
         ax.plot(of_stage, np.arange(count), gid=stage, zorder=3, **looks)
+        told = zip(table["mode"], table[f"damped_freq_{stage}"], of_stage, strict=True)
+        words = [f"{mode}, {stage}: {fixed(freq, 3)} Hz, {fixed(error, 2, sign=True)} %" for mode, freq, error in told]
+        hover_points(ax, of_stage, np.arange(count), words)
         handles.append(Line2D([], [], label=stage, **looks))  # no means: those are over the fitted modes alone
     held_out = table["held_out"].astype(bool).to_numpy()
     names = [f"{mode} (held out)" if held else str(mode) for mode, held in zip(table["mode"], held_out, strict=True)]

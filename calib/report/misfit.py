@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from calib.report.explanation import blank
+from calib.report.numbers import chance, fixed, significant, with_unit
 from calib.report.style import (
     AFTER,
     BEFORE,
@@ -35,6 +36,7 @@ from calib.report.style import (
     plain,
     separate_cells,
 )
+from calib.report.svg import hover_cells, hover_points
 
 KINDS = ("frequency", "damping", "shape")
 STAGES = ("base", "explained", "attempt")
@@ -95,6 +97,16 @@ def draw_where_it_fails(
         words = f"{ratio[i, j]:.3g}" if math.isfinite(ratio[i, j]) else "–"
         colour = "white" if unlikely[i, j] > 0.6 * _MOST and not is_attempt else BLACK
         ax.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
+    hover_cells(
+        ax,
+        [
+            [
+                f"{m}, {kind}: χ²/ν {significant(r, 3)}, p {chance(q)}"
+                for kind, r, q in zip(kinds, line, chances, strict=True)
+            ]
+            for m, line, chances in zip(modes, ratio, p, strict=True)
+        ],
+    )
     ax.set_xticks(range(len(kinds)), kinds)
     ax.set_yticks(range(len(modes)), [str(mode) for mode in modes])
     separate_cells(ax, len(modes), len(kinds))
@@ -179,6 +191,11 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         handles += ax.plot(
             shift, y, "osD^v"[k % 5], markersize=5.5, label=label, gid=f"shift {model}", zorder=3, **looks
         )
+        values = [with_unit(v, str(u), 4) for v, u in zip(rows["value"], rows["unit"], strict=True)]
+        words = [
+            f"{n}, {label}: {v}, shift {fixed(z, 1, sign=True)}" for n, v, z in zip(names, values, shift, strict=True)
+        ]
+        hover_points(ax, shift, y, words)
         ringed = np.array([not pd.isna(flag) and bool(flag) for flag in rows["pulled"]])
         ax.plot(shift[ringed], y[ringed], gid=f"pulled {model}", zorder=4, **ring)
     limits = sorted(set(table["limit"].astype(float).dropna().round(3)))

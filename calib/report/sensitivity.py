@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.transforms import blended_transform_factory
 
+from calib.report.numbers import fixed
 from calib.report.style import (
     BLACK,
     BLUE,
@@ -24,6 +25,7 @@ from calib.report.style import (
     own_axes,
     separate_cells,
 )
+from calib.report.svg import hover, hover_cells
 
 RESPONSE_KINDS = {
     "natural_freq_": "natural frequency",
@@ -68,6 +70,13 @@ def draw_sensitivity(
     names = [_kind(r)[1] for r in responses]
     ax.set_xticks(range(columns), names, rotation=90 if columns > 10 or max(map(len, names)) > 7 else 0)
     ax.set_yticks(range(rows), table["parameter"].astype(str))
+    hover_cells(
+        ax,
+        [
+            [f"{p}, {' '.join(_kind(r))}: {fixed(v, 2)}" for r, v in zip(responses, row, strict=True)]
+            for p, row in zip(table["parameter"], values, strict=True)
+        ],
+    )
     separate_cells(ax, rows, columns)
     ax.grid(which="minor", color="#D0D0D0", linewidth=0.6)
     _name_groups(ax, [_kind(r)[0] for r in responses])
@@ -99,12 +108,16 @@ def draw_selection(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     count, height = len(table), 0.26
     ax = own_axes(ax, 0.42 * count + 1.0)
     rows = np.arange(count)
-    for k, (measure, (_, colour)) in enumerate(MEASURES.items()):
+    for k, (measure, (label, colour)) in enumerate(MEASURES.items()):
         size = np.abs(table[f"max_{measure}"].to_numpy(dtype=float))
         floor = table[f"{measure}_floor"].to_numpy(dtype=float)
         at = rows + (k - 1) * height
         passed = size >= floor
-        ax.barh(at, size, 0.86 * height, color=[colour if p else "white" for p in passed], edgecolor=colour, lw=0.9)
+        bars = ax.barh(
+            at, size, 0.86 * height, color=[colour if p else "white" for p in passed], edgecolor=colour, lw=0.9
+        )
+        for bar, name, value, least in zip(bars, table["parameter"], size, floor, strict=True):
+            hover(bar, f"{name}, {label}: {fixed(value, 2)} (noise floor {fixed(least, 2)})")
         at, floor = at[np.isfinite(floor)], floor[np.isfinite(floor)]
         ax.vlines(floor, at - 0.5 * height, at + 0.5 * height, color=BLACK, linewidth=1.3)
     for row, (measured, selected) in enumerate(zip(table["measured"], table["selected"], strict=True)):

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
+from typing import Any
 from urllib.parse import quote, unquote
 from xml.etree import ElementTree
 
 import matplotlib
+import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.collections import Collection
+from matplotlib.axes import Axes
+from matplotlib.collections import Collection, PolyCollection
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 _HOVER = "hover:"
 """Scheme of the addresses that carry words: Matplotlib writes an artist's address into the SVG and nothing else."""
@@ -38,6 +43,27 @@ def hover(artist: Artist, *words: str) -> None:
         artist.set_url(marked[0])
     else:
         raise ValueError("only a collection takes several texts")
+
+
+def hover_cells(ax: Axes, words: Sequence[Sequence[str]]) -> None:
+    """Give every cell of a matrix its words: ``words[i][j]`` those of row i, column j."""
+    squares = [
+        [(j - 0.5, i - 0.5), (j + 0.5, i - 0.5), (j + 0.5, i + 0.5), (j - 0.5, i + 0.5)]
+        for i, row in enumerate(words)
+        for j in range(len(row))
+    ]
+    # Seen by the mouse alone: what is not painted would get no words.
+    cells = PolyCollection(squares, facecolors=(1.0, 1.0, 1.0, 0.0), linewidths=0.0, zorder=5, gid="cells")
+    hover(ax.add_collection(cells, autolim=False), *(text for row in words for text in row))
+
+
+def hover_points(ax: Axes, x: ArrayLike, y: ArrayLike, words: Sequence[str]) -> None:
+    """Give every point of a drawn line its words; points that are not finite have none."""
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    look: dict[str, Any] = {"facecolors": (1.0, 1.0, 1.0, 0.0), "linewidths": 0.0, "zorder": 6, "gid": "points"}
+    if len(known):
+        hover(ax.scatter(x[known], y[known], s=90, **look), *(words[k] for k in known))
 
 
 def without_hover(figure: Figure) -> None:

@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.explanation import LEAST_BAYES_FACTOR, blank
+from calib.report.numbers import chance, fixed
 from calib.report.style import (
     AFTER,
     ATTEMPT,
@@ -30,6 +31,7 @@ from calib.report.style import (
     new_figure,
     own_axes,
 )
+from calib.report.svg import hover, hover_points
 
 GROUPS = {
     "fit": "used in the fit",
@@ -85,7 +87,10 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         looks = _STAGES[stage]
         label = "before: base model" if stage == "before" else added(stage, name)
         label = f"after: {label}" if stage == "after" else label
-        ax.bar(x, rms, 0.92 * width, label=label, gid=stage, **looks)
+        bars = ax.bar(x, rms, 0.92 * width, label=label, gid=stage, **looks)
+        for bar, group, r, e, q in zip(bars, groups, rms, expected, p, strict=True):
+            words = f"{GROUPS.get(group, group)}, {label}: {fixed(r, 2)} σ; expected {fixed(e, 2)}; p {chance(q)}"
+            hover(bar, words)
         for at, (r, e, q) in zip(x, zip(rms, expected, p, strict=True), strict=True):
             if np.isfinite(r):  # above the bar and above the line of the noise
                 ax.annotate(
@@ -136,6 +141,11 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         }
         ax.plot(x, rows["rms"].to_numpy(dtype=float), label=GROUPS.get(group, group), gid=group, zorder=3, **looks)
         expected = rows["expected"].to_numpy(dtype=float)
+        told = zip(versions, rows["rms"], expected, strict=True)
+        words = [
+            f"{GROUPS.get(group, group)}, version {v:g}: {fixed(r, 2)} σ; expected {fixed(e, 2)}" for v, r, e in told
+        ]
+        hover_points(ax, x, rows["rms"], words)
         ends = [np.repeat(expected, 2), np.ravel(np.column_stack([x - 0.2, x + 0.2]))]
         ends = [np.insert(end, np.arange(2, len(end), 2), np.nan) for end in ends]
         ax.plot(ends[1], ends[0], "--", color=looks["color"], linewidth=1.1, gid=f"expected {group}")
@@ -194,6 +204,8 @@ def draw_next_measurement(
     words = ["–" if np.isnan(v) else f"× {v:.2f}" if measure == "gain" else f"{v:.1f}" for v in values]
     values = np.where(np.isfinite(values), values, start)
     bars = ax.barh(at, values - start, 0.66, left=start, color=colours, gid=measure)
+    for bar, name, word in zip(bars, rows["measurement"], words, strict=True):
+        hover(bar, f"{name}: {word}")
     ax.bar_label(bars, [w.replace("-", "−").replace("inf", "∞") for w in words], fontsize=8, padding=3)
     ax.axvline(start, color=BLACK, linewidth=0.8)
     low, high = (rows[f"{measure}_{end}"].to_numpy(dtype=float) for end in ("low", "high"))

@@ -18,9 +18,9 @@ from calib.correlation.standard_deviations import std_for
 from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.measurement.accuracy import Accuracy, Claim, widened
-from calib.report.html.numbers import percent
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
+from calib.report.numbers import percent
 from calib.results import Results
 from calib.study import Study
 

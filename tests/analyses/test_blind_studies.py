@@ -172,7 +172,7 @@ def test_the_indicated_location_is_near_the_change(explained):
 def test_the_extended_model_predicts_held_out_sensors_better(explained, tmp_path, capsys, monkeypatch):
     """Explain, extend, calibrate by least squares, and the errors over both versions."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *a: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     results = explained(HIDDEN).parent
     (name,) = written(explained(HIDDEN))[0]["credible_set"]
     study = str(ROOT / "studies" / HIDDEN)

@@ -65,7 +65,7 @@ def calibrated(folder: Path):
 def test_contradicting_data_are_reported_everywhere(tmp_path, monkeypatch, capsys):
     line(tmp_path / "bent", 3.0)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *a: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     assert cli.execute(["calibrate", "bent", "--workers", "1"]) == 0
     said = " ".join(capsys.readouterr().out.split("\n"))
     folder = Path("results/bent")

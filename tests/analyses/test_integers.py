@@ -37,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 @pytest.mark.parametrize("refits", [case.REFITS, 2])
 def test_an_incomplete_search_over_integers_is_reported(scalar_study, monkeypatch, capsys, refits):
     monkeypatch.setattr(case, "REFITS", refits)
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     scalar_study("plain", MODEL, STUDY, y=(51.0, 0.1), z=(7.0, 0.1), w=(2.0, 0.1))
     assert cli.execute(["calibrate", "plain", "--method", "gauss-newton", "--workers", "1"]) == 0
     out = " ".join(capsys.readouterr().out.split())
@@ -64,7 +64,7 @@ def model():
 
 @pytest.mark.parametrize("more", ["refine = true", "refine = false", 'method = "gauss-newton"'])
 def test_a_study_of_integers_alone_is_calibrated(scalar_study, monkeypatch, more):
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     text = STUDY.replace('["a", "n"]', '["m", "n"]').replace("starts = 1", f"population = 8\ngenerations = 4\n{more}")
     scalar_study("whole", WHOLE_MODEL, text, y=(53.02, 0.1), z=(7.01, 0.1), w=(28.01, 0.1))
     assert cli.execute(["run" if more == "refine = true" else "calibrate", "whole", "--workers", "1"]) == 0

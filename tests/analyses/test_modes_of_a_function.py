@@ -21,7 +21,7 @@ from calib.analyses.user_function import function_of, ledger_key
 from calib.errors import EvaluationError, InputError
 from calib.ledger import Ledger
 from calib.outcome import WORKER_DIED
-from calib.report.draw import draw_all
+from calib.report.figures import Figures
 from calib.results import Results
 from calib.study import Study
 from tests.front.cantilever import ADOPTED, write_study
@@ -273,7 +273,7 @@ def test_without_locations_the_model_is_not_drawn(own, tmp_path):
     answer = compare(study, results)
     assert len(answer.hints) == 1 and answer.mean_mac > 0.9
     assert not (results.path / "mesh_points.csv").exists() and (results.path / "mac_before.csv").exists()
-    assert {"comparison.png", "mac_before.png"} <= {p.name for p in draw_all(results.path, "cantilever", True)}
+    assert {"comparison.png", "mac_before.png"} <= {p.name for p in Figures(results.path, "cantilever", True).save()}
 
 
 def test_with_locations_the_motion_of_its_sensors_is_drawn(own, tmp_path):

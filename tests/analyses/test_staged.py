@@ -83,7 +83,7 @@ def calibrated(functions_in_this_process, tmp_path_factory):
     write_both(home)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
-        patch.setattr("calib.front.study.draw_all", lambda *a: [])
+        patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
         assert cli.execute(["calibrate", "one"]) == 0
     return home
 

@@ -30,7 +30,7 @@ from calib.errors import InputError
 from calib.loading import module_of
 from calib.measurement.csv_format import read_responses_csv
 from calib.measurement.read import read_modes
-from calib.report.draw import draw_all
+from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.report.html.write import sections
@@ -201,13 +201,13 @@ def _drawn(stem: str, folder: Path) -> object:
         for file in folder.glob(f"{name}.*"):
             if file.suffix != ".png":
                 shutil.copy(file, alone)
-    return draw_all(alone, "Damaged", True)
+    return Figures(alone, "Damaged", True).save()
 
 
 def answer(folder: Path, study: Path, *questions: str) -> tuple[Path, Path]:
     """Ask a copy of a study, without pictures; its folder and that of the answers."""
     copy = Path(shutil.copytree(study, folder / "studies" / study.name))
-    silent = unittest.mock.patch.object(cli, "draw_all", return_value=[])
+    silent = unittest.mock.patch.object(Figures, "save", return_value=[])
     with contextlib.redirect_stdout(io.StringIO()), silent:
         for question in questions:
             assert cli.execute([question, str(copy), "--results", str(folder / "results")]) == 0

@@ -192,7 +192,7 @@ def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, unrend
 
 
 def test_a_single_analysis_writes_no_report_but_updates_an_older_one(mast, drawn, monkeypatch):
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *a: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     told = Path("results/mast/report.html")
     assert cli.execute(["compare", "mast"]) == 0 and not told.exists()
     told.write_text("an older one")

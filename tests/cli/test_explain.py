@@ -214,7 +214,7 @@ def test_the_chain_is_explained_twice_and_extended(here, drawn, unrendered, monk
         "where_it_fails_sigma", "pulls", "ranked_effects", "confounding", "errors_before_after",
     }  # fmt: skip
     first = {p: b for p, b in files("results/five_mass_chain").items() if p.suffix == ".csv"}
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *a: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     assert cli.execute(["explain", CHAIN]) == 0
     assert first == {p: b for p, b in files("results/five_mass_chain").items() if p.suffix == ".csv"}
     assert cli.execute(["extend", CHAIN, truth["effect"], "--into", "chain_2"]) == 0

@@ -35,8 +35,8 @@ def lacking(write_study, asked, edit, tmp_path_factory):
     """A folder with the run of a mast with a guy rope that its model lacks, without figures, and its output."""
     folder = tmp_path_factory.mktemp("lacking")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.front.study.draw_all", lambda *a: [])
-        patch.setattr("calib.front.study.write_report", lambda folder, *a: folder / "report.html")
+        patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
+        patch.setattr("calib.front.study.write_report", lambda results: results.folder / "report.html")
         return folder, quick(folder, write_study, asked, edit, {"guy": 12000.0})
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from calib import cli
 from calib.loading import module_of
-from calib.report.draw import draw_all
+from calib.report.figures import Figures
 from calib.report.html.write import write_report
 from calib.results import OWNER
 from calib.written import KEPT, LOG
@@ -19,6 +19,7 @@ def answer(values):
 """
 MAST_INPUTS = ("study.toml", "model.py", "modes.csv", "shapes.csv", "sensors.csv")
 VERBS = ("compare", "sensitivity", "calibrate", "report", "run")
+SAVE = Figures.save
 pytestmark = pytest.mark.usefixtures("functions_in_this_process", "undrawn")
 
 
@@ -139,7 +140,7 @@ def test_inputs_among_the_results(sums, capsys):
 @pytest.mark.parametrize("name", ["measured.csv", "record.json", "parameters.png", "report.html"])
 def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monkeypatch, name):
     if name.endswith(".png"):
-        monkeypatch.setattr("calib.front.study.draw_all", draw_all)
+        monkeypatch.setattr("calib.report.figures.Figures.save", SAVE)
     if name.endswith(".html"):
         monkeypatch.setattr("calib.front.study.write_report", write_report)
     assert cli.execute(["calibrate", "plain", "--workers", "1"]) == 0

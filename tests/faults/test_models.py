@@ -90,7 +90,7 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 @pytest.fixture
 def faulty(here, monkeypatch):
     """A study of which every fault up to the given one occurs."""
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
 
     def make(last: int) -> None:
         Path("faulty").mkdir()
@@ -156,7 +156,7 @@ def test_a_model_that_fails_at_its_nominal_values(plain, capsys):
 
 
 def test_a_model_that_leaves_for_another_directory(plain, here, monkeypatch):
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     plain("import os\ndef answer(values):\n    os.chdir('/')\n    return {'y': values['a'], 'z': values['b']}")
     assert cli.execute(["run", "plain", "--workers", "1"]) == 0
     assert Path.cwd() == here and Path("results/plain/summary.json").exists()

@@ -23,7 +23,7 @@ NOBODY = 65534
 
 @pytest.fixture(autouse=True)
 def no_figures(monkeypatch):
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
 
 
 def one_sentence(text: str) -> bool:

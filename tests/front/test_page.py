@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import calib
-from calib.report.html.numbers import significant
+from calib.report.numbers import significant
 from models.four_storey_rig import four_storey_rig
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"

@@ -20,7 +20,7 @@ def rig(tmp_path_factory):
     study = calib.Study.load(STUDIES / "four_storey_rig", root / "here", workers=1, quick=True)
     there = ["--results", str(root / "there"), "--workers", "1"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.front.study.draw_all", lambda *given: [])
+        patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
         answers = study.compare(), study.sensitivity(), study.calibrate()
         for verb, *more in (("compare",), ("sensitivity", "--quick"), ("calibrate", "--quick")):
             assert cli.execute([verb, str(STUDIES / "four_storey_rig"), *there[: 4 if more else 2], *more]) == 0
@@ -63,7 +63,7 @@ def test_the_problem_of_scalar_responses_is_that_of_the_study():
 
 
 def test_run_does_every_analysis_and_returns_a_study(tmp_path, monkeypatch):
-    monkeypatch.setattr("calib.front.study.draw_all", lambda *given: [])
+    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     write_example(tmp_path / "mast")
     study = calib.Study.load(tmp_path / "mast", tmp_path / "results", workers=1, quick=True)
     last = study.run()

@@ -6,9 +6,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from calib.errors import InputError
-from calib.report import draw
-from calib.report.draw import draw_all, read_table
+from calib.report.figures import Figures
 from calib.report.style import NO_GLYPH, SYNTHETIC, add_heading, new_figure, save, style
+from calib.report.tables import read_table
 
 ALL = [
     "comparison",
@@ -58,16 +58,16 @@ def saved(monkeypatch):
     """Figures by name, kept instead of written."""
     figures: dict[str, Figure] = {}
 
-    def keep(figure, path):
-        figures[path.stem] = figure
-        return path
+    def keep(figure, stem, formats):
+        figures[stem.name] = figure
+        return [stem]
 
-    monkeypatch.setattr(draw, "save", keep)
+    monkeypatch.setattr("calib.report.figures.save", keep)
     return figures
 
 
 def test_every_figure_is_written_beside_its_table(folder, unrendered):
-    written = draw_all(folder, "Bogie", False)
+    written = Figures(folder, "Bogie", False).save()
     assert [p.stem for p in written] == ALL
     assert all(p.parent == folder and p.is_file() for p in written)
     assert not [p for p in folder.iterdir() if p.name.startswith(".")]
@@ -78,15 +78,17 @@ def all_words(figure):
 
 
 def test_every_figure_of_a_synthetic_measurement_is_labelled(folder, saved):
-    draw_all(folder, "Bogie", True)
+    Figures(folder, "Bogie", True).save()
     assert list(saved) == ALL
     assert all(SYNTHETIC in all_words(figure) for figure in saved.values())
-    draw_all(folder, "Bogie", False)
+    Figures(folder, "Bogie", False).save()
     assert not any(SYNTHETIC in all_words(figure) for figure in saved.values())
 
 
 def test_the_heading_covers_no_data(folder, saved):
-    draw_all(folder, "A bogie with a title so long that it needs more than one line over a figure of this width", True)
+    Figures(
+        folder, "A bogie with a title so long that it needs more than one line over a figure of this width", True
+    ).save()
     assert list(saved) == ALL
     for figure in saved.values():
         figure.draw_without_rendering()
@@ -104,7 +106,7 @@ def test_the_heading_takes_no_room_from_the_data(synthetic):
 
 
 def test_figures_show_the_tables(folder, saved, before, convergence):
-    draw_all(folder, "Bogie", False)
+    Figures(folder, "Bogie", False).save()
     np.testing.assert_allclose(
         [bar.get_height() for bar in saved["comparison"].axes[0].containers[0]], 100 * before["freq_error"]
     )
@@ -118,22 +120,24 @@ def test_missing_tables_have_no_figures(folder, saved):
     for name in ("comparison_after", "mac_before", "deflection_after", "sensitivity", "parameters"):
         (folder / f"{name}.csv").unlink()
     left = ["comparison", "mac_after", "comac", "model", "modes", "convergence"]
-    assert [p.stem for p in draw_all(folder, "Bogie", False)] == left
+    assert [p.stem for p in Figures(folder, "Bogie", False).save()] == left
     (folder / "mesh_points.csv").unlink()
     left.remove("model")
-    assert [p.stem for p in draw_all(folder, "Bogie", False) if p.stem != "modes"] == [p for p in left if p != "modes"]
+    assert [p.stem for p in Figures(folder, "Bogie", False).save() if p.stem != "modes"] == [
+        p for p in left if p != "modes"
+    ]
 
 
 def test_a_mesh_of_lines_without_sensors_has_no_figure_of_the_model(folder, saved):
     (folder / "shapes_after.csv").unlink()
-    draw_all(folder, "Bogie", False)
+    Figures(folder, "Bogie", False).save()
     assert "model_modes_after" in saved and not {"model", "mode_shapes_after"} & set(saved)
 
 
 def test_modes_of_every_stage_are_drawn_and_over_the_measurement_where_there_is_one(folder, saved):
     for name in ("deflection", "model_modes"):
         (folder / f"{name}_initial.csv").write_bytes((folder / f"{name}_after.csv").read_bytes())
-    draw_all(folder, "Bogie", False)
+    Figures(folder, "Bogie", False).save()
     assert [name for name in saved if "mode_shapes" in name or "model_modes" in name] == [
         "model_modes_initial", "model_modes_after", "mode_shapes_after",
     ]  # fmt: skip
@@ -141,12 +145,12 @@ def test_modes_of_every_stage_are_drawn_and_over_the_measurement_where_there_is_
 
 
 def test_an_empty_folder_has_no_figures(tmp_path):
-    assert draw_all(tmp_path, "Bogie", False) == []
+    assert Figures(tmp_path, "Bogie", False).save() == []
 
 
 def test_a_missing_folder(tmp_path):
     with pytest.raises(InputError, match="no such folder"):
-        draw_all(tmp_path / "nowhere", "Bogie", False)
+        Figures(tmp_path / "nowhere", "Bogie", False).save()
 
 
 def damage(folder, name, old, new):
@@ -175,7 +179,7 @@ def damage(folder, name, old, new):
 def test_a_damaged_table_is_named_and_nothing_is_drawn(folder, name, old, new, column, line):
     damage(folder, name, old, new)
     with pytest.raises(InputError) as problem:
-        draw_all(folder, "Bogie", False)
+        Figures(folder, "Bogie", False).save()
     text = str(problem.value)
     assert f"{name}.csv" in text and repr(column) in text and line in text
     assert not list(folder.glob("*.png"))
@@ -185,7 +189,7 @@ def test_a_damaged_table_is_named_and_nothing_is_drawn(folder, name, old, new, c
 def test_a_table_without_rows(folder, content):
     (folder / "mac_before.csv").write_text(content)
     with pytest.raises(InputError, match=r"mac_before\.csv"):
-        draw_all(folder, "Bogie", False)
+        Figures(folder, "Bogie", False).save()
 
 
 @pytest.mark.parametrize("row", ["2y,0.8,0.7", "2y", '2y,"0.8'])
@@ -207,12 +211,12 @@ def test_names_that_look_like_numbers_or_gaps_stay_names(tmp_path):
 def test_a_damaged_summary(folder, content):
     (folder / "summary.json").write_text(content)
     with pytest.raises(InputError, match=r"summary\.json"):
-        draw_all(folder, "Bogie", False)
+        Figures(folder, "Bogie", False).save()
 
 
 def test_without_a_summary_no_case_is_best(folder, saved):
     (folder / "summary.json").write_text("{}")
-    draw_all(folder, "Bogie", False)
+    Figures(folder, "Bogie", False).save()
     assert "best" not in saved["parameters"].axes[0].get_legend().get_texts()[1].get_text()
 
 
@@ -224,7 +228,7 @@ def keep_only(folder, name):
 
 def test_an_interruption_while_saving_leaves_the_old_picture(folder, monkeypatch):
     keep_only(folder, "convergence")
-    (picture,) = draw_all(folder, "Bogie", False)
+    (picture,) = Figures(folder, "Bogie", False).save()
     old = picture.read_bytes()
 
     def stop(self, path, **options):
@@ -233,7 +237,7 @@ def test_an_interruption_while_saving_leaves_the_old_picture(folder, monkeypatch
 
     monkeypatch.setattr(Figure, "savefig", stop)
     with pytest.raises(KeyboardInterrupt):
-        draw_all(folder, "Another title", False)
+        Figures(folder, "Another title", False).save()
     assert picture.read_bytes() == old
     assert not [p for p in folder.iterdir() if p.name.startswith(".")]
 
@@ -242,7 +246,7 @@ def test_the_users_own_settings_have_no_effect_and_are_kept(folder, saved):
     import matplotlib
 
     with matplotlib.rc_context({"font.size": 30.0}):
-        draw_all(folder, "Bogie", False)
+        Figures(folder, "Bogie", False).save()
         assert matplotlib.rcParams["font.size"] == 30.0
     assert saved["convergence"].axes[0].xaxis.label.get_fontsize() == 9
 
@@ -251,13 +255,13 @@ def test_any_name_can_be_drawn_without_a_warning(folder, recwarn):
     names = ["a price of 5 $ and 6 $", "$x^{2$", "bridge \u6865\u6881 $\\alpha$"]
     table = pd.read_csv(folder / "modes.csv").assign(mode=names)
     table.to_csv(folder / "modes.csv", index=False)
-    written = draw_all(folder, names[0], False)
+    written = Figures(folder, names[0], False).save()
     assert set(ALL) <= {p.stem for p in written} and not recwarn.list
     assert all(p.read_bytes().startswith(b"\x89PNG\r\n") and p.stat().st_size > 5000 for p in written)
     assert not [p for p in folder.iterdir() if p.name.startswith(".")]
     keep_only(folder, "convergence")  # every figure has the same heading
     for name in names:
-        assert [p.stem for p in draw_all(folder, name, False)] == ["convergence"] and not recwarn.list
+        assert [p.stem for p in Figures(folder, name, False).save()] == ["convergence"] and not recwarn.list
 
 
 def test_missing_characters_are_noted_in_the_picture_and_powers_stay_powers(tmp_path):

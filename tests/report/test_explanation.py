@@ -6,8 +6,6 @@ import pytest
 from matplotlib.colors import to_hex
 
 from calib.errors import InputError
-from calib.report import draw
-from calib.report.draw import draw_all
 from calib.report.explanation import (
     draw_confounding,
     draw_ranked_effects,
@@ -15,6 +13,7 @@ from calib.report.explanation import (
     ranked,
     ranked_effects_figure,
 )
+from calib.report.figures import Figures
 from calib.report.style import BLUE, GREY, ORANGE, REST, SYNTHETIC, new_figure
 
 nan = np.nan
@@ -235,18 +234,20 @@ def folder(tmp_path, effects):
 @pytest.fixture
 def saved(monkeypatch):
     figures = {}
-    monkeypatch.setattr(draw, "save", lambda figure, path: figures.setdefault(path.stem, figure) and path)
+    monkeypatch.setattr(
+        "calib.report.figures.save", lambda figure, stem, formats: figures.setdefault(stem.name, figure) and [stem]
+    )
     return figures
 
 
 def test_every_table_of_a_folder_has_its_figure(folder):
-    written = draw_all(folder, "Bogie", True)
+    written = Figures(folder, "Bogie", True).save()
     assert [p.stem for p in written] == FIGURES
     assert all(p.parent == folder and p.read_bytes().startswith(b"\x89PNG") for p in written)
 
 
 def test_headings_state_that_local_perturbations_are_no_causes_and_what_is_synthetic(folder, saved):
-    draw_all(folder, "Bogie", True)
+    Figures(folder, "Bogie", True).save()
     for figure in saved.values():
         assert SYNTHETIC in [t.get_text() for t in figure.texts]
     heading = [t.get_text().replace("\n", " ") for t in saved["perturbation_map"].texts]
@@ -260,7 +261,7 @@ def test_an_attempt_is_never_drawn_as_the_missing_effect(folder, saved, stage, l
     with (folder / "pulls.csv").open("a") as file:
         file.write("arb,K,,1,1.1,0.1,1.4,2.5,False\n")
     (folder / "errors.csv").write_text(TABLES["errors"].replace("after", later))
-    draw_all(folder, "Bogie", False)
+    Figures(folder, "Bogie", False).save()
     texts = {}
     for name in ("where_it_fails_sigma", "pulls", "errors_before_after"):
         axes = saved[name].axes
@@ -277,7 +278,7 @@ def test_an_attempt_is_never_drawn_as_the_missing_effect(folder, saved, stage, l
 
 def test_an_empty_cell_written_as_nan_is_empty(folder, saved, effects):
     effects.assign(implausible=nan).to_csv(folder / "effects.csv", index=False, na_rep="nan")
-    draw_all(folder, "Bogie", False)
+    Figures(folder, "Bogie", False).save()
     assert not [text for ax in saved["ranked_effects"].axes for text in words(ax) if "implausible" in text]
 
 
@@ -292,7 +293,7 @@ def test_an_empty_cell_written_as_nan_is_empty(folder, saved, effects):
 )
 def test_without_its_table_there_is_no_figure(folder, saved, gone, figures):
     (folder / f"{gone}.csv").unlink()
-    draw_all(folder, "Bogie", False)
+    Figures(folder, "Bogie", False).save()
     assert set(FIGURES) - set(saved) == figures
 
 
@@ -300,7 +301,7 @@ def test_tables_without_rows_have_no_figure(folder):
     for path in folder.glob("*.csv"):
         if path.stem != "mesh_points":  # a model has points
             path.write_text(path.read_text().split("\n")[0] + "\n")
-    assert draw_all(folder, "Bogie", False) == []
+    assert Figures(folder, "Bogie", False).save() == []
 
 
 @pytest.mark.parametrize(
@@ -318,6 +319,6 @@ def test_a_damaged_table_is_named(folder, name, old, new, column):
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(InputError, match=rf"{name}\.csv") as problem:
-        draw_all(folder, "Bogie", False)
+        Figures(folder, "Bogie", False).save()
     assert column in str(problem.value)
     assert not list(folder.glob("*.png"))

@@ -4,7 +4,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from calib.errors import InputError
-from calib.report.draw import draw_all
+from calib.report.figures import Figures
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection
 
 
@@ -71,11 +71,11 @@ def test_every_pair_of_inputs_is_drawn_once_and_small_ones_stay_blank(inputs):
 
 def test_each_figure_is_drawn_when_its_table_is_there(tmp_path, sensitivity, inputs, selection):
     sensitivity.to_csv(tmp_path / "partial.csv", index=False)
-    assert [p.name for p in draw_all(tmp_path, "Bogie", True)] == ["partial.png"]
+    assert [p.name for p in Figures(tmp_path, "Bogie", True).save()] == ["partial.png"]
     sensitivity.to_csv(tmp_path / "variance_share.csv", index=False)
     inputs.to_csv(tmp_path / "input_correlation.csv", index=False)
     selection.to_csv(tmp_path / "selection.csv", index=False)
-    written = draw_all(tmp_path, "Bogie", True)
+    written = Figures(tmp_path, "Bogie", True).save()
     assert [p.stem for p in written] == ["partial", "variance_share", "input_correlation", "selection"]
     assert all(p.read_bytes().startswith(b"\x89PNG") for p in written)
 
@@ -83,8 +83,8 @@ def test_each_figure_is_drawn_when_its_table_is_there(tmp_path, sensitivity, inp
 def test_a_damaged_table_is_named(tmp_path, inputs, selection):
     inputs.iloc[::-1].to_csv(tmp_path / "input_correlation.csv", index=False)
     with pytest.raises(InputError, match="same parameters"):
-        draw_all(tmp_path, "Bogie", True)
+        Figures(tmp_path, "Bogie", True).save()
     (tmp_path / "input_correlation.csv").unlink()
     selection.drop(columns="partial_floor").to_csv(tmp_path / "selection.csv", index=False)
     with pytest.raises(InputError, match="'partial_floor' is missing"):
-        draw_all(tmp_path, "Bogie", True)
+        Figures(tmp_path, "Bogie", True).save()

@@ -133,7 +133,9 @@ def run(tmp_path_factory):
     root, drawn = tmp_path_factory.mktemp("several"), []
     study = write_study(root / "frame")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.front.study.draw_all", lambda folder, *given: drawn.append(folder.name) or [])
+        patch.setattr(
+            "calib.report.figures.Figures.save", lambda figures, *given: drawn.append(figures.folder.folder.name) or []
+        )
         assert cli.execute(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
     return study, root / "results", drawn
 

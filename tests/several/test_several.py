@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib import cli
 from calib.errors import InputError
-from calib.report.draw import draw_all
+from calib.report.figures import Figures
 from calib.several import JointStudy, load
 from calib.study import Study
 from calib.study_file import StudyFile
@@ -68,7 +68,7 @@ def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp
     _, results, drawn = run
     assert drawn == [f"{name}{end}" for name in ("frame_extended", "frame") for end in (".empty", ".loaded", "")]
     together = shutil.copytree(results / "frame", tmp_path / "frame")
-    assert {path.stem for path in draw_all(together, "together", True)} >= OF_ALL
+    assert {path.stem for path in Figures(together, "together", True).save()} >= OF_ALL
 
 
 @pytest.mark.slow

@@ -6,9 +6,9 @@ import pandas as pd
 
 from calib.report.calibration import final_places
 from calib.report.html.compared import error_picture, mac_picture, mode_table, scalar_blocks
-from calib.report.html.numbers import counted, fixed, flag, percent, significant, with_unit, yes
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.numbers import counted, fixed, flag, percent, significant, with_unit, yes
 
 TERMS = (
     ("case", "one search from its own random start; cases that end in different values have found no unique optimum"),

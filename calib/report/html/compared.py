@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from calib.report.html.numbers import fixed, percent, significant
 from calib.report.html.page import Block, Picture, Section, Shapes, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE, scene
 from calib.report.html.study_results import STAGES, StudyResults
+from calib.report.numbers import fixed, percent, significant
 
 TERMS = (
     ("MAC", "modal assurance criterion: 1 for proportional shapes, 0 for orthogonal ones"),

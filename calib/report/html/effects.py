@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 
 from calib.report.explanation import COLLINEAR, ranked, threshold
-from calib.report.html.numbers import counted, fixed, flag, significant, with_unit
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
+from calib.report.numbers import counted, fixed, flag, significant, with_unit
 
 NUMBERS = (
     "z", "unabsorbed", "magnitude", "magnitude_low", "magnitude_high", "magnitude_min", "plausible", "largest",

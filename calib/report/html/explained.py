@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from calib.report.html.numbers import chance, fixed, flag, with_unit, yes
 from calib.report.html.page import Block, Section, Table, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.numbers import chance, fixed, flag, with_unit, yes
 
 _OF_VERDICT = 2
 """Number of sentences that state the verdict; the others support it."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calib.report.html.numbers import chance, counted, fixed, flag, significant
 from calib.report.html.page import Block, Picture, Section, Table, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import STAGES, StudyResults
+from calib.report.numbers import chance, counted, fixed, flag, significant
 from calib.report.where import sensor_rms
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calib.report.html.numbers import counted, fixed, flag, percent, significant, yes
 from calib.report.html.page import Block, Section, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
+from calib.report.numbers import counted, fixed, flag, percent, significant, yes
 
 USED = ("held out", "used")
 SYNTHETIC = "The measurement is synthetic: a computer made it from a model with noise added; no structure was measured."

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calib.report.html.numbers import counted, significant, with_unit, yes
 from calib.report.html.page import Block, Section, Table, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.numbers import counted, significant, with_unit, yes
 
 
 def assumptions(results: StudyResults) -> Section | None:

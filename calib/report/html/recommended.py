@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.report.html.numbers import fixed, significant
 from calib.report.html.page import Section, Table, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.numbers import fixed, significant
 from calib.report.verification import best_candidates
 
 

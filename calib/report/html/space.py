@@ -9,9 +9,9 @@ import numpy as np
 import plotly.graph_objects as go
 
 from calib.report.html.look import FONT, new, shown
-from calib.report.html.numbers import fixed
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.mesh import FACE, Mesh, motions, pieces, places, read_mesh, thickness
+from calib.report.numbers import fixed
 from calib.report.scene import motion_scale, plot_coordinates, view_directions
 from calib.report.shapes import measured_motions
 from calib.report.style import BLUE, MEASURED, REST

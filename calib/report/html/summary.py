@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import pandas as pd
 
 from calib.report.html.effects import effects_table
-from calib.report.html.numbers import fixed, flag, percent, significant, with_unit
 from calib.report.html.study_results import STAGES, StudyResults
+from calib.report.numbers import fixed, flag, percent, significant, with_unit
 
 DATA = {
     "fit": "error in fitted data",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from calib.report.html.numbers import fixed, flag, significant
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.numbers import fixed, flag, significant
 from calib.report.sensitivity import MEASURES, RESPONSE_KINDS
 
 TERMS = (

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from calib.report.html.numbers import chance, fixed, flag, percent, significant, with_unit
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.numbers import chance, fixed, flag, percent, significant, with_unit
 from calib.report.verification import GROUPS
 
 TERMS = (

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from calib.errors import InputError
-from calib.report.draw import draw_all
+from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.report.html.write import SECTIONS
@@ -83,4 +83,4 @@ def test_a_duplicate_row_is_refused_with_its_line(folder):
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, lines[-1], ""]))
     with pytest.raises(InputError, match=rf"parameters\.csv, line {len(lines) + 1}"):
-        draw_all(folder, "Damaged", True)
+        Figures(folder, "Damaged", True).save()

@@ -12,9 +12,9 @@ from calib.inference.verdicts import identified_sentence
 from calib.report.calibration import draw_parameters, final_places
 from calib.report.comparison import draw_frequency_error
 from calib.report.frequencies import draw_frequencies
-from calib.report.html.numbers import percent
-from calib.report.html.page import Plot, Shapes
+from calib.report.html.page import Picture, Shapes
 from calib.report.html.summary import summary
+from calib.report.numbers import fixed, percent
 
 
 @pytest.fixture
@@ -37,16 +37,14 @@ def test_the_figure_of_the_parameters_is_that_of_the_page(folder, parameters, bl
     other = shifted.assign(case="A2", search_value=parameters["lower"] + 0.3 * span)
     pd.concat([shifted, other]).to_csv(folder / "parameters.csv", index=False)
     found, best = pd.read_csv(folder / "parameters.csv"), parameters["case"].iloc[0]
-    ax, plot = draw_parameters(found, best_case=best), blocks(folder, Plot)["parameters"].figure
+    ax = draw_parameters(found, best_case=best)
     bars = [container for container in ax.containers if isinstance(container, BarContainer)]
-    assert len(bars) == 2 and len(plot.data) == 3
-    for own, dots in zip(bars, plot.data, strict=False):
-        assert own.get_label() in dots.name
-        np.testing.assert_allclose([bar.get_width() / 100 for bar in own], dots.x, rtol=1e-6)
+    assert len(bars) == 2
     (diamonds,) = [line for line in ax.lines if line.get_marker() == "D"]
-    np.testing.assert_allclose(np.asarray(diamonds.get_xdata(), dtype=float) / 100, plot.data[2].x, rtol=1e-9)
-    np.testing.assert_allclose(plot.data[2].x, parameters["ratio"], rtol=1e-9)
-    np.testing.assert_allclose(plot.data[2].error_x.array, 2 * parameters["std"] / span, rtol=1e-6)
+    positions = np.asarray(diamonds.get_xdata(), dtype=float) / 100
+    np.testing.assert_allclose(positions, parameters["ratio"], rtol=1e-9)
+    told = re.findall(r"(\S+) ([\d.]+)(?=[,.] )", blocks(folder, Picture)["parameters"].alt.split(": ", 1)[1])
+    assert dict(told) == {n: fixed(v, 2) for n, v in zip(parameters["parameter"], positions, strict=True)}
 
 
 def test_without_a_search_there_are_no_separate_final_positions(parameters):

@@ -63,7 +63,7 @@ def analysed(functions_in_this_process, tmp_path_factory):
     (folder / "data.csv").write_text("response,value,std\ny,3.1,0.1\nz,1.0,0.1\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
-        patch.setattr("calib.front.study.draw_all", lambda *a: [])
+        patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
         run("sensitivity", "calibrate")
     return home
 

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from calib.report.html.numbers import chance, counted, fixed, flag, percent, significant, with_unit, yes
+from calib.report.numbers import chance, counted, fixed, flag, percent, significant, with_unit, yes
 
 
 @pytest.mark.parametrize(
