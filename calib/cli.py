@@ -155,13 +155,28 @@ def extend(
     terminal.say(f"Calibrate it with: calib calibrate {shell_argument(written.path)}{place}")
 
 
+class _Format(StrEnum):
+    """Format of a figure."""
+
+    png = "png"
+    svg = "svg"
+    pdf = "pdf"
+
+
 @app.command()
-def report(study: StudyPath, results: ResultsPath = RESULTS) -> None:
+def report(
+    study: StudyPath,
+    results: ResultsPath = RESULTS,
+    formats: Annotated[
+        list[_Format],
+        typer.Option("--format", help="Format of the figures beside the report; give it again for a further one."),
+    ] = [_Format.png],  # noqa: B006
+) -> None:
     """Write report.html, one file that opens anywhere, from the stored results, and redraw every figure.
 
     Nothing is computed, and no code of the study is run.
     """
-    Study(study, results, listener=PRINTING).report()
+    Study(study, results, listener=PRINTING).report(tuple(dict.fromkeys(one.value for one in formats)))
 
 
 @app.command()

@@ -35,6 +35,7 @@ from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.report.shown import Shown
+from calib.report.style import FORMATS, Format
 from calib.results import Results
 from calib.several import AnyStudy, JointStudy, load
 from calib.study import Study as Loaded
@@ -266,14 +267,20 @@ class Study:
         self._draw_tests(report=True)
         return extended or self
 
-    def report(self) -> Path:
-        """Write ``report.html`` from the stored results and redraw every figure; no code of the study is run."""
+    def report(self, formats: Sequence[Format] = ("png",)) -> Path:
+        """Write ``report.html`` from the stored results and redraw every figure; no code of the study is run.
+
+        Parameters
+        ----------
+        formats : sequence of {"png", "svg", "pdf"}
+            Formats of the figures beside the report, each as wide as a page.
+        """
         study = StudyFile.read(self.path)
         parts = [part for part in study.parts if places.answers_of(part, self.results)]
         if not parts:
             remedy = f"run the study first: calib run {shell_argument(self.path)}"
             raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
-        self._draw_anew(study)
+        self._draw_anew(study, formats)
         return self.results / parts[0].name / REPORT
 
     # -- steps ---------------------------------------------------------------------------------------------------------
@@ -382,30 +389,30 @@ class Study:
         if isinstance(self.loaded, JointStudy):
             self.draw(places.results_of(self.loaded, self.results, self.quick, case, method))
 
-    def _draw_anew(self, study: StudyFile) -> None:
+    def _draw_anew(self, study: StudyFile, formats: Sequence[Format]) -> None:
         """Redraw every figure and report of a study, and of the extended studies among its results."""
         for part in study.parts:
             folders = places.answers_of(part, self.results)
             if Results(self.results / part.name) in folders:  # versions compare full results only
                 self.listener.versions(write_versions(part, self.results))
             for folder in folders:
-                self._draw(part, folder, True)
+                self._draw(part, folder, True, formats)
         together = places.answers_of(study, self.results)
         if study.settings.several:
             for folder in together:
-                self._draw(study, folder, False)
+                self._draw(study, folder, False, formats)
         written = [file for folder in together if (file := extension.found_among(study, folder.path))]
         for file in written[:1]:  # the extended study of a quick run has its results in the same place
-            self._draw_anew(StudyFile.read(file))
+            self._draw_anew(StudyFile.read(file), formats)
 
-    def _draw(self, study: StudyFile, folder: Results, report: bool) -> None:
+    def _draw(self, study: StudyFile, folder: Results, report: bool, formats: Sequence[Format] = ("png",)) -> None:
         title, synthetic = study.settings.title, study.synthetic
         with_report = report or folder.has(REPORT)
         stale = stale_answers(study, folder, None if self.results == RESULTS else self.results)
         try:
             shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
             written = write_report(shown) if with_report else None
-            figures = shown.figures.save()
+            figures = shown.figures.save(formats)
         except OSError as fault:
             raise InputError(
                 f"a figure or the report cannot be written ({fault.strerror})",
@@ -413,7 +420,8 @@ class Study:
                 remedy="free some space and draw again with 'calib report', or choose another --results",
             ) from None
         if stale.files:
-            folder.remove(*(png.name for png in folder.path.glob("*.png") if is_own(png) and png not in figures))
+            old = [file for kind in FORMATS for file in folder.path.glob(f"*.{kind}")]
+            folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
         self.listener.drawn(figures, stale.sentences, written)
 
 

@@ -241,10 +241,9 @@ def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         last = best[np.isfinite(best)]
         label = f"{case} (ends at {last[-1]:.3g})" if len(last) else f"{case} (no feasible point)"
         marker = "o" if len(best) == 1 else ""
-        hover(
-            *ax.plot(generation, best, line_style, color=colour, linewidth=1.9, marker=marker, label=label, zorder=3),
-            label,
-        )
+        looks: dict[str, Any] = {"color": colour, "linewidth": 1.9, "marker": marker, "zorder": 3}
+        (line,) = ax.plot(generation, best, line_style, label=label, **looks)
+        hover(line, label)
         if has_mean:
             ax.plot(generation, mean, "--", color=colour, linewidth=0.8, alpha=0.8, marker=marker, markersize=3)
     if has_mean:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -70,7 +71,13 @@ def draw_frequency_error(
     return ax
 
 
-def draw_mac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None) -> Axes:
+def draw_mac(
+    before: pd.DataFrame | None,
+    after: pd.DataFrame | None = None,
+    ax: Axes | None = None,
+    *,
+    noise_mac: float = math.nan,
+) -> Axes:
     """Draw the MAC of every mode with its model mode as bars, after Ribeiro et al. (2013), figure 9.
 
     Parameters
@@ -78,6 +85,8 @@ def draw_mac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax:
     before, after : DataFrame or None
         Columns ``mode`` and ``mac`` (0 to 1, NaN for an unpaired mode).
     ax : Axes, optional
+    noise_mac : float
+        Mean MAC of a perfect model with this noise, drawn as a dashed line; NaN where unknown.
     """
     ax = own_axes(ax, 2.6)
     values = {name: table["mac"] for name, table in _series(before, after).items()}
@@ -86,6 +95,9 @@ def draw_mac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax:
     modes = next(iter(values.values())).index
     ax.set_xticks(range(len(modes)), list(modes))
     _crowded(ax, [str(mode) for mode in modes])
+    if not math.isnan(noise_mac):
+        ax.axhline(noise_mac, color=GREY, linestyle="--", linewidth=1.0, label="mean MAC that noise allows", zorder=1)
+        legend_above(ax)
     ax.set_ylim(0.0, 1.1)
     ax.set_yticks(np.linspace(0.0, 1.0, 6))
     ax.set_xlabel("mode")
@@ -93,7 +105,9 @@ def draw_mac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax:
     return ax
 
 
-def comparison_figure(before: pd.DataFrame | None, after: pd.DataFrame | None = None) -> Figure:
+def comparison_figure(
+    before: pd.DataFrame | None, after: pd.DataFrame | None = None, noise_mac: float = math.nan
+) -> Figure:
     """Draw frequency errors above MAC; without measured shapes there is no MAC panel."""
     if not has_mac(before, after):
         figure = new_figure(3.6)
@@ -102,7 +116,7 @@ def comparison_figure(before: pd.DataFrame | None, after: pd.DataFrame | None = 
     figure = new_figure(6.2)
     upper, lower = figure.subplots(2, 1, height_ratios=(1.25, 1.0))
     draw_frequency_error(before, after, upper)
-    draw_mac(before, after, lower)
+    draw_mac(before, after, lower, noise_mac=noise_mac)
     upper.text(-0.08, 1.06, "(a)", transform=upper.transAxes, fontweight="bold")
     lower.text(-0.08, 1.06, "(b)", transform=lower.transAxes, fontweight="bold")
     return figure

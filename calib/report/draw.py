@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,10 +72,10 @@ def plan(folder: Folder) -> dict[str, Drawing]:
         drawings[name] = Drawing(name, caption, draw, tables or (name,))
 
     compared = {stage: _comparison(folder / f"comparison_{stage}.csv") for stage in _STAGES}
-    before, after = compared["before"], compared["after"]
+    before, after, noise = compared["before"], compared["after"], _noise_mac(folder / "summary.json")
     if before is not None or after is not None:
         add(
-            "comparison", "model against measurement", lambda: comparison_figure(before, after),
+            "comparison", "model against measurement", lambda: comparison_figure(before, after, noise),
             *_there(folder, "comparison"),
         )  # fmt: skip
     for stage in _STAGES:
@@ -324,6 +325,12 @@ def _failing(path: Path) -> pd.DataFrame | None:
 
 def _comac(path: Path) -> pd.DataFrame | None:
     return read_table(path, ["sensor"], ["comac"]) if path.exists() else None
+
+
+def _noise_mac(path: Path) -> float:
+    """Mean MAC that noise allows; NaN where unknown."""
+    value = read_json(path, {"noise_mac": float}).get("noise_mac") if path.exists() else None
+    return math.nan if value is None else float(value)
 
 
 def _best_case(path: Path, cases: list[str]) -> str | None:

@@ -168,10 +168,8 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         edge = BLUE if flag else GREY
         gid = "visible" if flag else "not visible"
         ax.plot(ratio[shown], at[shown], "o", color=edge, markerfacecolor=face, markersize=6, gid=gid, zorder=3)
-    words = [
-        f"{n}: smallest visible magnitude {significant(r, 2)} of the plausible one"
-        for n, r in zip(rows["name"], ratio, strict=True)
-    ]
+    what = "smallest visible magnitude over the plausible one"
+    words = [f"{n}: {what} {significant(r, 2)}" for n, r in zip(rows["name"], ratio, strict=True)]
     hover_points(ax, np.where(known, ratio, np.nan), at, words)
     never = np.isposinf(ratio)
     ax.plot(np.full(never.sum(), high * 1.9), at[never], ">", color=GREY, markersize=6, gid="never")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from calib.errors import InputError
 from calib.report.draw import Drawing, plan
 from calib.report.shown import Shown
-from calib.report.style import add_heading, save, style, take_dollars_literally
+from calib.report.style import Format, add_heading, save, style, take_dollars_literally
 from calib.report.svg import svg_text
 
 
@@ -62,7 +62,7 @@ class Figures:
             take_dollars_literally(figure)
             return svg_text(figure, identifier or name)
 
-    def save(self, formats: Sequence[str] = ("png",)) -> list[Path]:
+    def save(self, formats: Sequence[Format] = ("png",)) -> list[Path]:
         """Write every figure beside its tables, in every format; nothing is computed anew.
 
         Parameters

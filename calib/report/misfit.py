@@ -192,10 +192,10 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
             shift, y, "osD^v"[k % 5], markersize=5.5, label=label, gid=f"shift {model}", zorder=3, **looks
         )
         values = [with_unit(v, str(u), 4) for v, u in zip(rows["value"], rows["unit"], strict=True)]
-        words = [
+        told = [
             f"{n}, {label}: {v}, shift {fixed(z, 1, sign=True)}" for n, v, z in zip(names, values, shift, strict=True)
         ]
-        hover_points(ax, shift, y, words)
+        hover_points(ax, shift, y, told)
         ringed = np.array([not pd.isna(flag) and bool(flag) for flag in rows["pulled"]])
         ax.plot(shift[ringed], y[ringed], gid=f"pulled {model}", zorder=4, **ring)
     limits = sorted(set(table["limit"].astype(float).dropna().round(3)))

@@ -8,7 +8,7 @@ import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import matplotlib
 import numpy as np
@@ -42,7 +42,8 @@ ATTEMPT: dict[str, Any] = {"facecolor": "#D0D0D0", "hatch": "xxxx", "edgecolor":
 WIDTH = 8.0
 """Width of a figure in inches: 1200 pixels at `DPI`, so that text appears at the size chosen here."""
 DPI = 150
-FORMATS = ("svg", "png", "pdf")
+Format: TypeAlias = Literal["svg", "png", "pdf"]
+FORMATS: tuple[Format, ...] = ("svg", "png", "pdf")
 """Formats of files, in the order in which they are written: the last removes the words under the mouse."""
 SYNTHETIC = "synthetic measurement"
 
@@ -160,7 +161,7 @@ def add_heading(figure: Figure, title: str, synthetic: bool) -> None:
         figure.subplots_adjust(top=top)
 
 
-def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+def save(figure: Figure, stem: Path, formats: Sequence[Format] = ("png",)) -> list[Path]:
     """Save in each format, as ``stem`` with its suffix; an interruption leaves the old picture or none.
 
     Dollar signs in names are literal. A note is added where no font has a character of a name.

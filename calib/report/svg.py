@@ -59,11 +59,11 @@ def hover_cells(ax: Axes, words: Sequence[Sequence[str]]) -> None:
 
 def hover_points(ax: Axes, x: ArrayLike, y: ArrayLike, words: Sequence[str]) -> None:
     """Give every point of a drawn line its words; points that are not finite have none."""
-    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    at, high = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    known = np.flatnonzero(np.isfinite(at) & np.isfinite(high)).tolist()
     look: dict[str, Any] = {"facecolors": (1.0, 1.0, 1.0, 0.0), "linewidths": 0.0, "zorder": 6, "gid": "points"}
     if len(known):
-        hover(ax.scatter(x[known], y[known], s=90, **look), *(words[k] for k in known))
+        hover(ax.scatter(at[known], high[known], s=90, **look), *(words[k] for k in known))
 
 
 def without_hover(figure: Figure) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from calib.errors import InputError
 from calib.report.html import (
     calibrated,
     compared,
@@ -62,6 +63,8 @@ def write_report(results: StudyResults) -> Path:
     InputError
         The folder is missing, or a table is damaged; nothing is written then.
     """
+    if not results.figures.folder.folder.is_dir():
+        raise InputError("there is no such folder of results", place=results.figures.folder.folder)
     text, path = page(results), results.folder / NAME
     with replacing(path) as draft:
         draft.write_text(text, encoding="utf-8")

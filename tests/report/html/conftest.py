@@ -110,6 +110,14 @@ def results(everything):
     return StudyResults(everything, TITLE, True)
 
 
+@pytest.fixture
+def unpainted(monkeypatch):
+    """Figures have no content, which takes longest: for tests of the page around them."""
+    monkeypatch.setattr(
+        "calib.report.figures.Figures.svg", lambda figures, name: f"<svg><!-- {figures.plan[name].name} --></svg>"
+    )
+
+
 @pytest.fixture(scope="session")
 def reader():
     """Class that parses a page."""

@@ -64,7 +64,7 @@ def test_values_of_another_type_are_read_or_refused(folder, name, trials):
     for table in ("mesh_points", "deflection_after"):  # the slowest figures, which read no such value
         (folder / f"{table}.csv").unlink()
     readers = [part for part in (summary, *SECTIONS) if reads(part, StudyResults(folder, "Whole", True), name)]
-    assert len(readers) > 2
+    assert len(readers) >= 2
     refused = 0
     for number in range(trials):
         path.write_text(json.dumps(changed(whole, random.Random(f"{name} {number}"))))

@@ -1,0 +1,77 @@
+"""Figures as SVG in a page."""
+
+import re
+from xml.etree import ElementTree
+
+import matplotlib
+import pytest
+from matplotlib.patches import Rectangle
+
+from calib.report.style import new_figure, save, style
+from calib.report.svg import hover, hover_cells, hover_points, svg_text
+
+ODD = "</svg><script>x</script> & \u0022'\u00b5' % 100:/?#"
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture
+def figure():
+    """A bar, a line with a clip path, markers and text, all with words under the mouse."""
+    with style():
+        drawn = new_figure(2.0, 3.0)
+        ax = drawn.add_subplot()
+        (bar,) = ax.bar([0], [1], label="bar")
+        hover(bar, ODD)
+        ax.plot([0, 1, 2], [0.5, float("nan"), 5.0], "o-")
+        hover_points(ax, [0, 1, 2], [0.5, float("nan"), 5.0], ["first", "gap", "last"])
+        hover_cells(ax, [["a1", "a2"], ["b1", "b2"]])
+        ax.set_ylim(0, 2)
+        ax.set_title(ODD)
+        yield drawn
+
+
+def titles(text):
+    return [element.text for element in ElementTree.fromstring(text).iter(f"{SVG}title")]
+
+
+def test_words_appear_under_the_mouse_as_they_are_given(figure):
+    found = titles(svg_text(figure, "one"))
+    assert found.count(ODD) == 1 and {"a1", "a2", "b1", "b2", "first"} <= set(found) and "gap" not in found
+    assert "hover:" not in svg_text(figure, "one")
+
+
+def test_text_stays_text_and_nothing_points_outside(figure):
+    text = svg_text(figure, "one")
+    root = ElementTree.fromstring(text)
+    assert ODD in [element.text for element in root.iter(f"{SVG}text")]
+    assert "<script" not in text and not re.search(r"(?<!xmlns)(?<!xmlns:xlink)=.https?:", text)
+    assert (
+        not list(root.iter(f"{SVG}style")) and not list(root.iter(f"{SVG}a")) and not list(root.iter(f"{SVG}metadata"))
+    )
+    assert "viewBox" in root.attrib and "width" not in root.attrib
+
+
+def test_identifiers_of_two_figures_in_a_page_never_clash(figure):
+    first, second = (svg_text(figure, name) for name in ("one", "two"))
+    names = [set(re.findall(r' id="([^"]*)"', text)) for text in (first, second)]
+    assert names[0] and not names[0] & names[1]
+    for text, own in zip((first, second), names, strict=True):
+        assert set(re.findall(r'(?:href="|url\()#([^")]*)', text)) == own
+
+
+def test_the_same_figure_gives_the_same_text(figure):
+    assert svg_text(figure, "one") == svg_text(figure, "one")
+
+
+def test_only_a_collection_takes_several_words():
+    with pytest.raises(ValueError, match="collection"):
+        hover(Rectangle((0, 0), 1, 1), "one", "two")
+
+
+def test_every_format_is_written_and_a_pdf_has_no_links(figure, tmp_path):
+    with matplotlib.rc_context({"pdf.compression": 0}):
+        written = save(figure, tmp_path / "drawn", ("pdf", "png", "svg"))
+    assert [path.name for path in written] == ["drawn.svg", "drawn.png", "drawn.pdf"]
+    assert written[1].read_bytes().startswith(b"\x89PNG") and ElementTree.parse(written[0]).getroot().tag == f"{SVG}svg"
+    assert ODD in titles(written[0].read_text(encoding="utf-8"))
+    assert written[2].read_bytes().startswith(b"%PDF") and b"/URI" not in written[2].read_bytes()
