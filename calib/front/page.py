@@ -54,14 +54,14 @@ def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
 
 def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     """See `calib.front.fit.Fit.figure`."""
-    from calib.report.calibration import draw_parameters
     from calib.report.comparison import draw_comac, draw_frequency_error, draw_mac, draw_mac_matrix
+    from calib.report.parameters import draw_parameters
 
     if name not in FIGURES:
         raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
     model, selected = chosen(fit, test)
     if name == "parameters":
-        return draw_parameters(_tables(fit)["parameters"], ax)
+        return draw_parameters(_tables(fit)["parameters"], ax, prior=fit.problem.space.frame())
     if isinstance(selected, ResponseTest):
         raise InputError("it has no modes", place=f"test {selected.name}", remedy="draw its parameters")
     if name != "frequency_errors" and not selected.used.has_shapes:

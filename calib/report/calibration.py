@@ -1,4 +1,4 @@
-"""Figures of the calibration cases: parameters between their limits, and convergence of the search."""
+"""Figures of the searches of a calibration: where each ended, and its convergence."""
 
 from __future__ import annotations
 
@@ -16,44 +16,39 @@ from calib.report.numbers import significant, with_unit
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
 from calib.report.svg import hover
 
-_FINAL = 38.0
-"""Offset in points of the best case's value from the Axes, where every bar has its own value beside it."""
+_BESIDE_VALUES = 38.0
+"""Offset in points from the Axes of words beside the values of the bars."""
 _LINE_STYLES = ("-", "-.", ":")
 
 
-def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str | None = None) -> Axes:
-    """Draw the parameters of every case between their limits, after Ribeiro et al. (2013), figure 8.
+def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | None = None) -> Axes:
+    """Draw where the search of every case ended, between the limits, after Ribeiro et al. (2013), figure 8.
 
     Parameters
     ----------
     table : DataFrame
         Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1),
         ``on_bound`` (bool), ``spread`` (of the ratio over the cases, NaN if unknown) and ``stable`` (bool, or None).
-        Optional: ``search_value`` (end of the search, before least squares), ``lower, upper`` and ``std``.
+        Optional: ``search_value`` (end of the search, before least squares), ``lower`` and ``upper``.
     ax : Axes, optional
     best_case : str, optional
-        The case whose final values are written at the right; by default the only case, if there is one only.
+        The case that is reported, for the legend.
 
     Returns
     -------
     Axes
         One group of horizontal bars per parameter, lengths in percent of the range between the limits, and the value
         beside each bar; a dark line separates neighbours of different units. A triangle marks a value at a limit; a
-        parameter on which the cases disagree is hatched and labelled. With ``search_value``, the bars show the ends of
-        the searches and so their spread, and a diamond with whiskers shows the best case's final value with two
-        standard deviations (``std``).
+        parameter on which the searches disagree is hatched and labelled.
     """
     cases = list(dict.fromkeys(table["case"]))
     names = list(dict.fromkeys(table["parameter"]))
-    if best_case is None and len(cases) == 1:
-        best_case = cases[0]
     step = 0.125 * len(cases) + 0.1
     ax = own_axes(ax, 1.0 + max(step, 0.34) * len(names))
     height = 0.8 / len(cases)
     unstable = {
         name: any(flag is False for flag in _flags(table[table["parameter"] == name], "stable")) for name in names
     }
-    bar_values = len(cases) > 1 or ("search_value" in table and bool(table["search_value"].notna().any()))
     for k, case in enumerate(cases):
         rows = table[table["case"] == case].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(cases) - 1) / 2) * height
@@ -67,8 +62,7 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
             if unstable[name]:
                 bar.set_hatch("/////")
                 bar.set_edgecolor("white")
-        if bar_values:
-            _write_bar_values(ax, rows, y)
+        _write_bar_values(ax, rows, y)
         bound = np.array([flag is True for flag in _flags(rows, "on_bound")])
         ax.plot(
             np.clip(lengths[bound], 0.0, 100.0) + 1.6,
@@ -90,10 +84,13 @@ def draw_parameters(table: pd.DataFrame, ax: Axes | None = None, best_case: str 
         other = units[i] != units[i - 1]
         ax.axhline(i - 0.5, color=GREY if other else "#E3E3E3", linewidth=1.0 if other else 0.6)
     ax.set_xlabel("position between the lower (0) and the upper limit (100) (%)")
-    _write_values(ax, table, names, unstable, best_case, _FINAL if bar_values else 0.0)
-    final = _mark_final(ax, table, names, best_case)
+    for row, name in enumerate(names):
+        if unstable[name]:
+            spread = table.loc[table["parameter"] == name, "spread"].max()
+            text = "not stable" if math.isnan(spread) else f"not stable, spread {100.0 * spread:.0f} %"
+            _beside(ax, row, text, VERMILLION, _BESIDE_VALUES)
     bound_anywhere = any(flag is True for flag in _flags(table, "on_bound"))
-    _legend(ax, cases, best_case, any(unstable.values()), bound_anywhere, final)
+    _legend(ax, cases, best_case, any(unstable.values()), bound_anywhere)
     return ax
 
 
@@ -104,7 +101,7 @@ def _write_bar_values(ax: Axes, rows: pd.DataFrame, y: np.ndarray) -> None:
         values = rows["search_value"].astype(float).fillna(values)
     for value, at in zip(values, y, strict=True):
         if not math.isnan(value):
-            _beside(ax, at, plain(value).replace("-", "−"), 0, "black", fontsize=6.5, gid="bar value")
+            _beside(ax, at, plain(value).replace("-", "−"), "black", fontsize=6.5, gid="bar value")
 
 
 def searched(table: pd.DataFrame) -> pd.Series[float]:
@@ -115,78 +112,18 @@ def searched(table: pd.DataFrame) -> pd.Series[float]:
     return ((table["search_value"].astype(float) - table["lower"].astype(float)) / span).fillna(table["ratio"])
 
 
-def final_places(table: pd.DataFrame, best_case: str | None) -> pd.DataFrame | None:
-    """Return the final positions of the reported case; None unless least squares followed a search.
-
-    Returns
-    -------
-    DataFrame or None
-        ``place`` between the limits (0 to 1) and ``reach``, two standard deviations on that scale (0 where unknown),
-        by parameter.
-    """
-    if "search_value" not in table or table["search_value"].isna().all() or best_case is None:
-        return None
-    best = table[table["case"] == best_case].set_index("parameter")
-    span = best["upper"].astype(float) - best["lower"].astype(float)
-    reach = (2.0 * best["std"].astype(float) / span).fillna(0.0)
-    return pd.DataFrame({"place": best["ratio"].astype(float), "reach": reach})
-
-
-def _mark_final(ax: Axes, table: pd.DataFrame, names: list[str], best_case: str | None) -> bool:
-    """Draw the reported case's final values with two standard deviations, where they differ from the search's."""
-    final = final_places(table, best_case)
-    if final is None:
-        return False
-    final = final.reindex(names)
-    ax.errorbar(
-        100.0 * final["place"],
-        np.arange(len(names)),
-        xerr=100.0 * final["reach"],
-        fmt="D",
-        markersize=4.5,
-        color="black",
-        markeredgecolor="white",
-        markeredgewidth=0.7,
-        elinewidth=1.3,
-        capsize=3.0,
-        label=f"final, {best_case}, with 2 standard deviations",
-        zorder=5,
-        gid="final",
-    )
-    return True
-
-
 def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:
     """Flags of a column, None where unknown."""
     return [None if pd.isna(flag) else bool(flag) for flag in table[column]]
 
 
-def _write_values(
-    ax: Axes, table: pd.DataFrame, names: list[str], unstable: dict[str, bool], best_case: str | None, far: float
-) -> None:
-    """Write the best case's values at the right, and below them the spread where the cases disagree."""
-    best = table[table["case"] == best_case]
-    values = dict(zip(best["parameter"], best["value"], strict=True))
-    units = dict(zip(best["parameter"], best["unit"], strict=True))
-    for i, name in enumerate(names):
-        known = name in values and not math.isnan(values[name])
-        if known:
-            unit = "" if units[name] == "-" else units[name]
-            text = plain(values[name]).replace("-", "−") + f" {unit}"
-            _beside(ax, i, text.rstrip(), 6 if unstable[name] else 0, "black", far)
-        if unstable[name]:
-            spread = table.loc[table["parameter"] == name, "spread"].max()
-            text = "not stable" if math.isnan(spread) else f"not stable, spread {100.0 * spread:.0f} %"
-            _beside(ax, i, text, -6 if known else 0, VERMILLION, far)
-
-
-def _beside(ax: Axes, row: float, text: str, shift: float, colour: str, far: float = 0.0, **looks: Any) -> None:
-    """Write at the right of a row, shifted upwards and to the right by so many points."""
+def _beside(ax: Axes, row: float, text: str, colour: str, far: float = 0.0, **looks: Any) -> None:
+    """Write at the right of a row, so many points beside the Axes."""
     ax.annotate(
         text,
         (1.01, row),
         xycoords=("axes fraction", "data"),
-        xytext=(far, shift),
+        xytext=(far, 0),
         textcoords="offset points",
         va="center",
         color=colour,
@@ -195,21 +132,15 @@ def _beside(ax: Axes, row: float, text: str, shift: float, colour: str, far: flo
     )
 
 
-def _legend(
-    ax: Axes, cases: list[str], best_case: str | None, any_unstable: bool, any_bound: bool, final: bool
-) -> None:
-    note = " (reported; values at the right)" if len(cases) > 1 else " (values at the right)"
+def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: bool, any_bound: bool) -> None:
     handles: list[Artist] = [
-        Patch(color=CASES[k % len(CASES)], label=f"{case}{note if case == best_case else ''}")
+        Patch(color=CASES[k % len(CASES)], label=f"{case} (reported)" if case == best_case else str(case))
         for k, case in enumerate(cases)
     ]
     if any_unstable:
-        handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="/////", label="not stable: the cases disagree"))
+        handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="/////", label="not stable: cases disagree"))
     if any_bound:
         handles.append(Line2D([], [], linestyle="none", marker="<", color="black", markersize=4.5, label="at a limit"))
-    if final:
-        words = "least squares ± 2 std"
-        handles.append(Line2D([], [], linestyle="-", marker="D", color="black", markersize=4.5, label=words))
     legend_above(ax, handles)
 
 

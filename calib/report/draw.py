@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from calib.errors import InputError
 from calib.named_values import read_json
-from calib.report.calibration import draw_convergence, draw_parameters
+from calib.report.calibration import draw_convergence, draw_searches
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frequencies import draw_frequencies
@@ -22,6 +22,7 @@ from calib.report.mesh import read_mesh, rest_lines
 from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
+from calib.report.parameters import draw_parameters
 from calib.report.responses import draw_response_misfit, draw_responses
 from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
@@ -122,7 +123,7 @@ def plan(folder: Folder) -> dict[str, Drawing]:
         add(
             "variance_share",
             "variance share of each parameter, beyond all others",
-            lambda: _owner(draw_sensitivity(own, None, 0.1, root)),
+            lambda: _owner(draw_sensitivity(own, None, 0.1, root, signed=False)),
         )
     path = folder / "input_correlation.csv"
     if path.exists():
@@ -143,11 +144,15 @@ def plan(folder: Folder) -> dict[str, Drawing]:
             ["case", "parameter", "unit"],
             ["value", "ratio", "spread"],
             complete=["ratio"],
-            flags=["on_bound", "stable"],
+            flags=["on_bound", "stable", "identified"],
             if_there=["lower", "upper", "std", "search_value"],
         )
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
-        add("parameters", "calibrated parameters", lambda: _owner(draw_parameters(found, best_case=best)))
+        space = folder / "parameter_space.csv"
+        known = read_table(space, ["parameter"], ["value", "prior_sd"]) if space.exists() else None
+        add("parameters", "calibrated parameters", lambda: _owner(draw_parameters(found, None, best, known)))
+        if found["case"].nunique() > 1 or ("search_value" in found and found["search_value"].notna().any()):
+            add("searches", "ends of the searches", lambda: _owner(draw_searches(found, best_case=best)), "parameters")
     path = folder / "convergence.csv"
     if path.exists():
         misfit = ["best", "mean"]

@@ -38,7 +38,12 @@ RESPONSE_KINDS = {
 
 
 def draw_sensitivity(
-    table: pd.DataFrame, ax: Axes | None = None, threshold: float = 0.25, label: str = "rank correlation (–)"
+    table: pd.DataFrame,
+    ax: Axes | None = None,
+    threshold: float = 0.25,
+    label: str = "rank correlation (–)",
+    *,
+    signed: bool = True,
 ) -> Axes:
     """Draw the sensitivity of responses to parameters as a matrix, after Ribeiro et al. (2013), figure 7.
 
@@ -52,6 +57,8 @@ def draw_sensitivity(
         Cells whose absolute value does not exceed it stay blank.
     label : str
         Label of the colour bar.
+    signed : bool
+        Whether values have a sign; the scale of others begins at 0.
     """
     responses = [c for c in table.columns if c != "parameter"]
     kinds = list(dict.fromkeys(_kind(r)[0] for r in responses))
@@ -61,7 +68,8 @@ def draw_sensitivity(
     ax = own_axes(ax, matrix_height(rows, columns) + 0.3)
     shown = np.where(np.abs(values) > threshold, values, np.nan)
     image = ax.imshow(np.isnan(values), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
-    image = ax.imshow(shown, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
+    colours, lowest = ("RdBu_r", -1.0) if signed else ("Blues", 0.0)
+    image = ax.imshow(shown, cmap=colours, norm=Normalize(lowest, 1.0), aspect="auto")
     size = 8.0 if columns <= 12 else max(4.5, 8.0 * 13.5 / columns)
     for i, j in np.argwhere(np.isfinite(shown)):
         colour = "white" if abs(shown[i, j]) > 0.65 else "black"

@@ -76,6 +76,7 @@ def parameters() -> pd.DataFrame:
             "on_bound": [False, False, False, True],
             "spread": [0.1, 0.625, 0.1, 0.625],
             "stable": [True, False, True, False],
+            "identified": [True, False, True, False],
         }
     )
 

@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.calibration import draw_convergence, draw_parameters
+from calib.report.calibration import draw_convergence, draw_searches
 
 
 def words(ax):
@@ -18,7 +18,7 @@ def legend(ax):
 
 
 def test_bar_lengths_are_the_ratios_in_percent(parameters):
-    ax = draw_parameters(parameters)
+    ax = draw_searches(parameters)
     for bars, case in zip(ax.containers, ["GB1", "GB2"], strict=True):
         rows = parameters[parameters["case"] == case]
         np.testing.assert_allclose([bar.get_width() for bar in bars], 100 * rows["ratio"])
@@ -27,38 +27,34 @@ def test_bar_lengths_are_the_ratios_in_percent(parameters):
 
 
 def test_every_bar_has_its_value_beside_it(parameters):
-    ax = draw_parameters(parameters)
+    ax = draw_searches(parameters)
     middle = [round(bar.get_y() + bar.get_height() / 2, 6) for bars in ax.containers for bar in bars]
     assert bar_values(ax) == dict(zip(middle, ["1.5", "−0.25", "1.6", "1"], strict=True))
-    searched = draw_parameters(parameters.assign(search_value=[1.25, np.nan, 1.75, 0.5]))
+    searched = draw_searches(parameters.assign(search_value=[1.25, np.nan, 1.75, 0.5]))
     assert list(bar_values(searched).values()) == ["1.25", "−0.25", "1.75", "0.5"]
-
-
-def test_one_case_without_a_search_has_no_values_beside_bars(parameters):
-    assert not bar_values(draw_parameters(parameters[parameters["case"] == "GB1"]))
 
 
 @pytest.mark.parametrize(("units", "dark"), [(["MN/m", "-"], 1), (["-", "-"], 0)])
 def test_a_dark_line_separates_neighbours_of_different_units(parameters, units, dark):
-    ax = draw_parameters(parameters.assign(unit=units * 2))
+    ax = draw_searches(parameters.assign(unit=units * 2))
     between = [line for line in ax.lines if list(line.get_ydata()) == [0.5, 0.5]]
     assert len(between) == 1 and sum(line.get_linewidth() > 0.8 for line in between) == dark
 
 
 def test_bars_of_a_case_stand_in_the_row_of_their_parameter(parameters):
-    ax = draw_parameters(parameters)
+    ax = draw_searches(parameters)
     assert len(ax.containers) == 2
     for bars in ax.containers:
         assert [round(bar.get_y() + bar.get_height() / 2) for bar in bars] == [0, 1]
 
 
 def test_cases_may_lack_parameters(parameters):
-    ax = draw_parameters(parameters.drop(index=2))
+    ax = draw_searches(parameters.drop(index=2))
     np.testing.assert_allclose([bar.get_width() for bar in ax.containers[1]], [np.nan, 100.0])
 
 
 def test_a_value_at_a_limit_has_a_marker_beside_its_bar(parameters):
-    ax = draw_parameters(parameters)
+    ax = draw_searches(parameters)
     marks = {line.get_gid(): line for line in ax.lines if (line.get_gid() or "").startswith("on_bound")}
     assert len(marks["on_bound GB1"].get_xdata()) == 0
     bar = ax.containers[1][1]
@@ -68,30 +64,23 @@ def test_a_value_at_a_limit_has_a_marker_beside_its_bar(parameters):
 
 
 def test_an_unstable_parameter_is_hatched_and_labelled(parameters):
-    ax = draw_parameters(parameters)
+    ax = draw_searches(parameters)
     assert [[bool(bar.get_hatch()) for bar in bars] for bars in ax.containers] == [[False, True], [False, True]]
     assert words(ax) == ["not stable, spread 62 %"]
 
 
 def test_stable_parameters_within_their_limits_have_no_markers(parameters):
-    ax = draw_parameters(parameters.assign(stable=True, on_bound=False))
+    ax = draw_searches(parameters.assign(stable=True, on_bound=False))
     assert words(ax) == [] and legend(ax) == ["GB1", "GB2"]
 
 
 def test_unknown_stability_is_no_verdict(parameters):
-    ax = draw_parameters(parameters.assign(stable=None, spread=np.nan))
+    ax = draw_searches(parameters.assign(stable=None, spread=np.nan))
     assert words(ax) == [] and not any(bar.get_hatch() for bars in ax.containers for bar in bars)
 
 
-def test_values_of_the_best_case(parameters):
-    ax = draw_parameters(parameters.assign(stable=True), best_case="GB1")
-    assert words(ax) == ["1.5 MN/m", "−0.25"]
-    assert "GB1 (reported; values at the right)" in legend(ax)
-
-
-def test_a_single_case_has_its_values_written_by_default(parameters):
-    ax = draw_parameters(parameters[parameters["case"] == "GB2"].assign(stable=None, spread=np.nan))
-    assert len(ax.containers) == 1 and words(ax) == ["1.6 MN/m", "1"]
+def test_the_reported_case_is_marked(parameters):
+    assert legend(draw_searches(parameters.assign(stable=True), best_case="GB1"))[:2] == ["GB1 (reported)", "GB2"]
 
 
 def test_lines_are_the_misfits(convergence):
@@ -122,19 +111,13 @@ def test_a_case_without_a_feasible_point(convergence):
     assert legend(ax) == ["GB1 (no feasible point)", "GB2 (no feasible point)"]
 
 
-def test_bars_show_the_searches_and_a_diamond_the_final_value():
-    rows = []
-    for case, found in (("A", 2.0), ("B", 4.0)):
-        rows.append(
-            {
-                "case": case, "parameter": "k", "value": 6.0, "unit": "-", "lower": 0.0, "upper": 10.0, "ratio": 0.6,
-                "on_bound": False, "spread": 0.2, "stable": False, "std": 0.5, "search_value": found,
-            }
-        )  # fmt: skip
-    ax = draw_parameters(pd.DataFrame(rows), best_case="B")
-    bars = [p.get_width() for c in ax.containers if hasattr(c, "patches") for p in c.patches]
-    assert bars == [20.0, 40.0]
-    final = next(line for line in ax.lines if line.get_marker() == "D")
-    assert final.get_xdata().tolist() == [60.0]
-    ends = [segment for c in ax.collections for segment in c.get_segments()]
-    assert any(sorted(e[:, 0].tolist()) == [50.0, 70.0] for e in ends)
+def test_bars_show_where_the_searches_ended():
+    rows = [
+        {
+            "case": case, "parameter": "k", "value": 6.0, "unit": "-", "lower": 0.0, "upper": 10.0, "ratio": 0.6,
+            "on_bound": False, "spread": 0.2, "stable": False, "std": 0.5, "search_value": found,
+        }
+        for case, found in (("A", 2.0), ("B", 4.0))
+    ]  # fmt: skip
+    ax = draw_searches(pd.DataFrame(rows), best_case="B")
+    assert [p.get_width() for c in ax.containers for p in c.patches] == [20.0, 40.0]

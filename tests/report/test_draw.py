@@ -21,6 +21,7 @@ ALL = [
     "modes",
     "sensitivity",
     "parameters",
+    "searches",
     "convergence",
 ]
 
@@ -111,9 +112,8 @@ def test_figures_show_the_tables(folder, saved, before, convergence):
         [bar.get_height() for bar in saved["comparison"].axes[0].containers[0]], 100 * before["freq_error"]
     )
     np.testing.assert_array_equal(saved["convergence"].axes[0].lines[0].get_ydata(), convergence["best"][:3])
-    assert "GB2 (reported; values at the right)" in [
-        t.get_text() for t in saved["parameters"].axes[0].get_legend().get_texts()
-    ]
+    assert "GB2 (reported)" in [t.get_text() for t in saved["searches"].axes[0].get_legend().get_texts()]
+    assert any("GB2" in t.get_text() for t in saved["parameters"].axes[0].get_legend().get_texts())
 
 
 def test_missing_tables_have_no_figures(folder, saved):
@@ -172,7 +172,7 @@ def damage(folder, name, old, new):
         ("mesh_points", "1,2.0", "0,2.0", "point", "line 3"),
         ("sensitivity", "c_primary", "", "parameter", "line 3"),
         ("parameters", "0.375", "nan", "ratio", "line 3"),
-        ("parameters", "True\n", "maybe\n", "stable", "line 2"),
+        ("parameters", "True\n", "maybe\n", "identified", "line 2"),
         ("convergence", "GB1,1,", "GB1,one,", "generation", "line 3"),
     ],
 )

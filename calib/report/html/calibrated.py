@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calib.report.calibration import final_places
 from calib.report.html.compared import error_picture, mac_picture, mode_table, scalar_blocks
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
@@ -123,14 +122,16 @@ def _verdicts(results: StudyResults, best: str) -> list[Block]:
 
 
 def _parameter_picture(results: StudyResults, table: pd.DataFrame, best: str) -> list[Picture]:
-    final = final_places(table, best)
     bound = table[(table["case"] == best) & table["on_bound"].map(flag)]["parameter"].tolist()
     note = f"At a limit: {', '.join(bound)}." if bound else "None is at a limit."
-    what = "Calibrated parameters of every case" if final is None else "Parameters at the end of every search"
     rows = table[table["case"] == best]
     positions = ", ".join(f"{n} {fixed(v, 2)}" for n, v in zip(rows["parameter"], rows["ratio"], strict=True))
-    alt = f"Bars. Positions in case {best}: {positions}. {note}"
-    return results.picture("parameters", f"{what}, between their limits. {note}", alt)
+    caption = f"Calibrated parameters between their limits: prior, value and 95 % interval of case {best}. {note}"
+    ends = "Ends of the searches, before least squares: where cases disagree, the data do not determine the parameter."
+    return [
+        *results.picture("parameters", caption, f"Dots. Positions in case {best}: {positions}. {note}"),
+        *results.picture("searches", ends, f"Bars, {counted(table['case'].nunique(), 'case')}. {note}"),
+    ]
 
 
 def _convergence(results: StudyResults) -> list[Picture]:

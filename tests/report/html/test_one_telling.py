@@ -6,15 +6,15 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.container import BarContainer
 
 from calib.inference.verdicts import identified_sentence
-from calib.report.calibration import draw_parameters, final_places
+from calib.report.calibration import draw_searches
 from calib.report.comparison import draw_frequency_error
 from calib.report.frequencies import draw_frequencies
 from calib.report.html.page import Picture, Shapes
 from calib.report.html.summary import summary
 from calib.report.numbers import fixed, percent
+from calib.report.parameters import draw_parameters
 
 
 @pytest.fixture
@@ -31,24 +31,26 @@ def test_identified_parameters_are_counted_once(everything, results):
     assert identified_sentence(verdicts).startswith(counted)
 
 
-def test_the_figure_of_the_parameters_is_that_of_the_page(folder, parameters, blocks):
+def test_the_figures_of_the_parameters_are_those_of_the_page(folder, parameters, blocks):
     span = parameters["upper"] - parameters["lower"]
     shifted = parameters.assign(search_value=parameters["value"] + 0.1 * span * (1 - 2 * (parameters["ratio"] > 0.5)))
     other = shifted.assign(case="A2", search_value=parameters["lower"] + 0.3 * span)
     pd.concat([shifted, other]).to_csv(folder / "parameters.csv", index=False)
     found, best = pd.read_csv(folder / "parameters.csv"), parameters["case"].iloc[0]
-    ax = draw_parameters(found, best_case=best)
-    bars = [container for container in ax.containers if isinstance(container, BarContainer)]
+    bars = [container for container in draw_searches(found, best_case=best).containers]
     assert len(bars) == 2
-    (diamonds,) = [line for line in ax.lines if line.get_marker() == "D"]
-    positions = np.asarray(diamonds.get_xdata(), dtype=float) / 100
-    np.testing.assert_allclose(positions, parameters["ratio"], rtol=1e-9)
-    told = re.findall(r"(\S+) ([\d.]+)(?=[,.] )", blocks(folder, Picture)["parameters"].alt.split(": ", 1)[1])
-    assert dict(told) == {n: fixed(v, 2) for n, v in zip(parameters["parameter"], positions, strict=True)}
+    (dots,) = [line for line in draw_parameters(found, best_case=best).lines if line.get_gid() == "identified True"]
+    told = dict(re.findall(r"(\S+) ([\d.]+)(?=[,.] )", blocks(folder, Picture)["parameters"].alt.split(": ", 1)[1]))
+    assert told == {n: fixed(v, 2) for n, v in zip(parameters["parameter"], parameters["ratio"], strict=True)}
+    names = list(parameters["parameter"])
+    for place, row in zip(dots.get_xdata(), dots.get_ydata(), strict=True):
+        assert told[names[int(row)]] == fixed(place, 2)
+    assert {"parameters", "searches"} <= set(blocks(folder, Picture))
 
 
-def test_without_a_search_there_are_no_separate_final_positions(parameters):
-    assert final_places(parameters.assign(search_value=np.nan), parameters["case"].iloc[0]) is None
+def test_without_a_search_its_ends_are_not_drawn(folder, parameters, blocks):
+    parameters.assign(search_value=np.nan).to_csv(folder / "parameters.csv", index=False)
+    assert "searches" not in blocks(folder, Picture)
 
 
 def test_the_mean_error_has_one_value_and_one_rounding(everything, results):

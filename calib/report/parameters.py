@@ -1,0 +1,125 @@
+"""Figure of the calibrated parameters: limits, prior and posterior of each in one row."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from calib.report.numbers import fixed, significant, with_unit
+from calib.report.style import BLACK, BLUE, GREY, VERMILLION, legend_above, own_axes
+from calib.report.svg import hover, hover_points
+
+_PRIOR = "#E8E8E8"
+_INTERVAL = 1.96
+"""Half-width of an interval of 95 % in standard deviations."""
+
+
+def draw_parameters(
+    table: pd.DataFrame, ax: Axes | None = None, best_case: str | None = None, prior: pd.DataFrame | None = None
+) -> Axes:
+    """Draw prior and posterior of every calibrated parameter between its limits.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1) and ``on_bound``.
+        Optional: ``lower, upper`` (the limits), ``std`` (posterior standard deviation, NaN if unknown) and
+        ``identified`` (bool, or None).
+    ax : Axes, optional
+    best_case : str, optional
+        The case that is reported; by default the first.
+    prior : DataFrame, optional
+        Columns ``parameter, value`` (nominal), ``prior_sd``, in the same units; NaN where unknown.
+
+    Returns
+    -------
+    Axes
+        In each row, from the lower limit at 0 to the upper at 1: a grey band of two prior standard deviations about the
+        nominal value (an open diamond), the reported value with its 95 % interval, filled where it is identified, and
+        small crosses at the values of the other cases. The value and its standard deviation stand at the right.
+    """
+    names, cases = list(dict.fromkeys(table["parameter"])), list(dict.fromkeys(table["case"]))
+    best_case = best_case if best_case in cases else cases[0]
+    best = table[table["case"] == best_case].set_index("parameter").reindex(names)
+    ax = own_axes(ax, 1.3 + 0.36 * len(names))
+    rows, place = np.arange(len(names)), best["ratio"].to_numpy(dtype=float)
+    span = (best["upper"] - best["lower"]).to_numpy(dtype=float) if "upper" in best else np.full(len(names), np.nan)
+    std = best["std"].to_numpy(dtype=float) if "std" in best else np.full(len(names), np.nan)
+    reach = _INTERVAL * std / span
+    known = [_flag(value) for value in best["identified"]] if "identified" in best else [None] * len(names)
+    nominal = _draw_prior(ax, best, span, prior)
+    has = np.isfinite(reach)
+    ends = np.clip(place[has] - reach[has], 0.0, 1.0), np.clip(place[has] + reach[has], 0.0, 1.0)
+    ax.hlines(rows[has], *ends, color=BLUE, linewidth=2.6, gid="posterior", zorder=3)
+    dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLUE, "markersize": 7.5, "markeredgewidth": 1.6}
+    for flag, face in ((True, BLUE), (False, "white"), (None, BLUE)):
+        some = [value is flag for value in known]
+        ax.plot(place[some], rows[some], gid=f"identified {flag}", zorder=5, **{**dot, "markerfacecolor": face})
+    others = table[table["case"] != best_case]
+    at = others["parameter"].map({name: row for row, name in enumerate(names)})
+    ax.plot(others["ratio"], at, "x", color=GREY, markersize=5, markeredgewidth=1.2, gid="other cases", zorder=4)
+    bound = np.array([_flag(value) is True for value in best["on_bound"]])
+    edge = np.where(place[bound] > 0.5, 1.02, -0.02)
+    ax.plot(edge, rows[bound], "d", color=VERMILLION, markersize=6, gid="on_bound", clip_on=False, zorder=5)
+    words = []
+    for row, (name, value) in enumerate(best.iterrows()):
+        unit, width = str(value["unit"]), std[row]
+        text = f"{significant(value['value'])} ± {with_unit(width, unit, 2)}"
+        text = with_unit(value["value"], unit) if math.isnan(width) else text
+        ax.text(1.05, row, text, va="center", fontsize=8, color=GREY if known[row] is False else BLACK)
+        words.append(f"{name}, {best_case}: {text}, at {fixed(place[row], 2)} of its range")
+        if row:
+            ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
+    hover_points(ax, place, rows, words)
+    ax.set_yticks(rows, [str(name) for name in names])
+    ax.tick_params(axis="y", length=0)
+    ax.set(xlim=(-0.03, 1.03), ylim=(len(names) - 0.45, -0.55))
+    ax.set_xticks(np.linspace(0.0, 1.0, 6))
+    ax.set_xlabel("position between the lower limit (0) and the upper limit (1)")
+    for side in (0.0, 1.0):
+        ax.axvline(side, color=BLACK, linewidth=0.9)
+    ax.grid(axis="x")
+    handles: list[Any] = []
+    label = f"{best_case}: value and 95 % interval" if len(cases) > 1 else "value and 95 % interval"
+    handles.append(Line2D([], [], label=label if has.any() else best_case, **{**dot, "linestyle": "-"}))
+    if False in known:
+        handles.append(Line2D([], [], label="not identified", **{**dot, "markerfacecolor": "white"}))
+    if nominal:
+        look: dict[str, Any] = {"linestyle": "none", "marker": "D", "color": GREY, "markerfacecolor": "white"}
+        handles += [Patch(color=_PRIOR, label="prior ± 2 std"), Line2D([], [], label="nominal value", **look)]
+    if len(others):
+        handles.append(Line2D([], [], linestyle="none", marker="x", color=GREY, label="other cases"))
+    if bound.any():
+        handles.append(Line2D([], [], linestyle="none", marker="d", color=VERMILLION, label="at a limit"))
+    legend_above(ax, handles)
+    return ax
+
+
+def _draw_prior(ax: Axes, best: pd.DataFrame, span: np.ndarray, prior: pd.DataFrame | None) -> bool:
+    """Draw band and nominal value of each row; whether there are any."""
+    if prior is None:
+        return False
+    known = prior.set_index("parameter").reindex(best.index)
+    lower = best["lower"].to_numpy(dtype=float)
+    nominal = (known["value"].to_numpy(dtype=float) - lower) / span
+    reach = 2.0 * known["prior_sd"].to_numpy(dtype=float) / span
+    rows = np.arange(len(best))
+    has = np.isfinite(nominal) & np.isfinite(reach)
+    low, high = np.clip(nominal[has] - reach[has], 0.0, 1.0), np.clip(nominal[has] + reach[has], 0.0, 1.0)
+    bands = ax.barh(rows[has], high - low, 0.6, left=low, color=_PRIOR, gid="prior", zorder=1)
+    for band, (name, row) in zip(bands, known[has].iterrows(), strict=True):
+        words = f"nominal {significant(row['value'])}, prior standard deviation {significant(row['prior_sd'])}"
+        hover(band, f"{name}: {words}")
+    ax.plot(nominal, rows, "D", color=GREY, markerfacecolor="white", markersize=4.5, gid="nominal", zorder=2)
+    return bool(np.isfinite(nominal).any())
+
+
+def _flag(value: Any) -> bool | None:
+    """A flag; None where unknown."""
+    return None if value is None or pd.isna(value) else bool(value)
