@@ -37,7 +37,7 @@ def test_the_reported_value_stands_between_the_limits_with_its_interval(table):
     assert found["identified False"].get_markerfacecolor() == "white"
     (interval,) = segments(ax, "posterior")  # position has no standard deviation
     np.testing.assert_allclose(interval, [0.5 - 1.96 * 0.05, 0.5 + 1.96 * 0.05])
-    assert words(ax) == ["1.500 ± 0.050 MN/m", "−0.2500"]
+    assert words(ax) == ["1.500 ± 0.050 MN/m", "−0.250"]
 
 
 def test_an_interval_ends_at_the_limits_and_a_value_there_is_marked(table):
