@@ -326,6 +326,7 @@ def tables_of(
         "parameters": parameters,
         "verdicts": _without_whole(best.verdicts(space, spread), space),
         "suspects_calibrated": best.suspects,
+        "posterior_correlation": best.identification.correlation.rename_axis("parameter").reset_index(),
         "confounded": best.identification.confounded,
         "unseen_directions": best.identification.directions,
         "predictions": best.predictions.assign(std_from=best.rests_on),

@@ -34,8 +34,9 @@ _MESH = ("mesh_points.csv", "mesh_elements.csv")
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv")
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
-_CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "confounded", "unseen_directions",
-               "predictions", "convergence", "modes", "responses", "data_errors", "versions")  # fmt: skip
+_CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "posterior_correlation", "confounded",
+               "unseen_directions", "predictions", "convergence", "modes", "responses", "data_errors",
+               "versions")  # fmt: skip
 _EXPLAINED = ("effects", "accuracy", "explained_fits", "suspects_explained", "perturbations", "confounding", "pulls",
               "candidate_fits", "misfit_kinds", "sensor_misfit", "response_misfit", "unpaired", "errors",
               "next_measurement", "discretisation", "versions")  # fmt: skip

@@ -16,6 +16,7 @@ from calib.errors import InputError
 from calib.named_values import read_json
 from calib.report.calibration import draw_convergence, draw_searches
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
+from calib.report.correlation import INDUCED, INPUTS, MOST_IN_MATRIX, POSTERIOR, STRONG, draw_correlation
 from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frequencies import draw_frequencies
 from calib.report.mesh import read_mesh, rest_lines
@@ -24,7 +25,7 @@ from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
 from calib.report.parameters import draw_parameters
 from calib.report.responses import draw_response_misfit, draw_responses
-from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection, draw_sensitivity
+from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.shown import Folder
 from calib.report.tables import read_table
@@ -130,7 +131,10 @@ def plan(folder: Folder) -> dict[str, Drawing]:
         inputs = _square(path)
         if len(inputs) > 1:
             caption = "correlation induced by constraints"
-            add("input_correlation", caption, lambda: _owner(draw_input_correlation(inputs)))
+            add(
+                "input_correlation", caption,
+                lambda: _owner(draw_correlation(inputs, threshold=INDUCED, label=INPUTS)),
+            )  # fmt: skip
     path = folder / "selection.csv"
     if path.exists():
         numbers = [name for measure in MEASURES for name in (f"max_{measure}", f"{measure}_floor")]
@@ -153,6 +157,16 @@ def plan(folder: Folder) -> dict[str, Drawing]:
         add("parameters", "calibrated parameters", lambda: _owner(draw_parameters(found, None, best, known)))
         if found["case"].nunique() > 1 or ("search_value" in found and found["search_value"].notna().any()):
             add("searches", "ends of the searches", lambda: _owner(draw_searches(found, best_case=best)), "parameters")
+    path = folder / "posterior_correlation.csv"
+    if path.exists():
+        posterior = _square(path, may_be_empty=True)
+        if len(posterior) > 1:
+            add(
+                "posterior_correlation", "posterior correlation of the parameters",
+                lambda: _owner(
+                    draw_correlation(posterior, threshold=STRONG, label=POSTERIOR, most_in_matrix=MOST_IN_MATRIX)
+                ),
+            )  # fmt: skip
     path = folder / "convergence.csv"
     if path.exists():
         misfit = ["best", "mean"]

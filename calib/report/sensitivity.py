@@ -1,4 +1,4 @@
-"""Figures of sensitivity: matrix, selection of parameters, and correlation of the inputs."""
+"""Figures of sensitivity: matrix, and selection of parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from calib.report.style import (
     SKY,
     legend_above,
     matrix_height,
-    new_figure,
     own_axes,
     separate_cells,
 )
@@ -141,49 +140,6 @@ def draw_selection(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     handles = [Patch(facecolor=colour, edgecolor=colour, label=label) for label, colour in MEASURES.values()]
     floor_mark = Line2D([], [], color=BLACK, marker="|", linestyle="", markersize=9, label="noise floor (hollow below)")
     legend_above(ax, [*handles, floor_mark])
-    return ax
-
-
-def draw_input_correlation(table: pd.DataFrame, ax: Axes | None = None, threshold: float = 0.25) -> Axes:
-    """Draw the rank correlation between parameters, as induced by constraints, as the lower half of a matrix.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Column ``parameter`` and one column per parameter, in the same order; NaN where unknown.
-    ax : Axes, optional
-    threshold : float
-        Cells whose absolute value does not exceed it stay blank.
-
-    Raises
-    ------
-    ValueError
-        Rows and columns do not name the same parameters.
-    """
-    names = table["parameter"].astype(str).tolist()
-    if [c for c in table.columns if c != "parameter"] != names:
-        raise ValueError("rows and columns do not name the same parameters")
-    count = len(names)
-    below = np.tril(np.ones((count, count), dtype=bool), -1)[1:, :-1]
-    values = table[names].to_numpy(dtype=float)[1:, :-1]
-    if ax is None:
-        ax = new_figure(float(np.clip(0.36 * count, 1.2, 9.0)) + 1.4).add_subplot()
-    shown = np.where(below & (np.abs(values) > threshold), values, np.nan)
-    ax.imshow(np.where(below & np.isnan(values), 1.0, 0.0), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
-    image = ax.imshow(shown, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
-    for i, j in np.argwhere(np.isfinite(shown)):
-        colour = "white" if abs(shown[i, j]) > 0.65 else "black"
-        text = f"{shown[i, j]:.2f}".replace("-", "−")
-        ax.text(j, i, text, ha="center", va="center", fontsize=8.0, color=colour)
-    for i, j in np.argwhere(below):
-        ax.plot([j - 0.5, j + 0.5, j + 0.5, j - 0.5, j - 0.5], [i - 0.5, i - 0.5, i + 0.5, i + 0.5, i - 0.5],
-                color="#D0D0D0", linewidth=0.6, clip_on=False)  # fmt: skip
-    ax.set_xticks(range(count - 1), names[:-1], rotation=90)
-    ax.set_yticks(range(count - 1), names[1:])
-    ax.tick_params(length=0)
-    ax.spines[:].set_visible(False)
-    ax.set_xlabel(f"parameter (blank: |value| ≤ {threshold:g}; 0 is expected without constraints)")
-    ax.figure.colorbar(image, ax=ax, label="rank correlation of inputs (–)", fraction=0.04, pad=0.02, aspect=40)
     return ax
 
 

@@ -32,6 +32,7 @@ KEYS = {
     "parameter_space": ("parameter",),
     "parameters": ("case", "parameter"),
     "partial": ("parameter",),
+    "posterior_correlation": ("parameter",),
     "predictions": ("mode",),
     "response_misfit": ("stage", "response"),
     "selection": ("parameter",),

@@ -38,6 +38,18 @@ def test_a_study_gives_the_results_of_the_command(rig):
     np.testing.assert_allclose(calibrated.table.set_index("parameter")["std"], told["std"], rtol=1e-8)
 
 
+def test_the_posterior_correlation_is_that_of_the_covariance(rig):
+    calibrated = rig[1][2]
+    table = pd.read_csv(calibrated.folder / "posterior_correlation.csv").set_index("parameter")
+    known = calibrated.of.best.statistics.identification.posterior
+    assert tuple(table.index) == tuple(table.columns) == known.names and len(known.names) > 1
+    expected = known.covariance / np.outer(known.std, known.std)
+    np.testing.assert_allclose(table.to_numpy(), expected, atol=1e-9)
+    pairs = pd.read_csv(calibrated.folder / "confounded.csv")
+    for row in pairs.to_dict("records"):
+        assert table.loc[row["parameter_a"], row["parameter_b"]] == pytest.approx(row["correlation"])
+
+
 def test_what_is_shown_is_in_the_table(rig):
     compared, _, calibrated = rig[1]
     assert all(f"{value:.4g}" in str(compared) for value in compared.table["natural_freq_model"])

@@ -5,7 +5,7 @@ from matplotlib.colors import to_hex
 
 from calib.errors import InputError
 from calib.report.figures import Figures
-from calib.report.sensitivity import MEASURES, draw_input_correlation, draw_selection
+from calib.report.sensitivity import MEASURES, draw_selection
 
 
 @pytest.fixture
@@ -56,17 +56,6 @@ def test_the_selection_stands_beside_each_parameter(selection):
     assert words == {0: "selected", 1: "kept by the study", 2: "selected", 3: "–", 4: "left out by the study"}
     assert [t.get_text() for t in ax.get_yticklabels()] == list(selection["parameter"])
     assert ax.get_ylim()[0] > ax.get_ylim()[1]  # first parameter on top
-
-
-def test_every_pair_of_inputs_is_drawn_once_and_small_ones_stay_blank(inputs):
-    ax = draw_input_correlation(inputs)
-    shown = np.ma.filled(ax.images[-1].get_array().astype(float), np.nan)
-    np.testing.assert_array_equal(shown, [[np.nan, np.nan], [-0.87, -0.27]])
-    assert {t.get_text() for t in ax.texts} == {"−0.87", "−0.27"}
-    assert [t.get_text() for t in ax.get_xticklabels()] == ["m_centre", "m_ends"]
-    assert [t.get_text() for t in ax.get_yticklabels()] == ["m_ends", "m_bar"]
-    with pytest.raises(ValueError, match="same parameters"):
-        draw_input_correlation(inputs.iloc[::-1])
 
 
 def test_each_figure_is_drawn_when_its_table_is_there(tmp_path, sensitivity, inputs, selection):

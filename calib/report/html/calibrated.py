@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from calib.report.correlation import STRONG, others, strongest
 from calib.report.html.compared import error_picture, mac_picture, mode_table, scalar_blocks
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
@@ -160,7 +161,21 @@ def _after(results: StudyResults, best: str) -> list[Block]:
 
 
 def _uncertainty(results: StudyResults) -> list[Block]:
-    return [*_pairs(results), *_directions(results), *_predictions(results)]
+    return [*_correlation(results), *_pairs(results), *_directions(results), *_predictions(results)]
+
+
+def _correlation(results: StudyResults) -> list[Picture]:
+    table = results.table("posterior_correlation", ["parameter"], others_are_numbers=True)
+    if table is None or len(table) < 2:
+        return []
+    strong, rest = strongest(table, STRONG), others(table, STRONG)
+    told = [f"{r['parameter_a']}, {r['parameter_b']} {fixed(r['value'], 2)}" for r in strong.to_dict("records")]
+    alt = "; ".join([*told, *([rest] if rest else [])])
+    caption = (
+        "Posterior correlation of the parameters. Near ±1 the data determine a combination of the two, not each; the "
+        "sign tells whether they may change in the same direction or in opposite ones."
+    )
+    return results.picture("posterior_correlation", caption, f"Correlations: {alt}.")
 
 
 def _pairs(results: StudyResults) -> list[Block]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pandas as pd
 
+from calib.report.correlation import pairs
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag, significant
@@ -90,10 +90,8 @@ def _inputs(results: StudyResults) -> list[Picture]:
     table = results.table("input_correlation", ["parameter"], others_are_numbers=True)
     if table is None or len(table) < 2:
         return []
-    names = table["parameter"].astype(str).tolist()
-    values = np.abs(np.tril(table.set_index("parameter").reindex(columns=names).to_numpy(dtype=float), -1))
-    i, j = np.unravel_index(int(np.nan_to_num(values, nan=-1.0).argmax()), values.shape)
-    alt = f"Matrix. The largest is {fixed(table[names[j]][i], 2)}, of {names[i]} and {names[j]}."
+    a, b, value = pairs(table).iloc[0]
+    alt = f"Bars. The largest is {fixed(value, 2)}, of {a} and {b}."
     caption = "Rank correlation of the sampled parameters, induced by constraints; without constraints about 0."
     return results.picture("input_correlation", caption, alt)
 
