@@ -65,6 +65,10 @@ class Adapter(Protocol):
         """Kind, location (m) and sensor of every local perturbation, by name."""
         ...
 
+    def labels(self) -> pd.DataFrame:
+        """Labels of the rows of data, n_rows: ``kind, mode, sensor, part``, of several tests ``test`` too; text."""
+        ...
+
     def tables(self, stages: dict[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """Further tables by name."""
         ...

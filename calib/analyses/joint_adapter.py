@@ -97,6 +97,10 @@ class JointAdapter:
         """Kind, location (m) and sensor of every local perturbation, by name."""
         return {name: place for adapter in self.adapters.values() for name, place in adapter.places().items()}
 
+    def labels(self) -> pd.DataFrame:
+        """The labels of every test, with a column ``test``."""
+        return stacked({test: adapter.labels() for test, adapter in self.adapters.items()})
+
     def tables(self, stages: dict[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """The tables of every test, stacked by name with a column ``test``.
 

@@ -64,6 +64,11 @@ class OneTest(ABC):
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
         """Errors of one fit by group of data, in units of ``scale`` times the standard deviation."""
 
+    def labels(self) -> pd.DataFrame:
+        """Labels of the rows of data, without parts."""
+        rows = [(row.kind, row.mode, row.sensor, "") for row in self.hypotheses.rows]
+        return pd.DataFrame(rows, columns=["kind", "mode", "sensor", "part"])
+
     @abstractmethod
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """Further tables by name."""

@@ -92,7 +92,14 @@ class LinearisedFit:
 
     def project_out(self, columns: np.ndarray) -> np.ndarray:
         """Part of changes of the data (n_rows, m) that the parameters cannot absorb: ``P [g; 0]``, (n_rows + p, m)."""
-        wide = np.vstack([columns, np.zeros((len(self.names), columns.shape[1]))])
+        return self._projected(np.vstack([columns, np.zeros((len(self.names), columns.shape[1]))]))
+
+    @cached_property
+    def projected(self) -> np.ndarray:
+        """Part of the residual that the parameters cannot absorb: ``P r``, (n_rows + p,)."""
+        return self._projected(self.augmented)
+
+    def _projected(self, wide: np.ndarray) -> np.ndarray:
         rest = wide - self._orthonormal @ (self._orthonormal.T @ wide)
         return rest - self._orthonormal @ (self._orthonormal.T @ rest)
 

@@ -31,6 +31,7 @@ from calib.report.shown import Folder
 from calib.report.tables import read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import perturbation_map_figure, sensor_misfit_figure
+from calib.report.why import why_figure
 from calib.report.worst import draw_worst
 
 _STAGES = ("before", "after")
@@ -266,13 +267,24 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
     if pulls is not None:
         add("pulls", "parameter pulls", lambda: _owner(draw_pulls(pulls, attempt=attempt)))
     evidence = [
-        *("z", "unabsorbed", "magnitude_min", "plausible"),
+        *("z", "unabsorbed", "magnitude", "magnitude_min", "plausible"),
         *("ln_bayes", "ln_bayes_third", "ln_bayes_triple", "model_probability"),
     ]
     effects = read(
-        "effects", ["name", "title"], evidence, flags=["visible", "refitted", "credible"], blank=["implausible"],
-        unbounded=["magnitude_min"],
+        "effects", ["name", "title"], evidence, flags=["visible", "refitted", "credible"],
+        blank=["unit", "implausible"], unbounded=["magnitude_min"],
     )  # fmt: skip
+    why = read(
+        "why", ["effects", "effect", "kind"], ["residual", "signature", "left"], blank=["mode", "sensor", "part"]
+    )
+    if why is not None:
+        alike = read("why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
+        add(
+            "why_this_effect",
+            "residual of the base model and signature of the effect",
+            lambda: why_figure(why, alike, rest, effects=effects, attempt=attempt),
+            "why", *([] if alike is None else ["why_places"]),
+        )  # fmt: skip
     if effects is not None:
         add("ranked_effects", "evidence for each effect", lambda: ranked_effects_figure(effects), "effects")
     if (path := folder / "confounding.csv").exists():

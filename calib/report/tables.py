@@ -44,6 +44,8 @@ KEYS = {
     "verdicts": ("parameter",),
     "versions": ("version", "group"),
     "where_it_fails": ("kind", "what"),
+    "why": ("effect", "kind", "mode", "sensor", "part"),
+    "why_places": ("effect", "perturbation"),
 }
 """Columns that identify a row, by the name of the table without its stage."""
 STAGES = ("_initial", "_before", "_after")

@@ -1,0 +1,89 @@
+"""Patterns in the data: the residual of the base model beside the signature of each effect that explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from calib.missing.explanation import CandidateFit, Explanation
+
+MOST = 3
+"""Indistinguishable effects whose patterns are given."""
+PRIOR = "prior"
+"""Kind of the rows of the parameters' priors, which share in the projection."""
+PLACE_COLUMNS = ("effect", "perturbation", "kind", "x", "y", "z", "correlation")
+
+
+def explaining(found: Explanation) -> tuple[CandidateFit, ...]:
+    """Fits whose effects are named or attempted: the chosen one, and at most two that are indistinguishable from it."""
+    if found.chosen is None:
+        return ()
+    if found.verdict != "indistinguishable":
+        return (found.chosen,)
+    others = [t for t in found.singles if t.names[0] in found.credible and t.names != found.chosen.names]
+    return (found.chosen, *others)[:MOST]
+
+
+def pattern_table(found: Explanation, labels: pd.DataFrame) -> pd.DataFrame:
+    """Residual of the base model, signature of each effect, and what is left, row by row of the data.
+
+    All three are in standard deviations of the data, less what the parameters of the base model absorb to first order:
+    ``P r``, ``a P g`` with the fitted magnitude a, and ``P r`` less the signatures of all effects of the fit. The
+    signature is that of the score test, so that ``z = (a P g)^T P r/|a P g|`` up to the sign of a.
+
+    Parameters
+    ----------
+    found : Explanation
+    labels : DataFrame
+        Labels of the rows of data, n_rows; text.
+
+    Returns
+    -------
+    DataFrame
+        ``effects`` (those of the fit, joined by " + "), ``effect``, the columns of ``labels``, ``residual, signature,
+        left``; for each effect the rows of the data, then one of kind `PRIOR` for each parameter, named as a sensor.
+        Without rows where no effect is named or attempted.
+    """
+    base, named = found.base.fit, found.base_adequacy.named
+    priors = pd.DataFrame({"kind": PRIOR, "sensor": base.names}).reindex(columns=labels.columns, fill_value="")
+    rows = pd.concat([labels, priors], ignore_index=True)
+    parts = []
+    for fit in explaining(found):
+        signatures = {name: named.signature(name, fit.fit.values[name]) for name in fit.names}
+        left = base.projected - sum(signatures.values())
+        for name, signature in signatures.items():
+            own = rows.assign(residual=base.projected, signature=signature, left=left)
+            own.insert(0, "effect", name)
+            own.insert(0, "effects", " + ".join(fit.names))
+            parts.append(own)
+    columns = ["effects", "effect", *labels.columns, "residual", "signature", "left"]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
+
+
+def place_table(found: Explanation, places: Mapping[str, tuple[str, tuple[float, float, float], str]]) -> pd.DataFrame:
+    """Correlation of each effect's signature with those of the local perturbations.
+
+    An effect of a library has no coordinates; the local perturbations that change the data alike tell where it acts.
+
+    Parameters
+    ----------
+    found : Explanation
+    places : mapping from str to (kind, (x, y, z), sensor)
+        Of every local perturbation, by name; m.
+
+    Returns
+    -------
+    DataFrame
+        `PLACE_COLUMNS`: for each effect of `pattern_table` every local perturbation that the parameters do not absorb,
+        with the correlation of both signatures after projection, -1 to 1.
+    """
+    named, local = found.base_adequacy.named, found.base_adequacy.perturbations
+    rows = []
+    for name in dict.fromkeys(name for fit in explaining(found) for name in fit.names):
+        alike = np.clip(local.unit.T @ named.unit[:, named.best(name)], -1.0, 1.0)
+        for owner, size, correlation in zip(local.owners, local.size, alike, strict=True):
+            kind, place, _ = places[owner]
+            rows += [(name, owner, kind, *place, float(correlation))] if size > 0 else []
+    return pd.DataFrame(rows, columns=list(PLACE_COLUMNS))

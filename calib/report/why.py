@@ -1,0 +1,344 @@
+"""Figure that shows why an effect is named: the residual of the base model beside the signature of the effect."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from calib.report.numbers import fixed, percent, with_unit
+from calib.report.scene import (
+    FOOT,
+    PLACE,
+    colour_bar,
+    draw_dots,
+    frame_panel,
+    new_axes,
+    new_figure,
+    number_points,
+    plot_lines,
+    show_axes,
+)
+from calib.report.style import AFTER, BEFORE, BLACK, GREY, REST, WIDTH, legend_above, own_axes
+from calib.report.svg import hover, hover_points
+
+SHAPE, PRIOR = "shape", "prior"
+"""Kinds of rows that have no bars: of shapes there are many, and priors are no data."""
+RESPONSES = "responses"
+"""Heading of the bars of scalar responses, whatever their kinds."""
+ALIKE = 0.5
+"""Absolute correlation of two signatures from which a local perturbation tells where an effect acts."""
+_NAMED = 3
+_LINE = 0.17
+"""Height in inches of a line of words above a panel."""
+_LEVEL = 8
+"""Bars whose names still stand level below the axis, if they are short."""
+
+
+def share(table: pd.DataFrame) -> float:
+    """Share of the sum of squares of ``residual`` that is not in ``left``; negative where the signature adds to it."""
+    total = float((table["residual"] ** 2).sum())
+    return 1.0 - float((table["left"] ** 2).sum()) / total if total > 0.0 else float("nan")
+
+
+def most_alike(places: pd.DataFrame, effect: str) -> pd.Series | None:
+    """Return the row of the local perturbation whose signature is most like the effect's; None where none is alike.
+
+    Parameters
+    ----------
+    places : DataFrame
+        Columns ``effect, perturbation, kind, x, y, z, correlation``; perturbations without coordinates do not count.
+    effect : str
+    """
+    own = _placed(places, effect)
+    if own.empty or not own["correlation"].abs().max() >= ALIKE:
+        return None
+    return own.iloc[int(np.argmax(own["correlation"].abs()))]
+
+
+def draw_bars(
+    table: pd.DataFrame,
+    ax: Axes | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    attempt: bool = False,
+    legend: bool = True,
+) -> Axes:
+    """Draw residual, signature and what is left, in a group for each mode or scalar response.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Rows of one effect and one kind, or of scalar responses; columns ``mode`` (empty for a response), ``sensor``,
+        ``residual, signature, left`` in standard deviations.
+    ax : Axes, optional
+    names : sequence of str, optional
+        Modes or responses in their order; by default those of the table.
+    attempt : bool
+        Whether the effect is a rejected attempt, drawn in grey.
+    legend : bool
+        Whether a legend stands above the Axes.
+
+    Returns
+    -------
+    Axes
+        A wide bar for the residual, a narrow one over it for the signature, a dot for what is left.
+    """
+    ax = own_axes(ax, 3.2)
+    own = _names(table)
+    names = own if names is None else list(names)
+    at = np.array([names.index(name) for name in own])
+    for column, width, order, look in (("residual", 0.8, 2, _RESIDUAL), ("signature", 0.36, 3, _signature(attempt))):
+        values = table[column].to_numpy(dtype=float)
+        for bar, name, value in zip(ax.bar(at, values, width, zorder=order, **look), own, values, strict=True):
+            bar.set_gid(column)
+            hover(bar, f"{name}, {column}: {fixed(value, 1, sign=True)} σ")
+    left = table["left"].to_numpy(dtype=float)
+    ax.plot(at, left, gid="left", zorder=4, **_LEFT)
+    hover_points(ax, at, left, [f"{n}, left: {fixed(v, 1, sign=True)} σ" for n, v in zip(own, left, strict=True)])
+    ax.axhline(0.0, color=BLACK, linewidth=0.8)
+    level = len(names) <= _LEVEL and max(map(len, names), default=0) <= 4
+    ax.set_xticks(
+        range(len(names)), names, rotation=0 if level else 90, fontsize=float(np.clip(340 / len(names), 5, 8.5))
+    )
+    ax.set_xlim(-0.6, len(names) - 0.4)
+    ax.tick_params(axis="x", length=0)
+    ax.set_ylabel("σ", rotation=0)
+    ax.grid(axis="y")
+    if legend:
+        legend_above(ax, _handles(attempt))
+    return ax
+
+
+def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = False) -> Axes:
+    """Draw the residual of every shape row over the effect's signature in it.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Rows of one effect, columns ``mode, sensor, part`` (``re`` or ``im``), ``residual, signature`` in standard
+        deviations.
+    ax : Axes, optional
+    attempt : bool
+        Whether the effect is a rejected attempt, drawn in grey.
+
+    Returns
+    -------
+    Axes
+        Dots, those of imaginary parts open, the three largest signatures with mode and sensor; on the line the effect
+        explains all of the residual, on the horizontal axis nothing of it is there.
+    """
+    ax = own_axes(ax, 4.0)
+    x, y = (table[name].to_numpy(dtype=float) for name in ("signature", "residual"))
+    imaginary = (table["part"] == "im").to_numpy(dtype=bool)
+    names = [f"{r['mode']} {r['sensor']}" + (" im" if r["part"] == "im" else "") for r in table.to_dict("records")]
+    reach = 1.12 * float(np.max(np.abs([*x, *y]), initial=1.0))
+    ax.plot([-reach, reach], [-reach, reach], color=BLACK, linewidth=0.9, linestyle="--", gid="equal", zorder=2)
+    for gid, some in (("re", ~imaginary), ("im", imaginary)):
+        colour = GREY if attempt else AFTER
+        face = colour if gid == "re" else "white"
+        ax.plot(x[some], y[some], "o", color=colour, markerfacecolor=face, markersize=3.6, alpha=0.8, gid=gid, zorder=3)
+    words = [f"{n}: signature {fixed(a, 1)} σ, residual {fixed(b, 1)} σ" for n, a, b in zip(names, x, y, strict=True)]
+    hover_points(ax, x, y, words)
+    for k in np.argsort(-np.abs(x), kind="stable")[:_NAMED]:
+        side = -1 if x[k] > 0 else 1
+        ax.annotate(names[k], (x[k], y[k]), xytext=(5 * side, 4), textcoords="offset points", fontsize=7,
+                    ha="right" if side < 0 else "left", color=GREY)  # fmt: skip
+    for line in (ax.axhline, ax.axvline):
+        line(0.0, color=GREY, linewidth=0.6)
+    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="signature (σ)", ylabel="residual (σ)")
+    ax.set_aspect("equal", adjustable="box")
+    return ax
+
+
+def draw_alike(places: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None, *, effect: str) -> Axes3D:
+    """Draw where local perturbations change the data as the effect does.
+
+    Parameters
+    ----------
+    places : DataFrame
+        Columns ``effect, perturbation, kind, x, y, z`` (m) and ``correlation`` of both signatures, -1 to 1.
+    rest : ndarray (n, 2, 3)
+        Lines of the mesh, in metres.
+    ax : Axes3D, optional
+    effect : str
+        The rows to draw.
+
+    Returns
+    -------
+    Axes3D
+        Circles with the gid ``correlation``, the largest at the back; the perturbation of `most_alike` is numbered.
+    """
+    ax = new_axes(ax)
+    rows = _placed(places, effect)
+    rows = rows.iloc[np.argsort(-rows["correlation"].abs().to_numpy(dtype=float), kind="stable")]
+    place, best = rows[PLACE].to_numpy(dtype=float), most_alike(places, effect)
+    plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
+    draw_dots(ax, place, rows["correlation"].to_numpy(dtype=float), _CORRELATION, "RdBu_r", "correlation")
+    frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place]), "")
+    number_points(ax, place, {} if best is None else {list(rows.index).index(best.name): 1})
+    return ax
+
+
+def place_words(places: pd.DataFrame, effect: str) -> str:
+    """Name the local perturbation of `most_alike`; empty where no perturbation has coordinates."""
+    best = most_alike(places, effect)
+    if best is None:
+        none = "no local perturbation changes the data as it does"
+        return "" if _placed(places, effect).empty else none
+    return f"{best['perturbation']} ({best['kind']}, ρ = {fixed(best['correlation'], 2, sign=True)})"
+
+
+def why_figure(
+    table: pd.DataFrame,
+    places: pd.DataFrame | None = None,
+    rest: np.ndarray | None = None,
+    *,
+    effects: pd.DataFrame | None = None,
+    attempt: bool = False,
+) -> Figure:
+    """Draw for each effect the bars of `draw_bars` by kind, the dots of `draw_shapes`, and where it sits.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``effects`` (those of the fit), ``effect, kind, mode, sensor, part, residual, signature, left``.
+    places : DataFrame, optional
+        As for `draw_alike`.
+    rest : ndarray (n, 2, 3), optional
+        Lines of the mesh, in metres; without them nothing is drawn on the structure.
+    effects : DataFrame, optional
+        Columns ``name, title, unit, magnitude``, for the headings.
+    attempt : bool
+        Whether the effects are a rejected attempt.
+    """
+    names = list(dict.fromkeys(table["effect"]))
+    shapes = bool(_of_shapes(table).any())
+    bars = table[~_of_shapes(table) & (table["kind"] != PRIOR)]
+    if places is not None and (rest is None or all(_placed(places, name).empty for name in names)):
+        places = None
+    headings = [_heading(table[table["effect"] == name], effects, places, attempt) for name in names]
+    top = 0.34 + _LINE * max(words.count("\n") + 1 for words in headings)
+    below = max(0.5, 0.14 + 0.075 * max(map(len, _names(bars)), default=0))
+    foot = FOOT if places is not None else 0.4
+    # Without a layout engine, since the view of the structure is framed for the place of its panel.
+    figure = new_figure(len(names) * (top + _PANEL + below) + foot, foot)
+    grid = figure.add_gridspec(3 * len(names), 1, height_ratios=[top, _PANEL, below] * len(names))
+    for k, (name, heading) in enumerate(zip(names, headings, strict=True)):
+        own = table[table["effect"] == name]
+        over = figure.add_subplot(grid[3 * k], label="heading")
+        over.set_axis_off()
+        over.text(0.1 / WIDTH, 1.0, heading, transform=over.transAxes, fontsize=8.5, va="top", linespacing=1.3)
+        cells = _cells(grid[3 * k + 1], not bars.empty, shapes, places is not None)
+        if "bars" in cells:
+            _draw_kinds(figure, cells["bars"], own[own.index.isin(bars.index)], attempt)
+        if "shapes" in cells:
+            rows = own[_of_shapes(own)]
+            draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(_explained(rows, SHAPE))
+        if places is not None and rest is not None:
+            draw_alike(places, rest, figure.add_subplot(cells["structure"], projection="3d"), effect=name)
+    height = float(figure.get_size_inches()[1])
+    if places is not None:
+        show_axes(figure)
+        colour_bar(figure, ScalarMappable(_CORRELATION, "RdBu_r"), "correlation ρ with local perturbations (–)")
+    handles = [*(_handles(attempt) if len(bars) else []), *(_equal() if shapes else [])]
+    looks: dict[str, Any] = {"ncols": 2 if places is not None else len(handles), "borderaxespad": 0.0}
+    start = (0.9 if places is not None else 0.1) / WIDTH
+    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(start, 0.06 / height), **looks)
+    return figure
+
+
+_PANEL = 2.5
+"""Height in inches of the panels of an effect."""
+_CORRELATION = Normalize(-1.0, 1.0)
+_RESIDUAL: dict[str, Any] = {"facecolor": BEFORE, "alpha": 0.55}
+_LEFT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLACK, "markersize": 4.0}
+
+
+def _signature(attempt: bool) -> dict[str, Any]:
+    return {"facecolor": GREY if attempt else AFTER}
+
+
+def _handles(attempt: bool) -> list[Artist]:
+    return [
+        Patch(label="residual of the base model", **_RESIDUAL),
+        Patch(label="signature of the effect", **_signature(attempt)),
+        Line2D([], [], label="left", **_LEFT),
+    ]
+
+
+def _equal() -> list[Artist]:
+    return [Line2D([], [], color=BLACK, linewidth=0.9, linestyle="--", label="residual = signature")]
+
+
+def _names(table: pd.DataFrame) -> list[str]:
+    """Mode of every row, or the scalar response."""
+    return [str(r["mode"] or r["sensor"]) for r in table.to_dict("records")]
+
+
+def _placed(places: pd.DataFrame, effect: str) -> pd.DataFrame:
+    return places[(places["effect"] == effect) & places[[*PLACE, "correlation"]].notna().all(axis=1)]
+
+
+def _explained(table: pd.DataFrame, kind: str) -> str:
+    return f"{kind}: {percent(share(table), 0)} % explained"
+
+
+def _heading(own: pd.DataFrame, effects: pd.DataFrame | None, places: pd.DataFrame | None, attempt: bool) -> str:
+    """Effect with its magnitude, the share that it explains, and where it sits."""
+    name, together = str(own["effect"].iloc[0]), str(own["effects"].iloc[0])
+    words = name
+    if effects is not None and name in set(effects["name"]):
+        row = effects[effects["name"] == name].to_dict("records")[0]
+        words = f"{row['title']} ({name}), {with_unit(row['magnitude'], str(row['unit']))}"
+    words += ": best attempt, not believed" if attempt else ""
+    which = f"{together} explain" if together != name else "It explains"
+    told = [words, f"{which} {percent(share(own), 0)} % of the sum of squares of data and priors, to first order."]
+    if places is not None and (where := place_words(places, name)):
+        told.append(
+            f"1  most alike of the local perturbations: {where}" if most_alike(places, name) is not None else where
+        )
+    return "\n".join(textwrap.fill(line, 125, subsequent_indent="    ") for line in told)
+
+
+def _cells(spec: SubplotSpec, bars: bool, shapes: bool, structure: bool) -> dict[str, SubplotSpec]:
+    """Cells of the panels of one effect; empty columns between them hold the labels."""
+    widths = {"label": 0.6}
+    if bars:
+        widths["bars"] = 2.9 if structure and shapes else 4.2 if structure or shapes else 7.2
+    if shapes:
+        widths |= {"labels": 0.65, "shapes": 1.75 if structure else 2.4}
+    if structure:
+        widths |= {"gap": 0.1, "structure": 2.0}
+    widths["end"] = WIDTH - sum(widths.values())
+    grid = spec.subgridspec(1, len(widths), width_ratios=list(widths.values()), wspace=0.0)
+    return {name: grid[0, k] for k, name in enumerate(widths) if name in ("bars", "shapes", "structure")}
+
+
+def _draw_kinds(figure: Figure, spec: SubplotSpec, table: pd.DataFrame, attempt: bool) -> None:
+    """Draw the bars of every kind above one another, over the same modes; scalar responses are of one kind."""
+    panels = table["kind"].where(table["mode"].astype(bool), RESPONSES)
+    kinds, names = list(dict.fromkeys(panels)), list(dict.fromkeys(_names(table)))
+    grid = spec.subgridspec(len(kinds), 1, hspace=0.35)
+    for k, kind in enumerate(kinds):
+        rows = table[panels == kind]
+        ax = draw_bars(rows, figure.add_subplot(grid[k, 0]), names=names, attempt=attempt, legend=False)
+        ax.set_title(_explained(rows, kind))
+        ax.tick_params(labelbottom=k == len(kinds) - 1)
+
+
+def _of_shapes(table: pd.DataFrame) -> pd.Series:
+    """Whether a row is one of a mode shape."""
+    return (table["kind"] == SHAPE) & table["mode"].astype(bool)
