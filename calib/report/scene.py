@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
@@ -217,11 +218,11 @@ def show_axes(figure: Figure) -> None:
     frame_scene(corner, plot_coordinates(1.4 * np.concatenate([0.0 * arrows, arrows])))
 
 
-def colour_bar(figure: Figure, colours: ScalarMappable, label: str) -> None:
-    """Draw a colour bar in the lower right corner."""
+def colour_bar(figure: Figure, colours: ScalarMappable, label: str, ticks: Sequence[float] | None = None) -> None:
+    """Draw a colour bar in the lower right corner, by default with ticks where Matplotlib puts them."""
     height = float(figure.get_size_inches()[1])
     ax = figure.add_axes((4.9 / WIDTH, 0.5 / height, 2.9 / WIDTH, 0.12 / height), label="colours")
-    figure.colorbar(colours, cax=ax, orientation="horizontal", label=label)
+    figure.colorbar(colours, cax=ax, orientation="horizontal", label=label, ticks=ticks)
 
 
 def write_size(figure: Figure, points: np.ndarray) -> None:

@@ -159,7 +159,7 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     for line in (ax.axhline, ax.axvline):
         line(0.0, color=GREY, linewidth=0.6)
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="signature (σ)", ylabel="residual (σ)")
-    ax.set_aspect("equal", adjustable="box")
+    ax.set_aspect("equal", adjustable="box", anchor="N")
     return ax
 
 
@@ -252,17 +252,17 @@ def why_figure(
     height = float(figure.get_size_inches()[1])
     if places is not None:
         show_axes(figure)
-        colour_bar(figure, ScalarMappable(_CORRELATION, "RdBu_r"), "correlation ρ with local perturbations (–)")
+        colour_bar(figure, ScalarMappable(_CORRELATION, "RdBu_r"), "correlation ρ with local perturbations (–)", _TICKS)
     handles = [*(_handles(attempt) if len(bars) else []), *(_equal() if shapes else [])]
     looks: dict[str, Any] = {"ncols": 2 if places is not None else len(handles), "borderaxespad": 0.0}
-    start = (0.9 if places is not None else 0.1) / WIDTH
+    start = (1.05 if places is not None else 0.1) / WIDTH
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(start, 0.06 / height), **looks)
     return figure
 
 
 _PANEL = 2.5
 """Height in inches of the panels of an effect."""
-_CORRELATION = Normalize(-1.0, 1.0)
+_CORRELATION, _TICKS = Normalize(-1.0, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
 _RESIDUAL: dict[str, Any] = {"facecolor": BEFORE, "alpha": 0.55}
 _LEFT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLACK, "markersize": 4.0}
 

@@ -41,7 +41,7 @@ def effects():
     ]
     names = "name title z unabsorbed magnitude_min plausible visible ln_bayes ln_bayes_third ln_bayes_triple"
     names += " model_probability refitted credible implausible"
-    return pd.DataFrame(rows, columns=names.split())
+    return pd.DataFrame(rows, columns=names.split()).assign(unit="N/m", magnitude=0.3)
 
 
 ORDER = ["anti-roll bar", "seats", "rod", "shear flexibility", "track compliance"]

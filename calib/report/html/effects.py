@@ -9,7 +9,8 @@ from calib.report.explanation import COLLINEAR, ranked, threshold
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import counted, fixed, flag, significant, with_unit
+from calib.report.numbers import counted, fixed, flag, percent, significant, with_unit
+from calib.report.why import place_words, share
 
 NUMBERS = (
     "z", "unabsorbed", "magnitude", "magnitude_low", "magnitude_high", "magnitude_min", "plausible", "largest",
@@ -51,6 +52,7 @@ def section(results: StudyResults) -> Section | None:
     blocks = [
         Words(f"Tested: {counted(len(table), 'effect')} of the study's library. {note}{grey}"),
         Terms(TERMS),
+        *_why(results),
         *_effect_picture(results, table),
         _effect_rows(table),
         *_physics(table),
@@ -58,6 +60,31 @@ def section(results: StudyResults) -> Section | None:
         *_local_perturbations(results),
     ]
     return Section("effects", "Candidate effects, ranked", tuple(blocks))
+
+
+def _why(results: StudyResults) -> list[Picture]:
+    table = results.table("why", ["effects", "effect"], ["residual", "signature", "left"])
+    if table is None:
+        return []
+    fits = results.table("candidate_fits", ["effects"], ["misfit"])
+    misfit = {} if fits is None else dict(zip(fits["effects"], fits["misfit"], strict=True))
+    told = []
+    for together in dict.fromkeys(table["effects"]):
+        rows = table[table["effects"] == together]
+        own = rows[rows["effect"] == rows["effect"].iloc[0]]  # each effect of a fit has all rows
+        words = f"To first order {together} explains {percent(share(own), 0)} % of the sum of squares"
+        if {"none", together} <= misfit.keys():
+            words += f"; fitted, it falls from {significant(misfit['none'], 3)} to {significant(misfit[together], 3)}"
+        told.append(words)
+    caption = (
+        "Residual of the calibrated base model, signature of the effect at its fitted magnitude, and what is left, in "
+        "standard deviations σ, less what the parameters absorb. An effect that is there has the pattern of the "
+        f"residual. {'. '.join(told)}. {AXES_NOTE}"
+    )
+    alike = results.table("why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
+    if alike is not None:
+        told += [f"{n}: {words}" for n in dict.fromkeys(table["effect"]) if (words := place_words(alike, n))]
+    return results.picture("why_this_effect", caption, f"Bars, dots and places. {'; '.join(told)}.")
 
 
 def _effect_picture(results: StudyResults, table: pd.DataFrame) -> list[Picture]:
