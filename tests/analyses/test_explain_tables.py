@@ -18,7 +18,7 @@ from calib.study import Study
 ROOT = Path(__file__).resolve().parents[2]
 ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired", "std_from"]
 COMMON = {"effects", "errors", "perturbations", "confounding", "pulls", "misfit_kinds", "candidate_fits",
-          "next_measurement", "accuracy", "explained_fits", "suspects_explained"}  # fmt: skip
+          "next_measurement", "accuracy", "explained_fits", "suspects_explained", "why", "why_places"}  # fmt: skip
 MODAL = COMMON | {"sensor_misfit", "unpaired", "mesh_points", "mesh_elements"}
 GROUND = {"measured", "assumptions", "parameter_space", "repeat_disagreements"}
 """Tables that every analysis writes."""
@@ -118,6 +118,30 @@ def test_effects_have_the_documented_columns(guyed, chain):
     (row,) = [line for line in readme.splitlines() if line.startswith("| `effects.csv`")]
     documented = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]*)`", row))))
     assert set(EFFECT_COLUMNS) - {"name", "title", "unit", "ln_bayes_third", "ln_bayes_triple"} <= documented
+
+
+def test_the_score_of_the_named_effect_follows_from_the_rows_of_its_pattern(guyed, bare, chain):
+    for _, results, answer, *_ in (guyed, chain):
+        table, rows = saved(results, "why"), answer.explanation.base.fit.fit_problem.inner.rows
+        (name,) = set(table["effect"])
+        assert (name,) == answer.explanation.chosen.names
+        data = table[table["kind"] != "prior"]
+        assert data["kind"].tolist() == [row.kind for row in rows] and len(table) > len(data)
+        assert data["sensor"].fillna("").tolist() == [row.sensor for row in rows]
+        assert data["part"].astype(object).fillna("").tolist() == [getattr(row, "part", "") for row in rows]
+        np.testing.assert_allclose(table["residual"], table["signature"] + table["left"], atol=1e-8)
+        z = table["signature"] @ table["residual"] / np.linalg.norm(table["signature"])
+        assert z == pytest.approx(saved(results, "effects").set_index("name").loc[name, "z"], rel=1e-6)
+    assert saved(bare[1], "why").empty and saved(bare[1], "why_places").empty
+
+
+def test_places_are_those_of_the_local_perturbations(guyed):
+    own = saved(guyed[1], "why_places").set_index("perturbation")
+    known = saved(guyed[1], "perturbations").set_index("perturbation")
+    seen = known[known["unabsorbed"] > 0]
+    assert set(own.index) == set(seen.index) and own["correlation"].abs().max() <= 1.0
+    columns = ["kind", "x", "y", "z"]
+    pd.testing.assert_frame_equal(own.loc[seen.index, columns], seen[columns])
 
 
 def test_leave_one_out_gains_are_those_of_the_two_models(guyed):

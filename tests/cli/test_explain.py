@@ -15,8 +15,8 @@ from calib.study import Study
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = str(ROOT / "studies/five_mass_chain")
 FIGURES = {
-    "where_it_fails_sigma", "sensor_misfit", "perturbation_map", "pulls", "ranked_effects", "confounding",
-    "errors_before_after", "next_measurement",
+    "where_it_fails_sigma", "sensor_misfit", "perturbation_map", "pulls", "why_this_effect", "ranked_effects",
+    "confounding", "errors_before_after", "next_measurement",
 }  # fmt: skip
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
@@ -211,7 +211,8 @@ def test_the_chain_is_explained_twice_and_extended(here, drawn, unrendered, monk
     assert row["magnitude_low"] <= truth["magnitude"][truth["effect"]] <= row["magnitude_high"]
     # The figures of a function are those that need no structure.
     assert {p.stem for p in Path("results/five_mass_chain").glob("*.png")} == {
-        "where_it_fails_sigma", "pulls", "ranked_effects", "confounding", "errors_before_after",
+        "where_it_fails_sigma", "response_misfit", "pulls", "why_this_effect", "ranked_effects", "confounding",
+        "errors_before_after",
     }  # fmt: skip
     first = {p: b for p, b in files("results/five_mass_chain").items() if p.suffix == ".csv"}
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])

@@ -57,6 +57,18 @@ def test_perturbations_of_one_test_bear_its_name(chain):
     assert set(chain[1].explanation.tables["response_misfit"]["test"]) == {"poles", "shapes"}
 
 
+def test_the_pattern_of_a_test_split_in_two_is_that_of_the_whole(chain):
+    whole, cut = (why.explanation.tables["why"] for why in chain)
+    assert [cut.loc[cut["test"] == name, "kind"].tolist() for name in ("poles", "")] == [
+        whole.loc[~whole["sensor"].str.startswith("shape") & (whole["kind"] != "prior"), "kind"].tolist(),
+        ["prior"] * (whole["kind"] == "prior").sum(),
+    ]
+    columns = ["residual", "signature", "left"]
+    mine, own = (table.set_index("sensor")[columns].sort_index() for table in (cut, whole))
+    np.testing.assert_allclose(mine, own.loc[mine.index], rtol=0.01, atol=0.01)
+    assert set(chain[1].explanation.tables["why"]["mode"]) == {""}
+
+
 # -- modes under two conditions ----------------------------------------------------------------------------------------
 
 

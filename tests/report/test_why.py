@@ -1,0 +1,159 @@
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.colors import to_hex
+
+from calib.report.figures import Figures
+from calib.report.style import AFTER, GREY
+from calib.report.why import draw_alike, draw_bars, draw_shapes, most_alike, place_words, share, why_figure
+
+REST = np.array([[[0.0, 0.0, -1.0], [4.0, 0.0, -1.0]], [[4.0, 0.0, -1.0], [4.0, 1.0, 1.0]]])
+
+
+@pytest.fixture
+def table():
+    """Two effects, each with frequencies, one damping ratio, shapes of two modes and a prior."""
+    labels = [("frequency", m, "", "") for m in ("B1", "B2", "T1")] + [("damping", "T1", "", "")]
+    labels += [("shape", m, s, part) for m in ("B1", "T1") for s in ("1y", "2y", "3y") for part in ("re", "im")]
+    labels += [("prior", "", "K", "")]
+    rng, parts = np.random.default_rng(3), []
+    residual = rng.normal(0.0, 4.0, len(labels))
+    for effect, size in (("arb", 0.9), ("seats", 0.3)):
+        own = pd.DataFrame(labels, columns=["kind", "mode", "sensor", "part"])
+        own = own.assign(effects=effect, effect=effect, residual=residual)
+        own["signature"] = size * residual + rng.normal(0.0, 0.3, len(own))
+        parts.append(own.assign(left=own["residual"] - own["signature"]))
+    return pd.concat(parts, ignore_index=True)
+
+
+@pytest.fixture
+def scalar():
+    names = {"f1": "freq", "f2": "freq", "s1": "shape", "y": "response"}
+    rows = [("arb", "arb", kind, "", name, "", 3.0, len(name), 1.0) for name, kind in names.items()]
+    return pd.DataFrame(rows, columns="effects effect kind mode sensor part residual signature left".split())
+
+
+@pytest.fixture
+def places():
+    rows = [
+        ("arb", "spring 1", "stiffness", 0.0, 0.0, -1.0, 0.3),
+        ("arb", "spring 2", "stiffness", 4.0, 0.0, -1.0, -0.8),
+        ("arb", "scale of 1y", "fault", np.nan, np.nan, np.nan, 0.95),
+        ("arb", "mass 1", "mass", 2.0, 0.0, -1.0, 0.6),
+        ("seats", "spring 1", "stiffness", 0.0, 0.0, -1.0, 0.4),
+    ]
+    return pd.DataFrame(rows, columns="effect perturbation kind x y z correlation".split())
+
+
+def of(table, effect, kind):
+    return table[(table["effect"] == effect) & (table["kind"] == kind)]
+
+
+def bars(ax, gid):
+    return [bar for container in ax.containers for bar in container if bar.get_gid() == gid]
+
+
+def line(ax, gid):
+    (found,) = [line for line in ax.lines if line.get_gid() == gid]
+    return found
+
+
+def panels(figure, title):
+    return [ax for ax in figure.axes if any(ax.get_title(loc=at).startswith(title) for at in ("left", "center"))]
+
+
+def test_bars_and_dots_are_the_rows_of_the_table(table):
+    rows = of(table, "arb", "frequency")
+    ax = draw_bars(rows)
+    for column in ("residual", "signature"):
+        assert [bar.get_height() for bar in bars(ax, column)] == rows[column].tolist()
+        assert [bar.get_x() + bar.get_width() / 2 for bar in bars(ax, column)] == pytest.approx([0, 1, 2])
+    assert line(ax, "left").get_ydata().tolist() == rows["left"].tolist()
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["B1", "B2", "T1"]
+
+
+def test_a_mode_without_a_value_keeps_its_place(table):
+    ax = draw_bars(of(table, "arb", "damping"), names=["B1", "B2", "T1"])
+    (bar,) = bars(ax, "residual")
+    assert bar.get_x() + bar.get_width() / 2 == pytest.approx(2.0)
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["B1", "B2", "T1"]
+
+
+def test_shapes_are_dots_of_signature_and_residual_on_equal_scales(table):
+    rows = of(table, "arb", "shape")
+    ax = draw_shapes(rows)
+    for part in ("re", "im"):
+        own = rows[rows["part"] == part]
+        np.testing.assert_array_equal(np.column_stack(line(ax, part).get_data()), own[["signature", "residual"]])
+    assert ax.get_xlim() == ax.get_ylim() and np.array_equal(*line(ax, "equal").get_data())
+    largest = rows.loc[rows["signature"].abs().sort_values(ascending=False).index[:3]]
+    expected = [f"{r.mode} {r.sensor}" + (" im" if r.part == "im" else "") for r in largest.itertuples()]
+    assert [t.get_text() for t in ax.texts] == expected
+
+
+def test_the_share_is_of_the_sum_of_squares(table):
+    assert share(table[table["effect"] == "arb"]) > 0.9 > share(table[table["effect"] == "seats"]) > 0.4
+    assert share(pd.DataFrame({"residual": [3.0, 4.0], "left": [0.0, 3.0]})) == pytest.approx(16 / 25)
+    assert share(pd.DataFrame({"residual": [1.0], "left": [2.0]})) == pytest.approx(-3.0)
+    assert np.isnan(share(pd.DataFrame({"residual": [0.0], "left": [0.0]})))
+
+
+def test_the_place_is_that_of_the_most_alike_perturbation_that_has_one(places):
+    assert most_alike(places, "arb")["perturbation"] == "spring 2" and "spring 2" in place_words(places, "arb")
+    assert most_alike(places, "seats") is None and "spring" not in place_words(places, "seats")
+    assert place_words(places.assign(x=np.nan), "arb") == ""
+
+
+def test_places_are_drawn_with_their_correlation(places):
+    ax = draw_alike(places, REST, effect="arb")
+    (dots,) = [c for c in ax.collections if c.get_gid() == "correlation"]
+    np.testing.assert_array_equal(dots.get_array(), [-0.8, 0.6, 0.3])
+    x, depth, height = (np.asarray(v) for v in dots._offsets3d)
+    np.testing.assert_array_equal(np.column_stack([x, height, -depth]), [[4, 0, -1], [2, 0, -1], [0, 0, -1]])
+    assert [t.get_text() for t in ax.texts if t.get_text()] == ["1"]
+    assert not [t for t in draw_alike(places, REST, effect="seats").texts if t.get_text()]
+
+
+def test_each_effect_has_its_panels(table, places):
+    figure = why_figure(table, places, REST)
+    for title in ("frequency", "damping", "shape"):
+        assert len(panels(figure, title)) == 2
+    assert len([ax for ax in figure.axes if any(c.get_gid() == "correlation" for c in ax.collections)]) == 2
+    for ax, effect in zip(panels(figure, "frequency"), ("arb", "seats"), strict=True):
+        assert [bar.get_height() for bar in bars(ax, "signature")] == of(table, effect, "frequency")[
+            "signature"
+        ].tolist()
+    drawn = sum(len(bars(ax, "residual")) for ax in figure.axes)
+    assert drawn == 2 * 4  # priors are no data
+
+
+def test_without_a_mesh_or_a_place_nothing_is_drawn_on_the_structure(table, places):
+    for given in ((places, None), (None, REST), (places.assign(x=np.nan), REST)):
+        figure = why_figure(table, *given)
+        assert not [ax for ax in figure.axes if ax.name == "3d"] and len(panels(figure, "shape")) == 2
+
+
+def test_scalar_responses_are_bars_of_one_panel(scalar):
+    figure = why_figure(scalar)
+    (ax,) = [ax for ax in figure.axes if ax.containers]
+    assert [bar.get_height() for bar in bars(ax, "residual")] == scalar["residual"].tolist()
+    assert [t.get_text() for t in ax.get_xticklabels()] == scalar["sensor"].tolist()
+
+
+def test_an_attempt_is_grey(table):
+    rows = of(table, "arb", "frequency")
+    for attempt, colour in ((False, AFTER), (True, GREY)):
+        assert {to_hex(bar.get_facecolor()) for bar in bars(draw_bars(rows, attempt=attempt), "signature")} == {
+            colour.lower()
+        }
+
+
+def test_the_figure_of_the_folder_needs_rows(table, places, tmp_path):
+    places.to_csv(tmp_path / "why_places.csv", index=False)
+    table.iloc[:0].to_csv(tmp_path / "why.csv", index=False)
+    assert not Figures(tmp_path, "", True).plan
+    table.to_csv(tmp_path / "why.csv", index=False)
+    plan = Figures(tmp_path, "", True).plan
+    assert list(plan) == ["why_this_effect"] and set(plan["why_this_effect"].tables) == {"why", "why_places"}
+    (file,) = Figures(tmp_path, "Car", True).save(["svg"])
+    assert "B2, residual" in file.read_text("utf-8")
