@@ -118,3 +118,12 @@ def test_a_local_perturbation_with_the_same_signature_has_the_correlation_1(toy)
     column = {n: off_parameters(found, np.concatenate([made.columns[n], np.zeros(4)])) for n in ("E1", "A5")}
     expected = column["E1"] @ column["A5"] / np.linalg.norm(column["E1"]) / np.linalg.norm(column["A5"])
     assert own.loc["A5", "correlation"] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_local_perturbation_that_the_parameters_absorb_has_no_place(one):
+    _, found = one
+    local = found.base_adequacy.perturbations
+    absorbed = replace(local, size=np.where([n == "A3" for n in local.owners], 0.0, local.size))
+    found = replace(found, base_adequacy=replace(found.base_adequacy, perturbations=absorbed))
+    table = place_table(found, {n: ("mass", (0.0, 0.0, 0.0), "") for n in local.owners})
+    assert set(table["perturbation"]) == set(local.owners) - {"A3"}
