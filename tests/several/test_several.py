@@ -60,6 +60,17 @@ def test_each_test_has_its_own_results_and_the_parameters_of_all(frame):
         assert own["verdict"] == "effect" and (results / f"frame.{test}/report.html").is_file()
 
 
+def test_the_pattern_of_the_effect_is_given_by_test(frame):
+    _, results = frame
+    for test, modes in (("empty", 6), ("loaded", 5)):
+        table = pd.read_csv(results / f"frame.{test}/why.csv", keep_default_na=False)
+        assert set(table["effect"]) == {"contact_3"} and "test" not in table and "prior" not in set(table["kind"])
+        assert set(table["mode"]) <= {f"M{k}" for k in range(1, 7)} and table["mode"].nunique() == modes
+        assert (table["residual"] ** 2).sum() > 2 * (table["left"] ** 2).sum()
+        assert "why_this_effect" in Figures(results / f"frame.{test}", "", True).plan
+    assert "why_this_effect" not in Figures(results / "frame", "", True).plan
+
+
 OF_ALL = {"parameters", "ranked_effects", "confounding", "errors_before_after"}
 """Figures of what all tests say together."""
 
