@@ -125,7 +125,7 @@ def _draw_matrix(table: pd.DataFrame, ax: Axes | None, label: str) -> Axes:
     names, values = _square(table)
     count = len(names)
     if ax is None:
-        ax = new_figure(float(np.clip(0.42 * count, 1.2, 4.0)) + 1.4).add_subplot()
+        ax = new_figure(float(np.clip(0.34 * count, 1.2, 4.0)) + 1.4).add_subplot()
     below = np.tril(np.ones((count, count), dtype=bool), -1)[1:, :-1]
     shown = np.where(below, values[1:, :-1], np.nan)
     image = ax.imshow(shown, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
