@@ -53,6 +53,11 @@ def share(table: pd.DataFrame) -> float:
     return 1.0 - float((table["left"] ** 2).sum()) / total if total > 0.0 else float("nan")
 
 
+def squares(table: pd.DataFrame) -> str:
+    """Name the sum of squares over the rows of a table; those of one test among several are without the priors."""
+    return "sum of squares of data and priors" if (table["kind"] == PRIOR).any() else "sum of squares of the data"
+
+
 def most_alike(places: pd.DataFrame, effect: str) -> pd.Series | None:
     """Return the row of the local perturbation whose signature is most like the effect's; None where none is alike.
 
@@ -305,7 +310,7 @@ def _heading(own: pd.DataFrame, effects: pd.DataFrame | None, places: pd.DataFra
         words = f"{row['title']} ({name}), {with_unit(row['magnitude'], str(row['unit']))}"
     words += ": best attempt, not believed" if attempt else ""
     which = f"{together} explain" if together != name else "It explains"
-    told = [words, f"{which} {percent(share(own), 0)} % of the sum of squares of data and priors, to first order."]
+    told = [words, f"{which} {percent(share(own), 0)} % of the {squares(own)}, to first order."]
     if places is not None and (where := place_words(places, name)):
         told.append(
             f"1  most alike of the local perturbations: {where}" if most_alike(places, name) is not None else where

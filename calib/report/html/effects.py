@@ -10,7 +10,7 @@ from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, significant, with_unit
-from calib.report.why import place_words, share
+from calib.report.why import PRIOR, place_words, share, squares
 
 NUMBERS = (
     "z", "unabsorbed", "magnitude", "magnitude_low", "magnitude_high", "magnitude_min", "plausible", "largest",
@@ -63,7 +63,7 @@ def section(results: StudyResults) -> Section | None:
 
 
 def _why(results: StudyResults) -> list[Picture]:
-    table = results.table("why", ["effects", "effect"], ["residual", "signature", "left"])
+    table = results.table("why", ["effects", "effect", "kind"], ["residual", "signature", "left"])
     if table is None:
         return []
     fits = results.table("candidate_fits", ["effects"], ["misfit"])
@@ -72,8 +72,8 @@ def _why(results: StudyResults) -> list[Picture]:
     for together in dict.fromkeys(table["effects"]):
         rows = table[table["effects"] == together]
         own = rows[rows["effect"] == rows["effect"].iloc[0]]  # each effect of a fit has all rows
-        words = f"To first order {together} explains {percent(share(own), 0)} % of the sum of squares"
-        if {"none", together} <= misfit.keys():
+        words = f"To first order {together} explains {percent(share(own), 0)} % of the {squares(own)}"
+        if {"none", together} <= misfit.keys() and (own["kind"] == PRIOR).any():  # the fits are of all rows
             words += f"; fitted, it falls from {significant(misfit['none'], 3)} to {significant(misfit[together], 3)}"
         told.append(words)
     caption = (
