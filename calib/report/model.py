@@ -17,6 +17,7 @@ from calib.report.mesh import FACE, LINE, Mesh, draw_pieces, pieces, places
 from calib.report.scene import (
     FOOT,
     PLACE,
+    axis_vectors,
     frame_panel,
     new_axes,
     new_figure,
@@ -73,8 +74,7 @@ def draw_model(mesh: Mesh, sensors: pd.DataFrame | None = None, ax: Axes3D | Non
     if sensors is not None:
         placed = sensors[sensors[PLACE].notna().all(axis=1)]
         place = placed[PLACE].to_numpy(dtype=float)
-        along = np.array([[float(d == axis) for axis in PLACE] for d in placed["direction"]]).reshape(-1, 3)
-        tips = place + _STICK * float(np.linalg.norm(np.ptp(np.concatenate([seen, place]), axis=0))) * along
+        tips = sensor_tips(placed, np.concatenate([seen, place]))
         plot_lines(ax, np.stack([place, tips], axis=1), color=MEASURED, linewidth=1.2, gid="directions", zorder=3)
         dots = plot_coordinates(np.unique(place, axis=0)).T
         ax.plot(*dots, "o", color=MEASURED, markeredgecolor="white", markeredgewidth=0.5, markersize=4.5,
@@ -82,6 +82,20 @@ def draw_model(mesh: Mesh, sensors: pd.DataFrame | None = None, ax: Axes3D | Non
         seen = np.concatenate([seen, place, tips])
     frame_panel(ax, seen, "")
     return ax
+
+
+def sensor_tips(sensors: pd.DataFrame, points: np.ndarray) -> np.ndarray:
+    """Return the ends of the sensors' sticks, (n, 3) in metres.
+
+    Parameters
+    ----------
+    sensors : DataFrame
+        Columns ``direction, x, y, z`` (m); the stick of a rotational sensor has no length.
+    points : ndarray (n, 3)
+        Points of the structure, whose box gives the length of a stick.
+    """
+    length = _STICK * float(np.linalg.norm(np.ptp(points, axis=0)))
+    return sensors[PLACE].to_numpy(dtype=float) + length * axis_vectors(sensors["direction"])
 
 
 def face_groups(mesh: Mesh) -> list[str]:

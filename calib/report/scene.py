@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import cast
 
 import numpy as np
@@ -37,6 +37,11 @@ def plot_coordinates(points: np.ndarray) -> np.ndarray:
     points : ndarray (..., 3)
     """
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
+
+
+def axis_vectors(directions: Iterable[str]) -> np.ndarray:
+    """Return the unit vector of each direction ``x, y, z``, (n, 3); zero for any other, such as a rotation."""
+    return np.array([[float(name == axis) for axis in PLACE] for name in directions]).reshape(-1, 3)
 
 
 def view_directions() -> np.ndarray:

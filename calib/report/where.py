@@ -15,11 +15,13 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
+from scipy.special import ndtri
 
 from calib.report.scene import (
     FOOT,
     HEADING,
     PLACE,
+    axis_vectors,
     colour_bar,
     draw_dots,
     frame_panel,
@@ -37,6 +39,8 @@ from calib.report.shapes import measured_motions
 from calib.report.style import BLUE, GREY, REST, VERMILLION, WIDTH
 
 PERTURBATION_KINDS = ("stiffness", "damping", "mass")
+NOISE_LEVEL = 0.01
+"""Family-wise probability at which `noise_limit` is exceeded by noise alone."""
 
 
 def sensor_rms(table: pd.DataFrame) -> pd.DataFrame:
@@ -68,6 +72,20 @@ def sensor_rms(table: pd.DataFrame) -> pd.DataFrame:
     return found.reset_index().sort_values("rms", ascending=False, kind="stable", ignore_index=True)
 
 
+def misfit_tips(sensors: pd.DataFrame, points: np.ndarray) -> np.ndarray:
+    """Return the ends of sticks along the sensors' directions, as long as their rms, (n, 3) in metres.
+
+    Parameters
+    ----------
+    sensors : DataFrame
+        As from `sensor_rms`.
+    points : ndarray (n, 3)
+        Points of the structure; the longest stick is a tenth of the diagonal of their box.
+    """
+    sticks = axis_vectors(sensors["direction"]) * sensors["rms"].to_numpy(dtype=float)[:, None]
+    return sensors[PLACE].to_numpy(dtype=float) + motion_scale(points, sticks) * sticks
+
+
 def draw_sensor_misfit(
     table: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None, *, stage: str = "base"
 ) -> Axes3D:
@@ -95,9 +113,8 @@ def draw_sensor_misfit(
     sensors = sensor_rms(table[table["stage"] == stage]).dropna()
     place = sensors[PLACE].to_numpy(dtype=float)
     rms = sensors["rms"].to_numpy(dtype=float)
-    along = np.array([[float(d == axis) for axis in PLACE] for d in sensors["direction"]]).reshape(-1, 3)
     everything = np.concatenate([rest.reshape(-1, 3), place])
-    tips = place + motion_scale(everything, along * rms[:, None]) * along * rms[:, None]
+    tips = misfit_tips(sensors, everything)
     plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
     plot_lines(ax, np.stack([place, tips], axis=1), color=GREY, linewidth=1.0, gid="direction", zorder=2)
     draw_dots(ax, tips, rms, Normalize(0.0, float(np.max(rms, initial=3.0))), "YlOrRd", "rms")
@@ -240,6 +257,14 @@ def draw_perturbations(
 def score_limit(table: pd.DataFrame) -> float:
     """Return the score of the darkest colour: the largest absolute score, at least 5."""
     return float(np.nanmax(np.append(table["score"].abs().to_numpy(dtype=float), 5.0)))
+
+
+def noise_limit(scores: pd.Series) -> float:
+    """Return the absolute score that noise alone exceeds anywhere with a probability of `NOISE_LEVEL`.
+
+    Standard normal scores, Bonferroni over those that are known; as they are correlated, the limit is on the safe side.
+    """
+    return float(-ndtri(NOISE_LEVEL / (2 * max(int(scores.notna().sum()), 1))))
 
 
 def best_perturbations(table: pd.DataFrame, count: int = 3) -> pd.DataFrame:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from calib.report.html.page import Block, Picture, Section, Shapes, Table, Terms, Words
+from calib.report.html.page import Block, Picture, Section, Table, Terms, Viewer, Words
 from calib.report.html.space import AXES_NOTE, scene
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.numbers import fixed, percent, significant
@@ -24,7 +24,7 @@ TERMS = (
 
 
 def section(results: StudyResults) -> Section | None:
-    """The model at its nominal values, nothing fitted, and mode shapes of every stage."""
+    """The model at its nominal values, nothing fitted, and the viewer."""
     title = "Model against measurement, nothing fitted"
     if results.scalar:
         blocks = scalar_blocks(results, "before")
@@ -40,7 +40,7 @@ def section(results: StudyResults) -> Section | None:
         Terms(TERMS if table["mac"].notna().any() else ()),
         *([] if results.compared("after") is not None else error_picture(results, {"before": table})),
         *mac_picture(results, "before"),
-        *_shapes(results),
+        *_viewer(results),
         *comac_picture(results),
     ]
     return Section("compared", title, tuple(blocks))
@@ -100,18 +100,22 @@ def mac_picture(results: StudyResults, stage: str) -> list[Picture]:
     return results.picture(f"mac_{stage}", caption, alt)
 
 
-def _shapes(results: StudyResults) -> list[Block]:
+def _viewer(results: StudyResults) -> list[Viewer]:
     found = scene(results)
     if found is None:
         return []
     caption = (
-        "Measured and computed mode shapes. Choose a mode, play or pause it, drag to turn it. Grey: the model at rest; "
-        f"blue: the model; red, with lines from the position at rest: the sensors. {AXES_NOTE} Real parts are shown; "
-        "measurement and model have the same scale."
+        "The model in space. Drag to turn it, or focus it and press the arrow keys; the wheel zooms with Ctrl or after "
+        f"a click, double-click or Home resets the view. Point at a dot for its name, or press N and P. {AXES_NOTE} "
     )
-    first = found["stages"][0]  # which the page shows first
-    words = "; ".join(mode["words"] for mode in first["modes"])
-    return [Shapes("mode-shapes", caption, f"Mode shapes {first['name']}: {words}.", found)]
+    if found["stages"]:
+        caption += "Mode shapes are real parts, with one scale for measurement and model."
+        first = found["stages"][0]  # which the page shows first
+        alt = f"Mode shapes {first['name']}: {'; '.join(mode['words'] for mode in first['modes'])}."
+    else:
+        first = found["layers"][0]
+        alt = f"{first['title']}: {first['words']}."
+    return [Viewer("viewer", caption.strip(), alt, found)]
 
 
 def comac_picture(results: StudyResults) -> list[Picture]:

@@ -162,7 +162,7 @@ def _confounding(results: StudyResults) -> list[Picture]:
 
 
 def _local_perturbations(results: StudyResults) -> list[Block]:
-    table = results.table("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed"])
+    table = results.perturbations
     if table is None:
         return []
     order = table["score"].abs().sort_values(ascending=False, kind="stable").index

@@ -79,7 +79,7 @@ def _kinds(results: StudyResults) -> list[Picture]:
 
 
 def _sensors(results: StudyResults) -> list[Picture]:
-    table = results.table("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
+    table = results.sensor_misfit
     if table is None or not (table["stage"] == "base").any():
         return []
     found = sensor_rms(table[table["stage"] == "base"]).dropna()

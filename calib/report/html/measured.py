@@ -105,9 +105,7 @@ def _responses(results: StudyResults) -> list[Block] | None:
 
 
 def _sensors(results: StudyResults) -> list[Block]:
-    table = results.table(
-        "sensors", ["sensor", "direction"], ["x", "y", "z", "shape_std"], flags=["held_out"], blank=["part"]
-    )
+    table = results.sensors
     if table is None:
         return [] if results.scalar else [Words("No mode shapes were measured, only frequencies and damping.")]
     rows = tuple(

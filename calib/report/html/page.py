@@ -82,8 +82,8 @@ class Picture:
 
 
 @dataclass(frozen=True, eq=False)
-class Shapes:
-    """Mode shapes that can be turned and animated, one mode at a time.
+class Viewer:
+    """The model in space, which can be turned: mode shapes that move, sensors, misfit and scores, one at a time.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Shapes:
     scene: Mapping[str, Any]
 
 
-Block: TypeAlias = Words | Terms | Table | Picture | Shapes
+Block: TypeAlias = Words | Terms | Table | Picture | Viewer
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,162 +1,188 @@
-"""Three-dimensional figures: a structure with values at its points, and animated mode shapes."""
+"""Data of the viewer: the model in space, mode shapes that move, and dots with names: sensors, misfit, scores."""
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
+import pandas as pd
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 
-from calib.report.html.look import FONT, new, shown
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.mesh import FACE, Mesh, motions, pieces, places, read_mesh, thickness
-from calib.report.numbers import fixed
-from calib.report.scene import motion_scale, plot_coordinates, view_directions
+from calib.report.model import sensor_tips
+from calib.report.numbers import counted, fixed, flag
+from calib.report.scene import PLACE, motion_scale, plot_coordinates, view_directions
 from calib.report.shapes import measured_motions
-from calib.report.style import BLUE, MEASURED, REST
+from calib.report.style import BLACK, BLUE, MEASURED, REST, SKY, VERMILLION
+from calib.report.where import NOISE_LEVEL, misfit_tips, noise_limit, sensor_rms
 
 AXES_NOTE = "x runs along, y up, z across."
-_HEIGHT = 460
-_ROOM = (3.3, 1.5)
-"""Width and height of a figure's view in Plotly's own unit, which a parallel view does not scale."""
-_DIGITS = 5
-
-
-def new_space(lines: np.ndarray | None, points: np.ndarray) -> go.Figure:
-    """Return a figure of lines at rest (n, 2, 3) with named axes; the view holds ``points`` (n, 3) too."""
-    everything = points if lines is None else np.concatenate([lines.reshape(-1, 3), points])
-    tips = directions(everything)
-    look = scene_layout(plot_coordinates(np.concatenate([everything, tips])))
-    figure = new(_HEIGHT, margin={"l": 0, "r": 0, "t": 30, "b": 0}, scene=look)
-    if lines is not None:
-        add_lines(figure, lines, REST, "model at rest")
-    add_directions(figure, tips)
-    return figure
-
-
-def scene_layout(points: np.ndarray) -> dict[str, Any]:
-    """Return a parallel view filled by points (n, 3) of the plot, with equal scales and no box."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    size = np.maximum(high - low, 1e-3 * float(np.linalg.norm(high - low)) or 1e-3)
-    spans = np.column_stack([low + high - size, low + high + size]).tolist()
-    axes = [{"visible": False, "range": [a / 2, b / 2]} for a, b in spans]
-    right, up = view_directions()
-    seen = [float(np.ptp(points @ side)) for side in (right, up)]
-    scale = min(room / max(s, 1e-9) for room, s in zip(_ROOM, seen, strict=True))
-    eye = dict(zip("xyz", (2.0 * np.cross(right, up)).tolist(), strict=True))
-    return {
-        **{f"{name}axis": axis for name, axis in zip("xyz", axes, strict=True)},
-        "aspectmode": "manual",
-        "aspectratio": dict(zip("xyz", (scale * size).tolist(), strict=True)),
-        "camera": {"projection": {"type": "orthographic"}, "eye": eye},
-        "dragmode": "orbit",
-    }
-
-
-def add_lines(figure: go.Figure, lines: np.ndarray, colour: str, name: str, width: float = 3) -> None:
-    """Add lines (n, 2, 3) in metres as one trace with gaps."""
-    gap = np.full((len(lines), 1, 3), np.nan)
-    x, y, z = plot_coordinates(np.concatenate([lines, gap], axis=1).reshape(-1, 3)).T
-    look = {"color": colour, "width": width}
-    figure.add_scatter3d(x=x, y=y, z=z, mode="lines", line=look, name=name, hoverinfo="skip", connectgaps=False)
-
-
-def directions(points: np.ndarray) -> np.ndarray:
-    """Return the ends of three short arrows along the axes, beside points (n, 3): (4, 3), the common end first."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    size = 0.1 * float(np.linalg.norm(high - low)) or 1.0
-    corner = np.array([low[0] - size, low[1], high[2] + size])
-    return np.vstack([corner, corner + size * np.eye(3)])
-
-
-def add_directions(figure: go.Figure, ends: np.ndarray) -> None:
-    """Add the arrows of `directions` with their names."""
-    corner, *tips = ends
-    places = np.concatenate([[corner, tip, [np.nan] * 3] for tip in tips])
-    x, y, z = plot_coordinates(places).T
-    figure.add_scatter3d(
-        x=x, y=y, z=z, mode="lines+text", text=["", "x", "", "", "y", "", "", "z", ""], hoverinfo="skip",
-        line={"color": "black", "width": 3}, textfont={"size": 14}, showlegend=False,
-    )  # fmt: skip
-
-
-def add_dots(figure: go.Figure, points: np.ndarray, words: Sequence[str], name: str, marker: dict[str, Any]) -> None:
-    """Add markers at points (n, 3) in metres, each with a hover text."""
-    x, y, z = plot_coordinates(points).T
-    figure.add_scatter3d(
-        x=x, y=y, z=z, mode="markers", name=name, marker=marker, hoverinfo="text", text=[shown(w) for w in words]
-    )
+_FINEST = 32767
+"""Steps on each side of 0 in which `packed` numbers are counted."""
+_SMALL, _LARGE = 6.0, 18.0
+"""Diameters of the smallest and of the largest dots, in pixels."""
 
 
 def scene(results: StudyResults) -> dict[str, Any] | None:
-    """Return the data of the mode-shape viewer; None without measured or without computed shapes.
+    """Return the data of the viewer; None where there is nothing to show on the model.
 
     Returns
     -------
     dict
-        ``stages``: of each its ``name``, the ``view`` that holds all motion, ``points`` of the mesh at rest (n, 3),
-        its ``lines`` (pairs of points), ``triangles`` of its shells (three rows of points), and ``modes``:
-        ``name, words, paired, scale``, ``motion`` of the points, ``places`` of the sensors and their ``measured``
-        motion. Coordinates are those of the plot, in metres; ``scale`` converts motion to drawn metres.
+        ``view``: `framed` so that it holds everything. ``colours``. ``points`` of the mesh at rest (n, 3), its
+        ``lines`` (pairs of points, one after another), ``faces`` (four points each) and ``lone`` points without a line.
+        ``sites``: places of the sensors of the mode shapes and their ``words``. ``stages``: of each its ``name`` and
+        ``modes``: ``name, words``, ``motion`` of the points (none where the mode is not paired), ``measured`` motion at
+        the sites with the numbers ``at``, and the ``scale`` that converts motion to drawn metres. ``layers``: dots, see
+        `_layer`. Coordinates are those of the model in metres, as `packed` numbers.
     """
     mesh = read_mesh(results.folder)
-    if mesh is None:
+    structure = _Structure(mesh)
+    stages, sites, moved = _stages(results, mesh, structure)
+    layers, dots = [], [moved]
+    for made in (_sensors(results, structure), _misfit(results, structure), _perturbations(results)):
+        if made is not None:
+            layers.append(made[0])
+            dots.append(made[1])
+    if not stages and not layers:
         return None
-    stages = [found for stage in STAGES if (found := _stage(results, mesh, stage)) is not None]
-    if not stages:
-        return None
-    look = {"model": BLUE, "measured": MEASURED, "rest": REST}
-    return {"stages": stages, "colours": look, "height": _HEIGHT, "font": {"family": FONT, "size": 13}}
-
-
-def _stage(results: StudyResults, mesh: Mesh, stage: str) -> dict[str, Any] | None:
-    shapes = results.table(f"shapes_{stage}", ["mode", "direction"], ["x", "y", "z", "measured_re"])
-    columns = ["point", "u", "v", "w"]
-    moves = results.table(f"deflection_{stage}", ["mode"], columns, complete=columns)
-    if shapes is None or moves is None:
-        return None
-    known = results.compared(stage)
-    facts = {} if known is None else {str(r["mode"]): r for r in known.to_dict("records")}
-    parts = pieces(mesh)
-    seen = np.unique(parts.corners)
-    row = np.zeros(len(mesh.points), dtype=int)
-    row[seen] = np.arange(len(seen))
-    faces = row[parts.corners[parts.kind == FACE]]
-    points = places(mesh)[seen]
-    out, reached = [], [plot_coordinates(points)]
-    for mode in dict.fromkeys(shapes["mode"]):
-        own = moves[moves["mode"] == mode]
-        motion = motions(mesh, own)[seen]
-        at, measured = measured_motions(shapes[shapes["mode"] == mode])
-        scale = motion_scale(np.concatenate([points, at]), np.concatenate([motion, measured]), thickness(mesh))
-        reached += [
-            plot_coordinates(p + side * scale * m) for p, m in ((points, motion), (at, measured)) for side in (-1, 1)
-        ]
-        out.append(
-            {
-                "name": mode,
-                "words": _words(mode, facts),
-                "paired": len(own) > 0,
-                "scale": round(scale, 9),
-                "motion": _numbers(motion),
-                "places": _numbers(at),
-                "measured": _numbers(measured),
-            }
-        )
     return {
-        "name": f"{stage} calibration",
-        "modes": out,
-        "view": scene_layout(np.concatenate(reached)),
-        "points": _numbers(points),
-        "lines": row[parts.strokes].tolist(),
-        "triangles": np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]]).T.tolist(),
+        "view": framed(np.concatenate([structure.points, *dots])),
+        "colours": {"rest": REST, "model": BLUE, "measured": MEASURED, "axes": BLACK},
+        "points": packed(structure.points),
+        "lines": structure.lines.ravel().tolist(),
+        "faces": structure.faces.ravel().tolist(),
+        "lone": structure.lone.tolist(),
+        "sites": sites,
+        "stages": stages,
+        "layers": layers,
     }
 
 
-def _numbers(values: np.ndarray) -> list[list[float]]:
-    rounded: list[list[float]] = np.round(plot_coordinates(values), _DIGITS).tolist()
-    return rounded
+def packed(values: np.ndarray) -> dict[str, Any]:
+    """Return numbers as whole multiples of a ``step``, 16 bits each, little-endian in base64.
+
+    A step is 1/32767 of the largest number, far less than a pixel shows, at a third of the size of decimal digits.
+    """
+    step = float(np.abs(values).max(initial=0.0)) / _FINEST or 1.0
+    counts = np.round(values / step).astype("<i2")
+    return {"step": step, "numbers": b64encode(counts.tobytes()).decode("ascii")}
+
+
+def framed(points: np.ndarray) -> dict[str, Any]:
+    """Return the parallel view of points (n, 3) in metres that the figures have.
+
+    Returns
+    -------
+    dict
+        ``centre``, the point in the middle of the view; ``eye``, the direction towards the viewer; ``size``, width and
+        height in metres, wide enough to turn about the vertical; ``radius`` of a ball about the centre that holds all.
+    """
+    right, up = view_directions() @ plot_coordinates(np.eye(3)).T
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre = (low + high) / 2
+    seen = points @ np.array([right, up]).T
+    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    centre = centre + (middle - np.array([right, up]) @ centre) @ np.array([right, up])
+    radius = float(np.linalg.norm(points - centre, axis=1).max()) or 1.0
+    around = 2 * float(np.linalg.norm((points - centre)[:, [0, 2]], axis=1).max())
+    size = np.maximum([max(around, np.ptp(seen[:, 0])), np.ptp(seen[:, 1])], 1e-3 * radius)
+    return {
+        "centre": centre.tolist(),
+        "eye": np.cross(right, up).tolist(),
+        "size": size.tolist(),
+        "radius": radius,
+    }
+
+
+class _Structure:
+    """The mesh without points that no piece has; everything is empty without a mesh.
+
+    Attributes
+    ----------
+    seen : ndarray (n,), int
+        Rows of the table of points that are shown.
+    points : ndarray (n, 3)
+        Metres.
+    lines, faces, lone : ndarray (n, 2), (n, 4), (n,), int
+        Rows of ``points``.
+    """
+
+    def __init__(self, mesh: Mesh | None) -> None:
+        if mesh is None:
+            self.seen = self.lone = np.zeros(0, dtype=int)
+            self.points = np.zeros((0, 3))
+            self.lines, self.faces = np.zeros((0, 2), dtype=int), np.zeros((0, 4), dtype=int)
+            return
+        parts = pieces(mesh)
+        self.seen = np.unique(parts.corners)
+        row = np.zeros(len(mesh.points), dtype=int)
+        row[self.seen] = np.arange(len(self.seen))
+        self.points = places(mesh)[self.seen]
+        self.faces = row[parts.corners[parts.kind == FACE]]
+        strokes = row[parts.strokes]
+        alone = strokes[:, 0] == strokes[:, 1]
+        self.lines, self.lone = strokes[~alone], strokes[alone, 0]
+
+
+def _stages(
+    results: StudyResults, mesh: Mesh | None, structure: _Structure
+) -> tuple[list[dict[str, Any]], dict[str, Any], np.ndarray]:
+    """Stages, the sites of their sensors, and all points reached by a motion in metres (n, 3)."""
+    known, found, reached = _Sites(), [], [np.zeros((0, 3))]
+    for stage in STAGES:
+        shapes = results.table(f"shapes_{stage}", ["mode", "sensor", "direction"], [*PLACE, "measured_re"])
+        columns = ["point", "u", "v", "w"]
+        moves = results.table(f"deflection_{stage}", ["mode"], columns, complete=columns)
+        if mesh is None or shapes is None or moves is None:
+            continue
+        compared = results.compared(stage)
+        facts = {} if compared is None else {str(r["mode"]): r for r in compared.to_dict("records")}
+        modes = []
+        for mode in dict.fromkeys(shapes["mode"]):
+            own, measured_here = moves[moves["mode"] == mode], shapes[shapes["mode"] == mode]
+            motion = motions(mesh, own)[structure.seen]
+            at, measured = measured_motions(measured_here)
+            rest, motion_of_all = np.concatenate([structure.points, at]), np.concatenate([motion, measured])
+            scale = motion_scale(rest, motion_of_all, thickness(mesh))
+            reached += [rest + side * scale * motion_of_all for side in (-1, 1)]
+            modes.append(
+                {
+                    "name": mode,
+                    "words": _words(mode, facts),
+                    "scale": scale,
+                    "motion": packed(motion) if len(own) else None,
+                    "at": known.numbers(at, measured_here),
+                    "measured": packed(measured),
+                }
+            )
+        found.append({"name": f"{stage} calibration", "modes": modes})
+    return found, known.data(), np.concatenate(reached)
+
+
+class _Sites:
+    """Places with sensors, each once, in the order in which they are met."""
+
+    def __init__(self) -> None:
+        self._names: dict[tuple[float, ...], dict[str, None]] = {}
+
+    def numbers(self, points: np.ndarray, shapes: pd.DataFrame) -> list[int]:
+        """Numbers of places (n, 3), whose sensors are named in a table of shapes."""
+        for name, *place in shapes[["sensor", *PLACE]].dropna().itertuples(index=False):
+            self._names.setdefault(tuple(map(float, place)), {})[str(name)] = None
+        row = {place: k for k, place in enumerate(self._names)}
+        return [row[tuple(place)] for place in points.tolist()]
+
+    def data(self) -> dict[str, Any]:
+        """The places, and names of the sensors there."""
+        return {
+            "points": packed(np.array(list(self._names)).reshape(-1, 3)),
+            "words": [", ".join(names) for names in self._names.values()],
+        }
 
 
 def _words(mode: str, facts: dict[str, Any]) -> str:
@@ -167,3 +193,100 @@ def _words(mode: str, facts: dict[str, Any]) -> str:
     if np.isnan(row["natural_freq_model"]):
         return f"{measured}, not paired with a model mode"
     return f"{measured}, model {fixed(row['natural_freq_model'], 2)} Hz, MAC {fixed(row['mac'], 3)}"
+
+
+def _layer(
+    name: str,
+    title: str,
+    words: str,
+    dots: np.ndarray,
+    feet: np.ndarray | None,
+    sizes: np.ndarray,
+    colours: Sequence[str],
+    names: Sequence[str],
+    key: Sequence[tuple[str, str]],
+) -> tuple[dict[str, Any], np.ndarray]:
+    """Return a layer of dots, largest first, and its points in metres (n, 3).
+
+    Parameters
+    ----------
+    name, title : str
+        In the data, and in the choice of layers.
+    words : str
+        What the layer shows.
+    dots, feet : ndarray (n, 3)
+        Dots in metres, and where the sticks that carry them begin, if they have any.
+    sizes : ndarray (n,)
+        From 0 (smallest dot) to 1 (largest).
+    colours, names : sequence of str
+        Of each dot; the name appears under the mouse.
+    key : sequence of (str, str)
+        Colours and what they mean.
+    """
+    order = np.argsort(-sizes, kind="stable")
+    data = {
+        "name": name,
+        "title": title,
+        "words": words,
+        "points": packed(dots[order]),
+        "feet": None if feet is None else packed(feet[order]),
+        "sizes": np.round(_SMALL + (_LARGE - _SMALL) * sizes[order], 1).tolist(),
+        "colours": [colours[k] for k in order],
+        "names": [names[k] for k in order],
+        "key": [{"colour": colour, "words": meaning} for colour, meaning in key],
+    }
+    return data, dots if feet is None else np.concatenate([dots, feet])
+
+
+def _sensors(results: StudyResults, structure: _Structure) -> tuple[dict[str, Any], np.ndarray] | None:
+    table = results.sensors
+    placed = None if table is None else table.dropna(subset=PLACE)
+    if placed is None or placed.empty:
+        return None
+    feet = placed[PLACE].to_numpy(dtype=float)
+    held = [flag(value) for value in placed["held_out"]]
+    looks = {False: (BLUE, "used"), True: (MEASURED, "held out")}
+    names = [
+        f"{r['sensor']}, direction {r['direction']}{', held out' if h else ''}"
+        for r, h in zip(placed.to_dict("records"), held, strict=True)
+    ]
+    words = f"{counted(len(placed), 'sensor')}, {sum(held)} of them held out"
+    tips = sensor_tips(placed, np.concatenate([structure.points, feet]))
+    colours = [looks[h][0] for h in held]
+    sizes = np.full(len(placed), 0.2)
+    return _layer("sensors", "Sensors", words, tips, feet, sizes, colours, names, [looks[h] for h in sorted(set(held))])
+
+
+def _misfit(results: StudyResults, structure: _Structure) -> tuple[dict[str, Any], np.ndarray] | None:
+    table = results.sensor_misfit
+    found = None if table is None else sensor_rms(table[table["stage"] == "base"]).dropna()
+    if found is None or found.empty:
+        return None
+    feet, rms = found[PLACE].to_numpy(dtype=float), found["rms"].to_numpy(dtype=float)
+    largest = float(np.max(rms, initial=3.0))
+    scale = colormaps["YlOrRd"]
+    key = [(to_hex(scale(v / largest)), f"{fixed(v, 1)} σ") for v in np.linspace(0.0, largest, 4)]
+    names = [f"{r['sensor']}: {fixed(r['rms'], 2)} σ" for r in found.to_dict("records")]
+    words = f"rms over all modes, calibrated base model; the worst is {names[0]}; noise alone gives about 1 σ"
+    tips = misfit_tips(found, np.concatenate([structure.points, feet]))
+    colours = [to_hex(scale(v / largest)) for v in rms]
+    return _layer("misfit", "Misfit at the sensors", words, tips, feet, rms / largest, colours, names, key)
+
+
+def _perturbations(results: StudyResults) -> tuple[dict[str, Any], np.ndarray] | None:
+    table = results.perturbations
+    placed = None if table is None else table.dropna(subset=[*PLACE, "score"])
+    if table is None or placed is None or placed.empty:
+        return None
+    score = placed["score"].to_numpy(dtype=float)
+    limit, chance = noise_limit(table["score"]), f"{100 * NOISE_LEVEL:.0f} %"
+    beyond = np.abs(score) > limit
+    names = [f"{r['perturbation']}: z {fixed(r['score'], 1, sign=True)}" for r in placed.to_dict("records")]
+    words = (
+        f"{beyond.sum()} of {len(placed)} scores exceed {fixed(limit, 2)}, which noise alone does anywhere with a "
+        f"probability of at most {chance}; places to inspect, not causes"
+    )
+    colours = [VERMILLION if b else SKY for b in beyond]
+    key = [(VERMILLION, f"|z| > {fixed(limit, 2)}"), (SKY, "smaller")]
+    dots, sizes = placed[PLACE].to_numpy(dtype=float), np.abs(score) / float(np.abs(score).max() or 1.0)
+    return _layer("perturbations", "Local perturbations", words, dots, None, sizes, colours, names, key)

@@ -148,6 +148,22 @@ class StudyResults:
         ]
         return None if self.scalar else self.table(f"comparison_{stage}", ["mode"], numbers, unique="mode")
 
+    @cached_property
+    def sensors(self) -> pd.DataFrame | None:
+        """``sensors.csv``."""
+        numbers = ["x", "y", "z", "shape_std"]
+        return self.table("sensors", ["sensor", "direction"], numbers, flags=["held_out"], blank=["part"])
+
+    @cached_property
+    def sensor_misfit(self) -> pd.DataFrame | None:
+        """``sensor_misfit.csv`` of an explanation."""
+        return self.table("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
+
+    @cached_property
+    def perturbations(self) -> pd.DataFrame | None:
+        """``perturbations.csv`` of an explanation."""
+        return self.table("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed"])
+
     @property
     def noise_mac(self) -> float:
         """Mean MAC of a perfect model with this noise; NaN where unknown."""

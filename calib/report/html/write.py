@@ -24,7 +24,7 @@ from calib.report.html import (
     verified,
 )
 from calib.report.html.look import scalar_json
-from calib.report.html.page import Section, Shapes
+from calib.report.html.page import Section, Viewer
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.written import replacing
@@ -81,16 +81,19 @@ def page(results: StudyResults) -> str:
     environment.filters["svg"] = lambda picture: Markup(results.figures.svg(picture.name))
     environment.filters["file"] = lambda table: _address(results.folder / f"{table}.csv")
     environment.globals["number"] = count(1).__next__
+    shown = sections(results)
+    in_space = any(isinstance(block, Viewer) for section in shown for block in section.blocks)
+    scripts = ("report.js", "three.min.js", "viewer.js") if in_space else ("report.js",)
     return environment.get_template("report.html").render(
         results=results,
         summary=summary(results),
-        sections=sections(results),
+        sections=shown,
         style=Markup(_file("report.css")),
-        script=Markup(_file("report.js")),
+        scripts=[Markup(_file(name)) for name in scripts],
     )
 
 
-def _data(block: Shapes) -> Markup:
+def _data(block: Viewer) -> Markup:
     """A scene as JSON for the script; nothing in it can end the script element."""
     return Markup(scalar_json(block.scene))
 
