@@ -101,11 +101,7 @@ def test_the_method_knows_no_structure_and_models_no_study():
 def test_only_the_report_imports_plotting_libraries():
     for part, file in parts():
         if part != "report":
-            assert not {name.split(".")[0] for name in imports(file, run_only=True)} & {
-                "matplotlib",
-                "plotly",
-                "jinja2",
-            }, file
+            assert not {name.split(".")[0] for name in imports(file, run_only=True)} & {"matplotlib", "jinja2"}, file
 
 
 def test_the_version_is_told_once():

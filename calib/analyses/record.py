@@ -32,7 +32,7 @@ from calib.structure.model import Assumption
 from calib.study import Study
 from calib.version import __version__
 
-PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib", "plotly")
+PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib")
 """Packages whose versions may change a digit or a figure."""
 
 MODE_COLUMNS = (

@@ -23,7 +23,6 @@ from calib.report.html import (
     variance_share,
     verified,
 )
-from calib.report.html.look import scalar_json
 from calib.report.html.page import Section, Viewer
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
@@ -77,7 +76,7 @@ def page(results: StudyResults) -> str:
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["data"] = _data
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     environment.filters["svg"] = lambda picture: Markup(results.figures.svg(picture.name))
     environment.filters["file"] = lambda table: _address(results.folder / f"{table}.csv")
     environment.globals["number"] = count(1).__next__
@@ -91,11 +90,6 @@ def page(results: StudyResults) -> str:
         style=Markup(_file("report.css")),
         scripts=[Markup(_file(name)) for name in scripts],
     )
-
-
-def _data(block: Viewer) -> Markup:
-    """A scene as JSON for the script; nothing in it can end the script element."""
-    return Markup(scalar_json(block.scene))
 
 
 def _address(path: Path) -> str:

@@ -1,48 +1,76 @@
-"""Three-dimensional figures: their data are those of the tables."""
+"""The viewer's data are those of the tables, and its view holds them."""
+
+import base64
+import json
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.html.space import directions, new_space, scene, scene_layout
+from calib.report.html.space import framed, packed, scene
 from calib.report.html.study_results import StudyResults
 from calib.report.scene import plot_coordinates, view_directions
+from calib.report.where import noise_limit, sensor_rms
 
 PLACE, MOTION = ["x", "y", "z"], ["u", "v", "w"]
 
 
+def unpacked(pack):
+    """Points (n, 3) as the page reads them."""
+    counts = np.frombuffer(base64.b64decode(pack["numbers"]), dtype="<i2")
+    return (counts * pack["step"]).reshape(-1, 3)
+
+
+def layer(results, name):
+    return next(layer for layer in scene(results)["layers"] if layer["name"] == name)
+
+
+def by_name(layer):
+    """Points of a layer's dots, by the first word of their names."""
+    return dict(
+        zip([name.split(":")[0].split(",")[0] for name in layer["names"]], unpacked(layer["points"]), strict=True)
+    )
+
+
+# -- mode shapes -------------------------------------------------------------------------------------------------------
+
+
 def test_points_and_lines_reproduce_every_deflected_line(everything, results):
-    stages = scene(results)["stages"]
-    assert [s["name"] for s in stages] == ["before calibration", "after calibration"]
+    data = scene(results)
+    assert [s["name"] for s in data["stages"]] == ["before calibration", "after calibration"]
     points = pd.read_csv(everything / "mesh_points.csv").set_index("point")
     elements = pd.read_csv(everything / "mesh_elements.csv")
-    assert elements["c"].isna().all()  # a mast has no shells
+    assert elements["c"].isna().all() and data["faces"] == []  # a mast has no shells
     ends = elements[["a", "b"]].to_numpy(dtype=int)
-    for stage, name in zip(stages, ("before", "after"), strict=True):
+    lines = np.array(data["lines"]).reshape(-1, 2)
+    np.testing.assert_allclose(unpacked(data["points"])[lines], points[PLACE].to_numpy()[ends], atol=1e-3)
+    for stage, name in zip(data["stages"], ("before", "after"), strict=True):
         table = pd.read_csv(everything / f"deflection_{name}.csv")
-        lines = np.array(stage["lines"])
-        rest = plot_coordinates(points[PLACE].to_numpy()[ends])
-        np.testing.assert_allclose(np.array(stage["points"])[lines], rest, atol=6e-6)
         assert stage["modes"]
         for mode in stage["modes"]:
-            own = table[table["mode"] == mode["name"]].set_index("point")[MOTION].reindex(points.index)
-            np.testing.assert_allclose(
-                np.array(mode["motion"])[lines], plot_coordinates(own.to_numpy()[ends]), atol=6e-6
-            )
+            own = table[table["mode"] == mode["name"]].set_index("point")[MOTION].reindex(points.index).to_numpy()
+            moved = unpacked(mode["motion"])[lines]
+            np.testing.assert_allclose(moved, own[ends], atol=np.abs(own).max() / 60000)
 
 
 def test_measured_motions_are_those_at_the_sensors(everything, results):
-    shapes = pd.read_csv(everything / "shapes_after.csv")
-    for mode in scene(results)["stages"][-1]["modes"]:
+    data, shapes = scene(results), pd.read_csv(everything / "shapes_after.csv")
+    sites = unpacked(data["sites"]["points"])
+    for mode in data["stages"][-1]["modes"]:
         own = shapes[shapes["mode"] == mode["name"]]
-        found = {tuple(p): m for p, m in zip(mode["places"], mode["measured"], strict=True)}
+        measured = unpacked(mode["measured"])
+        assert len(mode["at"]) == len(measured)
+        found = {}
+        for site, motion in zip(mode["at"], measured, strict=True):
+            for sensor in data["sites"]["words"][site].split(", "):
+                found[sensor] = sites[site], motion
         for row in own.to_dict("records"):
-            place = tuple(np.round(plot_coordinates(np.array([row["x"], row["y"], row["z"]])), 5))
-            axis = {"x": (0, 1.0), "z": (1, -1.0)}[row["direction"]]
-            assert axis[1] * found[place][axis[0]] == pytest.approx(row["measured_re"], abs=1e-5)
+            place, motion = found[row["sensor"]]
+            np.testing.assert_allclose(place, [row[axis] for axis in PLACE], atol=1e-3)
+            assert motion[PLACE.index(row["direction"])] == pytest.approx(row["measured_re"], abs=1e-4)
 
 
-def test_shells_are_two_triangles_each_and_an_unpaired_mode_is_at_rest(folder):
+def test_faces_keep_their_corners_and_an_unpaired_mode_has_no_motion(folder):
     pd.DataFrame(
         [(0, 0, 0, 0), (1, 1, 0, 0), (2, 1, 1, 0), (3, 0, 1, 0), (4, 5, 5, 5)], columns=["point", *PLACE]
     ).to_csv(folder / "mesh_points.csv", index=False)
@@ -50,38 +78,135 @@ def test_shells_are_two_triangles_each_and_an_unpaired_mode_is_at_rest(folder):
     moves = pd.DataFrame([("B1x", k, 0.1 * k, 0, 0) for k in range(5)], columns=["mode", "point", *MOTION])
     for stage in ("before", "after"):
         moves.to_csv(folder / f"deflection_{stage}.csv", index=False)
-    stage = scene(StudyResults(folder, "", False))["stages"][0]
-    assert len(stage["points"]) == 4  # the last one belongs to no element
-    triangles = np.array(stage["triangles"]).T
-    assert sorted(map(sorted, triangles.tolist())) == [[0, 1, 2], [0, 2, 3]]
-    assert len(stage["lines"]) == 4  # the borders
-    first, *others = stage["modes"]
-    assert first["name"] == "B1x" and first["paired"]
-    np.testing.assert_allclose(np.array(first["motion"])[:, 0], [0.0, 0.1, 0.2, 0.3])
-    assert others and not any(m["paired"] for m in others) and not np.any(others[0]["motion"])
+    data = scene(StudyResults(folder, "", False))
+    assert len(unpacked(data["points"])) == 4  # the last one belongs to no element
+    assert data["faces"] == [0, 1, 2, 3] and len(data["lines"]) == 8 and data["lone"] == []  # and the borders
+    first, *others = data["stages"][0]["modes"]
+    assert first["name"] == "B1x"
+    np.testing.assert_allclose(unpacked(first["motion"])[:, 0], [0.0, 0.1, 0.2, 0.3], atol=1e-5)
+    assert others and all(mode["motion"] is None for mode in others)
 
 
-def test_without_measured_shapes_there_is_no_viewer(folder):
-    for stage in ("before", "after"):
-        (folder / f"shapes_{stage}.csv").unlink()
+def test_a_mesh_without_elements_is_shown_as_points(folder):
+    pd.DataFrame(columns=["group", *"abcd"]).to_csv(folder / "mesh_elements.csv", index=False)
+    data = scene(StudyResults(folder, "", False))
+    assert data["lone"] == list(range(len(pd.read_csv(folder / "mesh_points.csv")))) and data["lines"] == []
+
+
+# -- layers of dots ----------------------------------------------------------------------------------------------------
+
+
+def test_every_sensor_stands_at_its_place_along_its_direction(everything, results):
+    sensors, shown = pd.read_csv(everything / "sensors.csv"), layer(results, "sensors")
+    dots, feet = unpacked(shown["points"]), unpacked(shown["feet"])
+    rows = {name.split(",")[0]: k for k, name in enumerate(shown["names"])}
+    assert rows.keys() == {*sensors["sensor"]}
+    held = {name: colour for name, colour in zip(shown["names"], shown["colours"], strict=True) if "held out" in name}
+    assert {name.split(",")[0] for name in held} == {*sensors.loc[sensors["held_out"], "sensor"]}
+    assert len({*held.values()}) == 1 and len({*shown["colours"]}) == 2
+    for row in sensors.to_dict("records"):
+        k = rows[row["sensor"]]
+        np.testing.assert_allclose(feet[k], [row[axis] for axis in PLACE], atol=1e-3)
+        assert int(np.argmax(dots[k] - feet[k])) == PLACE.index(row["direction"])
+
+
+def test_misfits_have_the_size_and_the_place_of_their_rms(everything, results):
+    table, shown = pd.read_csv(everything / "sensor_misfit.csv"), layer(results, "misfit")
+    found = sensor_rms(table[table["stage"] == "base"]).set_index("sensor")
+    dots, feet = unpacked(shown["points"]), unpacked(shown["feet"])
+    names = [name.split(":")[0] for name in shown["names"]]
+    assert names == list(found.index)  # worst first
+    np.testing.assert_allclose(feet, found[PLACE], atol=1e-3)
+    rms = found["rms"].to_numpy()
+    lengths = np.linalg.norm(dots - feet, axis=1)
+    np.testing.assert_allclose(lengths / lengths[0], rms / rms[0], atol=2e-3)
+    span = np.array(shown["sizes"]) - 6.0
+    np.testing.assert_allclose(span / span[0], rms / rms[0], atol=0.02)
+
+
+def test_scores_beyond_the_limit_have_the_colour_of_their_key(everything, results):
+    table, shown = pd.read_csv(everything / "perturbations.csv"), layer(results, "perturbations")
+    placed = table.dropna(subset=[*PLACE, "score"])
+    limit = noise_limit(table["score"])
+    beyond = {*placed.loc[placed["score"].abs() > limit, "perturbation"]}
+    assert 0 < len(beyond) < len(placed)
+    colour = shown["key"][0]["colour"]
+    coloured = {n.split(": z ")[0] for n, c in zip(shown["names"], shown["colours"], strict=True) if c == colour}
+    assert coloured == beyond and len(shown["names"]) == len(placed)
+    at = dict(zip([n.split(": z ")[0] for n in shown["names"]], unpacked(shown["points"]), strict=True))
+    for row in placed.to_dict("records"):
+        np.testing.assert_allclose(at[row["perturbation"]], [row[axis] for axis in PLACE], atol=1e-3)
+
+
+def test_noise_alone_exceeds_the_limit_as_often_as_stated():
+    scores = np.random.default_rng(1).standard_normal((20000, 40))
+    exceeded = (np.abs(scores).max(axis=1) > noise_limit(pd.Series(scores[0]))).mean()
+    assert exceeded == pytest.approx(0.01, abs=0.0025)
+    known = pd.Series([*scores[0], np.nan])
+    assert noise_limit(known) == noise_limit(known.dropna()) < noise_limit(pd.Series(scores[:2].ravel()))
+
+
+@pytest.mark.parametrize(
+    ("gone", "left"),
+    [
+        (["shapes_before", "shapes_after"], ["sensors", "misfit", "perturbations"]),
+        (["sensors"], ["misfit", "perturbations"]),
+        (["sensor_misfit", "perturbations"], ["sensors"]),
+    ],
+)
+def test_only_what_has_data_is_offered(folder, gone, left):
+    for name in gone:
+        (folder / f"{name}.csv").unlink()
+    data = scene(StudyResults(folder, "", False))
+    assert [layer["name"] for layer in data["layers"]] == left
+    assert bool(data["stages"]) == ("shapes_before" not in gone)
+
+
+def test_without_a_mesh_dots_are_shown_alone(folder):
+    (folder / "mesh_points.csv").unlink()
+    data = scene(StudyResults(folder, "", False))
+    assert data["stages"] == [] and len(unpacked(data["points"])) == 0
+    assert len(by_name(data["layers"][0])) == len(pd.read_csv(folder / "sensors.csv"))
+
+
+def test_without_any_data_there_is_no_viewer(folder):
+    for name in ("shapes_before", "shapes_after", "sensors", "sensor_misfit", "perturbations"):
+        (folder / f"{name}.csv").unlink()
     assert scene(StudyResults(folder, "", False)) is None
 
 
+# -- the view ----------------------------------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("size", [(4.0, 2.0, 0.5), (0.0, 0.0, 6.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
-def test_the_view_keeps_equal_scales_and_holds_all_points(size):
+def test_the_view_holds_all_points_and_is_that_of_the_figures(size):
     points = np.array([[0.0, 0.0, 0.0], size]) + np.array([3.0, -1.0, 2.0])
-    look = scene_layout(points)
-    spans = [look[f"{axis}axis"]["range"] for axis in "xyz"]
-    ratio = [look["aspectratio"][axis] for axis in "xyz"]
-    scales = np.array(ratio) / np.ptp(spans, axis=1)
-    assert np.all(np.isfinite(scales)) and np.ptp(scales) < 1e-9 * scales[0]
-    assert all(a <= p + 1e-9 and p <= b + 1e-9 for (a, b), p in zip(spans * 2, points.ravel(), strict=True))
-    eye = np.array([look["camera"]["eye"][axis] for axis in "xyz"])
-    np.testing.assert_allclose(view_directions() @ eye, 0.0, atol=1e-12)
-    assert eye[2] > 0  # from above
+    view = framed(points)
+    eye, centre = np.array(view["eye"]), np.array(view["centre"])
+    np.testing.assert_allclose(view_directions() @ plot_coordinates(eye), 0.0, atol=1e-12)
+    assert eye[1] > 0 and np.linalg.norm(eye) == pytest.approx(1.0)  # from above
+    seen = plot_coordinates(points - centre) @ view_directions().T
+    assert np.all(np.abs(seen) <= np.array(view["size"]) / 2 + 1e-12)
+    assert np.all(np.linalg.norm(points - centre, axis=1) <= view["radius"] + 1e-12)
+    assert min(view["size"]) > 0 and view["radius"] > 0
 
 
-def test_directions_stand_along_the_axes():
-    corner, *tips = directions(np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0]]))
-    np.testing.assert_allclose(np.array(tips) - corner, 0.5 * np.eye(3))
-    assert new_space(None, np.zeros((1, 3))).data  # a single point has directions too
+def test_turned_about_the_vertical_everything_stays_in_the_width_of_the_view():
+    points = np.random.default_rng(2).uniform(-1.0, 1.0, (30, 3)) * [9.0, 1.0, 2.0] + [5.0, 0.0, -3.0]
+    view = framed(points)
+    for angle in np.linspace(0.0, np.pi, 7):
+        across = (points - view["centre"]) @ [np.cos(angle), 0.0, np.sin(angle)]
+        assert np.abs(across).max() <= view["size"][0] / 2 + 1e-12
+
+
+def test_packed_numbers_lose_less_than_a_step():
+    values = np.random.default_rng(3).normal(size=(50, 3)) * [1e-4, 1.0, 30.0]
+    pack = packed(values)
+    assert np.abs(unpacked(pack) - values).max() <= 0.5 * pack["step"] <= np.abs(values).max() / 65000
+    assert (
+        unpacked(packed(np.zeros((2, 3)))).tolist() == [[0.0] * 3] * 2 and len(unpacked(packed(np.zeros((0, 3))))) == 0
+    )
+
+
+def test_all_data_can_be_written_as_json(results):
+    json.dumps(scene(results), allow_nan=False)

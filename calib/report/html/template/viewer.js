@@ -343,7 +343,7 @@ class Stage {
     at.project(this.camera);
     const [x, y] = [(1 + at.x) / 2 * this.size[0], (1 - at.y) / 2 * this.size[1]];
     this.tip.style.left = `${Math.min(x + 12, this.size[0] - this.tip.offsetWidth)}px`;
-    this.tip.style.top = `${Math.max(y - 32, 0)}px`;
+    this.tip.style.top = `${Math.max(Math.min(y - 32, this.size[1] - this.tip.offsetHeight), 0)}px`;
   }
 
   ask() {
@@ -361,7 +361,6 @@ class Stage {
     renderer.render(scene, camera);
     this.corner.draw(renderer, camera);
     this.follow();
-    this.place.dataset.draws = Number(this.place.dataset.draws || 0) + 1;
     if (this.drawn) this.drawn();
   }
 }
