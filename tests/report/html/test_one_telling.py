@@ -11,7 +11,7 @@ from calib.inference.verdicts import identified_sentence
 from calib.report.calibration import draw_searches
 from calib.report.comparison import draw_frequency_error
 from calib.report.frequencies import draw_frequencies
-from calib.report.html.page import Picture, Shapes
+from calib.report.html.page import Picture, Viewer
 from calib.report.html.summary import summary
 from calib.report.numbers import fixed, percent
 from calib.report.parameters import draw_parameters
@@ -68,7 +68,7 @@ def test_the_mean_error_has_one_value_and_one_rounding(everything, results):
 
 
 def test_the_viewer_opens_with_the_stage_of_its_section(everything, blocks):
-    shapes = blocks(everything, Shapes)["mode-shapes"]
+    shapes = blocks(everything, Viewer)["viewer"]
     assert [stage["name"] for stage in shapes.scene["stages"]] == ["before calibration", "after calibration"]
     assert "before calibration" in shapes.alt
 

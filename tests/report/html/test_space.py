@@ -25,13 +25,6 @@ def layer(results, name):
     return next(layer for layer in scene(results)["layers"] if layer["name"] == name)
 
 
-def by_name(layer):
-    """Points of a layer's dots, by the first word of their names."""
-    return dict(
-        zip([name.split(":")[0].split(",")[0] for name in layer["names"]], unpacked(layer["points"]), strict=True)
-    )
-
-
 # -- mode shapes -------------------------------------------------------------------------------------------------------
 
 
@@ -166,7 +159,7 @@ def test_without_a_mesh_dots_are_shown_alone(folder):
     (folder / "mesh_points.csv").unlink()
     data = scene(StudyResults(folder, "", False))
     assert data["stages"] == [] and len(unpacked(data["points"])) == 0
-    assert len(by_name(data["layers"][0])) == len(pd.read_csv(folder / "sensors.csv"))
+    assert len(data["layers"][0]["names"]) == len(pd.read_csv(folder / "sensors.csv"))
 
 
 def test_without_any_data_there_is_no_viewer(folder):

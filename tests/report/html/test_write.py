@@ -9,7 +9,7 @@ import pytest
 
 from calib.errors import InputError
 from calib.report.html import write
-from calib.report.html.page import LONGEST, Picture, Shapes, Table
+from calib.report.html.page import LONGEST, Picture, Table, Viewer
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import page, sections, write_report
 
@@ -138,20 +138,25 @@ def test_nothing_is_loaded_from_anywhere(text, read):
     style = "".join(read.styles)
     assert "@import" not in style and "url(" not in style
     own = [content for kind, content in read.scripts if kind != "application/json"]
-    assert len(own) == 1 and not re.search(r"https?:|import\s*\(|fetch\(", "".join(own[0]))
+    assert len(own) == 3
+    for content in own:
+        code = "".join(content).replace("http://www.w3.org/1999/xhtml", "")  # the name of a namespace
+        assert not re.search(r"https?:|import\s*\(|fetch\(|eval\(|new (Function|Worker)\b", code)
+    assert "three.js authors" in "".join(own[1])  # its licence wants the notice
     policy = next(a["content"] for a in read.named("meta") if a.get("http-equiv") == "Content-Security-Policy")
     assert "default-src 'none'" in policy and "http" not in policy and "form-action 'none'" in policy
 
 
 def test_every_figure_has_a_text_alternative_and_a_caption(everything, read, blocks):
-    figures = blocks(everything, (Picture, Shapes))
+    figures = blocks(everything, (Picture, Viewer))
     assert len(read.named("figure")) == len(figures) == len(read.named("figcaption")) > 12
     drawings = [a for a in read.named("div") if a.get("class") == "drawing"]
     assert len(drawings) == len(figures)
     for name, figure in figures.items():
         assert len(figure.alt) > 20 and figure.caption.endswith("."), name
         assert "nan" not in figure.alt and "None" not in figure.alt, name
-        assert {"role": "img", "aria-label": figure.alt, "class": "drawing"} in drawings
+        more = {"tabindex": "0"} if isinstance(figure, Viewer) else {}
+        assert {"role": "img", "aria-label": figure.alt, "class": "drawing", **more} in drawings
 
 
 def test_every_table_has_a_caption_heads_and_as_many_cells(everything, scalar, blocks):
