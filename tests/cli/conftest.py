@@ -34,6 +34,7 @@ def asked(without_pixels: Callable[[Any, Path], Path]) -> Callable[..., str]:
             pytest.MonkeyPatch.context() as patch,
         ):
             patch.setattr("calib.report.figures.save", without_pixels)
+            patch.setattr("calib.report.figures.svg_text", lambda figure, name: f"<svg><!-- {name} --></svg>")
             assert cli.execute(list(arguments)) == 0
         return said.getvalue()
 

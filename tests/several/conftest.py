@@ -138,7 +138,7 @@ def run(tmp_path_factory):
         )
         patch.setattr(
             "calib.front.study.write_report",
-            lambda results: reported.append(results.folder.name) or results.folder / "report.html",
+            lambda results: reported.append(results.folder.folder.name) or results.folder / "report.html",
         )
         assert cli.execute(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
     return study, root / "results", drawn, reported
