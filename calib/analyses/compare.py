@@ -10,9 +10,10 @@ import pandas as pd
 
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.recorded import traced
+from calib.analyses.state import GEOMETRY
 from calib.analyses.uncertainty import std_notes
 from calib.correlation.compare import FAR_ERROR, Comparison
-from calib.correlation.mesh import elements_table, points_table
+from calib.correlation.mesh import geometry_tables
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.correlation.sensors import suspicious_sensors
@@ -121,7 +122,7 @@ def comparison_at(study: Study, values: Mapping[str, float]) -> ComparisonResult
 def _undrawn(study: Study) -> tuple[str, ...]:
     """A note where no node or sensor has a location, so that modes cannot be drawn."""
     problem = study.problem
-    if isinstance(problem, FunctionProblem) or len(points_table(problem.model.mesh)):
+    if isinstance(problem, FunctionProblem) or geometry_tables(problem.model):
         return ()
     return ("No location of the model's nodes or sensors is known: its modes are not drawn.",)
 
@@ -235,12 +236,11 @@ def write_comparison(results: Results, answer: ComparisonResult, stage: str) -> 
 
 def write_model_modes(results: Results, comparison: Comparison, stage: str) -> None:
     """Write the mesh, and frequencies, damping and deflections of the paired model modes, from which they are drawn."""
-    points = points_table(comparison.model.mesh)
-    if points.empty:  # nowhere to draw anything
-        results.remove("mesh_points.csv", "mesh_elements.csv")
-    else:
-        results.write_table("mesh_points", points)
-        results.write_table("mesh_elements", elements_table(comparison.model.mesh))
+    tables = geometry_tables(comparison.model)
+    if not tables:  # nowhere to draw anything
+        results.remove(*GEOMETRY)
+    for name, table in tables.items():
+        results.write_table(name, table)
     names = {f"{name}_model": name for name in ("natural_freq", "damped_freq", "damping_ratio")}
     modes = comparison.comparison_table().iloc[comparison.pairing.paired][["mode", *names]]
     results.write_table(f"model_modes_{stage}", modes.rename(columns=names))

@@ -13,7 +13,7 @@ from calib.analyses.experimental_design import modal_design
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.one_test import OneTest
 from calib.analyses.verify import modal_errors
-from calib.correlation.mesh import elements_table, points_table
+from calib.correlation.mesh import geometry_tables
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.rigid import COLUMNS as UNPAIRED_COLUMNS
@@ -120,14 +120,12 @@ class ModalAdapter(OneTest):
 
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """``sensor_misfit``: whitened residuals of shapes by sensor; ``unpaired``: modes without partner; the mesh."""
-        mesh = self.problem.model.mesh
-        points = points_table(mesh)
         return {
             "sensor_misfit": self._sensors(stages),
             "unpaired": pd.concat([self._unpaired(t).assign(stage=s) for s, t in stages.items()])[
                 ["stage", *UNPAIRED_COLUMNS]
             ],
-            **({"mesh_points": points, "mesh_elements": elements_table(mesh)} if len(points) else {}),
+            **geometry_tables(self.problem.model),
         }  # fmt: skip
 
     def _unpaired(self, candidate_fit: CandidateFit) -> pd.DataFrame:

@@ -30,7 +30,8 @@ def _of_stages(*stages: str) -> tuple[str, ...]:
     return tuple(f"{kind}_{stage}.csv" for kind in kinds for stage in stages)
 
 
-_MESH = ("mesh_points.csv", "mesh_elements.csv")
+GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
+"""Files of `calib.correlation.mesh.geometry_tables`."""
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv")
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
@@ -41,16 +42,16 @@ _EXPLAINED = ("effects", "why", "why_places", "accuracy", "explained_fits", "sus
               "confounding", "pulls", "candidate_fits", "misfit_kinds", "sensor_misfit", "response_misfit", "unpaired",
               "errors", "next_measurement", "discretisation", "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {
-    "compare": (*RECORDED, *_MESH, *_of_stages("before"), "sensor_check.csv"),
+    "compare": (*RECORDED, *GEOMETRY, *_of_stages("before"), "sensor_check.csv"),
     "sensitivity": (*RECORDED, *(f"{name}.csv" for name in _MEASURES)),
     "sensitivity --method morris": (*RECORDED, "morris.csv"),
     "sensitivity --method sobol": (*RECORDED, "sobol.csv"),
     "calibrate": (
-        *RECORDED, *_MESH, *_of_stages("after"), *(f"{kind}_{stage}.csv" for kind in ("model_modes", "deflection")
+        *RECORDED, *GEOMETRY, *_of_stages("after"), *(f"{kind}_{stage}.csv" for kind in ("model_modes", "deflection")
         for stage in ("initial", "before")), *(f"{name}.csv" for name in _CALIBRATED), "summary.json",
     ),
     "explain": (
-        *RECORDED, *_MESH, *(f"{name}.csv" for name in _EXPLAINED), "explanation.json", "added.json",
+        *RECORDED, *GEOMETRY, *(f"{name}.csv" for name in _EXPLAINED), "explanation.json", "added.json",
     ),
     "extend": (*RECORDED, *ADDED),
 }  # fmt: skip

@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pandas as pd
 
 from calib.structure.geometry import Mesh
+from calib.structure.modal_model import ModalModel
+from calib.structure.places import ModelPlace
+
+
+def geometry_tables(model: ModalModel) -> dict[str, pd.DataFrame]:
+    """Return ``mesh_points``, ``mesh_elements`` and ``model_places`` of a model; none without coordinates."""
+    points = points_table(model.mesh)
+    if points.empty:
+        return {}
+    return {
+        "mesh_points": points,
+        "mesh_elements": elements_table(model.mesh),
+        "model_places": places_table(model.places),
+    }
 
 
 def points_table(mesh: Mesh) -> pd.DataFrame:
@@ -33,3 +49,9 @@ def elements_table(mesh: Mesh) -> pd.DataFrame:
 def _placed(mesh: Mesh) -> np.ndarray:
     """Which points have coordinates, (n_nodes,), bool."""
     return np.isfinite(mesh.points).all(axis=1)
+
+
+def places_table(places: Iterable[ModelPlace]) -> pd.DataFrame:
+    """Return pieces of a model that have coordinates: ``name, form, kind``, ``parameters`` (with spaces between), m."""
+    rows = [(p.name, p.form, p.kind, " ".join(p.parameters), *p.place) for p in places if np.isfinite(p.place).all()]
+    return pd.DataFrame(rows, columns=["name", "form", "kind", "parameters", "x", "y", "z"])

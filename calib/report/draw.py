@@ -24,7 +24,9 @@ from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
 from calib.report.parameters import draw_parameters
+from calib.report.places import places_figure
 from calib.report.responses import draw_response_misfit, draw_responses
+from calib.report.scene import PLACE
 from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.shown import Folder
@@ -187,6 +189,16 @@ def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: C
     sensors = None if placed is None else placed[placed["mode"] == placed["mode"].iloc[0]]
     if sensors is not None or face_groups(mesh):  # a mesh of lines alone is drawn with its modes
         add("model", "the model", lambda: model_figure(mesh, sensors), "mesh_points", "mesh_elements")
+    path = folder / "model_places.csv"
+    if path.exists():
+        marks = read_table(
+            path, ["name", "form"], PLACE, complete=PLACE, blank=["kind", "parameters"], may_be_empty=True
+        )
+        if len(marks):
+            add(
+                "model_places", "springs, masses and supports of the model, and its parameters",
+                lambda: places_figure(mesh, marks), "model_places",
+            )  # fmt: skip
     for stage, words in _OF_MODEL.items():
         moved, listed = folder / f"deflection_{stage}.csv", folder / f"model_modes_{stage}.csv"
         if not moved.exists() or not listed.exists():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import cast
 
 import numpy as np
@@ -145,7 +145,7 @@ def frame_panel(ax: Axes3D, points: np.ndarray, title: str) -> None:
     ax.text2D(0.5, 1.0, title, transform=ax.transAxes, ha="center", va="top", fontsize=8.5)
 
 
-def number_points(ax: Axes3D, points: np.ndarray, numbers: dict[int, int]) -> None:
+def number_points(ax: Axes3D, points: np.ndarray, numbers: Mapping[int, int | str]) -> None:
     """Number some of the points, each on the side with most room inside the panel.
 
     Parameters
@@ -154,8 +154,8 @@ def number_points(ax: Axes3D, points: np.ndarray, numbers: dict[int, int]) -> No
         Already framed.
     points : ndarray (n, 3)
         Points that a number must not cover, metres.
-    numbers : dict from int to int
-        Row of `points`, and the number to write beside it.
+    numbers : mapping from int to int or str
+        Row of `points`, and what to write beside it.
     """
     if not numbers:
         return

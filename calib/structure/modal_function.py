@@ -23,6 +23,7 @@ from calib.structure.modal_result import modes_of, numbers_of
 from calib.structure.mode_tracking import followed_derivatives
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
+from calib.structure.places import ModelPlace
 
 REMEMBERED = 1000
 """Points whose modes are cached."""
@@ -240,6 +241,11 @@ class ModalFunctionModel:
     def _nodes(self) -> dict[int, int]:
         """Index in the mesh of every node with a sensor."""
         return {node: k for k, node in enumerate(dict.fromkeys(s.node for s in self.sensors))}
+
+    @property
+    def places(self) -> tuple[ModelPlace, ...]:
+        """None: what a function does inside is not known."""
+        return ()
 
     @property
     def mesh(self) -> Mesh:

@@ -13,6 +13,7 @@ from calib.structure.derivatives import ModeDerivatives
 from calib.structure.geometry import Mesh
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
+from calib.structure.places import ModelPlace
 
 
 class ModalModel(Protocol):
@@ -46,6 +47,11 @@ class ModalModel(Protocol):
     @property
     def mesh(self) -> Mesh:
         """Nodes, lines and faces, for figures."""
+        ...
+
+    @property
+    def places(self) -> tuple[ModelPlace, ...]:
+        """Where springs, dampers, masses, supports and what parameters scale are, for figures."""
         ...
 
     @property

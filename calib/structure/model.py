@@ -20,6 +20,7 @@ from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
 from calib.structure.matrices import DofTable, Terms, affine, pairs, require_mass, require_used
 from calib.structure.modes import Modes
+from calib.structure.places import ModelPlace, model_places
 from calib.structure.solve import solve_modes
 
 
@@ -205,6 +206,11 @@ class StructuralModel(Analytic):
     def dissipates(self) -> bool:
         """Whether its modes are damped at the nominal or other parameter values."""
         return self.is_damped and super().dissipates
+
+    @property
+    def places(self) -> tuple[ModelPlace, ...]:
+        """Where its springs, dampers, masses, supports and parameters are; see `model_places`."""
+        return model_places(self)
 
     @property
     def fingerprint(self) -> str:

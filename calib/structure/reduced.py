@@ -25,6 +25,7 @@ from calib.structure.geometry import Mesh
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes
+from calib.structure.places import ModelPlace
 from calib.structure.reduced_energy import ClusterEnergy
 from calib.structure.reduced_matrix import ReducedMatrix, ReducedSlope, reduce_matrix
 from calib.structure.solve_dense import solve_dense
@@ -107,6 +108,11 @@ class ReducedModel(Analytic):
     def mesh(self) -> Mesh:
         """Mesh of the full model."""
         return self.model.mesh
+
+    @property
+    def places(self) -> tuple[ModelPlace, ...]:
+        """Places of the full model."""
+        return self.model.places
 
     @property
     def assumptions(self) -> tuple[Assumption, ...]:

@@ -1,0 +1,128 @@
+"""Where the springs, dampers, masses and supports of a model are, and which parameter each one is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from calib.structure.affine import AffineMatrix
+
+if TYPE_CHECKING:
+    from calib.structure.model import StructuralModel
+
+Form = Literal["spring", "damper", "mass", "support", "part"]
+
+_KINDS = ("stiffness", "damping", "mass")
+_FEW = 24
+"""Most degrees of freedom that a spring, a damper or a lumped mass takes part in."""
+_RANK = 3
+"""Largest rank of a spring's or a damper's matrix: one direction, two or three; a beam element has six."""
+_LITTLE = 1e-9
+"""Eigenvalue of a spring's matrix, over its largest, below which it is zero."""
+
+
+@dataclass(frozen=True)
+class ModelPlace:
+    """A piece of a model at one place.
+
+    Attributes
+    ----------
+    name : str
+        As in the model, such as ``upper rod front left``.
+    form : {"spring", "damper", "mass", "support", "part"}
+        A mass is lumped; a support holds all translations; a part is anything larger, such as a beam or a wall.
+    kind : {"stiffness", "damping", "mass", ""}
+        Matrix that it contributes to; empty for a support.
+    parameters : tuple of str
+        Parameters that scale or move it; none for what is fixed.
+    place : (3,) float
+        Its midpoint, m.
+    """
+
+    name: str
+    form: Form
+    kind: str
+    parameters: tuple[str, ...]
+    place: tuple[float, float, float]
+
+
+def model_places(model: StructuralModel) -> tuple[ModelPlace, ...]:
+    """Pieces of a model: all that parameters scale or move, and springs, dampers, lumped masses and supports.
+
+    Named parts (`StructuralModel.parts`) count first. A parameter without one is placed by the terms that it scales,
+    once for each connected group of their nodes. Nodes without coordinates have no place.
+    """
+    found = [
+        ModelPlace(p.name, _form(model, p.kind, p.matrix), p.kind, _scaling(model, p.coefficient.names), p.place)
+        for p in model.parts
+    ]
+    found = [place for place in found if place.parameters or place.form != "part"]
+    placed = {(name, place.kind) for place in found for name in place.parameters}
+    for kind in _KINDS:
+        for name, parameters, matrix in _terms(model, getattr(model, kind)):
+            if any((parameter, kind) not in placed for parameter in parameters):
+                nodes = model.dofs.node[np.unique(matrix.indices)]
+                form = _form(model, kind, matrix)
+                found += [ModelPlace(name, form, kind, parameters, at) for at in _middles(model, nodes, matrix)]
+    held = np.diff(model.dofs.expansion.indptr).reshape(-1, 6)[:, :3].max(axis=1) == 0
+    return (*found, *(ModelPlace("support", "support", "", (), at) for at in _middles(model, np.flatnonzero(held))))
+
+
+def _scaling(model: StructuralModel, names: frozenset[str]) -> tuple[str, ...]:
+    """Those of the names that are parameters, in the order of the space."""
+    return tuple(name for name in model.space.names if name in names)
+
+
+def _terms(model: StructuralModel, matrix: AffineMatrix) -> Iterator[tuple[str, tuple[str, ...], sp.csr_array]]:
+    """Name, parameters and matrix of each term; one that discrete parameters select, at their nominal values."""
+    for term in matrix.terms:
+        yield term.name, _scaling(model, term.coefficient.names), sp.csr_array(term.matrix)
+    values = model.space.si(model.space.values)
+    for chosen in matrix.selected:
+        b = sp.csr_array(chosen.vectors[chosen.choice(values)][None])
+        names = chosen.coefficient.names | set(chosen.selectors)
+        yield chosen.name, _scaling(model, frozenset(names)), sp.csr_array(b.T @ b)
+
+
+def _form(model: StructuralModel, kind: str, matrix: sp.csr_array) -> Form:
+    """What a piece of K, C or M looks like in a drawing."""
+    used = np.unique(sp.csr_array(matrix).indices)
+    if not 0 < len(used) <= _FEW:
+        return "part"
+    dense = matrix[used][:, used].toarray()
+    if kind == "mass":
+        return "mass" if len(np.unique(model.dofs.node[used])) <= 2 else "part"
+    values = np.abs(np.linalg.eigvalsh(dense))
+    if np.sum(values > _LITTLE * values.max()) > _RANK:
+        return "part"
+    return "damper" if kind == "damping" else "spring"
+
+
+def _middles(
+    model: StructuralModel, nodes: np.ndarray, matrix: sp.csr_array | None = None
+) -> list[tuple[float, float, float]]:
+    """Middle of each group of nodes that lines of the mesh, edges of faces or a matrix connect, in metres."""
+    count = len(model.mesh.points)
+    chosen = np.zeros(count, dtype=bool)
+    chosen[nodes[nodes >= 0]] = True
+    pairs = [np.reshape(model.mesh.lines, (-1, 2))]
+    if matrix is not None:
+        coo = sp.coo_array(matrix)
+        pairs.append(np.column_stack([model.dofs.node[coo.row], model.dofs.node[coo.col]]))
+    both = np.concatenate(pairs)
+    both = both[(both >= 0).all(axis=1)]
+    both = both[chosen[both].all(axis=1)]
+    joined = sp.coo_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
+    group = connected_components(joined, directed=False)[1]
+    middles: list[tuple[float, float, float]] = []
+    for k in dict.fromkeys(group[chosen].tolist()):
+        points = model.mesh.points[chosen & (group == k)]
+        if np.isfinite(points).all():
+            x, y, z = ((points.min(axis=0) + points.max(axis=0)) / 2).tolist()
+            middles.append((x, y, z))
+    return middles
