@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Rectangle
 
 from calib.report.numbers import fixed, significant
 from calib.report.style import (
@@ -73,7 +73,8 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     Returns
     -------
     Axes
-        One horizontal bar per effect, the strongest evidence first, with its value; thin lines span the prior widths.
+        One dot per effect, the strongest evidence first, with its value, and a cross where the refitted model is
+        implausible; thin lines span the prior widths.
         The dashed line is the threshold of the ln Bayes factor for one of n effects, ln n + 3; values below it stand at
         its right. Linear to 10 and logarithmic beyond where an absolute value exceeds 60. Labels of effects that are
         not visible are grey.
@@ -88,25 +89,19 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     spans = rows[["ln_bayes_third", "ln_bayes", "ln_bayes_triple"]].to_numpy(dtype=float)
     ax.axvline(0.0, color=BLACK, linewidth=0.8)
     for row, (value, look, odd, span, visible) in enumerate(zip(values, looks, odd_ones, spans, seen, strict=True)):
-        (bar,) = ax.barh(
-            row,
-            value,
-            0.68,
-            gid=look,
-            hatch="//////" if odd else None,
-            **{**_LOOKS[look], **({"edgecolor": "white"} if odd else {})},
-        )
-        hover(bar, f"{rows['name'][row]}: ln Bayes {fixed(value, 1)}, {look}" + (", implausible" if odd else ""))
+        mark: dict[str, Any] = {"marker": "X" if odd else "o", "s": 62, "zorder": 4, "gid": look}
+        dot = ax.scatter([value], [row], **mark, **_LOOKS[look])
+        hover(dot, f"{rows['name'][row]}: ln Bayes {fixed(value, 1)}, {look}" + (", implausible" if odd else ""))
         known = span[np.isfinite(span)]
         if len(known) > 1:
             ax.plot([known.min(), known.max()], [row, row], color=BLACK, linewidth=1.1, gid="prior", zorder=3)
         words = f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
-        # Beside its bar, but right of the threshold, which it would otherwise cover.
+        # Beside its dot, but right of the threshold, which it would otherwise cover.
         end = max(0.0, *known) if len(known) else 0.0
         ax.annotate(
             words + (" implausible" if odd else ""),
             (max(end, limit), row),
-            xytext=(4, 0),
+            xytext=(8, 0),
             textcoords="offset points",
             va="center",
             fontsize=8,
@@ -274,7 +269,7 @@ def _flags(column: pd.Series) -> list[bool]:
 
 
 def _looks(rows: pd.DataFrame) -> list[str]:
-    """Key in `_LOOKS` of every effect's bar."""
+    """Key in `_LOOKS` of every effect's dot."""
     credible, seen, refitted = (_flags(rows[name]) for name in ("credible", "visible", "refitted"))
     names = list(_LOOKS)
     return [
@@ -286,7 +281,11 @@ def _looks(rows: pd.DataFrame) -> list[str]:
 def _handles(rows: pd.DataFrame) -> list[Artist]:
     """Legend entries of the evidence."""
     there = _looks(rows)
-    handles: list[Artist] = [Patch(label=name, **look) for name, look in _LOOKS.items() if name in there]
+    handles: list[Artist] = [
+        Line2D([], [], linestyle="none", marker="o", markersize=7.5, label=name, markerfacecolor=look["facecolor"],
+               markeredgecolor=look.get("edgecolor", look["facecolor"]))
+        for name, look in _LOOKS.items() if name in there
+    ]  # fmt: skip
     words = f"threshold ln {len(rows)} + {LEAST_BAYES_FACTOR:g} = {threshold(len(rows)):.1f}"
     handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=1.0, label=words))
     if rows[["ln_bayes_third", "ln_bayes_triple"]].notna().to_numpy().any():

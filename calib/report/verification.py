@@ -17,7 +17,6 @@ from calib.report.explanation import LEAST_BAYES_FACTOR, blank
 from calib.report.numbers import chance, fixed
 from calib.report.style import (
     AFTER,
-    ATTEMPT,
     BEFORE,
     BLACK,
     CASES,
@@ -25,6 +24,7 @@ from calib.report.style import (
     GREY,
     ORANGE,
     PURPLE,
+    REST,
     SKY,
     added,
     legend_above,
@@ -41,9 +41,9 @@ GROUPS = {
     "held_out_responses": "held-out responses",
 }
 _STAGES: dict[str, dict[str, Any]] = {
-    "before": {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"},
-    "after": {"facecolor": AFTER},
-    "attempt": ATTEMPT,
+    "before": {"color": BEFORE, "marker": "s"},
+    "after": {"color": AFTER, "marker": "o"},
+    "attempt": {"color": GREY, "marker": "X"},
 }
 _KINDS = {
     "sensor": ("further sensor", SKY),
@@ -71,7 +71,8 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
     Returns
     -------
     Axes
-        Bars of the rms with a line at the expected value; logarithmic when errors differ by a factor above 20.
+        Dots at the rms, of which a thin line joins those of a group, and a black line at the expected value;
+        logarithmic when errors differ by a factor above 20.
     """
     groups = _groups(table)
     ax = own_axes(ax, 3.6)
@@ -80,6 +81,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
     stages = [stage for stage in _STAGES if (table["stage"] == stage).any()]
     width = 0.76 / len(stages)
     handles: list[Artist] = []
+    ends: list[tuple[np.ndarray, np.ndarray]] = []
     for k, stage in enumerate(stages):
         rows = table[table["stage"] == stage].set_index("group").reindex(groups)
         x = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * width
@@ -87,20 +89,26 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         looks = _STAGES[stage]
         label = "before: base model" if stage == "before" else added(stage, name)
         label = f"after: {label}" if stage == "after" else label
-        bars = ax.bar(x, rms, 0.92 * width, label=label, gid=stage, **looks)
-        for bar, group, r, e, q in zip(bars, groups, rms, expected, p, strict=True):
-            words = f"{GROUPS.get(group, group)}, {label}: {fixed(r, 2)} σ; expected {fixed(e, 2)}; p {chance(q)}"
-            hover(bar, words)
+        ends.append((x, rms))
+        (dots,) = ax.plot(x, rms, linestyle="none", markersize=9, label=label, gid=stage, zorder=5, **looks)
+        words = [
+            f"{GROUPS.get(group, group)}, {label}: {fixed(r, 2)} σ; expected {fixed(e, 2)}; p {chance(q)}"
+            for group, r, e, q in zip(groups, rms, expected, p, strict=True)
+        ]
+        hover_points(ax, x, rms, words)
         for at, (r, e, q) in zip(x, zip(rms, expected, p, strict=True), strict=True):
-            if np.isfinite(r):  # above the bar and above the line of the noise
+            if np.isfinite(r):  # above the dot and above the line of the expected value
                 ax.annotate(
-                    _error_words(r, q), (at, np.nanmax([r, e])), xytext=(0, 3), textcoords="offset points",
+                    _error_words(r, q), (at, np.nanmax([r, e])), xytext=(0, 7), textcoords="offset points",
                     ha="center", va="bottom", fontsize=7.5,
                 )  # fmt: skip
         floor = np.isfinite(expected)
-        ends = (x[floor] - 0.5 * width, x[floor] + 0.5 * width)
-        ax.hlines(expected[floor], *ends, color=BLACK, linewidth=1.6, gid=f"expected {stage}", zorder=4)
-        handles.append(Patch(label=label, **looks))
+        reach = (x[floor] - 0.4 * width, x[floor] + 0.4 * width)
+        ax.hlines(expected[floor], *reach, color=BLACK, linewidth=1.6, gid=f"expected {stage}", zorder=4)
+        handles.append(dots)
+    if len(ends) == 2:
+        (x_first, first), (x_last, last) = ends
+        ax.plot([x_first, x_last], [first, last], color=REST, linewidth=1.2, zorder=2)
     handles.append(Line2D([], [], color=BLACK, linewidth=1.6, label="expected for a correctly specified model"))
     _scale(ax, table, 1.2)
     ax.set_xticks(range(len(groups)), [textwrap.fill(GROUPS.get(g, g), 18) for g in groups])

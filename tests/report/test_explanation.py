@@ -47,8 +47,13 @@ def effects():
 ORDER = ["anti-roll bar", "seats", "rod", "shear flexibility", "track compliance"]
 
 
-def bars(ax):
-    return [bar for container in ax.containers for bar in container]
+def dots(ax):
+    return [c for c in ax.collections if c.get_gid() is not None]
+
+
+def value(dot):
+    ((x, _),) = np.ma.filled(dot.get_offsets(), nan)
+    return x
 
 
 def words(ax):
@@ -63,18 +68,19 @@ def test_effects_are_ranked_by_their_evidence(effects):
     assert list(ranked(effects)["title"]) == ORDER
     ax = draw_ranked_effects(effects)
     assert labels(ax.get_yticklabels()) == ORDER
-    np.testing.assert_array_equal([bar.get_width() for bar in bars(ax)], [40.0, 30.0, -0.5, -1.8, nan])
+    np.testing.assert_array_equal([value(dot) for dot in dots(ax)], [40.0, 30.0, -0.5, -1.8, nan])
     assert ax.get_ylim()[0] > ax.get_ylim()[1]
     assert words(ax) == ["40", "30 implausible", "−0.5", "−1.8", "no value"]
 
 
 def test_colours_and_legend_show_the_status_of_every_effect(effects):
     ax = draw_ranked_effects(effects)
-    faces = [to_hex(bar.get_facecolor()).upper() for bar in bars(ax)]
+    faces = [to_hex(dot.get_facecolor()[0]).upper() for dot in dots(ax)]
     assert faces[0] == ORANGE and faces[1] == BLUE and faces[3] == faces[4] == REST
     assert len(set(faces)) == 4
-    assert [bool(bar.get_hatch()) for bar in bars(ax)] == [False, True, False, False, False]
-    assert [bar.get_gid() for bar in bars(ax)][:3] == ["credible set", "refitted", "not refitted: linear estimate"]
+    marks = [len(dot.get_paths()[0]) for dot in dots(ax)]
+    assert [mark != marks[0] for mark in marks] == [False, True, False, False, False]
+    assert [dot.get_gid() for dot in dots(ax)][:3] == ["credible set", "refitted", "not refitted: linear estimate"]
     assert labels(ax.get_legend().get_texts()) == [
         "credible set",
         "refitted",
@@ -97,7 +103,7 @@ def test_thin_lines_span_the_prior_widths(effects):
 
 
 def test_values_do_not_cover_the_line_of_the_threshold(effects):
-    """They stand right of it, wherever their bar ends."""
+    """They stand right of it, wherever their dot lies."""
     ax = draw_ranked_effects(effects.assign(ln_bayes=[-1.8, 3.9, 40.0, 0.0, -0.5]))
     ax.figure.savefig(os.devnull, format="png")
     (line,) = [x for x in ax.lines if x.get_gid() == "threshold"]

@@ -3,6 +3,7 @@ import os
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.collections import LineCollection
 
 from calib.report.style import new_figure
 from calib.report.verification import (
@@ -28,31 +29,31 @@ def errors():
     return pd.DataFrame(rows, columns="group stage rms expected p".split())
 
 
-def bars(ax, stage):
-    (container,) = [c for c in ax.containers if c[0].get_gid() == stage]
-    return list(container)
+def dots(ax, stage):
+    (line,) = [line for line in ax.lines if line.get_gid() == stage]
+    return line
 
 
 def labels(axis):
     return [t.get_text() for t in axis]
 
 
-def test_bars_are_the_errors_of_the_groups_in_the_table(errors):
+def test_dots_are_the_errors_of_the_groups_in_the_table(errors):
     ax = draw_errors(errors)
     assert labels(ax.get_xticklabels()) == ["used in the fit", "held-out sensors"]
-    np.testing.assert_array_equal([b.get_height() for b in bars(ax, "before")], [4.0, 2.0])
-    np.testing.assert_array_equal([b.get_height() for b in bars(ax, "after")], [0.9, 1.0])
+    np.testing.assert_array_equal(dots(ax, "before").get_ydata(), [4.0, 2.0])
+    np.testing.assert_array_equal(dots(ax, "after").get_ydata(), [0.9, 1.0])
     assert labels(ax.texts) == ["4.00\np < 0.001", "2.00\np < 0.001", "0.90", "1.00\np = 0.4"]
     assert ax.get_yscale() == "linear" and ax.get_ylim()[0] == 0.0
 
 
-def test_the_noise_floor_is_marked_at_every_bar(errors):
+def test_the_noise_floor_is_marked_at_every_dot(errors):
     ax = draw_errors(errors)
-    marks = {c.get_gid(): c.get_segments() for c in ax.collections}
+    marks = {c.get_gid(): c.get_segments() for c in ax.collections if isinstance(c, LineCollection)}
     np.testing.assert_allclose([s[0][1] for s in marks["expected before"]], [0.95, 1.1])
     (after,) = marks["expected after"]
-    bar = bars(ax, "after")[1]
-    assert after[0][1] == 0.9 and after[0][0] < bar.get_x() and after[1][0] > bar.get_x() + bar.get_width()
+    at = dots(ax, "after").get_xdata()[1]
+    assert after[0][1] == 0.9 and after[0][0] < at < after[1][0]
 
 
 def test_errors_that_differ_much_have_a_logarithmic_axis(errors):
@@ -68,10 +69,9 @@ def test_an_attempt_is_no_explanation(errors):
     assert labels(attempt.get_legend().get_texts())[1] == "with arb: best attempt, not believed"
     assert labels(draw_errors(attempted).get_legend().get_texts())[1] == "with the best attempt, not believed"
     assert labels(draw_errors(errors).get_legend().get_texts())[1] == "after: with the missing effect"
-    shown, plain = bars(attempt, "attempt"), bars(after, "after")
-    np.testing.assert_array_equal([b.get_height() for b in shown], [0.9, 1.0])
-    assert shown[0].get_hatch() and not plain[0].get_hatch()
-    assert shown[0].get_facecolor() != plain[0].get_facecolor()
+    shown, plain = dots(attempt, "attempt"), dots(after, "after")
+    np.testing.assert_array_equal(shown.get_ydata(), [0.9, 1.0])
+    assert shown.get_marker() != plain.get_marker() and shown.get_color() != plain.get_color()
 
 
 def test_no_errors(errors):
