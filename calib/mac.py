@@ -73,6 +73,27 @@ def macx(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return _ratio(top, (s.xhx + np.abs(s.xtx)) * (s.yhy + np.abs(s.yty)))
 
 
+def relative_motion(shapes: np.ndarray) -> np.ndarray:
+    """How much each sensor moves: amplitude over the largest one of the mode, rms over the modes.
+
+    Parameters
+    ----------
+    shapes : ndarray (n_sensors, n_modes)
+        NaN where a sensor was not measured.
+
+    Returns
+    -------
+    ndarray (n_sensors,)
+        From 0 to 1; NaN without a value.
+    """
+    size = np.abs(np.asarray(shapes))
+    known = np.isfinite(size)
+    largest = np.where(known, size, 0.0).max(axis=0, initial=0.0)
+    share = np.divide(size, largest, out=np.zeros(size.shape), where=known & (largest > 0.0))
+    count = known.sum(axis=1)
+    return np.sqrt(np.divide((share**2).sum(axis=1), count, out=np.full(len(size), np.nan), where=count > 0))
+
+
 def comac(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Coordinate MAC of every sensor over paired columns, shape (n_sensors,).
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InputError
-from calib.mac import align, comac, is_real, mac, macx, most_real, noise_mac
+from calib.mac import align, comac, is_real, mac, macx, most_real, noise_mac, relative_motion
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -167,3 +167,11 @@ def test_noise_mac_is_unknown_where_standard_deviation_is():
     shapes[0, 1], std[0, 1] = np.nan, np.nan  # not measured there, so its standard deviation is not needed
     shapes[:, 2] = np.nan
     assert np.isfinite(noise_mac(shapes, std)).tolist() == [False, True, False]
+
+
+def test_relative_motion_is_that_of_the_largest_sensor_whatever_the_scale():
+    shapes = np.array([[3.0 + 4.0j, 0.0], [0.5j, 2.0], [np.nan, 1.0], [0.0, 0.0]])
+    expected = [np.sqrt(0.5), np.sqrt((0.1**2 + 1.0) / 2), 0.5, 0.0]
+    np.testing.assert_allclose(relative_motion(shapes), expected)
+    np.testing.assert_allclose(relative_motion(shapes * np.array([-7.0, 0.01j])), expected)
+    assert np.isnan(relative_motion(np.full((2, 3), np.nan))).all() and not len(relative_motion(np.zeros((0, 3))))

@@ -14,7 +14,7 @@ from scipy import special
 
 from calib.correlation.pairing import Pairing
 from calib.correlation.standard_deviations import StandardDeviations, dof_behind, known_std
-from calib.mac import align, comac, is_real, noise_mac
+from calib.mac import align, comac, is_real, noise_mac, relative_motion
 from calib.measurement.modal import MeasuredModes
 from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
@@ -180,10 +180,15 @@ class Comparison:
         return table
 
     def comac_table(self) -> pd.DataFrame:
-        """CoMAC of every sensor over the paired modes, worst first, with its coordinates in metres."""
+        """CoMAC of every sensor over the paired modes, worst first, with its coordinates in metres.
+
+        ``motion`` tells how much the sensor moves: its measured amplitude over the largest one of the mode, rms over
+        the paired modes. Noise alone makes the CoMAC of a sensor low that hardly moves.
+        """
         pairs = self.pairing.paired
-        value = comac(self.measured.shapes[:, pairs], self.sensor_shapes[:, self.pairing.model_index[pairs]])
-        table = self._sensor_columns().assign(comac=value)
+        shapes = self.measured.shapes[:, pairs]
+        value = comac(shapes, self.sensor_shapes[:, self.pairing.model_index[pairs]])
+        table = self._sensor_columns().assign(comac=value, motion=relative_motion(shapes))
         return table.sort_values("comac", kind="stable", ignore_index=True)
 
     def shapes_table(self) -> pd.DataFrame:

@@ -15,6 +15,7 @@ from calib.report.numbers import fixed
 from calib.report.style import (
     AFTER,
     BEFORE,
+    BLACK,
     GREY,
     legend_above,
     matrix_height,
@@ -25,6 +26,8 @@ from calib.report.style import (
 from calib.report.svg import hover, hover_cells, hover_points
 
 _LOOKS = {"before": {"color": BEFORE, "hatch": "////", "edgecolor": "white"}, "after": {"color": AFTER}}
+STILL = 0.1
+"""Motion over the largest one of a mode, rms over the modes, below which a sensor hardly moves."""
 _MAX_SENSORS = 40
 _LABEL_ROOM = 105
 """Characters that fit side by side under the bars."""
@@ -163,13 +166,15 @@ def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, a
     Parameters
     ----------
     before, after : DataFrame or None
-        Columns ``sensor`` and ``comac`` (0 to 1, NaN for a sensor without a value).
+        Columns ``sensor`` and ``comac`` (0 to 1, NaN for a sensor without a value); optional ``motion``, the amplitude
+        of the sensor over the largest one of each mode (rms over the modes).
     ax : Axes, optional
 
     Returns
     -------
     Axes
-        One dot per sensor and table; of more than 40 sensors the 40 worst, as the axis label then states.
+        One dot per sensor and table; of more than 40 sensors the 40 worst, as the axis label then states. The name of a
+        sensor that hardly moves is grey, with its motion: its CoMAC is mostly noise.
     """
     ax = own_axes(ax, 3.6)
     values = {name: t["comac"] for name, t in _series(before, after, key="sensor").items()}
@@ -197,10 +202,17 @@ def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, a
     lowest = min((float(np.nanmin(h)) for h in heights.values() if np.isfinite(h).any()), default=0.0)
     ax.set_ylim(max(0.0, np.floor(10.0 * lowest - 0.5) / 10.0), 1.03)
     ax.set_xlim(-0.7, len(shown) - 0.3)
-    ax.set_xticks(x, list(shown), rotation=90 if len(shown) > 12 else 0)
+    motion = list(_series(before, after, key="sensor").values())[-1].get("motion", pd.Series(dtype=float))
+    still = (motion.reindex(shown) < STILL).to_numpy()
+    names = [f"{s} ({fixed(100 * motion[s], 0)} %)" if k else str(s) for s, k in zip(shown, still, strict=True)]
+    ax.set_xticks(x, names, rotation=90 if len(shown) > 12 or still.any() else 0)
+    for label, grey in zip(ax.get_xticklabels(), still, strict=True):
+        label.set_color(GREY if grey else BLACK)
     ax.grid(axis="both")
     note = f"sensor (node and direction), the {_MAX_SENSORS} worst of {len(order)}" if len(order) > _MAX_SENSORS else ""
-    ax.set_xlabel(note or "sensor (node and direction), worst first")
+    note = note or "sensor (node and direction), worst first"
+    hint = "\ngrey: hardly moves (in brackets: of the mode's largest motion, rms), so that noise alone lowers its CoMAC"
+    ax.set_xlabel(note + (hint if still.any() else ""))
     ax.set_ylabel("CoMAC (–)")
     legend_above(ax)
     return ax

@@ -367,7 +367,7 @@ def _failing(path: Path) -> pd.DataFrame | None:
 
 
 def _comac(path: Path) -> pd.DataFrame | None:
-    return read_table(path, ["sensor"], ["comac"]) if path.exists() else None
+    return read_table(path, ["sensor"], ["comac"], if_there=["motion"]) if path.exists() else None
 
 
 def _noise_mac(path: Path) -> float:

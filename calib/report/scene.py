@@ -195,14 +195,18 @@ def seen_size(points: np.ndarray, room: float) -> tuple[float, float]:
     return float(wide + room) or 1.0, float(high + room)
 
 
-def panel_grid(count: int, points: np.ndarray, thickness: float = math.inf) -> tuple[Figure, list[SubplotSpec]]:
+def panel_grid(
+    count: int, points: np.ndarray, thickness: float = math.inf, *, pairs: bool = False
+) -> tuple[Figure, list[SubplotSpec]]:
     """Return a figure with cells for panels that all show the same moving points (n, 3), above a foot.
 
-    Long low structures take two columns, others three, so that the structure stays large; for the thickness see
-    `largest_drawn`.
+    Long low structures take two columns, others three, so that the structure stays large; ``pairs`` of panels stand
+    beside each other, of other structures two in a row. For the thickness see `largest_drawn`.
     """
     wide, high = seen_size(points, 2 * largest_drawn(points, thickness))
     columns = 1 if count == 1 else 2 if count in (2, 4) or high < _LOW * wide else 3
+    if pairs:
+        columns = 2 if count == 2 or high < _LOW * wide else 4
     rows = math.ceil(count / columns)
     panel = WIDTH / columns
     # The square of a 3-D panel starts at its top edge only while the panel is not taller than wide.
@@ -226,7 +230,7 @@ def show_axes(figure: Figure) -> None:
 def colour_bar(figure: Figure, colours: ScalarMappable, label: str, ticks: Sequence[float] | None = None) -> None:
     """Draw a colour bar in the lower right corner, by default with ticks where Matplotlib puts them."""
     height = float(figure.get_size_inches()[1])
-    ax = figure.add_axes((4.9 / WIDTH, 0.5 / height, 2.9 / WIDTH, 0.12 / height), label="colours")
+    ax = figure.add_axes((1.0 - 3.1 / WIDTH, 0.5 / height, 2.9 / WIDTH, 0.12 / height), label="colours")
     figure.colorbar(colours, cax=ax, orientation="horizontal", label=label, ticks=ticks)
 
 

@@ -26,6 +26,7 @@ from calib.report.scene import (
     write_size,
 )
 from calib.report.style import BLUE, MEASURED, REST
+from calib.report.wireframe import wireframe
 
 _PALE = "#D6E6F2"
 _AXES = ["x", "y", "z"]
@@ -80,10 +81,42 @@ def draw_mode_shape(
     return ax
 
 
+def draw_measured_shape(shapes: pd.DataFrame, mesh: Mesh, ax: Axes3D | None = None, *, title: str = "") -> Axes3D:
+    """Draw one measured mode alone: the test's wireframe at rest and moved.
+
+    Parameters
+    ----------
+    shapes : DataFrame
+        Sensors of this mode, as for `draw_mode_shape`.
+    mesh : Mesh
+        Tells which sensors are neighbours, and the size of the drawing.
+    ax : Axes3D, optional
+    title : str
+        Written above the panel.
+
+    Returns
+    -------
+    Axes3D
+        Lines with the gids ``undeformed`` and ``wireframe``, and dots with the gid ``measured``.
+    """
+    ax = new_axes(ax)
+    place, measured = measured_motions(shapes)
+    rest = places(mesh)[np.unique(pieces(mesh).corners)]
+    lines = wireframe(mesh, place)
+    at = np.concatenate([rest, place])
+    moved = place + motion_scale(at, measured, thickness(mesh)) * measured
+    plot_lines(ax, place[lines], color=REST, linewidth=0.8, gid="undeformed", zorder=1)
+    plot_lines(ax, moved[lines], color=MEASURED, linewidth=1.0, gid="wireframe", zorder=3)
+    dots = plot_coordinates(moved).T
+    ax.plot(*dots, linestyle="none", marker="o", markersize=2.5, color=MEASURED, gid="measured", zorder=4)
+    frame_panel(ax, np.concatenate([at, moved]), title)
+    return ax
+
+
 def mode_shapes_figure(
     shapes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh, comparison: pd.DataFrame | None = None
 ) -> Figure:
-    """Draw a grid of panels, one for every measured mode, from tables with a column ``mode``.
+    """Draw every measured mode: the test's wireframe beside the model, from tables with a column ``mode``.
 
     Parameters
     ----------
@@ -96,16 +129,13 @@ def mode_shapes_figure(
     modes = list(dict.fromkeys(shapes["mode"]))
     rest = places(mesh)[np.unique(pieces(mesh).corners)]
     everything = np.concatenate([rest, shapes[PLACE].dropna().to_numpy(dtype=float)])
-    figure, cells = panel_grid(len(modes), everything, thickness(mesh))
+    figure, cells = panel_grid(2 * len(modes), everything, thickness(mesh), pairs=True)
     facts = {} if comparison is None else {str(row["mode"]): row for row in comparison.to_dict("records")}
-    for mode, cell in zip(modes, cells, strict=True):
-        draw_mode_shape(
-            shapes[shapes["mode"] == mode],
-            deflection[deflection["mode"] == mode],
-            mesh,
-            figure.add_subplot(cell, projection="3d"),
-            title=_panel_title(mode, facts),
-        )
+    for mode, left, right in zip(modes, cells[::2], cells[1::2], strict=True):
+        found, (test, model) = shapes[shapes["mode"] == mode], _panel_titles(mode, facts)
+        draw_measured_shape(found, mesh, figure.add_subplot(left, projection="3d"), title=test)
+        motion = deflection[deflection["mode"] == mode]
+        draw_mode_shape(found, motion, mesh, figure.add_subplot(right, projection="3d"), title=model)
     show_axes(figure)
     write_size(figure, rest)
     handles = [
@@ -137,13 +167,14 @@ def measured_motions(shapes: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
     return places, vectors.reindex(columns=_AXES).fillna(0.0).to_numpy(dtype=float)
 
 
-def _panel_title(mode: str, facts: dict[str, dict[Hashable, Any]]) -> str:
+def _panel_titles(mode: str, facts: dict[str, dict[Hashable, Any]]) -> tuple[str, str]:
+    """Words above the test and above the model."""
     if mode not in facts:
-        return mode
+        return mode, ""
     row = facts[mode]
-    if math.isnan(row["natural_freq_model"]):
-        return f"{mode}   {row['natural_freq_measured']:.2f} Hz   not paired"
-    frequencies = f"{row['natural_freq_measured']:.2f}/{row['natural_freq_model']:.2f} Hz"
     # A long mode name takes a line of its own.
     gap = "\n" if len(mode) > 14 else "   "
-    return f"{mode}{gap}{frequencies}" + ("" if math.isnan(row["mac"]) else f"   MAC {row['mac']:.2f}")
+    test = f"{mode}{gap}{row['natural_freq_measured']:.2f} Hz"
+    if math.isnan(row["natural_freq_model"]):
+        return test, "not paired"
+    return test, f"{row['natural_freq_model']:.2f} Hz" + ("" if math.isnan(row["mac"]) else f"   MAC {row['mac']:.2f}")

@@ -39,9 +39,9 @@ CASES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, BLACK, YELLOW)
 GREY, REST = "#767676", "#BDBDBD"
 ATTEMPT: dict[str, Any] = {"facecolor": "#D0D0D0", "hatch": "xxxx", "edgecolor": "white"}
 """Look of an attempt that is not believed."""
-WIDTH = 8.0
-"""Width of a figure in inches: 1200 pixels at `DPI`, so that text appears at the size chosen here."""
-DPI = 150
+WIDTH = 190.0 / 25.4
+"""Width of a figure in inches: 190 mm, that of a journal's page (two columns), so that text prints at its own size."""
+DPI = 160
 Format: TypeAlias = Literal["svg", "png", "pdf"]
 FORMATS: tuple[Format, ...] = ("svg", "png", "pdf")
 """Formats of files, in the order in which they are written: the last removes the words under the mouse."""

@@ -106,7 +106,7 @@ def test_comac_table_leads_with_the_wrong_sensor(build, twin):
     wrong = measured.shapes.copy()
     wrong[3] *= -1
     table = ModalProblem(model, dataclasses.replace(measured, shapes=wrong), mode_count=6).compare(light).comac_table()
-    assert list(table.columns) == ["sensor", "node", "direction", "x", "y", "z", "comac"]
+    assert list(table.columns) == ["sensor", "node", "direction", "x", "y", "z", "comac", "motion"]
     assert table.loc[0, "sensor"] == "2y" and table.loc[0, "comac"] < 0.1
     assert table["comac"].is_monotonic_increasing and table["comac"].iloc[-1] > 0.99
 

@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 
 from calib.report.comparison import comparison_figure, draw_comac, draw_frequency_error, draw_mac, draw_mac_matrix
-from calib.report.style import new_figure
+from calib.report.style import BLACK, GREY, new_figure
 
 
 def heights(container):
@@ -89,6 +89,13 @@ def test_comac_is_sorted_by_the_newest_table(comac):
     np.testing.assert_allclose(dots(ax)["before"], [0.9, 0.7, 0.4, 0.99])
     np.testing.assert_allclose(dots(ax)["after"], [0.95, 0.96, 0.97, 0.99])
     assert ax.get_ylim()[0] < 0.4
+
+
+def test_a_sensor_that_hardly_moves_is_grey_and_says_so(comac):
+    ax = draw_comac(comac.assign(motion=[0.5, 0.04, 0.9, 0.1]))
+    names = {label.get_text(): label.get_color() for label in ax.get_xticklabels()}
+    assert names == {"2y (4 %)": GREY, "3y": BLACK, "1y": BLACK, "2z": BLACK}
+    assert "hardly moves" in ax.get_xlabel() and "hardly moves" not in draw_comac(comac).get_xlabel()
 
 
 def test_comac_before_alone(comac):

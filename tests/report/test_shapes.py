@@ -93,21 +93,27 @@ def texts(ax):
     return [t.get_text() for t in ax.texts]
 
 
-def test_grid_has_one_titled_panel_per_mode(shapes, deflection, mesh, before):
+def test_the_test_stands_beside_the_model_of_every_mode(shapes, deflection, mesh, before):
     facts = before.assign(natural_freq_model=[6.12, np.nan, 1.0], mac=[0.93, np.nan, 0.5])
     figure = mode_shapes_figure(shapes, deflection, mesh, facts)
-    first, second, _ = figure.axes  # the last one shows the directions of the axes
-    assert texts(first) == ["1BT   6.95/6.12 Hz   MAC 0.93"]
-    assert texts(second) == ["2BT   10.83 Hz   not paired"]
+    panels = figure.axes[:-1]  # the last one shows the directions of the axes
+    titles = ["1BT   6.95 Hz", "6.12 Hz   MAC 0.93", "2BT   10.83 Hz", "not paired"]
+    assert [words for panel in panels for words in texts(panel)] == titles
+    for test, model in zip(panels[::2], panels[1::2], strict=True):
+        np.testing.assert_allclose(drawn(test, "measured") - drawn(model, "measured"), 0.0, atol=1e-9)
+        wire = drawn(test, "wireframe")
+        ends = wire[~np.isnan(wire[:, 0])]
+        dots = drawn(test, "measured")
+        assert len(ends) and all(np.linalg.norm(dots - end, axis=1).min() < 1e-9 for end in ends)
 
 
 def test_an_unpaired_mode_shows_the_mesh_at_rest_and_the_measurement(shapes, deflection, mesh):
     figure = mode_shapes_figure(shapes, deflection, mesh)
-    second = figure.axes[1]
-    assert texts(second) == ["2BT"]
+    first, second = figure.axes[1], figure.axes[3]
+    assert texts(figure.axes[2]) == ["2BT"] and texts(second) == [""]
     assert {line.get_gid() for line in second.lines} == {"undeformed", "motion", "measured"}
     assert not second.collections
-    np.testing.assert_allclose(drawn(second, "undeformed"), drawn(figure.axes[0], "undeformed"))
+    np.testing.assert_allclose(drawn(second, "undeformed"), drawn(first, "undeformed"))
     assert not np.isclose(drawn(second, "measured")[1, 2], 1.0)
 
 
@@ -117,7 +123,7 @@ def test_everything_lies_inside_its_panel_below_the_title(shapes, deflection, me
     mesh.points["y"] *= tallness
     figure = mode_shapes_figure(shapes, deflection, mesh)
     figure.savefig(os.devnull, format="png")
-    for ax in figure.axes[:2]:
+    for ax in figure.axes[:4]:
         panel = ax.get_position(original=True).transformed(figure.transFigure)
         title = ax.texts[0].get_window_extent()
         for line in ax.lines:

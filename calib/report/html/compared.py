@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
+from calib.report.comparison import STILL
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Viewer, Words
 from calib.report.html.space import AXES_NOTE, scene
 from calib.report.html.study_results import STAGES, StudyResults
@@ -120,14 +121,22 @@ def _viewer(results: StudyResults) -> list[Viewer]:
 
 def comac_picture(results: StudyResults) -> list[Picture]:
     """CoMAC of the sensors before and after calibration, worst first."""
-    stages = {s: t for s in STAGES if (t := results.table(f"comac_{s}", ["sensor"], ["comac"])) is not None}
+    stages = {
+        s: t
+        for s in STAGES
+        if (t := results.table(f"comac_{s}", ["sensor"], ["comac"], if_there=["motion"])) is not None
+    }
     if not stages:
         return []
     stage = list(stages)[-1]
-    newest = stages[stage].set_index("sensor")["comac"].sort_values(kind="stable", na_position="last")
-    worst = ", ".join(f"{s} {fixed(v, 3)}" for s, v in newest.head(3).items())
+    table = stages[stage].set_index("sensor")
+    newest = table["comac"].sort_values(kind="stable", na_position="last")
+    still = set(table.index[table["motion"] < STILL]) if "motion" in table else set()
+    worst = ", ".join(f"{s} {fixed(v, 3)}{' (hardly moves)' if s in still else ''}" for s, v in newest.head(3).items())
     alt = f"Dots. The worst sensors {stage} calibration: {worst}; the mean is {fixed(newest.mean(), 3)}."
-    return results.picture("comac", "CoMAC of every sensor; low values show where the shapes disagree.", alt)
+    caption = "CoMAC of every sensor; low values show where the shapes disagree."
+    caption += " At grey sensors, which hardly move, noise alone lowers it." if still else ""
+    return results.picture("comac", caption, alt)
 
 
 def scalar_blocks(results: StudyResults, stage: str) -> list[Block]:

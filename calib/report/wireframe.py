@@ -1,0 +1,63 @@
+"""The wireframe of a test: lines between sensors that are neighbours on the mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from calib.report.mesh import Mesh, places
+
+
+def wireframe(mesh: Mesh, sensors: np.ndarray) -> np.ndarray:
+    """Return pairs of sensors between which no other one lies along the mesh.
+
+    Every point of the mesh belongs to the sensor that is nearest along edges; two sensors are neighbours where an edge
+    joins their points. A sensor counts as at its nearest point. Parts that no edge joins stay apart.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    sensors : ndarray (n_places, 3)
+        Metres.
+
+    Returns
+    -------
+    ndarray (n, 2), int
+        Rows of ``sensors``, the smaller first, each pair once.
+    """
+    rest, same = _merged(places(mesh))
+    edges = same[_edges(mesh)]
+    if not len(sensors) or not len(edges):
+        return np.zeros((0, 2), dtype=int)
+    length = np.maximum(np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1), 1e-12)
+    used = np.unique(edges)
+    at = used[cKDTree(rest[used]).query(sensors)[1]]
+    weights = sp.csr_array((length, (edges[:, 0], edges[:, 1])), shape=(len(rest), len(rest)))
+    owners = dijkstra(weights, directed=False, indices=np.unique(at), min_only=True, return_predecessors=True)[2]
+    first = {point: k for k, point in reversed(list(enumerate(at.tolist())))}
+    joined = {
+        (min(first[a], first[b]), max(first[a], first[b]))
+        for a, b in owners[edges].tolist()
+        if a != b and a >= 0 and b >= 0
+    }
+    return np.array(sorted(joined), dtype=int).reshape(-1, 2)
+
+
+def _merged(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places of points, and the place of each: bodies meet where points of both coincide."""
+    fine = 1e-6 * float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
+    _, first, same = np.unique(np.round(points / fine), axis=0, return_index=True, return_inverse=True)
+    return points[first], same.reshape(-1)
+
+
+def _edges(mesh: Mesh) -> np.ndarray:
+    """Lines and edges of faces, (n, 2) rows of the table of points, each once."""
+    row = {number: k for k, number in enumerate(mesh.points["point"].astype(int))}
+    corners = mesh.elements[["a", "b", "c", "d"]].to_numpy(dtype=float)
+    is_face = np.isfinite(corners[:, 2:]).all(axis=1)
+    faces = corners[is_face]
+    pairs = np.concatenate([corners[~is_face, :2], *(faces[:, [i, (i + 1) % 4]] for i in range(4))]).astype(int)
+    found = np.array([sorted((row[a], row[b])) for a, b in pairs.tolist() if a != b], dtype=int).reshape(-1, 2)
+    return np.unique(found, axis=0)
