@@ -11,6 +11,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -136,8 +137,8 @@ def commands() -> str:
     whole: Any = get_command(command)
     parts = [whole.help + "\n", table(("option", "meaning"), _options(whole))]
     for name, one in whole.commands.items():
-        usage = " ".join(["calib", name, *(p.make_metavar(ctx=one.make_context(name, [], resilient_parsing=True))
-                                           for p in one.params if p.param_type_name == "argument")])  # fmt: skip
+        places = [str(p.metavar or p.name).upper() for p in one.params if p.param_type_name == "argument"]
+        usage = " ".join(["calib", name, *places])
         parts.append(f"## `calib {name}`\n\n{one.help}\n\n```text\n{usage} [OPTIONS]\n```\n")
         rows = list(_options(one))
         if rows:
@@ -152,12 +153,11 @@ def _options(one: Any) -> Iterator[list[str]]:
             continue
         name = str(param.metavar or param.name).upper() if argument else ", ".join(param.opts)
         words = param.help or ""
-        choices = getattr(param.type, "choices", None)
-        if choices:
-            words += " Choices: " + ", ".join(f"`{getattr(c, 'value', c)}`" for c in choices) + "."
-        default = param.default() if callable(param.default) else param.default
-        if not argument and isinstance(default, str | Path | int) and not isinstance(default, bool):
-            words += f" Default: `{getattr(default, 'value', default)}`."
+        kind = param.type_descriptor.annotation
+        if isinstance(kind, type) and issubclass(kind, Enum):
+            words += " Choices: " + ", ".join(f"`{choice.value}`" for choice in kind) + "."
+        if not argument and isinstance(param.default, str | Path) and str(param.default):
+            words += f" Default: `{getattr(param.default, 'value', param.default)}`."
         yield [f"`{name}`", words]
 
 

@@ -1,0 +1,36 @@
+"""The list of tables and columns of the documents, and what a results folder has beside it."""
+
+import csv
+import json
+import re
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def documented() -> dict[str, list[str]]:
+    """Columns of every table, or keys of a JSON file, by the name of the file."""
+    registry = tomllib.loads((ROOT / "docs/tables.toml").read_text("utf-8"))
+    out = {}
+    for one in (one for group in registry["group"] for one in group["table"]):
+        columns = [*one.get("common", ()), *one.get("columns", {})]
+        assert all(registry["common"][name] for name in one.get("common", ()))
+        for file in one["file"].split(", "):
+            assert file not in out, file
+            out[file] = columns
+    return out
+
+
+def found(file: Path) -> list[str]:
+    """Columns of a table, or keys of a JSON file."""
+    if file.suffix == ".json":
+        return list(json.loads(file.read_text("utf-8")))
+    with file.open(encoding="utf-8", newline="") as text:
+        return next(csv.reader(text))
+
+
+def unknown(file: Path, columns: list[str]) -> list[str]:
+    """Columns of a file that are not documented; one in angle brackets stands for any that fits around them."""
+    patterns = [re.compile(re.sub(r"<[^>]*>", ".+", name)) for name in columns if "<" in name]
+    return [name for name in found(file) if name not in columns and not any(p.fullmatch(name) for p in patterns)]
