@@ -7,8 +7,8 @@ namespace.
 - Any language with a first line ``# file: PATH``: written to that file.
 - ``toml`` with a first line ``# in STUDY``: merged onto that study's keys, tables key by key, and validated;
   ``# in STUDY without KEY, KEY`` leaves out keys of the study first. Other ``toml`` is a whole study.
-- ``sh``: every line is a command. ``calib`` runs in this process, with ``--quick`` where there is such an option; ``make``
-  must name a target, ``python FILE`` a script that takes ``--help``; ``pip install`` what this project is.
+- ``sh``: every line is a command. ``calib`` runs in this process, with ``--quick`` where there is such an option;
+  ``make`` must name a target, ``python FILE`` a script that takes ``--help``; ``pip install`` what this project is.
 - ``text``: output, not run. ``{...}``: a directive of Sphinx. Nothing else is allowed.
 
 A page that takes longer than some seconds has a line ``<!-- blocks: slow -->``.

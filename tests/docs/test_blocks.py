@@ -63,17 +63,6 @@ def test_a_block_that_cannot_run_is_found(tmp_path, monkeypatch, text):
 
 def test_blocks_share_their_names_and_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    written = "```csv
-# file: a/b.csv
-x
-1
-```
-"
-    text = f"{written}```python
-n = len(open('a/b.csv').readlines())
-```
-```python
-m = n + 1
-```
-"
+    written = "```csv\n# file: a/b.csv\nx\n1\n```\n"
+    text = f"{written}```python\nn = len(open('a/b.csv').readlines())\n```\n```python\nm = n + 1\n```\n"
     assert RUN["run_page"](page_of(tmp_path, text), tmp_path)["m"] == 4
