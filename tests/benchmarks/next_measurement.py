@@ -78,7 +78,8 @@ def run(twin: Twin) -> dict[str, Any]:
     realised = second[0].ln_evidence - second[1].ln_evidence
     return row | {
         "measurement": measurement.name, "kind": measurement.kind, "now": sign * now,
-        "promised": float(best["ln_bayes"]), "low": float(best["ln_bayes_low"]), "high": float(best["ln_bayes_high"]), "chance": float(best["chance"]),
+        "promised": float(best["ln_bayes"]), "low": float(best["ln_bayes_low"]), "high": float(best["ln_bayes_high"]),
+        "chance": float(best["chance"]),
         "realised": sign * realised, "verdict_after": again.verdict, "credible_after": list(again.credible),
         "evaluations": found.evaluations, "scale": again.noise_scale, "p_fit": again.base_adequacy.p_fit,
     }  # fmt: skip
