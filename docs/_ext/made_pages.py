@@ -122,7 +122,7 @@ def _kind(node: dict[str, Any], whole: dict[str, Any]) -> str:
         return f"list of {_kind(node['items'], whole)}s"
     names = {"string": "text", "integer": "integer", "number": "number", "boolean": "true or false", "object": "table"}
     bounds = [
-        f"{sign} {node[bound]:g}"
+        f"{sign} {node[bound]:,}" if isinstance(node[bound], int) else f"{sign} {node[bound]:g}"
         for bound, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
         if bound in node
     ]
@@ -152,7 +152,7 @@ def _options(one: Any) -> Iterator[list[str]]:
         if param.name in ("install_completion", "show_completion"):
             continue
         name = str(param.metavar or param.name).upper() if argument else ", ".join(param.opts)
-        words = param.help or ""
+        words = (param.help or "").replace("<", "\\<")
         kind = param.type_descriptor.annotation
         if isinstance(kind, type) and issubclass(kind, Enum):
             words += " Choices: " + ", ".join(f"`{choice.value}`" for choice in kind) + "."
@@ -228,6 +228,12 @@ PARTS: dict[str, Callable[..., str]] = {
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Replace the marks whenever a page is read."""
+
+    def on_property(_: Sphinx, what: str, __: str, ___: object, ____: object, lines: list[str]) -> None:
+        if what == "property" and lines:  # what stands before a colon would be read as its type
+            lines[0] = lines[0].replace(": ", " – ")
+
+    app.connect("autodoc-process-docstring", on_property, priority=400)
 
     def on_read(_: Sphinx, __: str, source: list[str]) -> None:
         source[0] = replaced(source[0])
