@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import json
 import re
 import sys
 import tomllib
@@ -92,9 +93,7 @@ def _key_table(section: dict[str, Any], whole: dict[str, Any], known: Iterable[s
 def _default(value: Any) -> str:
     if value is None or value in ({}, [], ""):
         return "-"
-    if isinstance(value, dict | list):
-        return "see below"
-    return f"`{str(value).lower() if isinstance(value, bool) else value!r}`".replace("'", '"')
+    return "see below" if isinstance(value, dict) else f"`{json.dumps(value)}`"
 
 
 def _section(node: dict[str, Any], whole: dict[str, Any]) -> tuple[dict[str, Any] | None, str]:
