@@ -10,6 +10,7 @@ from calib.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = runpy.run_path(str(Path(__file__).with_name("blocks.py")))
+TABLES = runpy.run_path(str(Path(__file__).with_name("tables.py")))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [page for page in PAGES if "_build" not in page.parts]
 
@@ -26,6 +27,8 @@ def parameters() -> list:
 def test_every_block_of_a_page_runs(undrawn, tmp_path, monkeypatch, page):
     monkeypatch.chdir(tmp_path)
     names = RUN["run_page"](page, tmp_path)
+    if (tmp_path / "results").is_dir():  # of the hidden bogie, among others
+        assert TABLES["missing"](tmp_path / "results") == {} == TABLES["stale"](tmp_path / "results")
     if "why" in names:
         assert names["why"].verdict == "effect" and [e.name for e in names["why"].named] == ["brake_unit"]
         fit, better = names["fit"], names["better"]
