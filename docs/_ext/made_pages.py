@@ -5,7 +5,6 @@ A line ``<!-- made: NAME ARGUMENTS -->`` in a page is replaced by what the funct
 
 from __future__ import annotations
 
-import csv
 import importlib
 import json
 import re
@@ -196,12 +195,6 @@ def rates(subject: str) -> str:
         made[f"{date}, code `{code}`"] = None
     header = ("hidden", "the answer", "runs", "share", "95 % bound", "required")
     return f"Runs of {'; '.join(made)}.\n\n{table(header, rows)}"
-
-
-def columns_of(file: Path) -> list[str]:
-    """Header of a CSV file."""
-    with file.open(encoding="utf-8", newline="") as text:
-        return next(csv.reader(text))
 
 
 # -- Python interface --------------------------------------------------------------------------------------------------
