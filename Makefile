@@ -1,5 +1,6 @@
 # make run   draw the two example studies      make test  run the tests (fast ones; `make test-slow` for the rest)
 # make lint  ruff and mypy                     make clean remove the environment and caches, not the results
+# make docs  docs/_build/html/index.html       make docs-figures  draw the documents' figures from the studies' results
 # Another interpreter: make PYTHON=python3.12 run
 
 PYTHON ?= python3
@@ -10,11 +11,12 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check
 TEST_WORKERS ?= 2
 TOGETHER := -n $(TEST_WORKERS) --dist loadgroup
 STUDIES := studies/four_storey_rig studies/bogie
+SHOWN := $(STUDIES) studies/hidden_bogie
 ONE_BLAS_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # Compiled tests are kept whatever the shell says: or every process compiles all of them and all of calib anew.
 KEPT_BYTECODE := PYTHONDONTWRITEBYTECODE=
 
-.PHONY: run test test-slow lint venv venv-dev clean
+.PHONY: run test test-slow lint docs docs-figures venv venv-dev clean
 .DELETE_ON_ERROR:
 
 # Each stamp is written last, so an interrupted step is done again and a finished one is skipped.
@@ -30,9 +32,13 @@ $(VENV)/.installed: $(VENV)/.created pyproject.toml constraints.txt
 
 # The oracles are compiled packages that not every platform has; the tests that use them are then skipped.
 $(VENV)/.installed-dev: $(VENV)/.created pyproject.toml constraints.txt
-	$(PIP) install --quiet -c constraints.txt -e '.[dev]'
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,docs]'
 	@$(PIP) install --quiet -c constraints.txt -e '.[oracles]' \
 	    || echo 'The oracles could not be installed; the tests that compare with them will be skipped.'
+	@touch $(VENV)/.installed $@
+
+$(VENV)/.installed-docs: $(VENV)/.created pyproject.toml constraints.txt
+	$(PIP) install --quiet -c constraints.txt -e '.[docs]'
 	@touch $(VENV)/.installed $@
 
 venv: $(VENV)/.installed
@@ -55,6 +61,15 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy calib
 
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo docs/_build/html/index.html
+
+# A study that has run is not run again; the vehicle's figures are drawn where its results are at hand.
+docs-figures: $(VENV)/.installed
+	@set -e; for study in $(SHOWN); do echo "calib run $$study"; $(BIN)/calib run "$$study"; done
+	$(BIN)/python docs/figures.py
+
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist docs/_build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -41,28 +41,34 @@ FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # Text below a field is its description in the JSON schema, in editors and in the documents.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
 
 class MeasurementSettings(_Section):
-    """``[measurement]``: files, relative to the study's folder.
-
-    ``pooling`` tells whether mean and standard deviation exclude outliers among the repeats (``"robust"``), or whether
-    these are only reported (``"plain"``).
-    ``accuracy`` is the claimed accuracy beside the repeatability: a share such as ``"1 %"`` of every value, or by kind
-    (``freq``, ``damping``, ``shape``; for scalar responses by name or kind) a share or a number in the value's unit.
-    """
+    """``[measurement]``: files, relative to the study's folder."""
 
     files: tuple[PathText, ...] = ()
+    """Measured modes: universal files (``.uff``, ``.unv``) or CSV tables, one file a repeat."""
     shapes: tuple[PathText, ...] = ()
+    """CSV tables of mode shapes beside ``files`` that are CSV; leave out when only frequencies were measured."""
     sensors: PathText | None = None
+    """CSV table of the measured nodes: ``node, x, y, z`` in m, ``on``."""
     responses: PathText | None = None
+    """CSV table of scalar responses, for a model without modes; instead of ``files``."""
     mode_names: tuple[str, ...] | None = None
+    """Names of the measured modes in the order of the files, where these give none."""
     repeats: int | None = Field(default=None, ge=1, le=1_000_000)
+    """Number of repeats behind the standard deviations that a table states."""
     std_of: Literal["mean", "repeat"] = "mean"
+    """Whether a stated standard deviation is that of the mean or of one repeat."""
     pooling: Literal["robust", "plain"] = "robust"
+    """Whether outliers among the repeats are excluded (``"robust"``) or only reported (``"plain"``)."""
     accuracy: str | float | dict[str, str | float] | None = None
+    """Claimed accuracy beside the repeatability: a share such as ``"1 %"``, or by kind or response a share or a
+    number in the unit of the value."""
     synthetic: bool = False
+    """Whether the measurement is computed; every figure then says so."""
 
     @field_validator("accuracy")
     @classmethod
@@ -89,18 +95,26 @@ class HeldOutSettings(_Section):
     """``[held_out]``: measured modes and sensors, or scalar responses, that no fit uses."""
 
     modes: tuple[str, ...] = ()
+    """Measured modes that no fit uses."""
     sensors: tuple[str, ...] = ()
+    """Measured sensors, such as ``101y``, that no fit uses."""
     responses: tuple[str, ...] = ()
+    """Scalar responses that no fit uses."""
 
 
 class PairingSettings(_Section):
     """``[pairing]``: how measured and model modes are paired."""
 
     mode_count: int | None = Field(default=None, ge=1, le=1_000_000)
+    """Model modes that are solved; by default twice as many as were measured."""
     threshold: Share = 0.3
+    """Least EMAC of a pair."""
     freq_window: Pair | None = None
+    """Model modes outside are never paired; Hz."""
     clusters: dict[str, tuple[str, ...]] = {}
+    """For each measured mode the groups of degrees of freedom that carry its strain energy."""
     override: dict[str, int] = {}
+    """Number of the model mode, from 1, that a measured mode is paired with whatever its EMAC."""
 
     @field_validator("freq_window")
     @classmethod
@@ -111,108 +125,123 @@ class PairingSettings(_Section):
 
 
 class TestSettings(MeasurementSettings):
-    """``[[tests]]``: measurements under one condition; files as under ``[measurement]``.
-
-    Attributes
-    ----------
-    name : str
-        Label of this test's results; its tables and figures go to ``<study>.<name>``.
-    set : dict
-        Parameter values of this test only, each in its own unit.
-    held_out : HeldOutSettings
-        Data that no fit uses.
-    pairing : PairingSettings
-    model, model_options, effects
-        Another model for this test, other options of the model, and the library of effects of another model.
-    """
+    """``[[tests]]``: measurements under one condition; files as under ``[measurement]``."""
 
     __test__ = False  # no test of pytest's
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    """Label of the results of this test; they go to ``<study>.<name>``."""
     set: dict[str, float] = {}
+    """Values of parameters under this test only, each in its own unit."""
     held_out: HeldOutSettings = HeldOutSettings()
+    """Data of this test that no fit uses."""
     pairing: PairingSettings = PairingSettings()
+    """How its modes are paired."""
     model: PathText | None = Field(default=None, pattern=FUNCTION)
+    """Another model for this test."""
     model_options: dict[str, Any] | None = None
+    """Other options of the model."""
     effects: PathText | None = Field(default=None, pattern=FUNCTION)
+    """Library of effects of that other model."""
 
 
 class ParameterSettings(_Section):
     """``[parameters.NAME]``: changes to one parameter of the model, in its own unit."""
 
     value: float | None = None
+    """Nominal value."""
     limits: Pair | None = None
+    """Lower and upper limit; the range of the sensitivity analysis."""
     search: Pair | None = None
+    """Lower and upper limit of the calibration; by default ``limits``."""
     prior_sd: float | None = Field(default=None, gt=0)
+    """Standard deviation of the prior; by default that of a uniform distribution between the limits."""
     fixed: bool | None = None
+    """Whether the parameter keeps its value in every analysis."""
 
 
 class AdoptedSettings(_Section):
-    """``[adopted]``: parameters that are held at the fitted values of another study.
-
-    Attributes
-    ----------
-    study : str
-        Folder of that study, relative to this one.
-    parameters : tuple of str
-    """
+    """``[adopted]``: parameters that are held at the fitted values of another study."""
 
     study: PathText
+    """Folder of that study, relative to this one."""
     parameters: tuple[str, ...] = Field(min_length=1)
+    """Parameters that keep the values fitted there."""
 
 
 class ConstraintSettings(_Section):
     """``[[constraints]]``: limits on a weighted sum of parameters."""
 
     name: str
+    """Label in tables and messages."""
     coefficients: dict[str, float]
+    """Weight of each parameter in the sum."""
     limits: Pair
+    """Lower and upper limit of the sum, in ``unit``."""
     unit: str = "-"
+    """Unit of the sum."""
 
 
 class SensitivitySettings(_Section):
-    """``[sensitivity]``."""
+    """``[sensitivity]``: samples of the sensitivity analysis."""
 
     samples: int = Field(default=500, ge=3, le=1_000_000)
+    """Samples of the Latin hypercube."""
     seed: Seed = 1
+    """Seed of the samples."""
 
 
 class CaseSettings(_Section):
     """``[[calibration.cases]]``: one run of the search from its own initial population."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    """Label of the case."""
     seed: Seed
+    """Seed of its initial population."""
 
 
 class ReductionSettings(_Section):
     """``[reduction]``: search on a reduced basis of the model; reported results are always solved at full order."""
 
     use: bool = True
+    """Whether searches of large models use a reduced basis."""
     tolerance: float = Field(default=1e-5, gt=0, lt=0.1)
+    """Relative error of an eigenvalue up to which the basis counts as trained."""
     seed: Seed = 1
+    """Seed of the points that train the basis."""
 
 
 class CalibrationSettings(_Section):
-    """``[calibration]``.
-
-    ``begin_at`` is a further start of least squares, besides the end of each search; ``refine`` tells whether least
-    squares follow a search at all.
-    """
+    """``[calibration]``: genetic searches from independent populations, and least squares after them."""
 
     method: Literal["genetic", "gauss-newton"] = "genetic"
+    """Genetic search followed by least squares, or least squares alone from several starts."""
     refine: bool = True
+    """Whether least squares follow a search."""
     starts: int = Field(default=6, ge=1, le=10_000)
+    """Starts of least squares where there is no search."""
     time_limit: float = Field(default=3600.0, gt=0, le=1e7)
+    """Longest time of one evaluation of a function of your own, s."""
     weight_freq: float = Field(default=1.0, ge=0, le=1e12)
+    """Weight of the frequency errors in the objective of the search."""
     weight_mac: float = Field(default=1.0, ge=0, le=1e12)
+    """Weight of 1 - MAC in the objective of the search."""
     population: int = Field(default=30, ge=4, le=100_000)
+    """Individuals of a generation."""
     generations: int = Field(default=250, ge=2, le=1_000_000)
+    """Generations of a search."""
     crossover: Share = 0.5
+    """Probability of crossover."""
     mutation: Share = 0.15
+    """Probability that a parameter mutates."""
     sigma_start: float = Field(default=0.10, gt=0, le=1)
+    """Standard deviation of a mutation in the first generation, over the range of the parameter."""
     sigma_end: float = Field(default=0.01, gt=0, le=1)
+    """The same in the last generation."""
     begin_at: dict[str, float] = Field(default_factory=dict)
+    """A further start of least squares, besides the end of each search; parameters in their own units."""
     cases: tuple[CaseSettings, ...] = Field(default=(CaseSettings(name="C1", seed=1),), min_length=1)
+    """Independent searches; agreement between them is reported for each parameter."""
 
     @field_validator("cases")
     @classmethod
@@ -225,60 +254,68 @@ class CalibrationSettings(_Section):
 
 
 class ExplainSettings(_Section):
-    """``[explain]``: which physical effect is missing.
-
-    Attributes
-    ----------
-    alpha : float
-        False-alarm rate: the probability of reporting a missing effect when there is none.
-    refits : int
-        Number of most promising effects that are calibrated with the whole model.
-    merge : float
-        Correlation of signatures from which effects count as collinear, unless the data discriminate between them.
-    finer_options : dict
-        Model options of a finer mesh.
-    samples : int
-        Posterior samples over which the recommended next measurement is averaged.
-    seed : int
-    """
+    """``[explain]``: which physical effect is missing."""
 
     alpha: float = Field(default=0.01, gt=0, lt=0.5)
+    """False-alarm rate: probability of reporting a missing effect when there is none."""
     refits: int = Field(default=6, ge=1, le=10_000)
+    """Most promising effects that are fitted together with all parameters."""
     merge: float = Field(default=0.98, gt=0, le=1)
+    """Correlation of signatures from which effects count as collinear, unless the data discriminate between them."""
     finer_options: dict[str, Any] = {}
+    """Model options of a finer mesh, from which the discretisation error is estimated."""
     samples: int = Field(default=10, ge=1, le=100_000)
+    """Posterior samples over which the recommended next measurement is averaged."""
     seed: Seed = 1
+    """Seed of all random numbers of the analysis."""
 
 
 class StudySettings(_Section):
-    """The whole file.
+    """The whole file: a model, and its measurement under ``[measurement]`` or test by test under ``[[tests]]``.
 
-    ``base`` is another study whose keys hold where this file does not override them (tables key by key, lists as a
-    whole); its paths are relative to its own folder. Of several given places the first that exists counts.
-    ``depends_on`` names files, relative to the study's folder, that the model reads, such as a solver's input. The
-    measurement is described under ``[measurement]``, or test by test under ``[[tests]]``. Without a ``selection`` every
-    free parameter is fitted.
+    Keys of ``base`` hold where this file does not override them, tables key by key and lists as a whole; paths there
+    stay relative to their own folder.
     """
 
     title: str
+    """Title in figures and report."""
     model: PathText = Field(pattern=FUNCTION)
+    """Function that returns the model: ``"file.py:function"`` in the folder, or ``"package.module:function"``."""
     model_options: dict[str, Any] = {}
+    """Keyword arguments of that function."""
     depends_on: tuple[PathText, ...] = ()
+    """Files that the model reads, such as a solver's input, relative to the folder; results become outdated
+    when one changes."""
     effects: PathText | None = Field(default=None, pattern=FUNCTION)
+    """Function that returns the library of effects that the model may lack."""
     with_effects: tuple[str, ...] = ()
+    """Effects of the library that are in the model."""
     base: PathText | tuple[PathText, ...] | None = None
+    """Another study whose keys hold where this file does not override them; of several the first that exists."""
     measurement: MeasurementSettings = MeasurementSettings()
+    """The measurement."""
     tests: tuple[TestSettings, ...] = ()
+    """Several measurements, each with the keys of ``[measurement]``, instead of it."""
     held_out: HeldOutSettings = HeldOutSettings()
+    """Data that no fit uses."""
     pairing: PairingSettings = PairingSettings()
+    """How measured and model modes are paired."""
     adopted: AdoptedSettings | None = None
+    """Parameters held at the fitted values of another study."""
     parameters: dict[str, ParameterSettings] = {}
+    """Changes to parameters of the model."""
     constraints: tuple[ConstraintSettings, ...] = ()
+    """Linear constraints on parameters, kept by samples and searches."""
     selection: tuple[str, ...] | Literal["from sensitivity"] | None = None
+    """Parameters that are fitted: names, or ``"from sensitivity"``; by default every free one."""
     reduction: ReductionSettings = ReductionSettings()
+    """Reduced basis of a search."""
     sensitivity: SensitivitySettings = SensitivitySettings()
+    """Sensitivity analysis."""
     calibration: CalibrationSettings = CalibrationSettings()
+    """Calibration."""
     explain: ExplainSettings = ExplainSettings()
+    """Search for a missing effect."""
 
     @field_validator("tests")
     @classmethod

@@ -35,7 +35,7 @@ def effects_table(
     visible: Mapping[str, float] = MappingProxyType({}),
     untested: Sequence[Effect] = (),
 ) -> pd.DataFrame:
-    """One row per effect, best first; the README lists the columns of ``effects.csv``.
+    """One row per effect, best first; `docs/tables.toml` lists the columns of ``effects.csv``.
 
     Parameters
     ----------

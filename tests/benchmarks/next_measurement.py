@@ -39,11 +39,11 @@ from calib.analyses.experimental_design import modal_design
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import Sensor
-from calib.missing.candidate_measurement import Option
+from calib.missing.candidate_measurement import CandidateMeasurement
 from calib.missing.competing import sharpness
 from calib.missing.explain import explain
 from calib.missing.explanation import CandidateFit, Explanation
-from calib.missing.recommendation import advise
+from calib.missing.recommendation import recommend
 from calib.missing.refits import DEFAULT, Refits
 
 
@@ -66,19 +66,20 @@ def run(twin: Twin) -> dict[str, Any]:
     design = modal_design(
         first, competing, candidates, found.base_adequacy.named, found.noise_scale, held_out, seed=twin.number
     )
-    table = advise(design)
+    table = recommend(design)
     # A computed mode that the twin's test has no name for cannot be measured here.
     possible = table[(table["kind"] != "mode") | table["measurement"].str.startswith("mode ")]
     best = possible.iloc[0]
-    option = next(o for o in design.measurements if o.name == best["measurement"])
-    after = measured_next(twin, first, competing[0], option)
+    measurement = next(o for o in design.measurements if o.name == best["measurement"])
+    after = measured_next(twin, first, competing[0], measurement)
     again = explain(after)
     sign = 1.0 if competing[0].names[0] == twin.hidden else -1.0
     second = refitted(again, after, [t.names[0] for t in competing])
     realised = second[0].ln_evidence - second[1].ln_evidence
     return row | {
-        "measurement": option.name, "kind": option.kind, "now": sign * now, "promised": float(best["ln_bayes"]),
-        "low": float(best["ln_bayes_low"]), "high": float(best["ln_bayes_high"]), "chance": float(best["chance"]),
+        "measurement": measurement.name, "kind": measurement.kind, "now": sign * now,
+        "promised": float(best["ln_bayes"]), "low": float(best["ln_bayes_low"]), "high": float(best["ln_bayes_high"]),
+        "chance": float(best["chance"]),
         "realised": sign * realised, "verdict_after": again.verdict, "credible_after": list(again.credible),
         "evaluations": found.evaluations, "scale": again.noise_scale, "p_fit": again.base_adequacy.p_fit,
     }  # fmt: skip
@@ -97,18 +98,20 @@ def refitted(found: Explanation, hypotheses: ModelHypotheses, names: Sequence[st
     return [fits.candidate_fit((name,), starts[name], whole=1) for name in names]
 
 
-def measured_next(twin: Twin, first: ModelHypotheses, candidate_fit: CandidateFit, option: Option) -> ModelHypotheses:
-    """What was measured together with what the option adds."""
+def measured_next(
+    twin: Twin, first: ModelHypotheses, candidate_fit: CandidateFit, measurement: CandidateMeasurement
+) -> ModelHypotheses:
+    """What was measured together with what the next measurement adds."""
     case, space, extra, repeats = twin.case, first.space, [], REPEATS
     held = list(case.modes)
-    if option.kind == "repeats":
-        repeats = round(REPEATS / option.scale**2)
-    if option.kind == "mode":
-        held = [m for m in case.modes if f"mode {m}," not in option.name]
-    if option.kind == "sensor":
-        places = re.findall(r"\(([-\d.]+), ([-\d.]+), ([-\d.]+)\) (\w+)", option.name)
+    if measurement.kind == "repeats":
+        repeats = round(REPEATS / measurement.scale**2)
+    if measurement.kind == "mode":
+        held = [m for m in case.modes if f"mode {m}," not in measurement.name]
+    if measurement.kind == "sensor":
+        places = re.findall(r"\(([-\d.]+), ([-\d.]+), ([-\d.]+)\) (\w+)", measurement.name)
         extra = [Sensor(900 + k, d, (float(x), float(y), float(z))) for k, (x, y, z, d) in enumerate(places)]
-    for name, sd in option.prior_sd.items():
+    for name, sd in measurement.prior_sd.items():
         told = 1 / sharpness(candidate_fit.fit, name, sd)
         result = twin.values[name] + told * np.random.default_rng([11, twin.number]).standard_normal()
         p = space[name]

@@ -1,7 +1,7 @@
 """How often the search for a missing effect is right, with everything that should fool it.
 
     python tests/benchmarks/rates.py run --of bogie --runs 300 --workers 2
-    python tests/benchmarks/rates.py report --of bogie
+    python tests/benchmarks/rates.py report --of bogie --write docs/rates_bogie.csv
 
 ``run`` makes the first so many runs of a plan that never changes and appends a line for each to
 ``results/rates_bogie/runs.jsonl``; started again it goes on where it stopped. Seeds belong to the runs, whatever the
@@ -23,6 +23,7 @@ import time
 import traceback
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from datetime import date
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -47,13 +48,15 @@ def main() -> None:
     arguments.add_argument("--only", help="run only scenarios whose name begins so")
     arguments.add_argument("--folder", type=Path, help="where runs and bases are kept (default results/rates_...)")
     arguments.add_argument("--code", help="report only lines of this code, or 'all' (default: the latest)")
+    arguments.add_argument("--write", type=Path, help="report: also write the counts as CSV, docs/rates_bogie.csv")
     given = arguments.parse_args()
     subject = SUBJECTS[given.of]
     folder = given.folder or ROOT / "results" / f"rates_{subject.name}"
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "runs.jsonl"
     if given.what == "report":
-        report(list(lines(file)), given.code)
+        made = date.fromtimestamp(file.stat().st_mtime).isoformat() if file.exists() else ""
+        report(list(lines(file)), given.code, given.write, made)
         return
     world = World(subject, folder, code_digest(subject))
     world.settle()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections import Counter
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,17 +20,21 @@ DETECTABLE = 6.0
 
 
 class Rate(NamedTuple):
-    """One criterion: ``count`` of ``n`` with the share required at least or at most."""
+    """One criterion: in ``count`` of ``n`` runs with ``hidden`` the answer was ``verdict``.
 
-    title: str
+    ``required`` is the share that is required, at least or at most.
+    """
+
+    hidden: str
+    verdict: str
     required: float
     at_least: bool
     count: int
     n: int
 
 
-def report(rows: Sequence[Row], code: str | None) -> None:
-    """Print the table and every run that went wrong."""
+def report(rows: Sequence[Row], code: str | None, counts: Path | None = None, made: str = "") -> None:
+    """Print the table and every run that went wrong; ``counts`` is a file for the counts alone, see `write`."""
     if not rows:
         print("no runs yet")
         return
@@ -35,6 +42,8 @@ def report(rows: Sequence[Row], code: str | None) -> None:
     latest = rows[-1]["code"] if code is None else code
     if latest != "all":
         rows = [row for row in rows if row["code"] == latest]
+    if counts is not None:
+        write([row for row in rows if row["outcome"] != "failed"], counts, latest, made)
     print(f"{len(rows)} runs of code {latest}; in the file: {dict(codes)}\n")
     failed = [row for row in rows if row["outcome"] == "failed"]
     rows = [row for row in rows if row["outcome"] != "failed"]
@@ -42,6 +51,31 @@ def report(rows: Sequence[Row], code: str | None) -> None:
     _numbers(rows)
     _by_effect(rows)
     _exceptions(rows, failed)
+
+
+def write(rows: Sequence[Row], file: Path, code: str, made: str) -> None:
+    """Write the counts as CSV, with the code and the date (ISO) of the runs; the documents are built from it."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow([*Rate._fields, "code", "date"])
+    table.writerows([*rate, code, made] for rate in rates(rows) if rate.n)
+    file.write_text(text.getvalue(), "utf-8")
+
+
+def read(file: Path) -> list[tuple[Rate, str, str]]:
+    """Counts as written by `write`: every rate with its code and date."""
+    with file.open(encoding="utf-8", newline="") as text:
+        return [
+            (
+                Rate(
+                    row["hidden"], row["verdict"], float(row["required"]), row["at_least"] == "True",
+                    int(row["count"]), int(row["n"]),
+                ),
+                row["code"],
+                row["date"],
+            )
+            for row in csv.DictReader(text)
+        ]  # fmt: skip
 
 
 def named(row: Row) -> bool:
@@ -70,8 +104,10 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
     def group(*names: str) -> list[Row]:
         return [row for row in rows if row["group"] in names]
 
-    def rate(title: str, required: float, at_least: bool, some: Sequence[Row], is_so: Callable[[Row], bool]) -> Rate:
-        return Rate(title, required, at_least, sum(map(is_so, some)), len(some))
+    def rate(
+        hidden: str, verdict: str, required: float, at_least: bool, some: Sequence[Row], is_so: Callable[[Row], bool]
+    ) -> Rate:
+        return Rate(hidden, verdict, required, at_least, sum(map(is_so, some)), len(some))
 
     single = group("single")
     strong = [r for r in single if score(r) >= 6]
@@ -93,45 +129,54 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
     def some(r: Row) -> bool:
         return r["verdict"] != "nothing_detectable"
 
+    one, two, detectable = "one effect", "two effects", f"expected score {DETECTABLE:g} or more"
+    none_there, doubled = "nothing", "standard deviation understated twofold"
+    outside_, names = "something that is not in the library", "names something"
     return [
-        rate("right effect named, expected score >= 6", 0.95, True, strong, right),
-        rate("right effect named, expected score 4 to 6", 0.80, True, middle, right),
-        rate("truth in the printed set, score >= 4, when named", 0.98, True, told, lambda r: r["outcome"] != "wrong"),
-        rate("wrong effect named, one effect", 0.02, False, single, wrong),
-        rate("false alarm, nothing missing", 0.03, False, nothing, some),
-        rate("  of these named", 0.01, False, nothing, named),
-        rate("false alarm, nothing missing, library of 50", 0.03, False, group("fifty"), some),
-        rate("  of these named", 0.01, False, group("fifty"), named),
-        rate("outside the library: something named", 0.05, False, outside, named),
-        rate("  designs", 0.05, False, group("outside"), named),
-        rate("  effect taken out of the library", 0.05, False, group("removed"), named),
-        rate(f"outside and visible >= {DETECTABLE:g}: none explains", 0.85, True, seen, none),
-        rate("  none explains or partial", 0.85, True, seen, lambda r: none(r) or r["verdict"] == "partial"),
-        rate("noise 2x, nothing missing: named", 0.01, False, noise, named),
+        rate(f"{one}, expected score 6 or more", "names it rightly", 0.95, True, strong, right),
+        rate(f"{one}, expected score 4 to 6", "names it rightly", 0.80, True, middle, right),
         rate(
-            "noise 2x, nothing missing: not cleared by the guard", 0.05, False, noise,
+            f"{one}, expected score 4 or more, something named", "the truth is among the names", 0.98, True, told,
+            lambda r: r["outcome"] != "wrong",
+        ),
+        rate(f"{one} of any magnitude", "names a wrong effect", 0.02, False, single, wrong),
+        rate(none_there, "says that something is missing", 0.03, False, nothing, some),
+        rate(none_there, names, 0.01, False, nothing, named),
+        rate(f"{none_there}, library of 50", "says that something is missing", 0.03, False, group("fifty"), some),
+        rate(f"{none_there}, library of 50", names, 0.01, False, group("fifty"), named),
+        rate(outside_, names, 0.05, False, outside, named),
+        rate("a design that no effect describes", names, 0.05, False, group("outside"), named),
+        rate("an effect that was taken out of the library", names, 0.05, False, group("removed"), named),
+        rate(f"{outside_}, {detectable}", "says that no listed effect explains it", 0.85, True, seen, none),
+        rate(
+            f"{outside_}, {detectable}", "the same, or that one explains it in part", 0.85, True, seen,
+            lambda r: none(r) or r["verdict"] == "partial",
+        ),
+        rate(f"{none_there}, {doubled}", names, 0.01, False, noise, named),
+        rate(
+            f"{none_there}, {doubled}", "reports systematic misfit instead of underestimated noise", 0.05, False, noise,
             lambda r: r["verdict"] not in ("nothing_detectable", "noise_underestimated"),
         ),
-        rate("noise 2x, an effect: wrong", 0.02, False, group("noise_effect"), wrong),
-        rate(f"two effects, both visible >= {DETECTABLE:g}: both named", 0.80, True, both, right),
-        rate("two effects: something wrong named", 0.02, False, pairs, wrong),
-        rate("interval covers the truth (95 %)", 0.88, True, covering, lambda r: bool(r["covers"])),
+        rate(f"{one}, {doubled}", "names a wrong effect", 0.02, False, group("noise_effect"), wrong),
+        rate(f"{two}, each of {detectable}", "names both", 0.80, True, both, right),
+        rate(f"{two} of any score", "names a wrong effect", 0.02, False, pairs, wrong),
+        rate(f"{one}, named", "its 95 % interval covers the truth", 0.88, True, covering, lambda r: bool(r["covers"])),
     ]  # fmt: skip
 
 
 def _rates(rows: Sequence[Row]) -> None:
-    print(f"{'criterion':56s} {'required':>9s} {'measured':>9s} {'n':>5s} {'95 % bound':>10s} {'p':>6s}  judgement")
+    print(f"{'criterion':106s} {'required':>9s} {'measured':>9s} {'n':>5s} {'95 % bound':>10s} {'p':>6s}  judgement")
     for r in rates(rows):
-        sign = ">=" if r.at_least else "<="
+        sign, title = ">=" if r.at_least else "<=", f"{r.hidden}: {r.verdict}"
         if not r.n:
-            print(f"{r.title:56s} {sign} {100 * r.required:4.0f} % {'-':>9s} {0:5d}")
+            print(f"{title:106s} {sign} {100 * r.required:4.0f} % {'-':>9s} {0:5d}")
             continue
         bound, p = bound_of(r), chance_of(r)
         shown = bound >= r.required if r.at_least else bound <= r.required
         words = "shown" if shown else "refuted" if p < 0.05 else "survives"
         measured = f"{100 * r.count / r.n:.1f} %"
         print(
-            f"{r.title:56s} {sign} {100 * r.required:4.0f} % {measured:>9s} {r.n:5d} {100 * bound:8.1f} % {p:6.3f}  "
+            f"{title:106s} {sign} {100 * r.required:4.0f} % {measured:>9s} {r.n:5d} {100 * bound:8.1f} % {p:6.3f}  "
             f"{words}"
         )
 

@@ -1,0 +1,129 @@
+"""Draw the figures of the documents from the results of the studies: ``make docs-figures``.
+
+Every figure is one that a study draws itself, or is drawn by the same functions from its tables. A figure whose results
+are not at hand keeps its committed file, and the script says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+from PIL import Image
+
+from calib.report.figures import Figures
+from calib.report.style import DPI, add_heading, legend_above, style, take_dollars_literally
+from calib.report.tables import read_table
+from calib.report.worst import draw_worst
+
+HERE = Path(__file__).resolve().parent
+COLOURS = 128
+"""Of a PNG: enough for every figure, and a third of its size."""
+
+
+TICKS = [m * 10**k for k in range(-3, 3) for m in (1, 2, 3, 5)]
+"""Of a logarithmic axis that spans little more than a decade."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A figure of a results folder: the folder, and the name of the figure there."""
+
+    folder: str
+    name: str
+
+
+FIGURES = {
+    "rig_misfit": Shown("four_storey_rig", "where_it_fails"),
+    "bogie_selection": Shown("bogie", "selection"),
+    "bogie_comparison": Shown("bogie", "comparison"),
+    "bogie_mode_shapes": Shown("bogie", "mode_shapes_after"),
+    "bogie_parameters": Shown("bogie", "parameters"),
+    "hidden_misfit": Shown("hidden_bogie", "sensor_misfit"),
+    "hidden_effects": Shown("hidden_bogie", "ranked_effects"),
+    "hidden_why": Shown("hidden_bogie", "why_this_effect"),
+    "hidden_next": Shown("hidden_bogie", "next_measurement"),
+    "hidden_errors": Shown("hidden_bogie", "added_errors"),
+    "vehicle_model": Shown("vehicle", "model"),
+    "vehicle_frequencies": Shown("vehicle", "modes"),
+    "vehicle_comparison": Shown("vehicle", "comparison"),
+    "vehicle_mode_shapes": Shown("vehicle", "mode_shapes_after"),
+    "vehicle_modes_bogies": Shown("vehicle", "model_modes_initial_2"),
+    "vehicle_modes_car": Shown("vehicle", "model_modes_initial_1"),
+    "vehicle_parameters": Shown("vehicle", "parameters"),
+    "vehicle_sensitivity": Shown("vehicle", "sensitivity"),
+    "hidden_effect_errors": Shown("hidden_effect", "added_errors"),
+}
+
+
+def main() -> None:
+    """Draw what the results at hand allow."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("--results", type=Path, default=Path("results"), help="where the studies' results are")
+    arguments.add_argument("--into", type=Path, default=HERE / "figures", help="where the figures go")
+    given = arguments.parse_args()
+    given.into.mkdir(parents=True, exist_ok=True)
+    for name, shown in FIGURES.items():
+        folder = given.results / shown.folder
+        if not (folder / "record.json").is_file():
+            print(f"{name}: kept, there are no results in {folder}")
+            continue
+        write(of_folder(folder, shown.name), given.into / f"{name}.png")
+    both = [given.results / name for name in ("hidden_bogie", "hidden_bogie_extended")]
+    if all((folder / "record.json").is_file() for folder in both):
+        write(before_and_after(*both), given.into / "hidden_bogie.png")
+
+
+def of_folder(folder: Path, name: str) -> Figure:
+    """A figure of a results folder, with its heading."""
+    record = _record(folder)
+    drawing = Figures(folder, record["title"], record["synthetic"]).plan[name]
+    with style():
+        figure = drawing.draw()
+        add_heading(figure, f"{record['title']}: {drawing.caption}", record["synthetic"])
+    return figure
+
+
+def before_and_after(base: Path, extended: Path) -> Figure:
+    """The worst comparisons of two calibrated models: as it was, and with the effects that an explanation named."""
+    files = [folder / "where_it_fails_after.csv" for folder in (base, extended)]
+    record = _record(base)
+    (effect,) = json.loads((base / "added.json").read_text("utf-8"))["effects"]
+    added = f"{effect['title'][:1].lower()}{effect['title'][1:]}, {effect['value']:.3g} {effect['unit']}"
+    with style():
+        ax = draw_worst(*(read_table(file, ["kind", "what"], ["in_std"]) for file in files))
+        for stage, label in (("before", "calibrated"), ("after", f"calibrated with the named effect: {added}")):
+            (dots,) = (c for c in ax.collections if c.get_label() == f"{stage} calibration")
+            dots.set_label(label)
+        low, high = ax.get_xlim()
+        ax.set_xticks([tick for tick in TICKS if low <= tick <= high])
+        ax.xaxis.set_minor_locator(NullLocator())
+        legend_above(ax)
+        add_heading(ax.figure, "The worst errors of the model, without and with what it lacks", record["synthetic"])
+    return ax.figure
+
+
+def _record(folder: Path) -> dict:
+    return json.loads((folder / "record.json").read_text("utf-8"))
+
+
+def write(figure: Figure, path: Path) -> None:
+    """Save as PNG with few colours; an interruption leaves the old file."""
+    take_dollars_literally(figure)
+    drawn = io.BytesIO()
+    with style():
+        figure.savefig(drawn, format="png", dpi=DPI)
+    draft = path.with_suffix(".draft")
+    Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(draft, "png", optimize=True)
+    os.replace(draft, path)
+    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
