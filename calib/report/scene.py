@@ -14,7 +14,7 @@ from matplotlib.gridspec import SubplotSpec
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from calib.report.style import BLACK, DPI, WIDTH
+from calib.report.style import BLACK, DENSE, DPI, WIDTH
 
 PLACE = ["x", "y", "z"]
 FOOT = 0.8
@@ -136,6 +136,7 @@ def draw_dots(ax: Axes3D, points: np.ndarray, values: np.ndarray, norm: Normaliz
     """
     area = 8.0 + 110.0 * np.abs(values) / max(abs(norm.vmin or 0.0), abs(norm.vmax or 0.0))
     looks = {"edgecolors": BLACK, "linewidths": 0.5, "depthshade": False, "clip_on": False, "zorder": 4}
+    looks["rasterized"] = len(values) > DENSE
     ax.scatter(*plot_coordinates(points).T, c=values, s=area, cmap=colours, norm=norm, gid=gid, **looks)
 
 

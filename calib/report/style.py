@@ -45,6 +45,8 @@ DPI = 160
 Format: TypeAlias = Literal["svg", "png", "pdf"]
 FORMATS: tuple[Format, ...] = ("svg", "png", "pdf")
 """Formats of files, in the order in which they are written: the last removes the words under the mouse."""
+DENSE = 50
+"""Dots of one panel from which they are painted as pixels in SVG and PDF: as shapes they would make these large."""
 SYNTHETIC = "synthetic measurement"
 
 FALLBACKS = (

@@ -24,6 +24,8 @@ _FAMILY = "'DejaVu Sans', Verdana, Arial, sans-serif"
 _FONT = re.compile(r"(font(?:-family)?:[^;]*?)'DejaVu Sans'[^;]*")
 _SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
+_COMMAND = re.compile(r"\s*([A-Za-z])\s*")
+"""Command of a path, with the room around it."""
 _FINEST = re.compile(r"(\d+\.\d{2})\d+")
 
 
@@ -53,7 +55,9 @@ def hover_cells(ax: Axes, words: Sequence[Sequence[str]]) -> None:
         for j in range(len(row))
     ]
     # Seen by the mouse alone: what is not painted would get no words.
-    cells = PolyCollection(squares, facecolors=(1.0, 1.0, 1.0, 0.0), linewidths=0.0, zorder=5, gid="cells")
+    cells = PolyCollection(
+        squares, facecolors=(1.0, 1.0, 1.0, 0.0), linewidths=0.0, zorder=5, gid="cells", clip_on=False
+    )
     hover(ax.add_collection(cells, autolim=False), *(text for row in words for text in row))
 
 
@@ -61,7 +65,13 @@ def hover_points(ax: Axes, x: ArrayLike, y: ArrayLike, words: Sequence[str]) -> 
     """Give every point of a drawn line its words; points that are not finite have none."""
     at, high = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     known = np.flatnonzero(np.isfinite(at) & np.isfinite(high)).tolist()
-    look: dict[str, Any] = {"facecolors": (1.0, 1.0, 1.0, 0.0), "linewidths": 0.0, "zorder": 6, "gid": "points"}
+    look: dict[str, Any] = {
+        "facecolors": (1.0, 1.0, 1.0, 0.0),
+        "linewidths": 0.0,
+        "zorder": 6,
+        "gid": "points",
+        "clip_on": False,
+    }
     if len(known):
         hover(ax.scatter(at[known], high[known], s=90, **look), *(words[k] for k in known))
 
@@ -103,6 +113,12 @@ def svg_text(figure: Figure, name: str) -> str:
         for key in ("style", "d", "transform", "x", "y", "points"):
             if key in element.attrib:
                 element.set(key, _FINEST.sub(r"\1", _FONT.sub(rf"\g<1>{_FAMILY}", element.attrib[key])))
+        if "d" in element.attrib:
+            element.set("d", _COMMAND.sub(r"\1", element.attrib["d"]).strip())
+        if not (element.text or "").strip():
+            element.text = None
+        if not (element.tail or "").strip():
+            element.tail = None
     for size in ("width", "height", "version"):
         root.attrib.pop(size, None)
     root.set("style", "stroke-linejoin: round; stroke-linecap: butt")
@@ -122,6 +138,7 @@ def _say_words(root: ElementTree.Element) -> None:
             title = ElementTree.Element(f"{{{_SVG}}}title")
             title.text = unquote(words.removeprefix(_HOVER))
             element.insert(0, title)
+            element.set("pointer-events", "all")  # an area without paint has words too
 
 
 def _own_names(root: ElementTree.Element, name: str) -> None:

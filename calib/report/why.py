@@ -31,7 +31,7 @@ from calib.report.scene import (
     plot_lines,
     show_axes,
 )
-from calib.report.style import AFTER, BEFORE, BLACK, GREY, REST, WIDTH, legend_above, own_axes
+from calib.report.style import AFTER, BEFORE, BLACK, DENSE, GREY, REST, WIDTH, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 
 SHAPE, PRIOR = "shape", "prior"
@@ -41,6 +41,8 @@ RESPONSES = "responses"
 ALIKE = 0.5
 """Absolute correlation of two signatures from which a local perturbation tells where an effect acts."""
 _NAMED = 3
+_WORTH_WORDS = 2.0
+"""Standard deviations from which a dot of a dense cloud has words under the mouse."""
 _LINE = 0.17
 """Height in inches of a line of words above a panel."""
 _LEVEL = 8
@@ -154,9 +156,11 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     for gid, some in (("re", ~imaginary), ("im", imaginary)):
         colour = GREY if attempt else AFTER
         face = colour if gid == "re" else "white"
-        ax.plot(x[some], y[some], "o", color=colour, markerfacecolor=face, markersize=3.6, alpha=0.8, gid=gid, zorder=3)
+        ax.plot(x[some], y[some], "o", color=colour, markerfacecolor=face, markersize=3.6, alpha=0.8, gid=gid,
+                zorder=3, rasterized=len(x) > DENSE)  # fmt: skip
     words = [f"{n}: signature {fixed(a, 1)} σ, residual {fixed(b, 1)} σ" for n, a, b in zip(names, x, y, strict=True)]
-    hover_points(ax, x, y, words)
+    large = np.maximum(np.abs(x), np.abs(y)) >= (_WORTH_WORDS if len(x) > DENSE else 0.0)
+    hover_points(ax, x[large], y[large], [text for text, shown in zip(words, large, strict=True) if shown])
     for k in np.argsort(-np.abs(x), kind="stable")[:_NAMED]:
         side = -1 if x[k] > 0 else 1
         ax.annotate(names[k], (x[k], y[k]), xytext=(5 * side, 4), textcoords="offset points", fontsize=7,

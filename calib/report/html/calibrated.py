@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calib.report.correlation import STRONG, others, strongest
-from calib.report.html.compared import error_picture, mac_picture, mode_table, scalar_blocks
+from calib.report.html.compared import error_picture, mac_picture, mode_table, scalar_blocks, shapes_picture
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, significant, with_unit, yes
@@ -157,6 +157,7 @@ def _after(results: StudyResults, best: str) -> list[Block]:
         mode_table(after, f"The model after calibration (case {best})"),
         *error_picture(results, stages),
         *mac_picture(results, "after"),
+        *shapes_picture(results, "after"),
     ]
 
 

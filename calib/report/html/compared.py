@@ -42,6 +42,7 @@ def section(results: StudyResults) -> Section | None:
         *([] if results.compared("after") is not None else error_picture(results, {"before": table})),
         *mac_picture(results, "before"),
         *_viewer(results),
+        *shapes_picture(results, "before"),
         *comac_picture(results),
     ]
     return Section("compared", title, tuple(blocks))
@@ -117,6 +118,15 @@ def _viewer(results: StudyResults) -> list[Viewer]:
         first = found["layers"][0]
         alt = f"{first['title']}: {first['words']}."
     return [Viewer("viewer", caption.strip(), alt, found)]
+
+
+def shapes_picture(results: StudyResults, stage: str) -> list[Picture]:
+    """All measured mode shapes, the test beside the model; that of the latest stage alone."""
+    if stage == "before" and results.has("shapes_after"):
+        return []
+    caption = f"All mode shapes {stage} calibration: left the test, its sensors joined to their neighbours along the "
+    caption += "mesh, right the model with the measured motion."
+    return results.picture(f"mode_shapes_{stage}", caption, f"Mode shapes {stage} calibration, measured and computed.")
 
 
 def comac_picture(results: StudyResults) -> list[Picture]:

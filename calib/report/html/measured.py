@@ -134,7 +134,11 @@ def _map(results: StudyResults, table: pd.DataFrame) -> list[Block]:
         return []
     held = int(sum(flag(value) for value in placed["held_out"]))
     alt = f"Positions of {counted(len(placed), 'sensor')} on the structure, {held} of them held out."
-    return [*results.picture("model", f"The model and the sensors on it. {AXES_NOTE}", alt)]
+    marks = "Springs, dampers, masses and supports of the model; numbers are those of the parameters in the key."
+    return [
+        *results.picture("model", f"The model and the sensors on it. {AXES_NOTE}", alt),
+        *results.picture("model_places", f"{marks} {AXES_NOTE}", marks),
+    ]
 
 
 def _suspicious(results: StudyResults) -> list[Block]:

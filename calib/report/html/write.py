@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from importlib import resources
 from itertools import count
 from pathlib import Path
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -92,9 +92,13 @@ def page(results: StudyResults) -> str:
     )
 
 
+_PLAIN = " ,;:.+-_/()[]{}*=!?@$|^~"
+"""Characters that an address in an attribute may hold as they are."""
+
+
 def _address(path: Path) -> str:
     """A file as an address that holds all of it."""
-    return f"data:text/csv;base64,{b64encode(path.read_bytes()).decode('ascii')}"
+    return f"data:text/csv;charset=utf-8,{quote(path.read_bytes(), safe=_PLAIN)}"
 
 
 def _file(name: str) -> str:
