@@ -2,7 +2,7 @@
 
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -44,6 +44,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return str(file if file.parent.name == "tests" else file.parent)
 
     return ByFolder(config, log)
+
+
+@pytest.fixture(scope="session")
+def one_sentence() -> Callable[[str], bool]:
+    """Whether a command refused its input as it must: a sentence, and then at most lines of the user's file."""
+
+    def refused(said: str) -> bool:
+        sentence, *shown = said.splitlines()
+        lines = all(line.startswith("  ") for line in shown) and len(shown) <= 3
+        return said.endswith("\n") and sentence.startswith("Error: ") and sentence.endswith(".") and lines
+
+    return refused
 
 
 @pytest.fixture(scope="session")

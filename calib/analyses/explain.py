@@ -169,7 +169,8 @@ def decided(
     except EvaluationError as fault:
         words, cause = _not_fitted(adapter, fault)
         remedy = "check values, limits and supports" if cause is None else "correct the function that fails"
-        raise InputError(f"the model cannot be fitted: {words}", place=place, remedy=remedy) from cause
+        at = fault.at if cause is None else cause.at
+        raise InputError(f"the model cannot be fitted: {words}", place=place, remedy=remedy, at=at) from cause
 
 
 def keep(study: AnyStudy, results: Results, answer: ExplanationResult) -> None:

@@ -16,6 +16,7 @@ import tomlkit
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.loading import pick
+from calib.place import Place
 from calib.several import AnyStudy, load
 from calib.study_file import StudyFile
 from calib.written import DRAFT, free_name, is_own_folder, note_folder
@@ -117,7 +118,7 @@ def _candidates(study: AnyStudy, names: Sequence[str]) -> tuple[Effect, ...]:
             place=study.file,
             remedy='add a line such as effects = "effects.py:library"',
         )
-    effects = tuple(pick(study.library, name, str(study.file)) for name in dict.fromkeys(names))
+    effects = tuple(pick(study.library, name, Place(str(study.file))) for name in dict.fromkeys(names))
     for effect in effects:
         if effect in study.included:
             raise InputError(

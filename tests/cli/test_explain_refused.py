@@ -14,7 +14,7 @@ def refused(arguments, capsys, *words):
     capsys.readouterr()
     assert cli.execute(arguments) == 2
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and said.startswith("calib: ") and "Traceback" not in said
+    assert said.count("\n") == 1 and said.startswith("Error: ") and "Traceback" not in said
     for word in words:
         assert word in said, said
     assert not Path("calib-error.log").exists()
