@@ -30,6 +30,9 @@ from calib.structure.model import StructuralModel
 from calib.structure.soundness import require_sound
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
+_KEYS = {"model": ("model",), "effects": ("effects",), "finer_options": ("explain", "finer_options")}
+"""Keys for which a function is called."""
+
 PlaceOf = Callable[..., Place]
 """Place of a key of the study, such as ``place("model")``."""
 
@@ -82,7 +85,7 @@ class Sources:
         options = self.settings.explain.finer_options
         if not options:
             return None
-        model = self._call("explain", self.settings.model, {**self.settings.model_options, **options})
+        model = self._call("finer_options", self.settings.model, {**self.settings.model_options, **options})
         return model if isinstance(model, StructuralModel) else None
 
     def library(self, base: Model) -> tuple[Effect, ...]:
@@ -125,7 +128,7 @@ class Sources:
     def _call(self, key: str, function: str, options: Mapping[str, Any]) -> Any:
         """Result of the function that is named under a key."""
         where, _, name = function.rpartition(":")
-        place = self.place(key)
+        place = self.place(*_KEYS[key])
         module = self._module(key, where)
         build = getattr(module, name, None)
         if not callable(build):
@@ -134,9 +137,10 @@ class Sources:
             raise InputError(words, place=place, remedy=f"correct the key {key!r}")
         mismatch = _mismatch(build, options)
         if mismatch is not None:
-            with_options = "with these model_options" if key == "model" else "without arguments"
-            where_options = self.place("model_options") if key == "model" and options else place
-            raise InputError(f"{name} cannot be called {with_options} ({mismatch})", place=where_options)
+            given = {"model": "with these model_options", "finer_options": "with these finer_options"}
+            if key == "model" and options:
+                place = self.place("model_options")
+            raise InputError(f"{name} cannot be called {given.get(key, 'without arguments')} ({mismatch})", place=place)
         try:
             return build(**options)
         except InputError as fault:  # the user's own call of calib
@@ -151,8 +155,8 @@ class Sources:
         return defined_at(getattr(self._module(key, where), name, None))
 
     def _module(self, key: str, where: str) -> ModuleType:
-        place, remedy = self.place(key), f"correct the key {key!r}"
-        what = "model" if key == "model" else "library of effects"
+        place, remedy = self.place(*_KEYS[key]), f"correct the key {key!r}"
+        what = "library of effects" if key == "effects" else "model"
         try:
             if not self._entered:
                 named = [

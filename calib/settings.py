@@ -310,15 +310,16 @@ class StudySettings(_Section):
         return tuple(dict.fromkeys(name for name in named if name))
 
     @property
-    def mentioned(self) -> tuple[tuple[tuple[str, ...], str], ...]:
+    def mentioned(self) -> tuple[tuple[tuple[int | str, ...], str], ...]:
         """Every parameter that the file mentions, with its key."""
         selected = self.selection if isinstance(self.selection, tuple) else ()
         adopted = () if self.adopted is None else self.adopted.parameters
+        constrained = [(k, name) for k, c in enumerate(self.constraints) for name in c.coefficients]
         return (
             *((("parameters", name), name) for name in self.parameters),
-            *((("constraints",), name) for c in self.constraints for name in c.coefficients),
-            *((("adopted", "parameters"), name) for name in adopted),
-            *((("selection",), name) for name in selected),
+            *((("constraints", k, "coefficients", name), name) for k, name in constrained),
+            *((("adopted", "parameters", k), name) for k, name in enumerate(adopted)),
+            *((("selection", k), name) for k, name in enumerate(selected)),
             *((("calibration", "begin_at", name), name) for name in self.calibration.begin_at),
         )
 

@@ -46,8 +46,8 @@ def _place(file: str, text: str, span: _Span) -> Place:
     begin, end = span
     line = text.count("\n", 0, begin) + 1
     start = text.rfind("\n", 0, begin) + 1
-    end = min(end, *(k for k in (text.find("\n", begin),) if k >= 0), len(text))
-    return Place.in_lines(file, text.split("\n"), line, begin - start + 1, max(end - begin, 1))
+    length = 1 if "\n" in text[begin:end] else end - begin  # of several lines the first bracket or quote
+    return Place.in_lines(file, text.split("\n"), line, begin - start + 1, max(length, 1))
 
 
 @dataclass
