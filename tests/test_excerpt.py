@@ -89,6 +89,18 @@ def test_whatever_the_line_it_is_cut_around_the_mark(text, column, length, wides
         assert under_the_mark(shown).startswith(text[column - 1])
 
 
+@pytest.mark.parametrize("letter", ["x", "橋"])
+@pytest.mark.parametrize("before", [0, 40, 150, 400])
+@pytest.mark.parametrize("behind", [0, 40, 400])
+def test_a_long_line_is_cut_where_nothing_is_wrong(letter, before, behind):
+    text = letter * before + "[5.0, 0.3]" + letter * behind
+    shown = excerpt(Place("f", 12, text, before + 1, 10), 60)
+    assert under_the_mark(shown) == "[5.0, 0.3]"
+    assert columns(shown[1]) <= 60
+    whole = shown[1].removeprefix("  12 | ")
+    assert whole == text or "..." in (whole[:3], whole[-3:])
+
+
 def test_files_below_the_current_directory_are_named_from_there(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert excerpt(Place(str(tmp_path / "a" / "b.py"), 1))[0] == "  a/b.py, line 1"
