@@ -21,7 +21,7 @@ from calib.fingerprint import digest_of
 from calib.function import FunctionModel, extend_function
 from calib.neighbours import Neighbours
 from calib.outcome import told
-from calib.own_code import defined_at, raised_at
+from calib.own_code import defined_at, raised_at, refuses
 from calib.place import Place
 from calib.settings import StudySettings
 from calib.structure.extend import extend
@@ -143,8 +143,9 @@ class Sources:
             raise InputError(f"{name} cannot be called {given.get(key, 'without arguments')} ({mismatch})", place=place)
         try:
             return build(**options)
-        except InputError as fault:  # the user's own call of calib
-            raise fault.with_line(raised_at(fault)) from fault.__cause__
+        except InputError as fault:  # of a wrong option, or of the user's own call of calib
+            asked = self.place("model_options") if key == "model" and options else place
+            raise fault.with_line((None if refuses(fault) else raised_at(fault)) or asked) from fault.__cause__
         except (Exception, SystemExit) as fault:
             # The function is the user's own: its errors are bad input, reported without our traceback.
             raise InputError(f"{name} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault

@@ -20,6 +20,8 @@ _NOT_THE_USERS = (
     *(sysconfig.get_path(kind) + os.sep for kind in ("stdlib", "purelib", "platlib")),
 )
 _INSTALLED = ("site-packages", "dist-packages")
+_LIBRARY = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "models") + os.sep
+"""Models that come with calib: a library where the user's own code calls them, else the code that a study names."""
 _HEAD_LINES = 30
 """Lines of decorators that may stand above a function's name."""
 
@@ -27,21 +29,34 @@ _HEAD_LINES = 30
 def raised_at(fault: BaseException) -> Place | None:
     """Line of the user's code that raised an exception, the innermost one; for a wrong syntax the line itself.
 
-    The user's code is any that belongs neither to Python nor to calib nor to an installed package.
+    The user's code is any that belongs neither to Python nor to calib nor to an installed package. Of code that calls
+    the models that come with calib, it is the caller.
     """
     if isinstance(fault, SyntaxError) and fault.filename and fault.lineno and _is_own(fault.filename):
         return _place_of_syntax(fault)
-    frames = [frame for frame in traceback.extract_tb(fault.__traceback__) if _is_own(frame.filename)]
-    if not frames or frames[-1].lineno is None:
+    frames = _own_frames(traceback.extract_tb(fault.__traceback__))
+    if not frames or (line := frames[-1].lineno) is None:
         return None
     frame = frames[-1]
-    place = Place.in_lines(frame.filename, _lines(frame.filename), frames[-1].lineno)
+    place = Place.in_lines(frame.filename, _lines(frame.filename), line)
     if frame.colno is None or frame.end_colno is None:
         return place
     begin = _characters(place.text, frame.colno)
     one_line = frame.end_lineno == frame.lineno
     end = _characters(place.text, frame.end_colno) if one_line else len(place.text.rstrip())
     return Place(place.file, place.line, place.text, begin + 1, max(end - begin, 1))
+
+
+def refuses(fault: BaseException) -> bool:
+    """Whether the code that a study names itself raised an exception, and not what it called."""
+    frames = traceback.extract_tb(fault.__traceback__)
+    own = _own_frames(frames)
+    return bool(own) and (own[-1] is frames[-1] or own[-1].filename.startswith(_LIBRARY))
+
+
+def _own_frames(frames: Sequence[traceback.FrameSummary]) -> list[traceback.FrameSummary]:
+    own = [frame for frame in frames if _is_own(frame.filename)]
+    return [frame for frame in own if not frame.filename.startswith(_LIBRARY)] or own
 
 
 def defined_at(function: Any) -> Place | None:

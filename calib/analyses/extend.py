@@ -233,9 +233,11 @@ def _check(study: AnyStudy, target: Path, folder: Path) -> None:
         load(target, study.adopted)
     except InputError as fault:
         said = str(fault).replace(str(target.parent), str(folder))
-        raise InputError(
-            f"the new study would be invalid and was not written: {said}", remedy="extend by hand, or correct the study"
-        ) from None
+        at = None if fault.at is None else replace(fault.at, file=str(Path(fault.at.file).resolve()))
+        if at is not None and Path(at.file).is_relative_to(target.parent.resolve()):  # a file that does not stay
+            at = None
+        words = f"the new study would be invalid and was not written: {said}"
+        raise InputError(words, remedy="extend by hand, or correct the study", at=at) from None
 
 
 def _text(

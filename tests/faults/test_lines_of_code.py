@@ -9,9 +9,11 @@ import pytest
 import calib
 from calib.errors import InputError
 from calib.evaluate import Evaluator
+from calib.example import write_example
 from calib.executor import ExecutorEvaluator
 from calib.study import EvaluationSource, Study
 
+ROOT = Path(__file__).parents[2]
 SOUND = "def answer(values):\n    return {'y': values['a'], 'z': values['b']}\n"
 RETURN = '    return FunctionModel("plain", SPACE, answer)'
 
@@ -51,6 +53,32 @@ def test_mistakes_in_a_model(plain, changes, mistakes):
     expected = mistakes.put(folder / "model.py", *pairs)
     at = mistakes.refused(folder).at
     mistakes.check(at, expected)
+
+
+def test_an_option_that_a_model_refuses_is_shown_where_it_is_given(plain, mistakes):
+    folder = plain(SOUND)
+    refusal = f"    if size < 0:\n        raise InputError('size is negative', place='size')\n{RETURN}"
+    mistakes.put(
+        folder / "model.py",
+        ("import numpy as np", "import numpy as np\nfrom calib.errors import InputError"),
+        ("def model():", "def model(size):"),
+        (RETURN, refusal),
+    )
+    expected = mistakes.put(folder / "study.toml", ("selection", "model_options = ⟦{ size = -1 }⟧\nselection"))
+    mistakes.check(mistakes.refused(folder).at, expected)
+
+
+def test_an_option_that_a_shipped_model_refuses(tmp_path, mistakes):
+    shutil.copytree(ROOT / "studies/hidden_none", tmp_path / "car", ignore=shutil.ignore_patterns("__pycache__"))
+    expected = mistakes.put(tmp_path / "car/study.toml", ('{ seats = "rigid" }', '⟦{ seats = "soft" }⟧'))
+    mistakes.check(mistakes.refused(tmp_path / "car").at, expected)
+
+
+def test_a_mistake_in_the_use_of_shipped_elements(tmp_path, mistakes):
+    write_example(tmp_path / "mast")
+    changes = ("Section(area", "⟦Section(area"), ("density=7850.0)", "density=-7850.0)⟧")
+    expected = mistakes.put(tmp_path / "mast/model.py", *changes)
+    mistakes.check(mistakes.refused(tmp_path / "mast").at, expected)
 
 
 def test_a_mistake_in_a_module_beside_the_model(plain, mistakes):
@@ -226,9 +254,8 @@ def test_mistakes_in_an_effect_of_the_library(plain, request, body, isolated, mi
     ],
 )
 def test_mistakes_in_an_effect_of_matrices(tmp_path, old, new, mistakes):
-    root = Path(__file__).parents[2]
-    shutil.copytree(root / "studies/four_storey_rig", tmp_path / "rig", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(root / "tests/template/rig_effects.py", tmp_path / "rig/effects.py")
+    shutil.copytree(ROOT / "studies/four_storey_rig", tmp_path / "rig", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "tests/template/rig_effects.py", tmp_path / "rig/effects.py")
     head = 'effects = "effects.py:library"\nwith_effects = ["top_cables"]\n'
     file = tmp_path / "rig/study.toml"
     file.write_text(head + file.read_text("utf-8"), "utf-8")
