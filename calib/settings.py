@@ -40,6 +40,14 @@ FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
 """Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
 
 
+class WrongBelow(ValueError):
+    """A wrong value below the section or list that is checked; ``keys`` lead there."""
+
+    def __init__(self, words: str, *keys: int | str):
+        super().__init__(words)
+        self.keys = keys
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -218,9 +226,9 @@ class CalibrationSettings(_Section):
     @classmethod
     def _distinct(cls, cases: tuple[CaseSettings, ...]) -> tuple[CaseSettings, ...]:
         names = [case.name for case in cases]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two cases are named {name!r}")
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise WrongBelow(f"two cases are named {name!r}", k, "name")
         return cases
 
 
@@ -284,18 +292,21 @@ class StudySettings(_Section):
     @classmethod
     def _named(cls, tests: tuple[TestSettings, ...]) -> tuple[TestSettings, ...]:
         names = [test.name for test in tests]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two tests are named {name!r}")
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise WrongBelow(f"two tests are named {name!r}", k, "name")
         return tests
 
     @model_validator(mode="after")
     def _measured(self) -> StudySettings:
         own = bool(self.measurement.files or self.measurement.responses)
         if own == bool(self.tests):
-            raise ValueError("name what was measured, either under [measurement] or test by test under [[tests]]")
-        if self.tests and (self.held_out != HeldOutSettings() or self.pairing != PairingSettings()):
-            raise ValueError("with [[tests]], held-out and pairing belong to a test: [tests.held_out], [tests.pairing]")
+            words = "name what was measured, either under [measurement] or test by test under [[tests]]"
+            raise WrongBelow(words, *(["measurement"] if own else []))
+        for key, default in (("held_out", HeldOutSettings()), ("pairing", PairingSettings())):
+            if self.tests and getattr(self, key) != default:
+                words = "with [[tests]], held-out and pairing belong to a test: [tests.held_out], [tests.pairing]"
+                raise WrongBelow(words, key)
         return self
 
     @property

@@ -206,7 +206,8 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
     """The first error in one sentence, with its line; unknown keys come first: one may be the missing key misspelt."""
     first = min(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
     kind, words = first["type"], first["msg"].removeprefix("Value error, ")
-    keys = _written(first["loc"], _merged(layers), missing=kind == "missing")
+    below = getattr(first.get("ctx", {}).get("error"), "keys", ())
+    keys = _written((*first["loc"], *below), _merged(layers), missing=kind == "missing")
     label = keys_in_words(keys) or "the file"
     place = place_of(layers, *keys, mark="key" if kind == "extra_forbidden" else "value")
     given = repr(first.get("input"))

@@ -32,7 +32,9 @@ KEYS = {
     "wrong type in a list of tables": [('{ name = "A2", seed = 2 }', '{ name = "A2", seed = ⟦"one"⟧ }')],
     "unknown key in an inline table": [('{ name = "A2", seed = 2 }', '{ name = "A2", ⟦sead⟧ = 2, seed = 2 }')],
     "missing key in a list of tables": [('{ name = "A2", seed = 2 }', '⟦{ name = "A2" }⟧')],
-    "cases of one name": [('"A2", seed', '"A1", seed'), ("cases = [", "cases = ⟦[⟧")],
+    "cases of one name": [('"A2", seed', '⟦"A1"⟧, seed')],
+    "no cases": [('{ name = "A1", seed = 1 },\n    { name = "A2", seed = 2 },', ""), ("cases = [", "cases = ⟦[⟧")],
+    "measured in two ways": [("[measurement]", "[[tests]]\nname = 'T'\nresponses = 'r.csv'\n⟦[measurement]⟧")],
     "number out of range": [("threshold = 0.3", "threshold = ⟦1.5⟧")],
     "limits reversed": [("limits = [0.3, 5.0]", "limits = ⟦[5.0, 0.3]⟧")],
     "search reversed": [("search = [0.2, 8.0]", "search = ⟦[8.0, 0.2]⟧")],
@@ -148,6 +150,8 @@ responses = "measured.csv"
         "[tests.held_out]\nresponses = ['y', ⟦'q'⟧]",
         "accuracy = ⟦3.0⟧",
         "[tests.pairing]\n⟦treshold⟧ = 0.1",
+        "[[tests]]\nname = ⟦'one'⟧\nresponses = 'measured.csv'",
+        "⟦[pairing]⟧\nthreshold = 0.1",
     ],
 )
 def test_a_key_of_one_of_several_tests(plain, lines, mistakes):
