@@ -91,22 +91,6 @@ def rig(here: Path) -> Path:
 
 
 @pytest.fixture
-def scalar_study(here: Path) -> Callable[..., Path]:
-    """Writes a study of scalar responses, each measured with a value and a standard deviation."""
-
-    def write(name: str, model: str, study: str, **measured: tuple[float, float]) -> Path:
-        folder = Path(name)
-        folder.mkdir()
-        (folder / "model.py").write_text(model)
-        (folder / "study.toml").write_text(study)
-        rows = "".join(f"{response},{value},{std}\n" for response, (value, std) in measured.items())
-        (folder / "measured.csv").write_text(f"response,value,std\n{rows}")
-        return folder
-
-    return write
-
-
-@pytest.fixture
 def sums(here: Path) -> Path:
     """A study of the sum of two numbers, whose file has comments and a list of several lines."""
     return Path(shutil.copytree(ROOT / "tests/template/sums", "sums", ignore=shutil.ignore_patterns("__pycache__")))

@@ -40,7 +40,10 @@ def test_the_rope_is_named_with_its_magnitude(guyed):
     )
 
 
-@pytest.mark.parametrize("hidden", [{"platform": 25.0}, {"lamp": 25.0}, {"stuck_base": 0.8}])
+@pytest.mark.parametrize(
+    "hidden",
+    [{"stuck_base": 0.8}, *(pytest.param({one: 25.0}, marks=pytest.mark.slow) for one in ("platform", "lamp"))],
+)
 def test_other_effects_are_named_too(mast, tmp_path, hidden):
     study = Study.load(mast.write_study(tmp_path / "mast", hidden))
     answer = explain(study, Results.at(tmp_path / "results", study.name))

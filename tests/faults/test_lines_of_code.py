@@ -108,7 +108,7 @@ EVALUATING = {
 @pytest.mark.parametrize("function", EVALUATING.values(), ids=EVALUATING)
 def test_mistakes_while_a_model_is_evaluated(plain, in_this_process, function, mistakes):
     folder = plain("")
-    expected = mistakes.put(folder / "model.py", ("SPACE = ", "SPACE = "), ("\n\n\n\n", f"\n\n{function}\n"))
+    expected = mistakes.put(folder / "model.py", ("\n\n\n\n", f"\n\n{function}\n"))
     mistakes.check(mistakes.refused(folder, compare).at, expected)
 
 

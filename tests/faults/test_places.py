@@ -175,7 +175,7 @@ def fill(disk: Path, leave: int) -> Path:
     return ballast
 
 
-@pytest.mark.parametrize("kilobytes", [0, 80, 400])
+@pytest.mark.parametrize("kilobytes", [80, *(pytest.param(size, marks=pytest.mark.slow) for size in (0, 400))])
 def test_a_full_disk(mast, small_disk, runner, left, drafts, kilobytes, whole, one_sentence):
     check_full_disk(small_disk, runner, left, drafts, kilobytes, whole[0], False, one_sentence)
 
@@ -285,7 +285,7 @@ def test_a_ledger_of_a_newer_version(mast, told):
     ("old", "new", "words"),
     [
         ("value = 2.0", "value = 2.5", ""),  # asks other questions of the same model: this run goes on with its own
-        ("mode_count = 6", "mode_count = 7", "changed while it was running"),
+        pytest.param("mode_count = 6", "mode_count = 7", "changed while it was running", marks=pytest.mark.slow),
         ('title = "Ex', 'titel = "Ex', "unknown key 'titel'"),
     ],
 )

@@ -74,6 +74,7 @@ def run(folder, *analyses):
     """Run analyses without drawing figures, which would take longest; results go beside the study."""
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()):
         patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
+        patch.setattr("calib.front.study.isolated", lambda study: study)
         patch.setattr("calib.front.study.write_report", lambda results: results.folder / "report.html")
         for analysis, *more in analyses:
             assert cli.execute([analysis, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
