@@ -38,6 +38,8 @@ PathText = Annotated[str, AfterValidator(possible_path)]
 Share = Annotated[float, Field(ge=0, le=1)]
 FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
 """Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
+NAME = r"^[A-Za-z0-9_-]+$"
+"""Name of a case or a test, which names files."""
 
 
 class WrongBelow(ValueError):
@@ -136,7 +138,7 @@ class TestSettings(MeasurementSettings):
 
     __test__ = False  # no test of pytest's
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    name: str = Field(pattern=NAME, max_length=100)
     set: dict[str, float] = {}
     held_out: HeldOutSettings = HeldOutSettings()
     pairing: PairingSettings = PairingSettings()
@@ -188,7 +190,7 @@ class SensitivitySettings(_Section):
 class CaseSettings(_Section):
     """``[[calibration.cases]]``: one run of the search from its own initial population."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    name: str = Field(pattern=NAME, max_length=100)
     seed: Seed
 
 

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from calib.errors import InputError
 from calib.place import Place
 from calib.renamed import KEYS
-from calib.settings import StudySettings
+from calib.settings import FUNCTION, NAME, StudySettings
 from calib.toml_places import Keys, Mark, keys_in_words, place_in
 
 
@@ -200,6 +200,10 @@ _EXPECTED: Mapping[str, tuple[str, str]] = {
     "dict": ("a table", "write names with values"),
 }
 """What a value must be, by the first word of the kind of error that pydantic reports, and a remedy."""
+_PATTERNS: Mapping[str, tuple[str, str]] = {
+    FUNCTION: ("names no function", 'write "file.py:function" or "package.module:function"'),
+    NAME: ("is no name for files", "use letters, digits, - and _ only"),
+}
 
 
 def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
@@ -225,6 +229,9 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
         )
     if kind == "missing":
         return InputError(f"{label!r} is missing", place=place, remedy="add it")
+    if kind == "string_pattern_mismatch":
+        problem, remedy = _PATTERNS[first["ctx"]["pattern"]]
+        return InputError(f"{label} = {given} {problem}", place=place, remedy=remedy)
     if kind == "value_error":
         return InputError(f"{label}: {words}", place=place)
     if (

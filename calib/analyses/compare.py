@@ -195,10 +195,11 @@ def compare(study: Study, results: Results) -> ComparisonResult:
         answer = comparison_at(study, nominal)
     except EvaluationError as fault:
         again = traced(study.problem, nominal, fault)
+        check = "check parameter values, supports and mode_count"
         raise InputError(
             f"the model cannot be evaluated at its nominal values: {fault}",
             place=study.file,
-            remedy="check parameter values, supports and mode_count",
+            remedy=check if again.at is None else "correct the function that fails",
             at=again.at,
         ) from as_cause(again)
     begin_analysis(results, "compare")

@@ -33,6 +33,8 @@ KEYS = {
     "unknown key in an inline table": [('{ name = "A2", seed = 2 }', '{ name = "A2", ⟦sead⟧ = 2, seed = 2 }')],
     "missing key in a list of tables": [('{ name = "A2", seed = 2 }', '⟦{ name = "A2" }⟧')],
     "cases of one name": [('"A2", seed', '⟦"A1"⟧, seed')],
+    "a blank in a name": [('"A2", seed', '⟦"A 2"⟧, seed')],
+    "model without its function": [('model = "model.py:mast"', 'model = ⟦"model.py"⟧')],
     "no cases": [('{ name = "A1", seed = 1 },\n    { name = "A2", seed = 2 },', ""), ("cases = [", "cases = ⟦[⟧")],
     "measured in two ways": [("[measurement]", "[[tests]]\nname = 'T'\nresponses = 'r.csv'\n⟦[measurement]⟧")],
     "number out of range": [("threshold = 0.3", "threshold = ⟦1.5⟧")],
