@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import linecache
 import os
 import re
 import sysconfig
@@ -112,12 +113,12 @@ def _is_own(file: str) -> bool:
 
 
 def _lines(file: str) -> Sequence[str]:
-    """Lines of a file of Python; none where it cannot be read."""
+    """Lines of a file of Python, or of a notebook's cell; none where it cannot be read."""
     try:
         with tokenize.open(file) as stream:
             return stream.read().split("\n")
     except (OSError, SyntaxError, UnicodeError):
-        return ()
+        return [line.rstrip("\r\n") for line in linecache.getlines(file)]
 
 
 def _characters(text: str, n_bytes: int) -> int:

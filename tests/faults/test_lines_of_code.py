@@ -1,5 +1,6 @@
 """Mistakes in the user's own code: the error carries the line that raised it, or that defines what is wrong."""
 
+import linecache
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -11,6 +12,8 @@ from calib.errors import InputError
 from calib.evaluate import Evaluator
 from calib.example import write_example
 from calib.executor import ExecutorEvaluator
+from calib.own_code import defined_at, raised_at
+from calib.place import Place
 from calib.study import EvaluationSource, Study
 
 ROOT = Path(__file__).parents[2]
@@ -79,6 +82,19 @@ def test_a_mistake_in_the_use_of_shipped_elements(tmp_path, mistakes):
     changes = ("Section(area", "⟦Section(area"), ("density=7850.0)", "density=-7850.0)⟧")
     expected = mistakes.put(tmp_path / "mast/model.py", *changes)
     mistakes.check(mistakes.refused(tmp_path / "mast").at, expected)
+
+
+def test_a_cell_of_a_notebook(tmp_path):
+    """Its source stands in no file."""
+    name, source = str(tmp_path / "cell_1.py"), "def half(x):\n    return x / 0\n"
+    linecache.cache[name] = (len(source), None, source.splitlines(keepends=True), name)
+    names = {}
+    exec(compile(source, name, "exec"), names)
+    with pytest.raises(ZeroDivisionError) as caught:
+        names["half"](1.0)
+    assert raised_at(caught.value) == Place(name, 2, "    return x / 0", 12, 5)
+    assert defined_at(names["half"]) == Place(name, 1, "def half(x):", 5, 4)
+    assert defined_at(len) is None and defined_at(shutil.copy) is None and defined_at(Study.load) is None
 
 
 def test_a_mistake_in_a_module_beside_the_model(plain, mistakes):
