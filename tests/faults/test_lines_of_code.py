@@ -39,6 +39,7 @@ BUILDING = {
     "at import": ("import numpy as np", "import numpy as np\nx = ⟦{}['é']⟧"),
     "after letters of two bytes": ("import numpy as np", "import numpy as np\nx = 'ßß', ⟦{}['é']⟧"),
     "limits reversed in the model": ('Parameter("b", 2.0, 1.0, 3.0)', '⟦Parameter("b", 2.0, 3.0, 1.0)⟧'),
+    "limits reversed in its function": (RETURN, f'    ⟦Parameter("c", 2.0, 3.0, 1.0)⟧\n{RETURN}'),
     "unknown unit in the model": ('Parameter("b", 2.0, 1.0, 3.0)', '⟦Parameter("b", 2.0, 1.0, 3.0, "furlong")⟧'),
     "wrong syntax": ("import numpy as np", "import numpy as np\nx = 3 ⟦6⟧"),
     "bracket not closed": ("import numpy as np", "import numpy as np\nx = ⟦(⟧3"),
