@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
 from calib.errors import InputError
 from calib.function import FunctionModel
 from calib.loading import Model
+from calib.measurement.csv_format import place_of_node
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses
 from calib.structure.modal_function import ModalFunctionModel
+from calib.structure.modal_model import ModalModel
 from calib.structure.model import StructuralModel
 from calib.study_file import StudyFile
 
@@ -44,21 +47,30 @@ def used_of(
             )
     if whole is None:
         names = held.responses
-        for name in names:
+        for k, name in enumerate(names):
             if name not in whole_targets:
-                raise InputError(f"held-out response {name!r} was not measured", place=study.place("held_out"))
+                place = study.place("held_out", "responses", k)
+                remedy = f"the measured responses are {', '.join(whole_targets)}"
+                raise InputError(f"held-out response {name!r} was not measured", place=place, remedy=remedy)
         targets = {name: target for name, target in whole_targets.items() if name not in names}
         if not targets:
             raise InputError(
-                "every measured response is held out", place=study.place("held_out"), remedy="leave some to fit"
+                "every measured response is held out",
+                place=study.place("held_out", "responses"),
+                remedy="leave some to fit",
             )
         return None, targets
     try:
         used = whole.without(held.modes, held.sensors)
     except InputError as fault:
-        raise InputError(fault.problem, place=study.place("held_out"), remedy=fault.remedy) from None
+        sensors = [sensor.name for sensor in whole.sensors]
+        unknown = [("modes", k) for k, name in enumerate(held.modes) if name not in whole.names]
+        unknown += [("sensors", k) for k, name in enumerate(held.sensors) if name not in sensors]
+        place = study.place("held_out", *(unknown[0] if unknown else ()))
+        raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
     if not used.n_modes:
-        raise InputError("every measured mode is held out", place=study.place("held_out"), remedy="leave some to fit")
+        place = study.place("held_out", "modes")
+        raise InputError("every measured mode is held out", place=place, remedy="leave some to fit")
     if whole.has_shapes and not used.has_shapes:
         raise InputError(
             "every sensor is held out",
@@ -90,12 +102,12 @@ def modal_problem(
             place=study.place("pairing", "mode_count"),
             remedy="solve at least as many, better a few more",
         )
-    named = set(pairing.clusters) | set(pairing.override)
+    named = {mode: key for key in ("override", "clusters") for mode in getattr(pairing, key)}
     held_out = set(study.settings.held_out.modes)
-    for mode in sorted(named - set(measured.names) - held_out):
+    for mode in sorted(named.keys() - set(measured.names) - held_out):
         raise InputError(
             f"mode {mode!r} was not measured",
-            place=study.place("pairing"),
+            place=study.place("pairing", named[mode], mode, mark="key"),
             remedy=f"the measured modes are {', '.join(measured.names)}",
         )
     try:
@@ -109,11 +121,16 @@ def modal_problem(
             override={m: k for m, k in pairing.override.items() if m not in held_out},
         )
     except InputError as fault:
-        raise misfit(study, fault) from None
+        raise misfit(study, model, fault) from None
 
 
-def misfit(study: StudyFile, fault: InputError) -> InputError:
-    """A mismatch of model and measurement, with its place in the study."""
-    where = fault.place if fault.place and fault.place.startswith("sensor") else None
-    place = f"{study.file}, {where}" if where else study.place("pairing")
+def misfit(study: StudyFile, model: ModalModel, fault: InputError) -> InputError:
+    """A mismatch of model and measurement, with its place in the study or in its table of sensors."""
+    if fault.place and fault.place.startswith("sensor"):
+        table, node = study.settings.measurement.sensors, re.match(r"sensor (\d+)", fault.place)
+        at = place_of_node(study.folder / table, int(node[1])) if table and node else None
+        return InputError(fault.problem, place=f"{study.file}, {fault.place}", remedy=fault.remedy, at=at)
+    clusters = study.settings.pairing.clusters.items()
+    unknown = [(mode, k) for mode, named in clusters for k, name in enumerate(named) if name not in model.clusters]
+    place = study.place("pairing", "clusters", *unknown[0]) if unknown else study.place("pairing")
     return InputError(fault.problem, place=place, remedy=fault.remedy)

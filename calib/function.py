@@ -10,6 +10,7 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.given import objects
+from calib.own_code import defined_at
 from calib.space import ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption
@@ -68,7 +69,7 @@ def extend_function(model: F, effects: Sequence[Effect]) -> F:
         if built is not None and not callable(built):
             raise InputError(
                 f"it builds {type(built).__name__}", place=f"effect {effect.name}",
-                remedy="return a function of named values, or None",
+                remedy="return a function of named values, or None", at=defined_at(effect.build),
             )  # fmt: skip
         space = ParameterSpace(model.space.parameters + effect.parameters, model.space.constraints)
         model = replace(model, space=space, function=built or model.function)

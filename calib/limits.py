@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from functools import partial
 
 from calib.errors import InputError
-from calib.settings import StudySettings
+from calib.place import Place
+from calib.settings import ParameterSettings, StudySettings
 from calib.space import LinearConstraint, ParameterSpace
 
-Place = Callable[..., str]
-"""File and line of a key of the study, such as ``place("parameters", "K_block")``."""
+PlaceOf = Callable[..., Place]
+"""Place of a key of the study, such as ``place("parameters", "K_block")``."""
 
 
 def sensitivity_space(
     space: ParameterSpace,
     settings: StudySettings,
-    place: Place,
+    place: PlaceOf,
     adopted: Mapping[str, float],
     elsewhere: Collection[str] = (),
 ) -> ParameterSpace:
@@ -29,7 +31,6 @@ def sensitivity_space(
     for name, change in settings.parameters.items():
         if name in lacking:
             continue
-        where = f"{place('parameters', name)}, [parameters.{name}]"
         fields: dict[str, object] = {}
         if change.value is not None:
             fields["value"] = change.value
@@ -44,25 +45,54 @@ def sensitivity_space(
             if change.search is not None:
                 space.widen({name: change.search})
         except InputError as fault:
+            where = _of_parameter(space, name, change, place)
             raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
         parameter = space[name]
         if parameter.distribution != "fixed" and not parameter.lower <= parameter.value <= parameter.upper:
+            key = "value" if change.value is not None else "limits"
             raise InputError(
                 f"value {parameter.value:g} {parameter.unit} is outside its limits "
                 f"[{parameter.lower:g}, {parameter.upper:g}]",
-                place=where,
+                place=place("parameters", name, key).of(f"[parameters.{name}]"),
                 remedy="move one of them",
             )
-    try:
-        constraints = tuple(
-            LinearConstraint(c.name, tuple(c.coefficients.items()), *c.limits, unit=c.unit)
-            for c in settings.constraints
-            if not lacking & set(c.coefficients)
-        )
-        space = ParameterSpace(space.parameters, space.constraints + constraints)
-    except InputError as fault:
-        raise InputError(fault.problem, place=place("constraints"), remedy=fault.remedy) from None
+    for k, c in enumerate(settings.constraints):
+        if lacking & set(c.coefficients):
+            continue
+        try:
+            own = LinearConstraint(c.name, tuple(c.coefficients.items()), *c.limits, unit=c.unit)
+            space = ParameterSpace(space.parameters, (*space.constraints, own))
+        except InputError as fault:
+            unknown = next((name for name in c.coefficients if name not in space), None)
+            if unknown is not None:
+                where = place("constraints", k, "coefficients", unknown, mark="key")
+            else:
+                where = place("constraints", k, *(["limits"] if c.limits[0] > c.limits[1] else []))
+            raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
     return _feasible(space, "limits", place)
+
+
+def _of_parameter(space: ParameterSpace, name: str, change: ParameterSettings, place: PlaceOf) -> Place:
+    """Place of the key that is wrong by itself, else of the parameter's table."""
+    what = f"[parameters.{name}]"
+    given = {"value": change.value, "prior_sd": change.prior_sd}
+    limits = {"limits": change.limits, "search": change.search}
+    tried: list[tuple[str, dict[str, float]]]
+    tried = [(key, {key: value}) for key, value in given.items() if value is not None]
+    tried += [(key, {"lower": pair[0], "upper": pair[1]}) for key, pair in limits.items() if pair is not None]
+    if name in space:
+        for key, fields in tried:
+            if _fails(partial(space.replace, name, **fields)):
+                return place("parameters", name, key).of(what)
+    return place("parameters", name, mark="key").of(what)
+
+
+def _fails(call: Callable[[], object]) -> bool:
+    try:
+        call()
+    except InputError:
+        return True
+    return False
 
 
 UNIT_FACTOR = 100.0
@@ -100,14 +130,18 @@ def parameter_hints(space: ParameterSpace, settings: StudySettings) -> tuple[str
 
 
 def _holding(
-    space: ParameterSpace, settings: StudySettings, place: Place, adopted: Mapping[str, float], lacking: Collection[str]
+    space: ParameterSpace,
+    settings: StudySettings,
+    place: PlaceOf,
+    adopted: Mapping[str, float],
+    lacking: Collection[str],
 ) -> ParameterSpace:
     if settings.adopted is None:
         return space
-    for name in settings.adopted.parameters:
+    for k, name in enumerate(settings.adopted.parameters):
         if name in lacking:
             continue
-        where = place("adopted", "parameters")
+        where = place("adopted", "parameters", k)
         if name in settings.parameters:
             raise InputError(
                 f"the parameter {name!r} is adopted and changed as well", place=where, remedy="leave one of them out"
@@ -128,7 +162,7 @@ def _holding(
 def search_space(
     space: ParameterSpace,
     settings: StudySettings,
-    place: Place,
+    place: PlaceOf,
     selection: tuple[str, ...] | None = None,
     elsewhere: Collection[str] = (),
 ) -> ParameterSpace:
@@ -153,7 +187,9 @@ def search_space(
     try:
         chosen = space.widen(wide).keep(names)
     except InputError as fault:
-        raise InputError(fault.problem, place=place("selection"), remedy=fault.remedy) from None
+        given = settings.selection if isinstance(settings.selection, tuple) else ()
+        wrong = [k for k, name in enumerate(given) if name in names and _fails(partial(space.keep, [name]))]
+        raise InputError(fault.problem, place=place("selection", *wrong[:1]), remedy=fault.remedy) from None
     for name, value in settings.calibration.begin_at.items():
         if name in missing:
             continue
@@ -161,7 +197,7 @@ def search_space(
     return _feasible(chosen, "search limits", place)
 
 
-def _require_inside(space: ParameterSpace, name: str, value: float, place: str) -> None:
+def _require_inside(space: ParameterSpace, name: str, value: float, place: Place) -> None:
     if name not in space.free_names:
         raise InputError(f"begin_at names {name!r}, which is not selected", place=place, remedy="select it")
     lower, upper = space[name].lower, space[name].upper
@@ -172,7 +208,7 @@ def _require_inside(space: ParameterSpace, name: str, value: float, place: str) 
         )  # fmt: skip
 
 
-def _feasible(space: ParameterSpace, label: str, place: Place) -> ParameterSpace:
+def _feasible(space: ParameterSpace, label: str, place: PlaceOf) -> ParameterSpace:
     try:
         space.require_feasible()
     except InputError as fault:

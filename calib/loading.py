@@ -21,6 +21,8 @@ from calib.fingerprint import digest_of
 from calib.function import FunctionModel, extend_function
 from calib.neighbours import Neighbours
 from calib.outcome import told
+from calib.own_code import defined_at, raised_at, refuses
+from calib.place import Place
 from calib.settings import StudySettings
 from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
@@ -28,8 +30,11 @@ from calib.structure.model import StructuralModel
 from calib.structure.soundness import require_sound
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
-Place = Callable[..., str]
-"""File and line of a key of the study, such as ``place("model")``."""
+_KEYS = {"model": ("model",), "effects": ("effects",), "finer_options": ("explain", "finer_options")}
+"""Keys for which a function is called."""
+
+PlaceOf = Callable[..., Place]
+"""Place of a key of the study, such as ``place("model")``."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +47,12 @@ class Sources:
     folder : Path
         The study's; files are relative to it.
     place : callable
-        See `Place`.
+        See `PlaceOf`.
     """
 
     settings: StudySettings
     folder: Path
-    place: Place
+    place: PlaceOf
     _entered: list[bool] = field(init=False, repr=False, compare=False, default_factory=list)
 
     def model(self) -> Model:
@@ -59,6 +64,7 @@ class Sources:
                 f"{name.rpartition(':')[2]} returns {type(model).__name__}",
                 place=place,
                 remedy="return a StructuralModel, a ModalFunctionModel or a FunctionModel",
+                at=self._definition("model", name),
             )
         if not isinstance(model, StructuralModel) and self.settings.explain.finer_options:
             raise InputError(
@@ -69,7 +75,9 @@ class Sources:
             try:
                 require_sound(model)
             except InputError as fault:
-                raise InputError(fault.problem, place=f"{place}, {fault.place}", remedy=fault.remedy) from None
+                at = self._definition("model", name)
+                there = place.of(fault.place or "")
+                raise InputError(fault.problem, place=there, remedy=fault.remedy, at=fault.at or at) from None
         return model
 
     def finer(self) -> StructuralModel | None:
@@ -77,7 +85,7 @@ class Sources:
         options = self.settings.explain.finer_options
         if not options:
             return None
-        model = self._call("explain", self.settings.model, {**self.settings.model_options, **options})
+        model = self._call("finer_options", self.settings.model, {**self.settings.model_options, **options})
         return model if isinstance(model, StructuralModel) else None
 
     def library(self, base: Model) -> tuple[Effect, ...]:
@@ -98,44 +106,58 @@ class Sources:
             if isinstance(library, tuple | list):
                 found += " of " + (", ".join(sorted({type(effect).__name__ for effect in library})) or "nothing")
             name = self.settings.effects.rpartition(":")[2]
-            raise InputError(f"{name} returns {found}", place=place, remedy="return a tuple of Effect")
+            at = self._definition("effects", self.settings.effects)
+            raise InputError(f"{name} returns {found}", place=place, remedy="return a tuple of Effect", at=at)
         require_distinct(library, base, place)
         return library
 
     def included(self, library: Sequence[Effect]) -> tuple[Effect, ...]:
         """The effects in the study's model, in the order of ``with_effects``."""
-        names, place = self.settings.with_effects, self.place("with_effects")
+        names = self.settings.with_effects
         if names and self.settings.effects is None:
             raise InputError(
-                "effects are named, but no library that holds them", place=place, remedy="add the key 'effects'"
-            )
-        for name in names:
-            if names.count(name) > 1:
+                "effects are named, but no library that holds them", place=self.place("with_effects"),
+                remedy="add the key 'effects'",
+            )  # fmt: skip
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                place = self.place("with_effects", k)
                 raise InputError(f"the effect {name!r} is named twice", place=place, remedy="name it once")
-        return tuple(pick(library, name, place) for name in names)
+        return tuple(pick(library, name, self.place("with_effects", k)) for k, name in enumerate(names))
 
     def _call(self, key: str, function: str, options: Mapping[str, Any]) -> Any:
         """Result of the function that is named under a key."""
         where, _, name = function.rpartition(":")
-        place = self.place(key)
-        build = getattr(self._module(key, where), name, None)
+        place = self.place(*_KEYS[key])
+        module = self._module(key, where)
+        build = getattr(module, name, None)
         if not callable(build):
-            raise InputError(f"{where!r} has no function {name!r}", place=place, remedy=f"correct the key {key!r}")
+            near = difflib.get_close_matches(name, [n for n, f in vars(module).items() if callable(f)], n=1)
+            words = f"{where!r} has no function {name!r}" + (f" (did you mean {near[0]!r}?)" if near else "")
+            raise InputError(words, place=place, remedy=f"correct the key {key!r}")
         mismatch = _mismatch(build, options)
         if mismatch is not None:
-            with_options = "with these model_options" if key == "model" else "without arguments"
-            raise InputError(f"{name} cannot be called {with_options} ({mismatch})", place=place)
+            given = {"model": "with these model_options", "finer_options": "with these finer_options"}
+            if key == "model" and options:
+                place = self.place("model_options")
+            raise InputError(f"{name} cannot be called {given.get(key, 'without arguments')} ({mismatch})", place=place)
         try:
             return build(**options)
-        except InputError:
-            raise
+        except InputError as fault:  # of a wrong option, or of the user's own call of calib
+            asked = self.place("model_options") if key == "model" and options else place
+            raise fault.with_line((None if refuses(fault) else raised_at(fault)) or asked) from fault.__cause__
         except (Exception, SystemExit) as fault:
             # The function is the user's own: its errors are bad input, reported without our traceback.
-            raise InputError(f"{name} failed with {told(fault)}", place=place) from fault
+            raise InputError(f"{name} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault
+
+    def _definition(self, key: str, function: str) -> Place | None:
+        """Line that defines a function that is named under a key."""
+        where, _, name = function.rpartition(":")
+        return defined_at(getattr(self._module(key, where), name, None))
 
     def _module(self, key: str, where: str) -> ModuleType:
-        place, remedy = self.place(key), f"correct the key {key!r}"
-        what = "model" if key == "model" else "library of effects"
+        place, remedy = self.place(*_KEYS[key]), f"correct the key {key!r}"
+        what = "library of effects" if key == "effects" else "model"
         try:
             if not self._entered:
                 named = [
@@ -155,12 +177,12 @@ class Sources:
                 raise InputError(f"unknown {what}: there is no module {where!r}", place=place, remedy=remedy) from None
             raise InputError(
                 f"{where!r} needs the module {fault.name!r}", place=place,
-                remedy="install it, or put its file into the study's folder",
+                remedy="install it, or put its file into the study's folder", at=raised_at(fault),
             ) from None  # fmt: skip
-        except InputError:
-            raise
+        except InputError as fault:
+            raise fault.with_line(raised_at(fault)) from fault.__cause__
         except (Exception, SystemExit) as fault:
-            raise InputError(f"{where!r} failed with {told(fault)}", place=place) from fault
+            raise InputError(f"{where!r} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault
 
 
 def _mismatch(build: Callable[..., Any], options: Mapping[str, Any]) -> TypeError | None:
@@ -200,7 +222,7 @@ class _FromSource(importlib.machinery.SourceFileLoader):
 _NEIGHBOURS = Neighbours(module_of)
 
 
-def require_distinct(library: Sequence[Effect], base: Model, place: str) -> None:
+def require_distinct(library: Sequence[Effect], base: Model, place: Place | str) -> None:
     """InputError where two parameters of a library, or one of them and one of the base model, share a name."""
     owner: dict[str, str] = {}
     for effect in library:
@@ -220,7 +242,7 @@ def require_distinct(library: Sequence[Effect], base: Model, place: str) -> None
             owner[name] = effect.name
 
 
-def pick(library: Sequence[Effect], name: str, place: str) -> Effect:
+def pick(library: Sequence[Effect], name: str, place: Place) -> Effect:
     """The effect of that name; InputError with the nearest name when there is none."""
     known = {effect.name: effect for effect in library}
     if name not in known:
@@ -233,7 +255,7 @@ def pick(library: Sequence[Effect], name: str, place: str) -> Effect:
     return known[name]
 
 
-def with_effects(base: Model, effects: Sequence[Effect], place: str) -> Model:
+def with_effects(base: Model, effects: Sequence[Effect], place: Place | str) -> Model:
     """The model with effects added; InputError when one does not fit the model or fails."""
     if not effects:
         return base
@@ -241,10 +263,11 @@ def with_effects(base: Model, effects: Sequence[Effect], place: str) -> Model:
         return extend(base, effects) if isinstance(base, StructuralModel) else extend_function(base, effects)
     except InputError as fault:
         where = f"{place}, {fault.place}" if fault.place else place
-        raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
+        at = fault.at or raised_at(fault) or (place if isinstance(place, Place) else None)
+        raise InputError(fault.problem, place=where, remedy=fault.remedy, at=at) from None
     except (Exception, SystemExit) as fault:
         names = ", ".join(repr(effect.name) for effect in effects)
-        raise InputError(f"adding {names} failed with {told(fault)}", place=place) from fault
+        raise InputError(f"adding {names} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault
 
 
 def fingerprint_of(

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import math
 import os
-import sysconfig
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
@@ -14,6 +13,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from calib.errors import EvaluationError, InputError
+from calib.own_code import raised_at
+from calib.place import Place
 
 Function = Callable[[Mapping[str, float]], Mapping[str, float]]
 
@@ -39,6 +40,8 @@ class Outcome:
         Time of the evaluation; ignored by comparisons.
     trace : str
         Traceback of an exception in a user's code; ignored by comparisons, and not stored.
+    at : Place or None
+        Line of a user's code that failed, or that defines the function whose result is wrong; likewise.
     """
 
     values: dict[str, float]
@@ -47,6 +50,7 @@ class Outcome:
     error: str = ""
     seconds: float = field(default=0.0, compare=False)
     trace: str = field(default="", compare=False, repr=False)
+    at: Place | None = field(default=None, compare=False, repr=False)
 
     @property
     def transient(self) -> bool:
@@ -71,24 +75,28 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
     given = {str(name): float(value) for name, value in values.items()}
     responses: dict[str, float] = {}
     error = trace = ""
+    at = None
     started = time.perf_counter()
     try:
         with directory_kept():
             answer = function(dict(given))
         responses = {str(name): float(value) for name, value in answer.items()}
         error = next((f"the response {n!r} is {v}" for n, v in responses.items() if math.isinf(v)), "")
-    except (InputError, KeyboardInterrupt):
+    except InputError as fault:
+        raise fault.with_line(raised_at(fault)) from fault.__cause__
+    except KeyboardInterrupt:
         raise
     except MemoryError:
         error = OUT_OF_MEMORY
     except EvaluationError as fault:
         error = _one_line(str(fault)) or "it cannot be evaluated"
-        trace = "\n".join(getattr(fault, "__notes__", ()))
+        trace, at = "\n".join(getattr(fault, "__notes__", ())), fault.at or raised_at(fault)
     except BaseException as fault:  # sys.exit, or a panic in foreign code, must not end the study
         error, trace = told(fault), "".join(traceback.format_exception(fault))[-_TRACE:]
+        at = raised_at(fault)
     seconds = time.perf_counter() - started
     if error:
-        return Outcome(given, "failed", {}, error, seconds, trace)
+        return Outcome(given, "failed", {}, error, seconds, trace, at)
     return Outcome(given, "ok", responses, "", seconds)
 
 
@@ -107,8 +115,8 @@ def answered(function: Function, values: Mapping[str, float]) -> dict[str, float
 
 
 def failure(outcome: Outcome) -> EvaluationError:
-    """A failed outcome as an exception, with its traceback as a note."""
-    fault = EvaluationError(outcome.error)
+    """A failed outcome as an exception, with its place and with its traceback as a note."""
+    fault = EvaluationError(outcome.error, at=outcome.at)
     if outcome.trace:
         fault.add_note(outcome.trace)
     return fault
@@ -121,22 +129,12 @@ def as_cause(fault: EvaluationError) -> EvaluationError | None:
 
 def told(fault: BaseException) -> str:
     """An exception on one line, with file and line of the user's code that raised it."""
-    words, place = f"{type(fault).__name__}: {fault}", _place_of(fault)
-    return _one_line(words) + (f" ({place})" if place else "")
+    words, at = f"{type(fault).__name__}: {fault}", raised_at(fault)
+    if at is None or isinstance(fault, SyntaxError):  # its message has the place
+        return _one_line(words)
+    return _one_line(words) + f" ({os.path.basename(at.file)}, line {at.line})"
 
 
-def _place_of(fault: BaseException) -> str:
-    if isinstance(fault, SyntaxError):  # its message has the place
-        return ""
-    frames = traceback.extract_tb(fault.__traceback__)
-    own = [frame for frame in frames if not frame.filename.startswith(("<", *_NOT_THE_USERS))]
-    return f"{os.path.basename(own[-1].filename)}, line {own[-1].lineno}" if own else ""
-
-
-_NOT_THE_USERS = (
-    os.path.dirname(os.path.abspath(__file__)) + os.sep,
-    *(sysconfig.get_path(kind) + os.sep for kind in ("stdlib", "purelib", "platlib")),
-)
 _TRACE = 10_000
 """Characters of a traceback that are kept, from its end."""
 

@@ -38,6 +38,16 @@ PathText = Annotated[str, AfterValidator(possible_path)]
 Share = Annotated[float, Field(ge=0, le=1)]
 FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
 """Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
+NAME = r"^[A-Za-z0-9_-]+$"
+"""Name of a case or a test, which names files."""
+
+
+class WrongBelow(ValueError):
+    """A wrong value below the section or list that is checked; ``keys`` lead there."""
+
+    def __init__(self, words: str, *keys: int | str):
+        super().__init__(words)
+        self.keys = keys
 
 
 class _Section(BaseModel):
@@ -129,7 +139,7 @@ class TestSettings(MeasurementSettings):
 
     __test__ = False  # no test of pytest's
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    name: str = Field(pattern=NAME, max_length=100)
     """Label of the results of this test; they go to ``<study>.<name>``."""
     set: dict[str, float] = {}
     """Values of parameters under this test only, each in its own unit."""
@@ -194,7 +204,7 @@ class SensitivitySettings(_Section):
 class CaseSettings(_Section):
     """``[[calibration.cases]]``: one run of the search from its own initial population."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    name: str = Field(pattern=NAME, max_length=100)
     """Label of the case."""
     seed: Seed
     """Seed of its initial population."""
@@ -247,9 +257,9 @@ class CalibrationSettings(_Section):
     @classmethod
     def _distinct(cls, cases: tuple[CaseSettings, ...]) -> tuple[CaseSettings, ...]:
         names = [case.name for case in cases]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two cases are named {name!r}")
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise WrongBelow(f"two cases are named {name!r}", k, "name")
         return cases
 
 
@@ -321,18 +331,21 @@ class StudySettings(_Section):
     @classmethod
     def _named(cls, tests: tuple[TestSettings, ...]) -> tuple[TestSettings, ...]:
         names = [test.name for test in tests]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two tests are named {name!r}")
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise WrongBelow(f"two tests are named {name!r}", k, "name")
         return tests
 
     @model_validator(mode="after")
     def _measured(self) -> StudySettings:
         own = bool(self.measurement.files or self.measurement.responses)
         if own == bool(self.tests):
-            raise ValueError("name what was measured, either under [measurement] or test by test under [[tests]]")
-        if self.tests and (self.held_out != HeldOutSettings() or self.pairing != PairingSettings()):
-            raise ValueError("with [[tests]], held-out and pairing belong to a test: [tests.held_out], [tests.pairing]")
+            words = "name what was measured, either under [measurement] or test by test under [[tests]]"
+            raise WrongBelow(words, *(["measurement"] if own else []))
+        for key, default in (("held_out", HeldOutSettings()), ("pairing", PairingSettings())):
+            if self.tests and getattr(self, key) != default:
+                words = "with [[tests]], held-out and pairing belong to a test: [tests.held_out], [tests.pairing]"
+                raise WrongBelow(words, key)
         return self
 
     @property
@@ -347,15 +360,16 @@ class StudySettings(_Section):
         return tuple(dict.fromkeys(name for name in named if name))
 
     @property
-    def mentioned(self) -> tuple[tuple[tuple[str, ...], str], ...]:
+    def mentioned(self) -> tuple[tuple[tuple[int | str, ...], str], ...]:
         """Every parameter that the file mentions, with its key."""
         selected = self.selection if isinstance(self.selection, tuple) else ()
         adopted = () if self.adopted is None else self.adopted.parameters
+        constrained = [(k, name) for k, c in enumerate(self.constraints) for name in c.coefficients]
         return (
             *((("parameters", name), name) for name in self.parameters),
-            *((("constraints",), name) for c in self.constraints for name in c.coefficients),
-            *((("adopted", "parameters"), name) for name in adopted),
-            *((("selection",), name) for name in selected),
+            *((("constraints", k, "coefficients", name), name) for k, name in constrained),
+            *((("adopted", "parameters", k), name) for k, name in enumerate(adopted)),
+            *((("selection", k), name) for k, name in enumerate(selected)),
             *((("calibration", "begin_at", name), name) for name in self.calibration.begin_at),
         )
 

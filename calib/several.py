@@ -15,6 +15,7 @@ from calib.joint import joined
 from calib.space import ParameterSpace
 from calib.study import Study
 from calib.study_file import StudyFile
+from calib.toml_places import Mark
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 
@@ -42,15 +43,16 @@ class JointStudy(StudyFile):
             for name in study.condition:
                 if name not in study.model.space:
                     raise InputError(
-                        f"the model of test {study.test} has no parameter {name!r}", place=study.place("set", name),
+                        f"the model of test {study.test} has no parameter {name!r}",
+                        place=study.place("set", name, mark="key"),
                         remedy="correct its name",
-                    )  # fmt: skip
+                    )
         for keys, name in file.settings.mentioned:
             if not any(name in study.model.space for study in studies):
-                raise InputError(
-                    f"no model has a parameter {name!r}", place=file.place(*keys), remedy="correct its name"
-                )
-            if keys == ("selection",) and not any(name in study.search_space.free_names for study in studies):
+                mark: Mark = "value" if isinstance(keys[-1], int) else "key"
+                place = file.place(*keys, mark=mark)
+                raise InputError(f"no model has a parameter {name!r}", place=place, remedy="correct its name")
+            if keys[0] == "selection" and not any(name in study.search_space.free_names for study in studies):
                 raise InputError(
                     f"parameter {name!r} is fixed in every test and cannot be selected", place=file.place(*keys),
                     remedy="leave it out",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -218,7 +219,9 @@ class ParameterSpace:
     def _require(self, name: str, place: str) -> Parameter:
         if name not in self._by_name:
             known = ", ".join(self._by_name) or "none"
-            raise InputError(f"unknown parameter {name!r}", place=place, remedy=f"the model's parameters are {known}")
+            near = difflib.get_close_matches(name, self._by_name, n=1)
+            words = f"unknown parameter {name!r}" + (f" (did you mean {near[0]!r}?)" if near else "")
+            raise InputError(words, place=place, remedy=f"the model's parameters are {known}")
         return self._by_name[name]
 
     # -- views -------------------------------------------------------------------------------------------------------

@@ -147,7 +147,7 @@ class Study(StudyFile):
         try:
             return problem.over(whole, pairing.clusters, pairing.override, pairing.mode_count)
         except InputError as fault:
-            raise misfit(self, fault) from None
+            raise misfit(self, problem.model, fault) from None
 
     def finer_model(self) -> StructuralModel | None:
         """The model on a finer mesh, effects included; None when the study names no options for one."""
@@ -194,8 +194,8 @@ def _study(
     taken = file.settings.adopted.parameters if file.settings.adopted else ()
     initial = {**space.values, **{name: model.space[name].value for name in taken if name in model.space}}
     model = replace(model, space=space)
-    for name in file.settings.depends_on:
-        file.path(name, "depends_on")
+    for k, name in enumerate(file.settings.depends_on):
+        file.path(name, "depends_on", k)
     whole, responses = measured_for(file, model)
     whole_targets = {} if responses is None else responses.targets
     measured, targets = used_of(file, whole, whole_targets)
@@ -212,7 +212,8 @@ def _study(
         problem = modal_problem(file, model, measured, model.n_modes - base.n_modes)
     selected = search_space(space, file.settings, file.place, elsewhere=elsewhere)
     if not file.settings.calibration.weight_freq + file.settings.calibration.weight_mac > 0:
-        raise InputError("both weights are zero", place=file.place("calibration"), remedy="give one of them weight")
+        place = file.place("calibration", "weight_freq")
+        raise InputError("both weights are zero", place=place, remedy="give one of them weight")
     return Study(
         file.name, file.file, file.settings, model, measured, targets, problem, space, selected,
         whole, whole_targets, library, dict(adopted), {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial,

@@ -15,8 +15,10 @@ from calib.measurement.accuracy import Accuracy
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_modes
 from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
+from calib.place import Place
 from calib.settings import StudySettings, TestSettings
-from calib.study_text import place_of, read_layers, read_settings
+from calib.study_text import find, place_of, read_layers, read_settings
+from calib.toml_places import Mark
 
 
 @dataclass(frozen=True)
@@ -114,8 +116,8 @@ class StudyFile:
                 place = self.place("measurement", "accuracy")
                 raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
         measured = read_modes(
-            [self.path(f, "measurement", "files") for f in given.files],
-            shapes=[self.path(f, "measurement", "shapes") for f in given.shapes],
+            [self.path(f, "measurement", "files", k) for k, f in enumerate(given.files)],
+            shapes=[self.path(f, "measurement", "shapes", k) for k, f in enumerate(given.shapes)],
             sensors=self.path(given.sensors, "measurement", "sensors") if given.sensors else None,
             repeats=given.repeats,
             std_of=given.std_of,
@@ -125,14 +127,16 @@ class StudyFile:
         )
         return replace(measured, accuracy=Accuracy.of(given.accuracy)), None
 
-    def place(self, *keys: int | str) -> str:
-        """File and, where it can be found, line of a key."""
+    def place(self, *keys: int | str, mark: Mark = "value") -> Place:
+        """Place of a key or of its value in the file, of one test in the table of that test."""
         layers = read_layers(self.file)
-        if self.part is not None:
-            own = keys[1:] if keys[:1] == ("measurement",) else keys
-            if (there := place_of(layers, "tests", self.part.index, *own)) != str(self.file):
-                return there
-        return place_of(layers, *keys)
+        if self.part is None:
+            return place_of(layers, *keys, mark=mark)
+        own = keys[1:] if keys[:1] == ("measurement",) else keys
+        there, exact = find(layers, ("tests", self.part.index, *own), mark)
+        elsewhere, common = find(layers, keys, mark)
+        of_test = keys[0] == "measurement" or keys[0] in TestSettings.model_fields
+        return there if exact or (of_test and not common) else elsewhere
 
     def path(self, name: str, *keys: int | str) -> Path:
         """A file that the study names under a key; InputError where it is not there."""

@@ -14,8 +14,10 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from calib.errors import InputError
+from calib.place import Place
 from calib.renamed import KEYS
-from calib.settings import StudySettings
+from calib.settings import FUNCTION, NAME, StudySettings
+from calib.toml_places import Keys, Mark, keys_in_words, place_in
 
 
 def read_settings(file: Path) -> StudySettings:
@@ -79,12 +81,23 @@ def base_of(file: Path, base: str | Sequence[str]) -> Path | None:
     return None
 
 
-def place_of(layers: Sequence[Layer], *keys: int | str) -> str:
-    """File and, where it can be found, line of a key, in the first file that has it."""
+def place_of(layers: Sequence[Layer], *keys: int | str, mark: Mark = "value") -> Place:
+    """Place of a key or of its value, in the first file that has it.
+
+    Otherwise that of the table or key above it in the first file that has one, or that file alone.
+    """
+    return find(layers, keys, mark)[0]
+
+
+def find(layers: Sequence[Layer], keys: Keys, mark: Mark = "value") -> tuple[Place, bool]:
+    """As `place_of`, and whether the key itself stands there."""
+    above = None
     for layer in layers:
-        if line := line_of(layer.text, keys):
-            return f"{layer.file}, line {line}"
-    return str(layers[0].file)
+        place, exact = place_in(str(layer.file), layer.text, keys, mark)
+        if place is not None and exact:
+            return place, True
+        above = above or place
+    return above or Place(str(layers[0].file)), False
 
 
 def _merged(layers: Sequence[Layer]) -> dict[str, Any]:
@@ -151,25 +164,56 @@ def _layer(file: Path) -> Layer:
             remedy="name a folder that holds a study.toml, or make one with 'calib new'",
         ) from None
     except UnicodeDecodeError as fault:
-        raise InputError(f"it is not UTF-8 text (byte {fault.start})", place=file, remedy="save it as UTF-8") from None
+        before = fault.object[: fault.start].decode("utf-8")
+        lines = fault.object.decode("utf-8", errors="replace").split("\n")
+        place = Place.in_lines(file, lines, before.count("\n") + 1, len(before) - before.rfind("\n"))
+        words = f"it is not UTF-8 text (byte {fault.start})"
+        raise InputError(words, place=place, remedy="save it as UTF-8") from None
     except OSError as fault:
         raise InputError(f"it cannot be read ({fault.strerror})", place=file) from None
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as fault:
-        raise InputError(f"it is not valid TOML: {fault}", place=file, remedy="mend that line") from None
+        place = _place_of_syntax(fault, file, text)
+        raise InputError(f"it is not valid TOML: {fault}", place=place, remedy="mend that line") from None
     except RecursionError:
         raise InputError("it is nested too deeply", place=file) from None
     return Layer(file, text, data)
 
 
+def _place_of_syntax(fault: tomllib.TOMLDecodeError, file: Path, text: str) -> Place:
+    """The place that a syntax error states in its words."""
+    lines = text.split("\n")
+    if stated := re.search(r"\(at line (\d+), column (\d+)\)$", str(fault)):
+        return Place.in_lines(file, lines, int(stated[1]), int(stated[2]))
+    last = max((k for k, line in enumerate(lines, start=1) if line.strip()), default=1)
+    return Place.in_lines(file, lines, last)
+
+
+_EXPECTED: Mapping[str, tuple[str, str]] = {
+    "int": ("an integer", "write a number such as 1"),
+    "float": ("a number", "write one such as 12.5"),
+    "bool": ("true or false", "write true or false, without quotes"),
+    "string": ("text", "write it in quotes"),
+    "tuple": ("a list", "write it in square brackets"),
+    "model": ("a table", "write keys with values"),
+    "dict": ("a table", "write names with values"),
+}
+"""What a value must be, by the first word of the kind of error that pydantic reports, and a remedy."""
+_PATTERNS: Mapping[str, tuple[str, str]] = {
+    FUNCTION: ("names no function", 'write "file.py:function" or "package.module:function"'),
+    NAME: ("is no name for files", "use letters, digits, - and _ only"),
+}
+
+
 def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
     """The first error in one sentence, with its line; unknown keys come first: one may be the missing key misspelt."""
     first = min(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
-    keys = tuple(first["loc"])
-    label = ".".join(str(k) for k in keys) or "the file"
-    place = place_of(layers, *keys)
     kind, words = first["type"], first["msg"].removeprefix("Value error, ")
+    below = getattr(first.get("ctx", {}).get("error"), "keys", ())
+    keys = _written((*first["loc"], *below), _merged(layers), missing=kind == "missing")
+    label = keys_in_words(keys) or "the file"
+    place = place_of(layers, *keys, mark="key" if kind == "extra_forbidden" else "value")
     given = repr(first.get("input"))
     given = given if len(given) < 60 else given[:57] + "..."
     if kind == "extra_forbidden":
@@ -185,9 +229,29 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
         )
     if kind == "missing":
         return InputError(f"{label!r} is missing", place=place, remedy="add it")
+    if kind == "string_pattern_mismatch":
+        problem, remedy = _PATTERNS[first["ctx"]["pattern"]]
+        return InputError(f"{label} = {given} {problem}", place=place, remedy=remedy)
     if kind == "value_error":
         return InputError(f"{label}: {words}", place=place)
+    if (
+        kind.partition("_")[2] in ("type", "parsing", "from_float")
+        and (known_kind := kind.partition("_")[0]) in _EXPECTED
+    ):
+        expected, remedy = _EXPECTED[known_kind]
+        return InputError(f"{label} must be {expected}, not {given}", place=place, remedy=remedy)
     return InputError(f"{label} = {given} is not allowed: {words[:1].lower() + words[1:]}", place=place)
+
+
+def _written(loc: Sequence[int | str], data: Any, missing: bool) -> Keys:
+    """The keys of an error as the file has them, without pydantic's names of the alternatives of a type."""
+    out: list[int | str] = []
+    for key in loc:
+        inside = key in data if isinstance(data, dict) else isinstance(data, list) and key in range(len(data))
+        if inside:
+            out.append(key)
+            data = data[key]
+    return (*out, loc[-1]) if missing else tuple(out)
 
 
 def _known_keys(keys: tuple[int | str, ...]) -> list[str]:
@@ -208,28 +272,3 @@ def _section_of(annotation: Any) -> Any:
         if found is not None:
             return found
     return None
-
-
-def line_of(text: str, keys: tuple[int | str, ...]) -> int | None:
-    """Line (from 1) that most likely holds a key of a TOML text; None when it cannot be found."""
-    names = [str(k) for k in keys if not isinstance(k, int)]
-    index = next((k for k in keys if isinstance(k, int)), None)
-    lines = text.splitlines()
-    section, seen, best = "", -1, None
-    for number, line in enumerate(lines, start=1):
-        header = re.match(r"\s*\[\[?\s*([^\]]+?)\s*\]\]?", line)
-        if header and "=" not in line.split("#")[0]:
-            section = header.group(1).replace('"', "").replace("'", "")
-            seen = seen + 1 if line.lstrip().startswith("[[") else -1
-            if section == ".".join(names) and (index is None or seen < 0 or seen == index):
-                return number
-            continue
-        key = re.match(r"""\s*["']?([A-Za-z0-9_.-]+)["']?\s*=""", line)
-        if not key:
-            continue
-        path = [p for p in (*section.split("."), *key.group(1).split(".")) if p]
-        if path == names[: len(path)] and (index is None or seen < 0 or seen == index):
-            if len(path) == len(names):
-                return number
-            best = number
-    return best

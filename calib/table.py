@@ -8,6 +8,7 @@ as a formula is prefixed by an apostrophe in the file (OWASP, "CSV injection") a
 from __future__ import annotations
 
 import csv
+import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -16,10 +17,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from calib.csv_entries import SEPARATORS, place_of_entry, separator_of
 from calib.errors import InputError
+from calib.place import Place
 from calib.renamed import old_column
 
-SEPARATORS = (",", ";", "\t")
 FLAGS: Mapping[str, bool] = {
     **dict.fromkeys(("true", "1", "wahr", "vrai", "vero", "verdadero", "verdadeiro", "waar", "sant", "sand"), True),
     **dict.fromkeys(("false", "0", "falsch", "faux", "falso", "onwaar", "falskt", "falsk"), False),
@@ -51,16 +53,25 @@ class Row:
         Stripped; columns missing from the file are absent.
     comma : bool
         Whether numbers are written with a decimal comma.
+    raw, separator : str
+        The line as it stands in the file, and what separates its entries.
     """
 
     path: Path
     line: int
     cells: Mapping[str, str]
     comma: bool = False
+    raw: str = ""
+    separator: str = ","
+
+    def place(self, column: str) -> Place:
+        """Where the file has the entry of a column."""
+        index = list(self.cells).index(column) if column in self.cells else None
+        return place_of_entry(self.path, self.line, self.raw, self.separator, index).of(f"column {column}")
 
     def error(self, column: str, problem: str, remedy: str | None = None) -> InputError:
         """An InputError that names file, line and column."""
-        return InputError(problem, place=f"{self.path}, line {self.line}, column {column}", remedy=remedy)
+        return InputError(problem, place=self.place(column), remedy=remedy)
 
     def text(self, column: str) -> str:
         """Text that must not be empty."""
@@ -99,16 +110,18 @@ def read_rows(path: Path, required: Sequence[str], optional: Sequence[str] = ())
     allowed = (*required, *optional)
     for name in sheet.header:
         if name not in allowed:
+            index = sheet.header.index(name)
+            near = difflib.get_close_matches(name, allowed, n=1)
             raise InputError(
-                f"unknown column {name[:60]!r}",
-                place=f"{path}, line {sheet.top}, column {sheet.header.index(name) + 1}",
+                f"unknown column {name[:60]!r}" + (f" (did you mean {near[0]!r}?)" if near else ""),
+                place=place_of_entry(path, sheet.top, sheet.head, sheet.separator, index).of(f"column {index + 1}"),
                 remedy=f"the columns are {', '.join(allowed)}, separated by commas or semicolons",
             )
     if not sheet.cells:
         raise InputError("it holds a header but no rows", place=path, remedy="add one line a mode, sensor or node")
     return [
-        Row(path, line, dict(zip(sheet.header, cells, strict=True)), sheet.comma)
-        for line, cells in zip(sheet.lines, sheet.cells, strict=True)
+        Row(path, line, dict(zip(sheet.header, cells, strict=True)), sheet.comma, text, sheet.separator)
+        for line, cells, text in zip(sheet.lines, sheet.cells, sheet.texts, strict=True)
     ]
 
 
@@ -237,22 +250,29 @@ def guarded_table(table: pd.DataFrame) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Header and cells of a file, their line numbers, and whether its numbers have decimal commas."""
+    """Header and cells of a file, their lines, and whether its numbers have decimal commas.
+
+    ``top`` and ``head`` are number and text of the header's line, ``lines`` and ``texts`` those of the rows.
+    """
 
     path: Path
     header: list[str]
     top: int
+    head: str
     cells: list[list[str]]
     lines: list[int]
+    texts: list[str]
+    separator: str
     comma: bool
 
 
 def _read(path: Path, required: Sequence[str], comments: bool, remedy: str | None = None) -> _Sheet:
     """Split a file into cells; every line has one per column, and every required column occurs once."""
     lines = _lines(path)
-    separator, header, top = None, None, 0
+    separator, header, top, head = None, None, 0, ""
     cells: list[list[str]] = []
     numbers: list[int] = []
+    texts: list[str] = []
     for number, line in enumerate(lines, start=1):
         bare = line.strip()
         if not bare or (comments and bare.startswith("#")):
@@ -261,26 +281,30 @@ def _read(path: Path, required: Sequence[str], comments: bool, remedy: str | Non
             if separator is None and (hint := _HINT.fullmatch(bare)) and hint.group(1) in SEPARATORS:
                 separator = hint.group(1)
                 continue
-            separator = separator or _separator(line, required)
-            header, top = _without_empty_end(_cells(path, number, line, separator), 1), number
-            _check_header(path, number, header, required, remedy)
+            separator = separator or separator_of(line, required)
+            header, top, head = _without_empty_end(_cells(path, number, line, separator), 1), number, line
+            _check_header(path, number, line, separator, header, required, remedy)
             continue
         found = _cells(path, number, line, separator or ",")
         if not any(found) or (comments and found[0].startswith("#")):
             continue
         found = _without_empty_end(found, len(header))  # spreadsheets fill lines up to the longest one
         if len(found) != len(header):
+            index = min(len(found), len(header))
             raise InputError(
                 f"it has {len(found)} entries, but the header has {len(header)} columns",
-                place=f"{path}, line {number}, column {header[min(len(found), len(header) - 1)]}",
+                place=place_of_entry(path, number, line, separator or ",", index).of(
+                    f"column {header[min(index, len(header) - 1)]}"
+                ),
                 remedy="give every line one entry a column; decimal commas need semicolons between the entries",
             )
         cells.append(found)
         numbers.append(number)
+        texts.append(line)
     if header is None:
         raise InputError("it is empty", place=path, remedy=remedy or f"start it with the header {', '.join(required)}")
     comma = separator != "," and any(_COMMA_NUMBER.fullmatch(cell) for row in cells for cell in row)
-    return _Sheet(path, header, top, cells, numbers, comma)
+    return _Sheet(path, header, top, head, cells, numbers, texts, separator or ",", comma)
 
 
 def _lines(path: Path) -> list[str]:
@@ -291,30 +315,23 @@ def _lines(path: Path) -> list[str]:
         raise InputError(f"it cannot be read ({err.strerror})", place=path, remedy="check the path") from None
     lines = []
     for number, raw in enumerate(data.removeprefix(b"\xef\xbb\xbf").splitlines(), start=1):
-        place = f"{path}, line {number}"
         try:
             line = raw.decode("utf-8")
         except UnicodeDecodeError as err:
+            column = len(raw[: err.start].decode("utf-8")) + 1
             raise InputError(
-                f"byte {err.start + 1} is not UTF-8 text", place=place, remedy="save the table as UTF-8 CSV"
+                f"byte {err.start + 1} is not UTF-8 text",
+                place=Place(str(path), number, raw.decode("utf-8", errors="replace"), column),
+                remedy="save the table as UTF-8 CSV",
             ) from None
         if bad := _CONTROL.search(line):
             raise InputError(
                 f"character {bad.start() + 1} is not printable: this is no text",
-                place=place,
+                place=Place(str(path), number, line, bad.start() + 1),
                 remedy="save the table as UTF-8 CSV",
             )
         lines.append(line)
     return lines
-
-
-def _separator(line: str, required: Sequence[str]) -> str:
-    """Separator of a header: the one that finds most of the required names."""
-
-    def found(separator: str) -> int:
-        return sum(name in [cell.strip().strip('"') for cell in line.split(separator)] for name in required)
-
-    return max(SEPARATORS, key=lambda separator: (found(separator), separator == ","))
 
 
 def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:
@@ -326,7 +343,9 @@ def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:
         found = next(csv.reader([line], strict=True, skipinitialspace=True, delimiter=separator))
     except (csv.Error, StopIteration) as err:
         raise InputError(
-            f"its entries cannot be separated ({err})", place=f"{path}, line {number}", remedy="check its quotes"
+            f"its entries cannot be separated ({err})",
+            place=Place(str(path), number, line, line.index('"') + 1),
+            remedy="check its quotes",
         ) from None
     return [unguarded(cell.strip()) for cell in found]
 
@@ -338,14 +357,17 @@ def _without_empty_end(cells: list[str], least: int) -> list[str]:
     return cells[:end]
 
 
-def _check_header(path: Path, line: int, header: list[str], required: Sequence[str], remedy: str | None) -> None:
-    place = f"{path}, line {line}"
-    for name in header:
-        if header.count(name) > 1:
+def _check_header(
+    path: Path, line: int, text: str, separator: str, header: list[str], required: Sequence[str], remedy: str | None
+) -> None:
+    for k, name in enumerate(header):
+        if name in header[:k]:
+            place = place_of_entry(path, line, text, separator, k)
             raise InputError(f"column {name[:60]!r} appears twice", place=place, remedy="remove one")
     for name in required:
         if name not in header:
             old = old_column(name, header)
+            place = place_of_entry(path, line, text, separator, None if old is None else header.index(old))
             if old is not None:
                 raise InputError(
                     f"the column {old!r} is called {name!r} now", place=place, remedy=remedy or "rename it"
@@ -362,7 +384,9 @@ def _require(sheet: _Sheet, column: str, fine: Sequence[bool], cells: Sequence[s
         row = fine.index(False)
         raise InputError(
             f"column {column!r} holds {shortened(cells[row])}, which is not {expected}",
-            place=f"{sheet.path}, line {sheet.lines[row]}",
+            place=place_of_entry(
+                sheet.path, sheet.lines[row], sheet.texts[row], sheet.separator, sheet.header.index(column)
+            ),
             remedy=AGAIN,
         )
 
@@ -372,12 +396,12 @@ def _require_unique(sheet: _Sheet, columns: Sequence[str]) -> None:
         return
     where = [sheet.header.index(column) for column in columns]
     seen: set[tuple[str, ...]] = set()
-    for line, cells in zip(sheet.lines, sheet.cells, strict=True):
+    for line, cells, text in zip(sheet.lines, sheet.cells, sheet.texts, strict=True):
         key = tuple(cells[k] for k in where)
         if key in seen:
             raise InputError(
                 f"column {', '.join(columns)!r} holds {', '.join(map(shortened, key))} twice",
-                place=f"{sheet.path}, line {line}",
+                place=place_of_entry(sheet.path, line, text, sheet.separator, where[0]),
                 remedy=AGAIN,
             )
         seen.add(key)

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from calib.errors import InputError
+from calib.excerpt import WIDEST, excerpt
 from calib.version import __version__
 
 WIDTH = 120
@@ -59,10 +60,15 @@ def complain(text: str) -> None:
 
 
 def complain_of_input(fault: InputError, arguments: list[str]) -> None:
-    """One line on bad input; the traceback of an exception in the user's own code goes to the log."""
-    text = str(fault)
+    """A sentence on bad input, then the line of the user's file where it is known.
+
+    The traceback of an exception in the user's own code goes to the log.
+    """
+    text = fault.sentence
     log = None if fault.__cause__ is None else _log(" ".join(arguments), traceback.format_exc())
-    complain(text if log is None else f"{text.rstrip('.')}; the traceback is in {log}.")
+    ERR.print("Error: " + (text if log is None else f"{text.rstrip('.')}; the traceback is in {log}."))
+    for line in () if fault.at is None else excerpt(fault.at, min(WIDEST, ERR.width) if ERR.is_terminal else WIDEST):
+        ERR.print(line)
 
 
 def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:

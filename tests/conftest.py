@@ -47,6 +47,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 @pytest.fixture(scope="session")
+def one_sentence() -> Callable[[str], bool]:
+    """Whether a command refused its input as it must: a sentence, and then at most lines of the user's file."""
+
+    def refused(said: str) -> bool:
+        sentence, *shown = said.splitlines()
+        lines = all(line.startswith("  ") for line in shown) and len(shown) <= 3
+        return said.endswith("\n") and sentence.startswith("Error: ") and sentence.endswith(".") and lines
+
+    return refused
+
+
+@pytest.fixture(scope="session")
 def opensees() -> ModuleType:
     """OpenSees, an independent finite-element code; the test is skipped where it cannot be loaded."""
     try:

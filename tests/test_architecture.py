@@ -11,6 +11,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
+    {"place"},
+    {"excerpt", "own_code", "csv_entries", "toml_places"},
     {"errors", "interrupt", "written", "neighbours", "version", "threads", "renamed"},
     {"given", "mac", "degrees_of_freedom", "outcome", "table", "fingerprint"},
     {"space"},

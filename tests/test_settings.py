@@ -10,40 +10,7 @@ from calib.errors import InputError
 from calib.example import write_example
 from calib.settings import schema
 from calib.study import Study
-from calib.study_text import line_of, read_settings
-
-TEXT = """\
-title = "t"
-[parameters.K]
-value = 1
-[parameters]
-M = { limits = [1, 2] }
-[[constraints]]
-name = "a"
-[[constraints]]
-name = "b"
-limits = [2, 1]
-[calibration]
-cases = [{ name = "x", seed = 1 }]
-"""
-
-
-@pytest.mark.parametrize(
-    ("keys", "line"),
-    [
-        (("title",), 1),
-        (("parameters", "K"), 2),
-        (("parameters", "K", "value"), 3),
-        (("parameters", "M"), 5),
-        (("parameters", "M", "limits"), 5),
-        (("constraints", 1, "limits"), 10),
-        (("constraints", 1), 8),
-        (("calibration", "cases", 0, "seed"), 12),
-        (("nothing",), None),
-    ],
-)
-def test_lines_of_keys(keys, line):
-    assert line_of(TEXT, keys) == line
+from calib.study_text import read_settings
 
 
 @pytest.fixture(scope="module")

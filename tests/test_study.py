@@ -97,7 +97,7 @@ BAD = [
     ("unknown model", ("model.py:mast", "mudel.py:mast"), "mudel.py", "model"),
     ("unknown function", ("model.py:mast", "model.py:must"), "no function 'must'", "model"),
     ("unknown module", ("model.py:mast", "nowhere.at_all:mast"), "no module 'nowhere.at_all'", "model"),
-    ("model without colon", ("model.py:mast", "model.py"), "model", "pattern"),
+    ("model without colon", ("model.py:mast", "model.py"), "model = 'model.py'", "file.py:function"),
     ("bad option", ("model_options = {}", "model_options = { colour = 1 }"), "model_options", "colour"),
     (
         "unknown selection",

@@ -352,7 +352,7 @@ BAD = [
     ("bad alpha", ["explain.alpha = 0.5"], "explain.alpha = 0.5 is not allowed"),
     ("bad refits", ["explain.refits = 0"], "explain.refits = 0 is not allowed"),
     ("unknown key", ["explain.alfa = 0.1"], "unknown key 'explain.alfa'"),
-    ("not a name", ["with_effects = 3"], "with_effects = 3"),
+    ("not a name", ["with_effects = 3"], "with_effects must be a list"),
 ]
 
 

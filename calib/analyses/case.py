@@ -342,4 +342,4 @@ def evaluable(study: StudyFile) -> Iterator[None]:
         yield
     except EvaluationError as fault:
         remedy = "check the model over the search limits"
-        raise InputError(str(fault), place=study.file, remedy=remedy) from as_cause(fault)
+        raise InputError(str(fault), place=study.file, remedy=remedy, at=fault.at) from as_cause(fault)

@@ -195,11 +195,14 @@ def compare(study: Study, results: Results) -> ComparisonResult:
     try:
         answer = comparison_at(study, nominal)
     except EvaluationError as fault:
+        again = traced(study.problem, nominal, fault)
+        check = "check parameter values, supports and mode_count"
         raise InputError(
             f"the model cannot be evaluated at its nominal values: {fault}",
             place=study.file,
-            remedy="check parameter values, supports and mode_count",
-        ) from as_cause(traced(study.problem, nominal, fault))
+            remedy=check if again.at is None else "correct the function that fails",
+            at=again.at,
+        ) from as_cause(again)
     begin_analysis(results, "compare")
     write_comparison(results, answer, "before")
     sensor_findings = [

@@ -167,9 +167,11 @@ def decided(
     try:
         return engine.explain(adapter.hypotheses, settings, progress)
     except EvaluationError as fault:
-        words, cause = _not_fitted(adapter, fault)
-        remedy = "check values, limits and supports" if cause is None else "correct the function that fails"
-        raise InputError(f"the model cannot be fitted: {words}", place=place, remedy=remedy) from cause
+        words, first = _not_fitted(adapter, fault)
+        own = first.at is not None or as_cause(first) is not None
+        remedy = "correct the function that fails" if own else "check values, limits and supports"
+        words = f"the model cannot be fitted: {words}"
+        raise InputError(words, place=place, remedy=remedy, at=first.at) from as_cause(first)
 
 
 def keep(study: AnyStudy, results: Results, answer: ExplanationResult) -> None:
@@ -183,15 +185,15 @@ def keep(study: AnyStudy, results: Results, answer: ExplanationResult) -> None:
     results.write_json("explanation", summary(study, answer))
 
 
-def _not_fitted(adapter: Adapter, fault: EvaluationError) -> tuple[str, EvaluationError | None]:
-    """Why nothing could be fitted, and the commonest failure of the user's own code, if any."""
+def _not_fitted(adapter: Adapter, fault: EvaluationError) -> tuple[str, EvaluationError]:
+    """Why nothing could be fitted, and the commonest failure of a point, or the given one where no point failed."""
     words, failed = str(fault), adapter.failed()
     if not failed:
-        return words, None
+        return words, fault
     common = reasons(failed)[0]
     if common.error not in words:
         words = f"{words}; {len(failed)} point{'s' * (len(failed) > 1)} failed, most with {common.error}"
-    return words, as_cause(failure(common.first))
+    return words, failure(common.first)
 
 
 def answered(adapter: Adapter, found: Explanation, progress: Progress, started: float) -> ExplanationResult:

@@ -16,6 +16,7 @@ import tomlkit
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.loading import pick
+from calib.place import Place
 from calib.several import AnyStudy, load
 from calib.study_file import StudyFile
 from calib.written import DRAFT, free_name, is_own_folder, note_folder
@@ -117,7 +118,7 @@ def _candidates(study: AnyStudy, names: Sequence[str]) -> tuple[Effect, ...]:
             place=study.file,
             remedy='add a line such as effects = "effects.py:library"',
         )
-    effects = tuple(pick(study.library, name, str(study.file)) for name in dict.fromkeys(names))
+    effects = tuple(pick(study.library, name, Place(str(study.file))) for name in dict.fromkeys(names))
     for effect in effects:
         if effect in study.included:
             raise InputError(
@@ -232,9 +233,11 @@ def _check(study: AnyStudy, target: Path, folder: Path) -> None:
         load(target, study.adopted)
     except InputError as fault:
         said = str(fault).replace(str(target.parent), str(folder))
-        raise InputError(
-            f"the new study would be invalid and was not written: {said}", remedy="extend by hand, or correct the study"
-        ) from None
+        at = None if fault.at is None else replace(fault.at, file=str(Path(fault.at.file).resolve()))
+        if at is not None and Path(at.file).is_relative_to(target.parent.resolve()):  # a file that does not stay
+            at = None
+        words = f"the new study would be invalid and was not written: {said}"
+        raise InputError(words, remedy="extend by hand, or correct the study", at=at) from None
 
 
 def _text(

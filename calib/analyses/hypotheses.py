@@ -13,6 +13,7 @@ from calib.differences import STEP
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.outcome import Outcome, key_of
+from calib.own_code import defined_at
 from calib.problem import Counts, Label, Pair, Problem
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
@@ -271,6 +272,7 @@ class ModelHypotheses(Generic[P]):
             raise InputError(
                 f"with magnitude 0 it changes {label} by {change.max():.3g} standard deviations",
                 place=f"effect {name}", remedy="let the function that it builds return the base model's results there",
+                at=defined_at(self._known[name].build),
             )  # fmt: skip
 
     def failed(self, values: Mapping[str, float], fault: EvaluationError) -> None:
@@ -279,5 +281,5 @@ class ModelHypotheses(Generic[P]):
         own = {*self.variants.model.space.names, *(n for name in effects for n in self._known[name].names)}
         point = {name: value for name, value in values.items() if name in own}
         trace = "\n".join(getattr(fault, "__notes__", ()))
-        outcome = Outcome(point, "failed", {}, str(fault), trace=trace)
+        outcome = Outcome(point, "failed", {}, str(fault), trace=trace, at=fault.at)
         self._failures.setdefault(key_of(point), Failure(effects, outcome))

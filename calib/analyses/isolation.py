@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 from calib.analyses.user_function import function_of, numbered, with_function
@@ -64,11 +63,23 @@ def isolated(study: Study) -> Study:
         study,
         model=replace(model, function=child) if isinstance(model, FunctionModel) else numbered(model, child),
         problem=with_function(problem, child),
-        library=tuple(replace(effect, build=partial(_known_there, effect.build)) for effect in study.library),
+        library=tuple(replace(effect, build=KnownThere(effect.build)) for effect in study.library),
     )
 
 
-def _known_there(build: Callable[[Any], Any], model: Any) -> Any:
-    """Build of an effect that the child's function applies itself: None, or what an invalid builder returned."""
-    built = build(model)
-    return None if callable(built) else built
+@dataclass(frozen=True)
+class KnownThere:
+    """Build of an effect that the child's function applies itself: None, or what an invalid builder returned.
+
+    Attributes
+    ----------
+    function : callable
+        The builder.
+    """
+
+    function: Callable[[Any], Any]
+
+    def __call__(self, model: Any) -> Any:
+        """None where the builder returns a function of the extended parameters."""
+        built = self.function(model)
+        return None if callable(built) else built

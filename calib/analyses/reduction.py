@@ -189,7 +189,7 @@ def training(study: Study) -> Iterator[None]:
     except EvaluationError as fault:
         raise InputError(
             f"no reduced basis can be trained: {fault}", place=study.file,
-            remedy="check the model over the search limits, or set use = false under [reduction]",
+            remedy="check the model over the search limits, or set use = false under [reduction]", at=fault.at,
         ) from None  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
+from calib.own_code import defined_at
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
 from calib.structure.modal_model import ModalModel
@@ -403,17 +404,20 @@ class FunctionProblem:
         """
         result = self.function(self.space.complete(values))
         if not hasattr(result, "keys"):
-            raise EvaluationError(f"the function gave {type(result).__name__}, not responses by name")
+            words = f"the function gave {type(result).__name__}, not responses by name"
+            raise EvaluationError(words, at=defined_at(self.function))
         missing = [name for name in self.targets if name not in result]
         if missing:
             given = ", ".join(result) or "nothing"
-            raise EvaluationError(f"the function gave no {', '.join(missing)} (it gave {given})")
+            words = f"the function gave no {', '.join(missing)} (it gave {given})"
+            raise EvaluationError(words, at=defined_at(self.function))
         out = {}
         for name, value in result.items():
             try:
                 out[name] = float(value)
             except (TypeError, ValueError) as fault:
-                raise EvaluationError(f"the response {name!r} is {value!r}, not a number") from fault
+                words = f"the response {name!r} is {value!r}, not a number"
+                raise EvaluationError(words, at=defined_at(self.function)) from fault
             if not math.isfinite(out[name]):
-                raise EvaluationError(f"the response {name!r} is {out[name]}")
+                raise EvaluationError(f"the response {name!r} is {out[name]}", at=defined_at(self.function))
         return out

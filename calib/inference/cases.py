@@ -12,13 +12,13 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calib.errors import EvaluationError
+from calib.errors import EvaluationError, again
 from calib.evaluate import BatchEvaluator
 from calib.inference.genetic import GeneticSearch, GeneticSettings
 from calib.inference.objective import Objective
 from calib.inference.rules import RULES
 from calib.ledger import Asked, Ledger
-from calib.outcome import Outcome, key_of
+from calib.outcome import Outcome, failure, key_of
 from calib.problem import Counts
 from calib.space import ParameterSpace
 
@@ -143,7 +143,7 @@ def run_case(
     best: Outcome | None = None
     best_misfit = math.inf
     certified: dict[str, Outcome] = {}
-    last_error, evaluated = "every individual broke a limit or constraint", 0
+    last_fault, evaluated = EvaluationError("every individual broke a limit or constraint"), 0
     convergence = []
     while not search.done:
         generation = search.generation
@@ -167,7 +167,7 @@ def run_case(
         for k, outcome in known.items():
             if math.isnan(misfit[k]):
                 violation[k] = FAILED
-                last_error = outcome.error or "the misfit is not finite"
+                last_fault = failure(outcome) if outcome.error else EvaluationError("the misfit is not finite")
         asked = []
         for k in range(len(points)):
             broken: Literal["failed", "infeasible"] = "failed" if violation[k] == FAILED else "infeasible"
@@ -182,7 +182,7 @@ def run_case(
         convergence.append((generation, best_misfit if best is not None else math.nan, mean, len(good)))
         progress(generation, settings.generations, best_misfit)
     if best is None:
-        raise EvaluationError(f"case {case.name}: no individual could be evaluated ({last_error})")
+        raise again(last_fault, f"case {case.name}: no individual could be evaluated ({last_fault})")
     status = ledger.history(run)["status"].value_counts()
     return CaseResult(
         name=case.name,

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import pandas as pd
 
-from calib.errors import EvaluationError
+from calib.errors import EvaluationError, again
 from calib.inference.region import Region
 from calib.space import ParameterSpace
 
@@ -177,7 +177,7 @@ def fit(
     search = _Search(problem, region, prior)
     here = search.at(region.nearest(region.start))
     if here is None:
-        raise EvaluationError(f"the fit cannot start: {search.fault}")
+        raise again(search.fault, f"the fit cannot start: {search.fault}")
     rows, mu, growth = [], 0.0, 2.0
     rows.append((0, here.misfit, here.data, here.prior, 0.0, math.nan))
     iteration, rejected, reason, converged = 0, 0, "", False
@@ -256,7 +256,7 @@ class _Search:
 
     def __init__(self, problem: LeastSquares, region: Region, prior: Prior):
         self.problem, self.region, self.prior = problem, region, prior
-        self.evaluations, self.jacobians, self.fault = 0, 0, ""
+        self.evaluations, self.jacobians, self.fault = 0, 0, EvaluationError()
 
     def at(self, x: np.ndarray) -> _Point | None:
         """The point, or None where it cannot be evaluated."""
@@ -265,10 +265,10 @@ class _Search:
         try:
             residual = np.asarray(self.problem.residual(values), dtype=float)
         except EvaluationError as fault:
-            self.fault = str(fault)
+            self.fault = again(fault)
             return None
         if not np.all(np.isfinite(residual)):
-            self.fault = "the residual is not finite"
+            self.fault = EvaluationError("the residual is not finite")
             return None
         own = self.prior.residual(values, self.region.names)
         return _Point(x, values, residual, float(residual @ residual), float(own @ own))

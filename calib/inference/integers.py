@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from calib.errors import EvaluationError, InputError
+from calib.errors import EvaluationError, InputError, again
 from calib.inference.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, fit
 from calib.inference.region import InfeasibleError
 from calib.space import ParameterSpace
@@ -100,7 +100,7 @@ def fit_mixed(
         raise InputError("no start is given", place="fit", remedy="give at least one point")
     whole = tuple(p.name for p in space.free if p.integer)
     rows: list[dict[str, float | bool]] = []
-    ends, exhausted, fault = [], [], ""
+    ends, exhausted, fault = [], [], EvaluationError()
     lowest = math.inf
     for k, start in enumerate(starts):
         walk = _Walk(problem, space, prior, settings, refits, whole)
@@ -122,7 +122,7 @@ def fit_mixed(
             if walk.exhausted:
                 exhausted.append(k)
     if not ends:
-        raise EvaluationError(f"the fit cannot start anywhere: {fault}")
+        raise again(fault, f"the fit cannot start anywhere: {fault}")
     table = pd.DataFrame(rows, columns=["start", *whole, "misfit", "converged"])
     return MixedResult(min(ends, key=lambda r: r.misfit), tuple(ends), table, tuple(exhausted))
 
@@ -138,7 +138,7 @@ class _Walk:
     refits: int
     whole: tuple[str, ...]
     tried: dict[tuple[int, ...], tuple[float, bool]] = field(default_factory=dict)
-    fault: str = ""
+    fault: EvaluationError | None = None
     exhausted: bool = False
 
     def fit(self, values: Mapping[str, float]) -> FitResult | None:
@@ -146,7 +146,7 @@ class _Walk:
         try:
             found = fit(self.problem, self.space, values, self.prior, self.settings)
         except EvaluationError as fault:
-            self.fault = str(fault)
+            self.fault = again(fault)
             self.tried[key] = (math.inf, False)
             return None
         self.tried[key] = (found.misfit, found.converged)

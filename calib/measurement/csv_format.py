@@ -11,6 +11,7 @@ import numpy as np
 from calib.errors import InputError
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.repeats import Repeat, ShapeSet
+from calib.place import Place
 from calib.table import Row, read_rows
 
 FREQ_LIMIT = 1e12
@@ -205,6 +206,15 @@ def read_sensor_table(path: Path) -> dict[int, tuple[tuple[float, float, float],
             raise row.error("node", f"node {node} is given twice", "remove one of the lines")
         places[node] = ((row.number("x"), row.number("y"), row.number("z")), row.cells.get("on") or None)
     return places
+
+
+def place_of_node(path: Path, node: int) -> Place | None:
+    """Line of a sensor table that gives the place of a node; None where it has none or cannot be read any more."""
+    try:
+        rows = read_rows(path, ("node", "x", "y", "z"), ("on",))
+        return next((row.place("node") for row in rows if row.node() == node), None)
+    except InputError:
+        return None
 
 
 def read_responses_csv(path: Path) -> dict[str, dict[str, tuple[float, float | None]]]:

@@ -118,15 +118,14 @@ def _length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[s
     for block, data in zip(blocks, sets, strict=True):
         if block.kind != 164:
             continue
-        place = f"{path}, line {block.line}"
         factor, code = float(data["length"]), int(data["units_code"])
         if not (math.isfinite(factor) and factor > 0):
-            raise InputError(f"the length factor of dataset 164 is {factor:g}", place=place, remedy="correct it")
+            raise block.error(path, f"the length factor of dataset 164 is {factor:g}", "correct it")
         if code in _PER_METRE and abs(factor / _PER_METRE[code] - 1) > 1e-3:
-            raise InputError(
+            raise block.error(
+                path,
                 f"dataset 164 states unit code {code} ({_PER_METRE[code]:g} units a metre) but factor {factor:g}",
-                place=place,
-                remedy="correct the code or the factor (code 9 for own units)",
+                "correct the code or the factor (code 9 for own units)",
             )
         factors.add(factor)
     if len(factors) > 1:
@@ -148,28 +147,25 @@ def _points(
     for block, data in zip(blocks, sets, strict=True):
         if block.kind not in (15, 2411):
             continue
-        place = f"{path}, line {block.line}"
         columns = [data[key] for key in ("node_nums", "def_cs", "disp_cs", "color", "x", "y", "z")]
         count = sum(1 for line in block.lines if line.strip()) // (1 if block.kind == 15 else 2)
         if {len(c) for c in columns} != {count}:
-            raise InputError(
-                f"the dataset {block.kind} that starts here has not 7 values a node",
-                place=place,
-                remedy="export it again",
+            raise block.error(
+                path, f"the dataset {block.kind} that starts here has not 7 values a node", "export it again"
             )
         table = np.array(columns, dtype=float).T
         for row in table:
             point = (row[4] / per_metre, row[5] / per_metre, row[6] / per_metre)
             if not np.isfinite((row[0], *point)).all() or row[0] != int(row[0]) or np.max(np.abs(point)) > VALUE_LIMIT:
-                raise InputError(
+                raise block.error(
+                    path,
                     f"a node in the dataset {block.kind} that starts here is not a label and three finite coordinates",
-                    place=place,
-                    remedy="correct it",
+                    "correct it",
                 )
             node = int(row[0])
             here: Point = (float(point[0]), float(point[1]), float(point[2]))
             if points.setdefault(node, here) != here:
-                raise InputError(f"node {node} has two places", place=place, remedy="remove one of them")
+                raise block.error(path, f"node {node} has two places", "remove one of them")
         # 0 and 1 both stand for the global Cartesian system
         local = local or bool(np.any(table[:, 1:3] > 1))
     if local:
@@ -193,12 +189,11 @@ def _modes(
     for block, data in zip(blocks, sets, strict=True):
         if abs(block.kind) != 55:
             continue
-        place = f"{path}, line {block.line}"
-        values = _values(place, data, per_metre, rotations=block.kind == -55)
+        values = _values(path, block, data, per_metre)
         if block.kind == -55:
             modes[-1].values.update(values)
             continue
-        freq, damping, eigenvalue = _frequency(place, data, notes)
+        freq, damping, eigenvalue = _frequency(path, block, data, notes)
         matches = (_NAME_LINE.fullmatch(str(data[f"id{k}"]).strip()) for k in range(1, 6))
         name = next((match.group(1) for match in matches if match), None)
         modes.append(_Mode(name, freq, damping, eigenvalue, values))
@@ -229,40 +224,35 @@ def _modes(
     )
 
 
-def _values(
-    place: str, data: Mapping[str, Any], per_metre: float, *, rotations: bool
-) -> dict[tuple[int, str], complex]:
+def _values(path: Path, block: Block, data: Mapping[str, Any], per_metre: float) -> dict[tuple[int, str], complex]:
     """Shape values of one dataset 55 by node and direction, translations in SI."""
     width = int(data["n_data_per_node"])
     if width not in (3, 6):
-        raise InputError(
-            f"the dataset 55 that starts here has {width} values a node", place=place, remedy="export 3 or 6 components"
-        )
+        words = f"the dataset 55 that starts here has {width} values a node"
+        raise block.error(path, words, "export 3 or 6 components")
     nodes = [int(node) for node in data["node_nums"]]
     columns = [np.asarray(data[f"r{k}"], dtype=complex) for k in range(1, width + 1)]
     if any(len(column) != len(nodes) for column in columns):
-        raise InputError(
-            f"the dataset 55 that starts here has not {width} values a node", place=place, remedy="export it again"
-        )
+        words = f"the dataset 55 that starts here has not {width} values a node"
+        raise block.error(path, words, "export it again")
     if len(set(nodes)) != len(nodes):
-        raise InputError("the dataset 55 that starts here gives a node twice", place=place, remedy="remove one")
+        raise block.error(path, "the dataset 55 that starts here gives a node twice", "remove one")
     values: dict[tuple[int, str], complex] = {}
     for k, column in enumerate(columns):
-        code = k + (3 if rotations else 0)
+        code = k + (3 if block.kind == -55 else 0)
         scaled = column / per_metre if code < 3 else column
         for node, value in zip(nodes, scaled.tolist(), strict=True):
             # NaN fails the comparison too
             if not max(abs(value.real), abs(value.imag)) <= VALUE_LIMIT or math.isnan(value.imag):
-                raise InputError(
-                    f"node {node}{DIRECTIONS[code]} in the dataset 55 that starts here has no finite value",
-                    place=place,
-                    remedy="export it again",
-                )
+                words = f"node {node}{DIRECTIONS[code]} in the dataset 55 that starts here has no finite value"
+                raise block.error(path, words, "export it again")
             values[node, DIRECTIONS[code]] = value
     return values
 
 
-def _frequency(place: str, data: Mapping[str, Any], notes: list[str]) -> tuple[float, float, complex | None]:
+def _frequency(
+    path: Path, block: Block, data: Mapping[str, Any], notes: list[str]
+) -> tuple[float, float, complex | None]:
     """Natural frequency in Hz, damping ratio and eigenvalue (None for a normal mode)."""
     eigenvalue: complex | None = None
     if data["analysis_type"] == 2:
@@ -270,31 +260,31 @@ def _frequency(place: str, data: Mapping[str, Any], notes: list[str]) -> tuple[f
         if damping == 0:
             damping = math.nan  # exporters write 0 for unknown damping
             if float(data["modal_damp_his"]) != 0:
-                notes.append(f"{place}: only hysteretic damping is given, which is not used")
+                notes.append(f"{path}, line {block.line}: only hysteretic damping is given, which is not used")
     else:
         re_part, im_part = complex(data["eig"]).real, complex(data["eig"]).imag
         size = math.hypot(re_part, im_part)
         freq = size / (2 * math.pi)
         if im_part == 0 and size > 0:
-            raise InputError(
+            raise block.error(
+                path,
                 "the eigenvalue in the dataset 55 that starts here is real: no vibration mode",
-                place=place,
-                remedy="leave it out of the export",
+                "leave it out of the export",
             )
         damping = -re_part / size if size > 0 else 0.0
         eigenvalue = complex(re_part, im_part)
     if not 0 < freq < FREQ_LIMIT:
-        raise InputError(
+        raise block.error(
+            path,
             f"the frequency in the dataset 55 that starts here is {freq:g} Hz, outside (0, {FREQ_LIMIT:g})",
-            place=place,
-            remedy="correct it",
+            "correct it",
         )
     unreadable = data["analysis_type"] == 2 and math.isnan(data["modal_damp_vis"])
     if unreadable or not (math.isnan(damping) or 0 <= damping < 1):
-        raise InputError(
+        raise block.error(
+            path,
             f"the damping ratio in the dataset 55 that starts here is {damping:g}, outside [0, 1)",
-            place=place,
-            remedy="give a ratio, and a decaying mode an eigenvalue with negative real part",
+            "give a ratio, and a decaying mode an eigenvalue with negative real part",
         )
     return freq, abs(damping), eigenvalue
 

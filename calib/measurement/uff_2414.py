@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from calib.errors import InputError
 from calib.measurement.uff_blocks import MODAL, Block
 
 _AT_NODES = 1
@@ -15,6 +14,7 @@ _COMPONENTS = {3: 2, 6: 3}
 """Values a node, and the data characteristic of dataset 55 that goes with them."""
 _COMPLEX = {2: False, 4: False, 5: True, 6: True}
 """Data types that can be read: single and double precision, real and complex."""
+_UNREADABLE = "the dataset 2414 that starts here cannot be read"
 
 
 def as_dataset_55(path: Path, block: Block) -> Block | None:
@@ -28,20 +28,19 @@ def as_dataset_55(path: Path, block: Block) -> Block | None:
     InputError
         When such a dataset is damaged.
     """
-    place = f"{path}, line {block.line}"
     try:
         head = _whole(block.lines[8], 6)
         location = _whole(block.lines[2], 1)[0]
     except (ValueError, IndexError):
-        raise _damaged(place) from None
+        raise block.error(path, _UNREADABLE, "export it again") from None
     analysis, result, data, width = head[1], head[3], head[4], head[5]
     if analysis not in MODAL or location != _AT_NODES or result not in _MOTIONS:
         return None
     if width not in _COMPONENTS or data not in _COMPLEX:
-        raise InputError(
+        raise block.error(
+            path,
             f"the dataset 2414 that starts here has {width} values a node of data type {data}",
-            place=place,
-            remedy="export 3 or 6 components of motion, real or complex",
+            "export 3 or 6 components of motion, real or complex",
         )
     try:
         integers = _whole(block.lines[9], 8)
@@ -53,7 +52,7 @@ def as_dataset_55(path: Path, block: Block) -> Block | None:
         size = width * (2 if _COMPLEX[data] else 1)
         body = _body(block.lines[13:], size)
     except (ValueError, IndexError):
-        raise _damaged(place) from None
+        raise block.error(path, _UNREADABLE, "export it again") from None
     lines = [
         *block.lines[3:8],
         "".join(f"{n:10d}" for n in (head[0], analysis, _COMPONENTS[width], 8, 5 if _COMPLEX[data] else 2, width)),
@@ -63,11 +62,7 @@ def as_dataset_55(path: Path, block: Block) -> Block | None:
     for node, values in body:
         lines.append(f"{node:10d}")
         lines += ["".join(f"{x:13.5e}" for x in values[k : k + 6]) for k in range(0, size, 6)]
-    return Block(55, block.line, tuple(lines))
-
-
-def _damaged(place: str) -> InputError:
-    return InputError("the dataset 2414 that starts here cannot be read", place=place, remedy="export it again")
+    return Block(55, block.line, tuple(lines), block)
 
 
 def _whole(line: str, count: int) -> list[int]:

@@ -15,6 +15,7 @@ from typing import Any
 import pyuff
 
 from calib.errors import InputError
+from calib.place import Place
 
 _MARKER = b"    -1"
 USED_KINDS = (15, 55, 164, 2411, 2414)
@@ -26,17 +27,34 @@ _BINARY_HEAD = re.compile(rb" {4}58b[ \d]{12}([ \d]{11}\d)([ \d]{11}\d).*")
 """After byte order and kind of number: the number of text lines, and of bytes, that follow."""
 _CLOSING = re.compile(rb"(?:\r\n|\r|\n)?( {4}-1[ ]*(?:\r|\n|\Z))")
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
-_ID_LINES = {55: range(5), 2414: (1, *range(3, 8))}
+_ID_LINES = {55: range(5), 164: (0,), 2414: (1, *range(3, 8))}
 """Lines of free text in a dataset, from 0."""
+_NUMBERS = re.compile(r"(?:[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)+", re.ASCII)
+"""Numbers, between which a fixed width of columns may leave no blank."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """One dataset as text: its type, the line it starts on (from 1), and the lines after the type line."""
+    """One dataset as text: its type, the line it starts on (from 1), and the lines after the type line.
+
+    ``origin`` is the dataset of the file, where this one was converted from it.
+    """
 
     kind: int
     line: int
     lines: tuple[str, ...]
+    origin: Block | None = None
+
+    def error(self, path: Path, problem: str, remedy: str) -> InputError:
+        """An InputError that names file and line, and shows the first entry that is no number, if there is one."""
+        return InputError(problem, place=f"{path}, line {self.line}", remedy=remedy, at=(self.origin or self)._at(path))
+
+    def _at(self, path: Path) -> Place:
+        for k, text in enumerate(self.lines):
+            for entry in re.finditer(r"\S+", text):
+                if k not in _ID_LINES.get(self.kind, ()) and not _NUMBERS.fullmatch(entry.group()):
+                    return Place(str(path), self.line + 2 + k, text, entry.start() + 1, len(entry.group()))
+        return Place(str(path), self.line + 1, f"{self.kind:6d}")
 
 
 def read_blocks(path: Path) -> list[Block]:
@@ -71,13 +89,13 @@ def read_blocks(path: Path) -> list[Block]:
         elif line:
             raise InputError(
                 "text outside the datasets: this is no universal file, or a '-1' line was lost",
-                place=f"{path}, line {lines.number}",
+                place=Place(str(path), lines.number, _text(line)),
                 remedy="export it again",
             )
     if begun is not None:
         raise InputError(
             "the dataset that starts here is not closed by a '-1' line: the file is truncated",
-            place=f"{path}, line {start}",
+            place=Place(str(path), start, _MARKER.decode()),
             remedy="export it again",
         )
     return blocks
@@ -127,9 +145,8 @@ class _Lines:
 def _block(path: Path, start: int, lines: Sequence[bytes]) -> Block:
     head = lines[0][:6].strip() if lines else b""
     if not head.isdigit() or int(head) == 0:
-        raise InputError(
-            "no dataset number follows the '-1' line", place=f"{path}, line {start + 1}", remedy="export it again"
-        )
+        place = Place(str(path), start + 1, _text(lines[0]) if lines else "")
+        raise InputError("no dataset number follows the '-1' line", place=place, remedy="export it again")
     kind = int(head)
     # the other datasets are not read, and may be binary
     if kind not in USED_KINDS:
@@ -161,16 +178,12 @@ def halves_of_six(path: Path, block: Block) -> list[Block]:
         return [block]
     head, body = block.lines[:8], block.lines[8:]
     if len(body) % 3:
-        raise InputError(
-            "the dataset 55 that starts here has not three lines a node",
-            place=f"{path}, line {block.line}",
-            remedy="export it again",
-        )
+        raise block.error(path, "the dataset 55 that starts here has not three lines a node", "export it again")
     head = (*head[:5], head[5][:50] + f"{3:10d}", *head[6:])
     halves = []
     for kind, offset in ((55, 1), (-55, 2)):
         lines = [line for k in range(0, len(body), 3) for line in (body[k], body[k + offset])]
-        halves.append(Block(kind, block.line, (*head, *lines)))
+        halves.append(Block(kind, block.line, (*head, *lines), block.origin or block))
     return halves
 
 
@@ -201,11 +214,8 @@ def extract_sets(path: Path, blocks: Sequence[Block]) -> list[dict[str, Any]]:
                 for at in range(len(blocks)):
                     sets.append(dict(reader.read_sets(at)))
         except Exception as err:
-            raise InputError(
-                f"the dataset {abs(blocks[at].kind)} that starts here cannot be read ({first_line(err)})",
-                place=f"{path}, line {blocks[at].line}",
-                remedy="export it again",
-            ) from None
+            words = f"the dataset {abs(blocks[at].kind)} that starts here cannot be read ({first_line(err)})"
+            raise blocks[at].error(path, words, "export it again") from None
     return sets
 
 

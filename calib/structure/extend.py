@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from calib.effect import Effect
 from calib.errors import InputError
+from calib.own_code import defined_at, raised_at
 from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, SelectedTerm, Term
 from calib.structure.geometry import DofMap, Locator
@@ -97,7 +98,16 @@ def addition_of(model: StructuralModel, effect: Effect) -> Addition:
         addition = effect.build(model)
     except InputError as fault:
         where = place if fault.place is None else f"{place}, {fault.place}"
-        raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
+        at = fault.at or raised_at(fault)
+        raise InputError(fault.problem, place=where, remedy=fault.remedy, at=at) from None
+    try:
+        _require_fitting(model, addition, place)
+    except InputError as fault:
+        raise fault.with_line(defined_at(effect.build)) from None
+    return addition
+
+
+def _require_fitting(model: StructuralModel, addition: Addition, place: str) -> None:
     if not isinstance(addition, Addition):
         raise InputError(f"it builds {type(addition).__name__}", place=place, remedy="return an Addition")
     n = model.n_dof + addition.n_added
@@ -110,8 +120,8 @@ def addition_of(model: StructuralModel, effect: Effect) -> Addition:
     for selected in addition.selected:
         for b in selected.vectors.values():
             if b.shape != (n,):
-                raise InputError(f"a vector of {selected.name!r} is {b.shape}, not ({n},)", place=place)
-    return addition
+                words = f"a vector of {selected.name!r} is {b.shape}, not ({n},)"
+                raise InputError(words, place=place, remedy="give it the same length")
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from calib.fingerprint import digest_of
 from calib.given import integer, objects
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.outcome import answered
+from calib.own_code import defined_at
 from calib.space import ParameterSpace
 from calib.structure.derivatives import ModeDerivatives
 from calib.structure.geometry import Mesh
@@ -169,7 +170,11 @@ class ModalFunctionModel:
         found: list[Modes] = []
 
         def ask(point: Mapping[str, float]) -> dict[str, float]:
-            found.append(modes_of(self.function(point), self.sensors, self.n_modes, self.damped))
+            result = self.function(point)
+            try:
+                found.append(modes_of(result, self.sensors, self.n_modes, self.damped))
+            except EvaluationError as fault:
+                raise EvaluationError(*fault.args, at=defined_at(self.function)) from None
             return {}
 
         answered(ask, values)

@@ -146,6 +146,8 @@ def test_an_invalid_new_study_is_not_written(sums, monkeypatch):
         extend(study, ["bend"], Path("new"))
     said = str(caught.value)
     assert "was not written" in said and ".calib-extend" not in said and {p.name for p in Path().iterdir()} == {"sums"}
+    at = caught.value.at
+    assert (Path(at.file), at.text) == (Path("sums/study.toml").resolve(), 'model = "model.py:build"')
 
 
 @pytest.mark.parametrize("what", ["pathlib.Path.write_text", "pathlib.Path.rename"])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.analyses.isolation import ChildFunction, isolated
+from calib.analyses.isolation import ChildFunction, KnownThere, isolated
 from calib.analyses.places import open_evaluator
 from calib.errors import EvaluationError, InputError
 from calib.function import extend_function
@@ -54,10 +54,10 @@ def test_an_effect_that_ends_the_process_is_a_failed_point(sums):
 def test_an_invalid_effect_is_refused_before_any_evaluation(sums):
     study = isolated(Study.load(sums))
     (effect,) = study.candidates
-    wrong = replace(effect, build=effect.build.func)  # the wrapper without its inner builder
+    wrong = replace(effect, build=KnownThere(lambda: None))  # it takes no model
     with pytest.raises(InputError, match="bend"):
         with_effects(study.model, [wrong], "here")
-    broken = replace(effect, build=type(effect.build)(effect.build.func, lambda model: 5))
+    broken = replace(effect, build=KnownThere(lambda model: 5))
     with pytest.raises(InputError, match="it builds int"):
         with_effects(study.model, [broken], "here")
 

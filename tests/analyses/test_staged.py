@@ -255,12 +255,12 @@ def library():
         (("[measurement]", "[parameters.a]\nvalue = 2.5\n[measurement]"), "'a' is adopted and changed as well"),
     ],
 )
-def test_invalid_adoptions_are_refused(stages, capsys, change, said):
+def test_invalid_adoptions_are_refused(stages, capsys, change, said, one_sentence):
     path = Path("two/study.toml")
     path.write_text(path.read_text().replace(*change))
     assert cli.execute(["compare", "two"]) == 2
     told = capsys.readouterr().err
-    assert said in told and "study.toml" in told and told.count("\n") == 1
+    assert said in told and "study.toml" in told and one_sentence(told)
 
 
 def test_a_held_parameter_cannot_be_selected(stages, capsys):
@@ -303,14 +303,14 @@ def test_deleted_results_are_repeated(stages, capsys):
         ("parameters.csv", lambda text: text.replace("value", "worth")),
     ],
 )
-def test_damaged_results_are_refused_and_left_unchanged(found, capsys, file, damage):
+def test_damaged_results_are_refused_and_left_unchanged(found, capsys, file, damage, one_sentence):
     path = Path("results/one", file)
     damaged = damage(path.read_text())
     assert damaged != path.read_text()
     path.write_text(damaged)
     assert cli.execute(["compare", "two"]) == 2
     told = capsys.readouterr()
-    assert file in told.err and told.err.count("\n") == 1 and path.read_text() == damaged
+    assert file in told.err and one_sentence(told.err) and path.read_text() == damaged
 
 
 def test_results_saved_by_a_spreadsheet_are_read(found):

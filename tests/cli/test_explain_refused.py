@@ -9,17 +9,22 @@ from calib import cli
 from calib.analyses import reduction
 
 
-def refused(arguments, capsys, *words):
+@pytest.fixture
+def refused(capsys, one_sentence):
     """Exit code 2, one sentence with all words, nothing but empty folders behind."""
-    capsys.readouterr()
-    assert cli.execute(arguments) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and said.startswith("calib: ") and "Traceback" not in said
-    for word in words:
-        assert word in said, said
-    assert not Path("calib-error.log").exists()
-    assert not any(p.is_file() for p in Path("results").rglob("*"))
-    return said
+
+    def check(arguments, *words):
+        capsys.readouterr()
+        assert cli.execute(arguments) == 2
+        said = capsys.readouterr().err
+        assert one_sentence(said) and "Traceback" not in said
+        for word in words:
+            assert word in said, said
+        assert not Path("calib-error.log").exists()
+        assert not any(p.is_file() for p in Path("results").rglob("*"))
+        return said
+
+    return check
 
 
 def test_a_study_without_effects_is_told_the_place(guyed, capsys, edit, explanation):
@@ -45,50 +50,48 @@ def test_a_model_that_has_all_effects_lacks_nothing_more(guyed, edit, explanatio
 
 @pytest.mark.parametrize("worthwhile_dofs", [reduction.WORTHWHILE_DOFS, 10])
 @pytest.mark.parametrize("held", [["B2z", "B3x", "B3z"], ["B1x", "B1z", "B2x", "B2z", "B3x"]])
-def test_too_few_modes_are_told_before_a_basis_is_trained(guyed, capsys, monkeypatch, held, worthwhile_dofs, edit):
+def test_too_few_modes_are_told_before_a_basis_is_trained(guyed, refused, monkeypatch, held, worthwhile_dofs, edit):
     monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", worthwhile_dofs)
     monkeypatch.setattr(reduction, "train_basis", lambda *a, **k: pytest.fail("a basis is trained"))
     edit(guyed, "modes = []", f"modes = {json.dumps(held)}")
     words = f"{6 - len(held)} measured modes cannot tell a missing effect from a parameter"
-    refused(["explain", "mast"], capsys, words, "measure at least 4")
+    refused(["explain", "mast"], words, "measure at least 4")
 
 
-def test_an_unknown_library(guyed, capsys, edit):
+def test_an_unknown_library(guyed, refused, edit):
     edit(guyed, "effects.py:library", "effects.py:nothing")
-    refused(["explain", "mast"], capsys, "nothing", "study.toml")
+    refused(["explain", "mast"], "nothing", "study.toml")
 
 
-def test_an_effect_that_builds_nonsense(guyed, capsys):
+def test_an_effect_that_builds_nonsense(guyed, refused):
     text = (guyed / "effects.py").read_text()
     broken = text.replace("return Addition(", "return dict(")
     assert broken != text
     (guyed / "effects.py").write_text(broken)
-    refused(["explain", "mast"], capsys, "effect ", "return an Addition")
+    refused(["explain", "mast"], "effect ", "return an Addition")
 
 
-def test_a_finer_mesh_that_cannot_be_built(guyed, capsys, edit):
+def test_a_finer_mesh_that_cannot_be_built(guyed, refused, edit):
     edit(guyed, "[calibration]", "[explain]\nfiner_options = { elements = 3 }\n\n[calibration]")
-    refused(["explain", "mast"], capsys, "elements")
+    refused(["explain", "mast"], "elements")
 
 
-def test_results_that_cannot_be_written(guyed, capsys):
+def test_results_that_cannot_be_written(guyed, refused):
     Path("taken").write_text("a file, not a folder")
-    refused(["explain", "mast", "--results", "taken"], capsys, "cannot be written")
+    refused(["explain", "mast", "--results", "taken"], "cannot be written")
 
 
-def test_an_unknown_effect_is_no_extension(guyed, capsys, files):
+def test_an_unknown_effect_is_no_extension(guyed, refused, files):
     before = files(".")
-    refused(
-        ["extend", "mast", "gui", "--into", "mast_2"], capsys, "unknown effect 'gui'", "platform, lamp, guy, stuck_base"
-    )
+    refused(["extend", "mast", "gui", "--into", "mast_2"], "unknown effect 'gui'", "platform, lamp, guy, stuck_base")
     assert not Path("mast_2").exists() and files(".") == before and not list(Path().glob(".calib*"))
 
 
-def test_an_effect_in_the_model_is_no_extension(guyed, capsys):
+def test_an_effect_in_the_model_is_no_extension(guyed, refused):
     assert cli.execute(["extend", "mast", "guy", "--into", "mast_2"]) == 0
-    refused(["extend", "mast_2", "guy", "--into", "mast_3"], capsys, "in the model already", "the effects it lacks are")
+    refused(["extend", "mast_2", "guy", "--into", "mast_3"], "in the model already", "the effects it lacks are")
     assert not Path("mast_3").exists()
 
 
-def test_no_results_are_no_report(guyed, capsys):
-    refused(["report", "mast"], capsys, "there are no results to draw", "calib run mast")
+def test_no_results_are_no_report(guyed, refused):
+    refused(["report", "mast"], "there are no results to draw", "calib run mast")

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import pickle
 import shutil
 import signal
 import sqlite3
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import time
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -17,8 +19,11 @@ from pathlib import Path
 import pytest
 
 from calib import cli, interrupt
+from calib.errors import InputError
 from calib.example import write_example
+from calib.place import Place
 from calib.report.figures import Figures
+from calib.study import Study
 from tests.template import plain as template
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -281,3 +286,72 @@ def drafts():
 @pytest.fixture
 def rows():
     return ledger_rows
+
+
+# -- mistakes in the user's files --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Where the mistake was put."""
+
+    file: Path
+    line: int
+    text: str
+    column: int | None
+    marked: str
+
+
+class Mistakes:
+    """Puts mistakes into files and compares the places of errors with theirs.
+
+    The wrong text stands between ⟦ and ⟧, which are taken out of the file; ⟦⟧ marks a line of which no column is known.
+    """
+
+    @staticmethod
+    def put(file: Path, *changes: tuple[str, str]) -> Expected:
+        """Make the changes of a file and return the marked place."""
+        text = file.read_text("utf-8")
+        for old, new in changes:
+            assert old in text, old
+            text = text.replace(old, new, 1)
+        return Mistakes.marked(file, text)
+
+    @staticmethod
+    def marked(file: Path, text: str) -> Expected:
+        """Write a file without its marks and return the marked place."""
+        before, _, rest = text.partition("⟦")
+        wrong, _, after = rest.partition("⟧")
+        clean = before + wrong + after
+        file.write_text(clean, "utf-8")
+        line = before.count("\n") + 1
+        own = clean.split("\n")[line - 1].rstrip()
+        return Expected(file, line, own, len(before) - before.rfind("\n") if wrong else None, wrong)
+
+    @staticmethod
+    def check(at: Place | None, expected: Expected) -> None:
+        """The place of an error is the marked one."""
+        assert at is not None
+        assert Path(at.file).resolve() == expected.file.resolve()
+        assert (at.line, at.text.rstrip()) == (expected.line, expected.text)
+        if expected.column is None:
+            assert at.column is None
+        else:
+            assert at.column == expected.column
+            assert at.text[at.column - 1 : at.column - 1 + at.length] == expected.marked
+
+    @staticmethod
+    def refused(folder: Path, act: Callable[[Path], object] = Study.load) -> InputError:
+        """The error of an action, which is the same after the way from another process."""
+        with pytest.raises(InputError) as caught:
+            act(folder)
+        fault = caught.value
+        copy = pickle.loads(pickle.dumps(fault))  # as on the way from a worker process
+        assert (copy.at, copy.sentence, str(copy)) == (fault.at, fault.sentence, str(fault))
+        assert copy.__notes__ == fault.__notes__ and len(fault.__notes__) == 1
+        return fault
+
+
+@pytest.fixture(scope="session")
+def mistakes() -> type[Mistakes]:
+    return Mistakes

@@ -47,7 +47,7 @@ def refused(capsys, *arguments: str) -> str:
     capsys.readouterr()
     assert cli.execute(list(arguments)) == 2
     text = capsys.readouterr().err
-    assert text.count("\n") == 1 and text.startswith("calib: ") and text.endswith(".\n"), text
+    assert text.count("\n") == 1 and text.startswith("Error: ") and text.endswith(".\n"), text
     return text
 
 

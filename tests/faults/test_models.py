@@ -146,13 +146,13 @@ def test_every_fault_in_worker_processes_is_a_row(faulty):
     check_rows(14)
 
 
-def test_a_model_that_fails_at_its_nominal_values(plain, capsys):
+def test_a_model_that_fails_at_its_nominal_values(plain, capsys, one_sentence):
     plain("def answer(values):\n    import sys\n    sys.exit(0)")
     for verb in ("compare", "calibrate", "run"):
         capsys.readouterr()
         assert cli.execute([verb, "plain"]) == 2
         said = capsys.readouterr().err
-        assert "at its nominal values: SystemExit: 0 (model.py, line " in said and said.count("\n") == 1
+        assert "at its nominal values: SystemExit: 0 (model.py, line " in said and one_sentence(said)
 
 
 def test_a_model_that_leaves_for_another_directory(plain, here, monkeypatch):

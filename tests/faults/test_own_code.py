@@ -11,12 +11,18 @@ from calib.study import Study
 LOG = Path("calib-error.log")
 
 
-def told(capsys, *arguments):
-    capsys.readouterr()
-    assert cli.execute(list(arguments)) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "Traceback" not in said
-    return said
+@pytest.fixture
+def told(capsys, one_sentence):
+    """The complaint of a command that must end with code 2."""
+
+    def complaint(*arguments):
+        capsys.readouterr()
+        assert cli.execute(list(arguments)) == 2
+        said = capsys.readouterr().err
+        assert one_sentence(said) and "Traceback" not in said
+        return said
+
+    return complaint
 
 
 def line_of(file: Path, text: str) -> int:
@@ -50,26 +56,26 @@ BUILD = 'return FunctionModel("plain", SPACE, answer)'
         (BUILD, f"np.linalg.inv(np.zeros((2, 2)))  # here\n    {BUILD}", "LinAlgError"),
     ],
 )
-def test_an_exception_while_a_model_is_built(edited, capsys, old, new, kind):
+def test_an_exception_while_a_model_is_built(edited, told, old, new, kind):
     folder = edited(old, new)
-    said = told(capsys, "compare", str(folder))
+    said = told("compare", str(folder))
     assert f"model.py, line {line_of(folder / 'model.py', '# here')}" in said and kind in said
     assert "model_options" not in said
     assert "# here" in LOG.read_text() and kind in LOG.read_text()
 
 
 @pytest.mark.parametrize("options", ["{ colour = 1 }", "{ first = 1, second = 2 }"])
-def test_options_that_a_model_does_not_take(edited, capsys, options):
+def test_options_that_a_model_does_not_take(edited, told, options):
     folder = edited("def model():", "def model(first=1):")
     study = folder / "study.toml"
     study.write_text(study.read_text().replace("selection", f"model_options = {options}\nselection", 1))
-    assert "model_options" in told(capsys, "compare", str(folder))
+    assert "model_options" in told("compare", str(folder))
     assert not LOG.exists()
 
 
-def test_an_exception_while_a_model_is_evaluated(edited, capsys):
+def test_an_exception_while_a_model_is_evaluated(edited, told):
     folder = edited("return {'y': values['a'],", "return {'y': values['c'],  # here\n           ")
-    said = told(capsys, "compare", str(folder))
+    said = told("compare", str(folder))
     assert f"KeyError: 'c' (model.py, line {line_of(folder / 'model.py', '# here')})" in said
     assert "# here" in LOG.read_text()
 
@@ -173,9 +179,9 @@ def fault_of(folder: Path) -> str:
     return f"NameError: name 'y' is not defined (effects.py, line {line_of(folder / 'effects.py', '# here')})"
 
 
-def test_an_exception_in_the_only_effect(bent, capsys):
+def test_an_exception_in_the_only_effect(bent, told):
     folder = bent(1)
-    assert fault_of(folder) in told(capsys, "explain", str(folder))
+    assert fault_of(folder) in told("explain", str(folder))
     assert "# here" in LOG.read_text()
 
 
@@ -189,10 +195,10 @@ def test_an_exception_in_one_effect_of_several(bent, undrawn, capsys):
 @pytest.mark.parametrize(
     "options", [[], pytest.param(["--method", "gauss-newton", "--workers", "1"], marks=pytest.mark.slow)]
 )
-def test_an_exception_in_an_effect_that_a_calibrated_model_has(bent, capsys, options):
+def test_an_exception_in_an_effect_that_a_calibrated_model_has(bent, told, options):
     folder = bent(2, 'with_effects = ["bend"]')
     for _ in range(2):  # the second time the ledger knows what failed
-        assert fault_of(folder) in told(capsys, "calibrate", str(folder), *options)
+        assert fault_of(folder) in told("calibrate", str(folder), *options)
         assert "# here" in LOG.read_text()
         LOG.unlink()
 

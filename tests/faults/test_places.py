@@ -26,17 +26,18 @@ def no_figures(monkeypatch):
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
 
 
-def one_sentence(text: str) -> bool:
-    return text.startswith("calib: ") and text.count("\n") == 1 and text.endswith(".\n")
-
-
-def told(capsys, *arguments: str) -> str:
+@pytest.fixture
+def told(capsys, one_sentence):
     """The complaint of a command that must end with code 2."""
-    capsys.readouterr()
-    assert cli.execute(list(arguments)) == 2
-    text = capsys.readouterr().err
-    assert one_sentence(text) and "Traceback" not in text and not Path("calib-error.log").exists()
-    return text
+
+    def complaint(*arguments: str) -> str:
+        capsys.readouterr()
+        assert cli.execute(list(arguments)) == 2
+        text = capsys.readouterr().err
+        assert one_sentence(text) and "Traceback" not in text and not Path("calib-error.log").exists()
+        return text
+
+    return complaint
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -81,7 +82,7 @@ def prepared(shared: Path, calibrated, weak) -> dict[str, bytes]:
     return files(FOLDER)
 
 
-def test_a_folder_that_may_not_be_written(prepared, runner, weak):
+def test_a_folder_that_may_not_be_written(prepared, runner, weak, one_sentence):
     FOLDER.chmod(0o555)
     run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
     assert run.wait() == 2 and one_sentence(run.err) and "cannot be written" in run.err
@@ -91,7 +92,7 @@ def test_a_folder_that_may_not_be_written(prepared, runner, weak):
     assert run.wait() == 0, run.err
 
 
-def test_a_ledger_that_may_not_be_written(prepared, runner, weak):
+def test_a_ledger_that_may_not_be_written(prepared, runner, weak, one_sentence):
     LEDGER.chmod(0o444)
     run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
     assert run.wait() == 2 and one_sentence(run.err) and "ledger.sqlite: it cannot be written" in run.err
@@ -102,7 +103,7 @@ def test_a_ledger_that_may_not_be_written(prepared, runner, weak):
     assert run.wait() == 0, run.err
 
 
-def test_results_of_a_study_whose_folder_may_not_be_read(prepared, shared, runner, weak):
+def test_results_of_a_study_whose_folder_may_not_be_read(prepared, shared, runner, weak, one_sentence):
     closed = shared / "closed/mast"
     closed.mkdir(parents=True)
     closed.parent.chmod(0o000)
@@ -113,16 +114,16 @@ def test_results_of_a_study_whose_folder_may_not_be_read(prepared, shared, runne
     assert {name: content for name, content in files(FOLDER).items() if name != OWNER} == prepared
 
 
-def test_results_replaced_by_a_file(mast, capsys):
+def test_results_replaced_by_a_file(mast, told):
     assert cli.execute(["compare", "mast"]) == 0
     shutil.rmtree(FOLDER)
     FOLDER.write_text("a file")
     for verb in ("compare", "sensitivity", "calibrate", "run"):
-        assert "cannot be written" in told(capsys, verb, "mast")
+        assert "cannot be written" in told(verb, "mast")
     assert FOLDER.read_text() == "a file"
 
 
-def test_results_replaced_by_a_file_while_running(mast, capsys, monkeypatch):
+def test_results_replaced_by_a_file_while_running(mast, told, monkeypatch):
     @contextmanager
     def progress():
         def at_generation(case, generation, generations, best):
@@ -133,7 +134,7 @@ def test_results_replaced_by_a_file_while_running(mast, capsys, monkeypatch):
         yield at_generation
 
     monkeypatch.setattr("calib.progress.search", progress)
-    assert "cannot be written" in told(capsys, "calibrate", "mast", "--workers", "1")
+    assert "cannot be written" in told("calibrate", "mast", "--workers", "1")
     assert FOLDER.read_text() == "a file"
     FOLDER.unlink()
     assert cli.execute(["calibrate", "mast", "--workers", "1"]) == 0
@@ -175,19 +176,19 @@ def fill(disk: Path, leave: int) -> Path:
 
 
 @pytest.mark.parametrize("kilobytes", [80, *(pytest.param(size, marks=pytest.mark.slow) for size in (0, 400))])
-def test_a_full_disk(mast, small_disk, runner, left, drafts, kilobytes, whole):
-    check_full_disk(small_disk, runner, left, drafts, kilobytes, whole[0], draw=False)
+def test_a_full_disk(mast, small_disk, runner, left, drafts, kilobytes, whole, one_sentence):
+    check_full_disk(small_disk, runner, left, drafts, kilobytes, whole[0], False, one_sentence)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kilobytes", [*range(10, 600, 80)])
-def test_a_full_disk_at_any_moment(mast, small_disk, runner, left, drafts, kilobytes):
+def test_a_full_disk_at_any_moment(mast, small_disk, runner, left, drafts, kilobytes, one_sentence):
     run = runner.fork("calibrate", "mast", "--workers", "1", "--results", "whole", draw=True)
     assert run.wait() == 0
-    check_full_disk(small_disk, runner, left, drafts, kilobytes, left(Path("whole/mast")), draw=True)
+    check_full_disk(small_disk, runner, left, drafts, kilobytes, left(Path("whole/mast")), True, one_sentence)
 
 
-def check_full_disk(disk, runner, left, drafts, kilobytes, whole, draw):
+def check_full_disk(disk, runner, left, drafts, kilobytes, whole, draw, one_sentence):
     ballast = fill(disk, 1024 * kilobytes)
     run = runner.fork("calibrate", "mast", "--workers", "1", draw=draw)
     assert run.wait() == 2, (run.code, run.err)
@@ -203,7 +204,7 @@ def check_full_disk(disk, runner, left, drafts, kilobytes, whole, draw):
     assert left(FOLDER) == whole
 
 
-def test_a_disk_too_full_for_a_figure(answered_there, runner):
+def test_a_disk_too_full_for_a_figure(answered_there, runner, one_sentence):
     before = files(FOLDER)
     fill(answered_there, 100_000)
     run = runner.fork("report", "mast", draw=True)
@@ -217,7 +218,7 @@ def test_a_disk_too_full_for_a_figure(answered_there, runner):
     assert all(b.endswith(b"IEND\xaeB`\x82") for n, b in after.items() if n.endswith(".png"))
 
 
-def test_a_full_disk_leaves_earlier_results_whole(mast, answered_there, runner, rows):
+def test_a_full_disk_leaves_earlier_results_whole(mast, answered_there, runner, rows, one_sentence):
     before, known = files(FOLDER), rows(LEDGER)
     text = (mast / "study.toml").read_text()
     (mast / "study.toml").write_text(text.replace("seed = 1 }", "seed = 9 }").replace("ions = 6", "ions = 40"))
@@ -241,39 +242,39 @@ def test_a_full_disk_leaves_earlier_results_whole(mast, answered_there, runner, 
         (lambda data: data[:8192] + os.urandom(len(data) - 8192), ""),
     ],
 )
-def test_a_damaged_ledger(answered, capsys, damage, words):
+def test_a_damaged_ledger(answered, told, damage, words):
     before = files(FOLDER)
     damaged = damage(LEDGER.read_bytes())
     LEDGER.write_bytes(damaged)
     file = answered / "study.toml"
     file.write_text(file.read_text().replace("seed = 2", "seed = 3"))
-    assert words in told(capsys, "calibrate", "mast", "--workers", "1")
+    assert words in told("calibrate", "mast", "--workers", "1")
     tables = {n: b for n, b in files(FOLDER).items() if n.endswith((".csv", ".json"))}
     assert tables == {n: before[n] for n in tables}
 
 
-def test_without_its_damaged_ledger_a_study_is_evaluated_again(answered, capsys):
+def test_without_its_damaged_ledger_a_study_is_evaluated_again(answered, told):
     LEDGER.write_bytes(b"no database at all")
-    told(capsys, "calibrate", "mast", "--workers", "1")
+    told("calibrate", "mast", "--workers", "1")
     LEDGER.rename("away.sqlite")
     assert cli.execute(["calibrate", "mast", "--workers", "1"]) == 0
 
 
-def test_damaged_rows(answered, capsys):
+def test_damaged_rows(answered, told):
     for rubbish in ('{"natural_freq_B1x": 1.0}', b"", b"not eight bytes a number"):
         with contextlib.closing(sqlite3.connect(LEDGER, isolation_level=None)) as database:
             database.execute("DROP TRIGGER IF EXISTS evaluation_stays")
             database.execute("UPDATE evaluation SET responses = ?", (rubbish,))
-        assert "ledger.sqlite: it is damaged" in told(capsys, "calibrate", "mast", "--workers", "1")
+        assert "ledger.sqlite: it is damaged" in told("calibrate", "mast", "--workers", "1")
 
 
-def test_a_ledger_of_a_newer_version(mast, capsys):
+def test_a_ledger_of_a_newer_version(mast, told):
     Results.at(Path("results"), "mast").write_json("answer", {})
     with contextlib.closing(sqlite3.connect(LEDGER)) as database:
         database.execute("CREATE TABLE something_new (x)")
         database.execute("PRAGMA user_version = 99")
     before = LEDGER.read_bytes()
-    assert "not a ledger of this version" in told(capsys, "calibrate", "mast", "--workers", "1")
+    assert "not a ledger of this version" in told("calibrate", "mast", "--workers", "1")
     assert LEDGER.read_bytes() == before
 
 
@@ -289,7 +290,7 @@ def test_a_ledger_of_a_newer_version(mast, capsys):
     ],
 )
 @pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
-def test_a_study_edited_while_running(mast, capsys, monkeypatch, workers, old, new, words):
+def test_a_study_edited_while_running(mast, told, monkeypatch, workers, old, new, words):
     load, loaded = Study.load, []
     file = mast / "study.toml"
 
@@ -302,7 +303,7 @@ def test_a_study_edited_while_running(mast, capsys, monkeypatch, workers, old, n
 
     monkeypatch.setattr("calib.study.Study.load", staticmethod(edited))
     if words:
-        assert words in told(capsys, "calibrate", "mast", "--workers", workers)
+        assert words in told("calibrate", "mast", "--workers", workers)
         assert not Path("results/mast/parameters.csv").exists()
         file.write_text(file.read_text().replace(new, old, 1))
     assert cli.execute(["calibrate", "mast", "--workers", workers]) == 0

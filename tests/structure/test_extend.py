@@ -197,8 +197,9 @@ def test_an_error_in_the_function_of_an_effect_names_the_effect(ladder):
     with pytest.raises(InputError) as fault:
         extend(ladder(N), [build("the model has no part 'fram'", place="frame", remedy="its parts are frame")])
     assert str(fault.value) == "effect stay, frame: the model has no part 'fram'; its parts are frame."
-    with pytest.raises(InputError, match=r"^effect stay: too far\.$"):
+    with pytest.raises(InputError) as fault:
         extend(ladder(N), [build("too far")])
+    assert str(fault.value) == "effect stay: too far."
 
 
 def test_the_same_effect_twice_is_refused(ladder):
