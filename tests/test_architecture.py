@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
-    {"errors", "interrupt", "written", "neighbours", "version", "threads", "renamed"},
+    {"errors", "interrupt", "written", "neighbours", "version", "threads", "renamed", "stage", "answer"},
     {"given", "mac", "degrees_of_freedom", "outcome", "table", "fingerprint"},
     {"space"},
     {"effect", "differences", "measurement", "sampling", "worker", "named_values"},
@@ -40,7 +40,7 @@ FORBIDDEN = {
     "inference": {"structure", "measurement", "correlation", "study", "settings"},
     "sensitivity": {"structure", "measurement", "correlation", "study", "settings"},
     "missing": {"structure", "measurement", "correlation", "study", "settings"},
-    "report": set(RANK) - {"errors", "table", "named_values", "written", "report"},
+    "report": set(RANK) - {"errors", "table", "named_values", "written", "stage", "report"},
     "structure": {"correlation", "study", "inference", "sensitivity"},
 }
 

@@ -42,11 +42,11 @@ from calib.problem import Counts, Pair, Problem
 from calib.results import Results
 from calib.sampling import sample
 from calib.several import AnyStudy
+from calib.stage import Progress
 from calib.study import Study
 from calib.study_file import StudyFile
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
-SearchProgress = Callable[[str, int, int, float], None]
 Starts: TypeAlias = Sequence[Mapping[str, float]]
 
 SEARCH, FITTED = "search", "least squares"
@@ -143,7 +143,7 @@ class CaseFinder:
         Who evaluates a search; see `calib.analyses.places.Workers`.
     quick : bool
         A smaller search for a quick run.
-    progress : SearchProgress
+    progress : Progress
     seconds : float or None
         Duration of one evaluation of the study's problem (s), where known.
     notes : list of str
@@ -155,7 +155,7 @@ class CaseFinder:
     ledger: Ledger
     workers: Workers
     quick: bool
-    progress: SearchProgress
+    progress: Progress
     seconds: float | None = None
     notes: list[str] = field(init=False, repr=False, default_factory=list)
     _shared: dict[str, Shared] = field(init=False, repr=False, default_factory=dict)
@@ -291,7 +291,7 @@ def least_squares(
     study: AnyStudy,
     known: Sequence[dict[str, float]],
     quick: bool,
-    progress: SearchProgress,
+    progress: Progress,
     fit: Callable[[Starts, int, FitProgress, Counts], FitStatistics],
 ) -> tuple[CaseResult, FitStatistics]:
     """One case by least squares alone: from known points, the nominal values, and points sampled with its seed.
@@ -321,7 +321,7 @@ class Steps:
 
     name: str
     starts: int
-    progress: SearchProgress
+    progress: Progress
     lowest: list[float] = field(default_factory=list)
 
     def __call__(self, start: int, fits: int, misfit: float) -> None:

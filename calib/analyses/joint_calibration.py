@@ -10,13 +10,15 @@ from typing import TypeAlias
 
 import pandas as pd
 
+from calib.analyses.answers import of_joint
 from calib.analyses.calibrate import Calibration, CalibrationRun, best_of, chosen_cases, keep, notes_on, options_of
-from calib.analyses.case import SearchProgress, Starts, known_starts, least_squares, reduction_noted, reported
+from calib.analyses.case import Starts, known_starts, least_squares, reduction_noted, reported
 from calib.analyses.compare import before_and_after, compare
 from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.recorded import recorded
 from calib.analyses.stored import confirmed
+from calib.answer import Answer
 from calib.errors import InputError
 from calib.forward import ForwardProblem
 from calib.joint import JointProblem, of_test, stacked
@@ -24,6 +26,7 @@ from calib.ledger import Ledger
 from calib.problem import Counts
 from calib.results import Results
 from calib.several import JointStudy
+from calib.stage import Progress, unheard
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,11 @@ class JointCalibration:
         return self.any.verdicts
 
     @property
+    def answer(self) -> Answer:
+        """What was found, how sure that is, and what to do next."""
+        return of_joint(self)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """Identified parameters, goodness of fit, and the errors of each test before and after."""
         out = [*self.any.parameter_sentences, *self.any.case_sentences]
@@ -74,7 +82,7 @@ def calibrate_jointly(
     only: str | None = None,
     quick: bool = False,
     method: str | None = None,
-    progress: SearchProgress = lambda case, generation, generations, best: None,
+    progress: Progress = unheard,
     homes: Mapping[str, Results] | None = None,
 ) -> JointCalibration:
     """Fit all tests of a study by least squares from several starting points; write all tables.
@@ -115,7 +123,8 @@ def calibrate_jointly(
         answers[one.test] = keep(one, folders[one.test], found[one.test], best, before[one.test], ran)
     answer = JointCalibration(answers)
     _write(study, results, answer, time.perf_counter() - started)
-    write_record(study, results, "calibrate", {c.name: c.seed for c in cases}, answer.sentences, quick, options)
+    seeds = {c.name: c.seed for c in cases}
+    write_record(study, results, "calibrate", seeds, answer.sentences, quick, options, answer.answer)
     return answer
 
 

@@ -15,9 +15,9 @@ from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
 from calib.measurement.modal import MeasuredModes
-from calib.missing.refits import Progress
 from calib.results import Results
 from calib.space import ParameterSpace
+from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import extend
@@ -51,7 +51,7 @@ def local_perturbations(
 def modal_hypotheses(
     study: Study,
     results: Results,
-    progress: Progress = lambda words: None,
+    progress: Progress = unheard,
     local: tuple[Perturbation, ...] | None = None,
 ) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
     """Hypotheses of a study with modes, and its local perturbations, by default those of its own test.

@@ -20,16 +20,15 @@ from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import LinearisedFit, nearest_whole
 from calib.missing.pairs import alone, fit_pairs
-from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
+from calib.missing.refits import DEFAULT, EARLY, LATE, Refits, Settings
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
+from calib.stage import Progress, unheard
 
 
-def explain(
-    hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = lambda words: None
-) -> Explanation:
+def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = unheard) -> Explanation:
     """Decide which effect, if any, the base model lacks.
 
     The base model is calibrated. Tests decide whether the largest score among named effects and among unnamed local

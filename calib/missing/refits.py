@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,6 +21,7 @@ from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
+from calib.stage import Progress
 
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects, and for choosing integer parameters again."""
@@ -29,9 +30,6 @@ EARLY, LATE = 0.7, 0.85
 def near_to(reached: float) -> float:
     """Log evidence below the best within which a fit is refined, when the best has gained ``reached``."""
     return max(RULES.close, RULES.nearly * reached)
-
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
