@@ -2,7 +2,7 @@
 
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,7 +21,7 @@ from calib.report.html.write import Page
 from calib.written import replacing
 
 # A busy machine makes any deadline fail; a submitted change must not fail by the luck of one draw.
-settings.register_profile("calib", deadline=None, derandomize=bool(os.environ.get("CI")))
+settings.register_profile("calib", deadline=None, max_examples=40, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("calib")
 
 
@@ -69,9 +69,9 @@ def functions_in_this_process() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made and their files written, but without pixels, which take longest: for tests of the files."""
+@pytest.fixture(scope="session")
+def without_pixels() -> Callable[[Any, Path], Path]:
+    """Writes the file of a figure without its pixels, which take longest."""
 
     def named(figure: Any, stem: Path, formats: Any = ()) -> list[Path]:
         path = stem.with_name(f"{stem.name}.png")
@@ -79,7 +79,13 @@ def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
             draft.write_bytes(b"\x89PNG" + stem.name.encode())
         return [path]
 
-    monkeypatch.setattr("calib.report.figures.save", named)
+    return named
+
+
+@pytest.fixture
+def unrendered(monkeypatch: pytest.MonkeyPatch, without_pixels: Callable[[Any, Path], Path]) -> None:
+    """Figures are made and their files written, but without pixels: for tests of the files."""
+    monkeypatch.setattr("calib.report.figures.save", without_pixels)
     monkeypatch.setattr("calib.report.figures.svg_text", lambda figure, name: f"<svg><!-- {name} --></svg>")
 
 
@@ -92,6 +98,4 @@ def _unwritten(results: Any, *given: Any) -> Page:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures are drawn and no report is written, which take longest of all in a test of something else."""
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-    monkeypatch.setattr(
-        "calib.front.study.write_report", lambda results, *given: Page(results.folder / "report.html", summary(results))
-    )
+    monkeypatch.setattr("calib.front.study.write_report", _unwritten)

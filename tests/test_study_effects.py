@@ -1,6 +1,7 @@
 """Studies with a library of effects, and studies whose model has some of them."""
 
 import os
+import pickle
 import re
 import shutil
 from pathlib import Path
@@ -262,16 +263,22 @@ def test_a_file_that_holds_model_and_library_is_run_once(sums):
     assert (sums / "count.txt").read_text() == "x"
 
 
-def test_worker_processes_have_the_effects_too(rig, sums):
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_what_a_worker_starts_from_has_the_effects_too(rig, sums, workers):
+    """Unpickled and called here, or by processes."""
     with_keys(rig, 'with_effects = ["hung_mass"]')
     with_keys(sums, 'with_effects = ["bend"]')
     for folder, point in ((rig, {"hung_mass": 0.02}), (sums, {"bend": 0.5})):
         study = Study.load(folder)
         source = EvaluationSource(str(study.file), study.problem.fingerprint)
-        with Evaluator(source, 2) as evaluator:
-            (outcome,) = evaluator.evaluate([point])
-        assert outcome.status == "ok", outcome.error
-        assert outcome.responses == pytest.approx(study.problem.evaluate(point), rel=1e-12, nan_ok=True)
+        if workers:
+            with Evaluator(source, workers) as evaluator:
+                (outcome,) = evaluator.evaluate([point])
+            assert outcome.status == "ok", outcome.error
+            responses = outcome.responses
+        else:
+            responses = pickle.loads(pickle.dumps(source))()(point)
+        assert responses == pytest.approx(study.problem.evaluate(point), rel=1e-12, nan_ok=True)
 
 
 # -- held-out data, for verification -----------------------------------------------------------------------------------

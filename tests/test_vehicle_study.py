@@ -113,6 +113,7 @@ def test_shares_of_the_equipment_keep_their_sum_within_a_tenth(study):
     assert 0.40 < drawn.acceptance < 0.52  # 46 % of a box of three uniform shares
 
 
+@pytest.mark.slow
 def test_no_mode_is_paired_with_a_seat_or_another_local_motion(before, at_truth):
     for found in (before, at_truth):
         chosen = found.pairing.model_index[found.pairing.paired]
@@ -121,6 +122,7 @@ def test_no_mode_is_paired_with_a_seat_or_another_local_motion(before, at_truth)
         assert shares(found, ["car.y", "car.z"], chosen).min() > 0.5
 
 
+@pytest.mark.slow
 def test_the_right_modes_are_paired_at_the_truth(at_truth):
     assert np.diag(at_truth.mac[:, at_truth.pairing.model_index]).min() > 0.97
     freq = at_truth.paired(at_truth.modes.natural_freq)
@@ -141,6 +143,7 @@ def test_seats_within_reach_change_no_pair(study):
         np.testing.assert_array_equal(found.pairing.model_index, usual.pairing.model_index)
 
 
+@pytest.mark.slow
 def test_held_out_modes_are_told_before_and_after_but_enter_no_fit(study, before, stages):
     assert stages.index.tolist() == list(TRUTH["natural_freq"])
     assert stages["held_out"].to_dict() == {mode: mode not in FITTED for mode in stages.index}
@@ -151,6 +154,7 @@ def test_held_out_modes_are_told_before_and_after_but_enter_no_fit(study, before
     pd.testing.assert_series_equal(stages.loc[list(FITTED), "damped_freq_before"], used, check_names=False)
 
 
+@pytest.mark.slow
 def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, compared, stages):
     table, own = stages, study.model.modes({p.name: p.value for p in CAR + BOGIE}, 18)
     paired = compared["initial"].pairing.model_index
@@ -192,6 +196,7 @@ CRITICAL = (21.5, 22.0)
 """Secondary dampers in kNs/m at which the load bolsters' pitching is nearly, and then more than critically damped."""
 
 
+@pytest.mark.slow
 def test_a_mode_near_critical_damping_breaks_no_pair(study, before):
     most = []
     for c in CRITICAL:

@@ -126,8 +126,7 @@ def of_fit(
     }[statistics.fits]
     changes = [of_test(test, _change(*pair)) if test else _change(*pair) for test, pair in pairs.items()]
     sure = [f"The fit has p = {statistics.p_fit:.2g}.", identified_sentence(verdicts), _AGREEMENT[agreement]]
-    if contradictions:
-        sure.append("Held-out data contradict it.")
+    sure += contradictions
     suspected = statistics.suspects[statistics.suspects["explains"].astype(bool)]["what"].tolist()
     if suspected:
         sure.append(f"Without {suspected[0]} alone it would fit.")

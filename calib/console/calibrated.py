@@ -34,7 +34,7 @@ def entries(study: StudyFile, result: Fitted) -> list[Entry]:
         ]
     best, held = result.best, study.settings.held_out
     out: list[Entry] = [
-        *(Warned(sentence) for sentence in (*result.contradictions, *best.answer.warnings)),
+        *map(Warned, best.answer.warnings),
         *_retried(result),
         *_parameters(result),
         *_changes(result),

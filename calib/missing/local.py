@@ -25,8 +25,8 @@ def interval_words(value: float, low: float, high: float, unit: str) -> str:
     width = high - low
     if not (math.isfinite(width) and width > 0):
         return f"about {value:.3g}{unit_words(unit)}"
-    decimals = max(1 - math.floor(math.log10(width)), 0)
-    number, first, last = (f"{x:.{decimals}f}" for x in (value, low, high))
+    places = 1 - math.floor(math.log10(width))
+    number, first, last = (f"{round(x, places):.{max(places, 0)}f}" for x in (value, low, high))
     return f"about {number}{unit_words(unit)} (95 %: {first} to {last})"
 
 

@@ -221,7 +221,7 @@ def _effect(found: Explanation, effects: pd.DataFrame) -> _Words:
     among = f" among the {tested} effects of the library" if tested > 1 else " within the library"
     return _Words(
         f"The model lacks {_sized(effects, e)}.",
-        f"It is {probable}{among}. {_without(found)} {_with(found)}",
+        f"{e.name} is {probable}{among}. {_without(found)} {_with(found)}",
         _look_for((e,)),
         (_collinear(found, effects, found.chosen), _as_it_is((e,))),
     )

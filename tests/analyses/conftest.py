@@ -47,7 +47,7 @@ def guyed(
     folder = tmp_path_factory.mktemp("guyed")
     study = Study.load(edited(mast.write_study(folder / "mast", {"guy": 12000.0}), *HELD))
     results, progress = Results.at(folder / "results", study.name), []
-    return study, results, explain(study, results, progress.append), progress
+    return study, results, explain(study, results, lambda stage, *more: progress.append(stage)), progress
 
 
 @pytest.fixture(scope="session")
@@ -88,22 +88,6 @@ def rig(here: Path) -> Path:
     file = Path("rig/study.toml")
     file.write_text('effects = "effects.py:library"\n' + file.read_text("utf-8"), "utf-8")
     return Path("rig")
-
-
-@pytest.fixture
-def scalar_study(here: Path) -> Callable[..., Path]:
-    """Writes a study of scalar responses, each measured with a value and a standard deviation."""
-
-    def write(name: str, model: str, study: str, **measured: tuple[float, float]) -> Path:
-        folder = Path(name)
-        folder.mkdir()
-        (folder / "model.py").write_text(model)
-        (folder / "study.toml").write_text(study)
-        rows = "".join(f"{response},{value},{std}\n" for response, (value, std) in measured.items())
-        (folder / "measured.csv").write_text(f"response,value,std\n{rows}")
-        return folder
-
-    return write
 
 
 @pytest.fixture

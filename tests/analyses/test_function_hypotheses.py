@@ -348,7 +348,7 @@ def test_fitted_parameters_have_a_local_perturbation_in_one_group_of_responses()
     assert len(asked) == before + 2 * 2 and hypotheses.evaluations == len(asked)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_damping_measured_too_high_is_not_a_damper(seed):
     """For a function without fixed parameters; a damper to the ground would explain most of the error."""
     study = Study.load(CHAIN)
@@ -381,7 +381,7 @@ def bare_chain(seed, hidden, fault="", offset=(0.0, 0.0)):
 @pytest.mark.parametrize(
     ("seed", "fault", "offset", "effect"),
     [
-        (4, "damping too high", (0.003, 0.010), "ground_damper_5"),
+        pytest.param(4, "damping too high", (0.003, 0.010), "ground_damper_5", marks=pytest.mark.slow),
         (8, "damping too high", (0.003, 0.010), "ground_damper_5"),
         (11, "frequency too high", (0.05, 0.20), "ground_spring_3"),
         (23, "frequency too high", (0.05, 0.20), "ground_spring_3"),

@@ -1,30 +1,21 @@
 """Calibration of integer parameters."""
 
+from pathlib import Path
+
 import pandas as pd
 import pytest
 
 from calib import cli
 from calib.analyses import case
 from calib.inference.verdicts import identified_sentence
+from tests.template import plain
 
-MODEL = """
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
-
-SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("n", 3.0, 1.0, 9.0, integer=True)))
-
+FUNCTION = """
 def answer(values):
     return {"y": values["a"] + values["n"] ** 2, "z": values["n"], "w": values["a"]}
-
-def model():
-    return FunctionModel("plain", SPACE, answer)
 """
-STUDY = """
-title = "Plain"
-model = "model.py:model"
-selection = ["a", "n"]
-[measurement]
-responses = "measured.csv"
+SPACE = '(Parameter("a", 2.0, 1.0, 3.0), Parameter("n", 3.0, 1.0, 9.0, integer=True))'
+ASKED = """
 [calibration]
 starts = 1
 cases = [{ name = "A1", seed = 1 }]
@@ -35,10 +26,11 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
 @pytest.mark.parametrize("refits", [case.REFITS, 2])
-def test_an_incomplete_search_over_integers_is_reported(scalar_study, monkeypatch, capsys, refits):
+def test_an_incomplete_search_over_integers_is_reported(here, monkeypatch, capsys, refits):
     monkeypatch.setattr(case, "REFITS", refits)
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-    scalar_study("plain", MODEL, STUDY, y=(51.0, 0.1), z=(7.0, 0.1), w=(2.0, 0.1))
+    measured = {"y": (51.0, 0.1), "z": (7.0, 0.1), "w": (2.0, 0.1)}
+    plain.write(Path("plain"), FUNCTION, ASKED, SPACE, '["a", "n"]', **measured)
     assert cli.execute(["calibrate", "plain", "--method", "gauss-newton", "--workers", "1"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert (UNTRIED in out) == (refits == 2)
@@ -47,26 +39,22 @@ def test_an_incomplete_search_over_integers_is_reported(scalar_study, monkeypatc
     assert len(verdicts) == 2 and identified_sentence(verdicts) in out and "of 1 parameters" not in out
 
 
-WHOLE_MODEL = """
-from calib.function import FunctionModel
-from calib.space import LinearConstraint, Parameter, ParameterSpace
-
-NAMED = tuple(Parameter(name, 3.0, 1.0, 9.0, integer=True) for name in "mn")
-SPACE = ParameterSpace(NAMED, (LinearConstraint("sum", (("m", 1.0), ("n", 1.0)), 0.0, 11.0),))
-
+WHOLE = """
 def answer(values):
     return {"y": values["m"] + values["n"] ** 2, "z": values["n"], "w": values["m"] * values["n"]}
-
-def model():
-    return FunctionModel("whole", SPACE, answer)
+"""
+WHOLE_SPACE = """
+tuple(Parameter(name, 3.0, 1.0, 9.0, integer=True) for name in "mn"),
+(LinearConstraint("sum", (("m", 1.0), ("n", 1.0)), 0.0, 11.0),),
 """
 
 
 @pytest.mark.parametrize("more", ["refine = true", "refine = false", 'method = "gauss-newton"'])
-def test_a_study_of_integers_alone_is_calibrated(scalar_study, monkeypatch, more):
+def test_a_study_of_integers_alone_is_calibrated(here, monkeypatch, more):
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-    text = STUDY.replace('["a", "n"]', '["m", "n"]').replace("starts = 1", f"population = 8\ngenerations = 4\n{more}")
-    scalar_study("whole", WHOLE_MODEL, text, y=(53.02, 0.1), z=(7.01, 0.1), w=(28.01, 0.1))
+    asked = ASKED.replace("starts = 1", f"population = 8\ngenerations = 4\n{more}")
+    measured = {"y": (53.02, 0.1), "z": (7.01, 0.1), "w": (28.01, 0.1)}
+    plain.write(Path("whole"), WHOLE, asked, WHOLE_SPACE, '["m", "n"]', **measured)
     assert cli.execute(["run" if more == "refine = true" else "calibrate", "whole", "--workers", "1"]) == 0
     found = pd.read_csv("results/whole/parameters.csv").set_index("parameter")
     assert list(found.index) == ["m", "n"] and (found["value"] % 1 == 0).all()

@@ -24,7 +24,7 @@ from calib.outcome import WORKER_DIED
 from calib.report.figures import Figures
 from calib.results import Results
 from calib.study import Study
-from tests.front.cantilever import ADOPTED, write_study
+from tests.front.cantilever import ADOPTED, FEW, write_study
 
 PROP = 2500.0
 FREE = tuple(ADOPTED)
@@ -40,6 +40,13 @@ def folders(tmp_path_factory):
 def own(tmp_path):
     """A study of the function, and its logged calls."""
     folder = write_study(tmp_path / "study", tmp_path / "calls", "function", PROP)
+    return folder, lambda: Counter((tmp_path / "calls").read_text().splitlines())
+
+
+@pytest.fixture
+def few(tmp_path):
+    """The same with two parameters."""
+    folder = write_study(tmp_path / "study", tmp_path / "calls", "function", PROP, FEW)
     return folder, lambda: Counter((tmp_path / "calls").read_text().splitlines())
 
 
@@ -89,25 +96,25 @@ def test_the_explanation_is_that_of_the_matrices_and_evaluates_no_point_twice(ow
     assert {"sensor_misfit", "mesh_points"} <= set(own.tables)
 
 
-def test_no_point_is_solved_twice_and_a_second_run_solves_none(own, tmp_path):
-    folder, calls = own
-    study = isolated(Study.load(folder))
+def test_no_point_is_solved_twice_and_a_second_run_solves_none(few, tmp_path):
+    folder, calls = few
+    study = Study.load(folder)
     tables, counted = [], []
     for _ in range(2):
         with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
             tables.append(calibrate(study, Results.at(tmp_path / "results", study.name), ledger).parameters)
             kept = ledger.count(ledger_key(study.problem))
         counted.append(calls())
-        study = isolated(Study.load(folder))
+        study = Study.load(folder)
     assert tables[0].equals(tables[1])
     first, second = counted
     # The reproducibility check evaluates again: first the nominal values, then one stored point.
-    assert sorted(first.values())[-2:] == [1, 2] and len(first) == kept > 50
+    assert sorted(first.values())[-2:] == [1, 2] and len(first) == kept > 20
     assert sum((second - first).values()) == 1
 
 
-def test_an_explanation_behind_the_ledger_reuses_the_points_of_a_calibration(own, tmp_path):
-    folder, calls = own
+def test_an_explanation_behind_the_ledger_reuses_the_points_of_a_calibration(few, tmp_path):
+    folder, calls = few
     found, counted = [], []
     for ask in ("calibrate", "explain", "explain"):
         study, results = Study.load(folder), Results.at(tmp_path / "results", "study")
@@ -126,8 +133,8 @@ def test_an_explanation_behind_the_ledger_reuses_the_points_of_a_calibration(own
     assert sum((first - fit)[point] for point in fit) == 1 and len(first) > len(fit)
 
 
-def test_a_search_stores_modes_that_least_squares_reuse(own, tmp_path):
-    folder, calls = own
+def test_a_search_stores_modes_that_least_squares_reuse(few, tmp_path):
+    folder, calls = few
     study = Study.load(folder)
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         found = calibrate(study, Results.at(tmp_path / "results", study.name), ledger, method="genetic")
@@ -137,8 +144,9 @@ def test_a_search_stores_modes_that_least_squares_reuse(own, tmp_path):
     assert len(twice) <= 2  # evaluated again on purpose: the nominal values and the best point of the search
 
 
-def test_any_number_of_workers_gives_the_same_samples(own, tmp_path):
-    folder, _ = own
+@pytest.mark.slow
+def test_any_number_of_workers_gives_the_same_samples(few, tmp_path):
+    folder, _ = few
     tables = []
     for workers in (1, 2):
         study = Study.load(folder)

@@ -20,29 +20,18 @@ from calib.problem import Counts, Problem
 from calib.results import Results
 from calib.sampling import sample
 from calib.study import Study
+from tests.template import plain
 
 RIG = Path(__file__).parents[2] / "studies/four_storey_rig"
-PLAIN = """
+LOGGED = """
 from pathlib import Path
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
-
-SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)))
 
 def answer(values):
     with Path("asked").open("a") as stream:
         stream.write("one\\n")
     return {"y": values["a"] ** 2, "z": values["a"] + values["b"], "w": values["b"] ** 3}
-
-def model():
-    return FunctionModel("plain", SPACE, answer)
 """
-SCALAR_STUDY = """
-title = "Plain"
-model = "model.py:model"
-selection = ["a", "b"]
-[measurement]
-responses = "measured.csv"
+ASKED = """
 [held_out]
 responses = ["w"]
 [calibration]
@@ -66,9 +55,9 @@ def solved(monkeypatch):
 
 
 @pytest.fixture
-def logged(scalar_study):
+def logged(here):
     """A study of scalar responses whose function logs a line per call."""
-    return Study.load(scalar_study("plain", PLAIN, SCALAR_STUDY, y=(5.0, 0.1), z=(4.0, 0.1), w=(6.0, 0.1)))
+    return Study.load(plain.write(Path("plain"), LOGGED, ASKED, y=(5.0, 0.1), z=(4.0, 0.1), w=(6.0, 0.1)))
 
 
 def test_modes_are_solved_once_and_not_again_in_the_next_run(tmp_path, solved):

@@ -14,22 +14,14 @@ from calib.errors import InputError
 from calib.results import Results
 from calib.study import Study
 from calib.study_file import StudyFile
+from tests.template import plain
 
-MODEL = """
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
-
-SPACE = ParameterSpace(tuple(Parameter(name, 2.0, 1.0, 3.0) for name in "abc"))
-
-def model():
-    return FunctionModel("plain", SPACE, lambda v: {"p": v["a"] + v["b"], "q": v["a"] - v["b"], "r": v["c"]})
+FUNCTION = """
+def answer(values):
+    return {"p": values["a"] + values["b"], "q": values["a"] - values["b"], "r": values["c"]}
 """
-STUDY = """
-title = "Plain"
-model = "model.py:model"
-selection = "from sensitivity"
-[measurement]
-responses = "measured.csv"
+SPACE = 'tuple(Parameter(name, 2.0, 1.0, 3.0) for name in "abc")'
+ASKED = """
 [sensitivity]
 samples = 20
 [calibration]
@@ -42,9 +34,10 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process", "undrawn")
 
 
 @pytest.fixture
-def selected(scalar_study):
+def selected(here):
     """Writes ``selection.csv`` and returns the parameters that are then selected."""
-    folder = scalar_study("plain", MODEL, STUDY, p=(3.5, 0.01), q=(1.1, 0.01), r=(1.5, 0.01))
+    measured = {"p": (3.5, 0.01), "q": (1.1, 0.01), "r": (1.5, 0.01)}
+    folder = plain.write(Path("plain"), FUNCTION, ASKED, SPACE, '"from sensitivity"', **measured)
     assert cli.execute(["sensitivity", "plain", "--workers", "1"]) == 0
     home = Results(Path("results/plain"))
     study = Study.load(folder)

@@ -1,6 +1,7 @@
 """Staged calibration: a study that adopts values found by an earlier one."""
 
 import json
+import pickle
 import re
 import shutil
 from pathlib import Path
@@ -15,7 +16,7 @@ from calib.analyses.staged import in_order, values_found
 from calib.analyses.stale import stale_answers
 from calib.errors import InputError
 from calib.results import Results
-from calib.study import Study
+from calib.study import EvaluationSource, Study
 from calib.study_file import StudyFile
 from calib.study_text import read_settings
 
@@ -192,6 +193,14 @@ def test_a_quick_run_takes_the_selection_of_a_quick_sensitivity_analysis(stages)
     assert found.values["a"] == pytest.approx(2.3, abs=1e-3)
 
 
+def test_what_a_worker_starts_from_holds_the_values_too(found):
+    study = _two()
+    evaluate = pickle.loads(pickle.dumps(EvaluationSource.of(study, study.problem)))()
+    assert evaluate({"c": 1.4}) == study.problem.evaluate({"c": 1.4})
+    assert evaluate({"c": 1.4})["r"] == pytest.approx(2.3 * 1.4, abs=1e-2)
+
+
+@pytest.mark.slow
 def test_worker_processes_hold_the_values_too(found, monkeypatch):
     text = Path("two/study.toml").read_text().replace('method = "gauss-newton"', "population = 6\ngenerations = 3")
     Path("two/study.toml").write_text(text)

@@ -33,9 +33,12 @@ cases = [{ name = "A1", seed = 1 }]
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
-@pytest.mark.parametrize(("page", "whole"), [("ascii", True), ("cp1252", False), ("utf-8", False)])
+@pytest.mark.parametrize(
+    ("page", "whole"),
+    [pytest.param("ascii", True, marks=pytest.mark.slow), ("ascii", False), ("cp1252", False), ("utf-8", False)],
+)
 def test_any_name_can_be_told_in_any_code_page(tmp_path, monkeypatch, page, whole):
-    """Once by a whole command; the other cases call its writing functions."""
+    """Slowly by a whole command; the other cases call its writing functions."""
     folder = tmp_path / "plain"
     folder.mkdir()
     for name, text in (

@@ -9,6 +9,7 @@ import pytest
 from calib import cli
 
 
+@pytest.mark.slow
 def test_the_extended_model_lacks_nothing_more_and_its_errors_fall(guyed, capsys, edit, explanation):
     """Explain, extend, calibrate, explain again, report."""
     edit(guyed, "modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')

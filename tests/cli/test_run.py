@@ -43,10 +43,7 @@ def lacking(write_study, asked, edit, tmp_path_factory):
     folder = tmp_path_factory.mktemp("lacking")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-        patch.setattr(
-            "calib.front.study.write_report",
-            lambda results, *given: Page(results.folder / "report.html", summary(results)),
-        )
+        patch.setattr("calib.front.study.write_report", _unwritten)
         return folder, quick(folder, write_study, asked, edit, {"guy": 12000.0})
 
 
@@ -153,6 +150,7 @@ def test_a_later_analysis_removes_what_rested_on_the_earlier_one(within):
     assert not list(FOLDER.glob("added*"))
 
 
+@pytest.mark.slow
 def test_two_effects_are_added_together(here, write_study, asked, edit):
     quick(here, write_study, asked, edit, {"platform": 25.0, "stuck_base": 0.6})
     assert Study.load(FOLDER / "mast_extended").settings.with_effects == ("platform", "stuck_base")
@@ -188,13 +186,6 @@ def test_where_nothing_is_missing_the_run_reports_it_and_ends(here, write_study,
     assert json.loads((FOLDER / "added.json").read_text())["sentence"] == words
     assert not list(FOLDER.glob("mast_extended*")) and not Path("results/mast_extended").exists()
     assert (FOLDER / "explanation.json").exists()
-
-
-def test_a_study_without_effects_is_run_as_ever(here, asked):
-    asked(here, "new", "mast")
-    out = asked(here, *RUN)
-    assert ": explain" not in out and not (FOLDER / "explanation.json").exists()
-    assert ": extend" not in out and not (FOLDER / "added.json").exists() and (FOLDER / "summary.json").exists()
 
 
 def test_the_extended_study_can_be_moved_and_run(within):

@@ -166,7 +166,7 @@ def test_a_correctly_specified_model_stays_within_its_uncertainty(build, twin, r
     numbers: dict[str, list[float]] = {"frequency": [], "damping": [], "shape": [], "sensor": []}
     beyond: dict[str, list[bool]] = {kind: [] for kind in numbers}
     allowed, reached, solved = [], [], model.modes(TRUTH, 6)
-    for seed in range(150):
+    for seed in range(70):
         measured = twin(model, TRUTH, noise=0.025, seed=seed, real=real)
         found = ModalProblem(model, measured, mode_count=6).compare(TRUTH, solved)
         allowed.append(found.noise_mac())
@@ -179,7 +179,7 @@ def test_a_correctly_specified_model_stays_within_its_uncertainty(build, twin, r
             assert not values
             continue
         # Frequencies give four numbers a twin, shapes and sensors average over many parts each.
-        tolerance = 0.1 if kind in ("frequency", "damping") else 0.03
+        tolerance = 0.12 if kind in ("frequency", "damping") else 0.03
         assert np.sqrt(np.mean(np.square(values))) == pytest.approx(made[kind], abs=tolerance), kind
         assert 0.01 < np.mean(beyond[kind]) < 0.09, kind  # fewer where the floor counts
     assert 1 - np.mean(reached) == pytest.approx(made["shape"] ** 2 * (1 - np.mean(allowed)), rel=0.05)

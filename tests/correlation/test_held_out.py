@@ -58,7 +58,7 @@ def test_noise_alone_gives_the_expected_error_and_uniform_p_values(build, twin, 
     held = {"modes": ("M2", "M5"), "sensors": ("1x", "1y", "2x", "3y", "4x", "4y", "5x", "6x", "6y")}
     tables = []
     g = v = None
-    for seed in range(100):
+    for seed in range(50):
         model, data = measured(build, twin, damped, seed=seed)
         fitted, whole = split(model, data, held)
         residual = ModalResidual(fitted, NONE)
@@ -76,10 +76,10 @@ def test_noise_alone_gives_the_expected_error_and_uniform_p_values(build, twin, 
     ):
         one = table[table["group"] == group]
         assert set(one["rows"]) == {rows} and set(one["dof"]) == {dof}
-        assert np.sqrt(np.mean(one["rms"] ** 2)) == pytest.approx(np.sqrt(np.mean(one["expected"] ** 2)), rel=0.04)
-        assert np.mean(one["chi2"]) == pytest.approx(dof, rel=4 * np.sqrt(2 / dof / 100))
+        assert np.sqrt(np.mean(one["rms"] ** 2)) == pytest.approx(np.sqrt(np.mean(one["expected"] ** 2)), rel=0.06)
+        assert np.mean(one["chi2"]) == pytest.approx(dof, rel=4 * np.sqrt(2 / dof / 50))
         assert stats.kstest(one["p"], "uniform").pvalue > 0.005
-        assert 0.01 <= np.mean(one["p"] < 0.05) <= 0.10
+        assert np.mean(one["p"] < 0.05) <= 0.14
     # Few used sensors leave the factors uncertain: the noise of the held-out sensors alone would not explain the rms.
     assert row(table, "held_out_sensors")["expected"].mean() > 1.1
 
@@ -104,7 +104,7 @@ def test_derivative_and_factor_spread_of_predicted_rows(build, twin, damped):
     at_used = np.array([s.name in used for s in data.sensors])
     rng, draws = np.random.default_rng(0), []
     real = not damped
-    for _ in range(1500):
+    for _ in range(600):
         noise = rng.standard_normal(data.shapes.shape) + (0 if real else 1j * rng.standard_normal(data.shapes.shape))
         noisy = dataclasses.replace(data, shapes=data.shapes + 1e-6 * noise * at_used[:, None])
         other = ModalResidual(dataclasses.replace(whole, measured=noisy), NONE, factor_sensors=used)
@@ -113,7 +113,7 @@ def test_derivative_and_factor_spread_of_predicted_rows(build, twin, damped):
             still = predicted.of(comparison)[rows]
         draws.append((other.of(comparison)[rows] - still) * predicted.std.shape[0, 0] / 1e-6)
     expected = spread[rows] @ spread[rows].T
-    assert np.abs(np.cov(np.array(draws).T) - expected).max() < 0.12 * np.abs(expected).max()
+    assert np.abs(np.cov(np.array(draws).T) - expected).max() < 0.19 * np.abs(expected).max()
 
 
 def test_a_real_shape_is_predicted_from_the_phase_at_the_used_sensors(build, twin):

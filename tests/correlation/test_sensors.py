@@ -100,7 +100,7 @@ def test_unrelated_shapes_give_hardly_any_findings(build):
     sensors = tuple(Sensor(k + 1, d, (float(k), 0.0, 0.0)) for k in range(3) for d in "xy")
     freq = model.modes(model.space.values, 5).natural_freq
     nothing = np.full(5, np.nan)
-    for _ in range(100):
+    for _ in range(40):
         shapes = rng.normal(size=(6, 5)).astype(complex)
         shapes /= np.abs(shapes).max(axis=0)
         measured = MeasuredModes(

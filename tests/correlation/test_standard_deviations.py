@@ -42,7 +42,7 @@ def test_few_repeats_beside_a_known_error_reject_as_often_as_the_level_says(tmp_
     assert read.n_repeats == 2 and read.n_modes == 6
     floors = Floors(freq=0.0 if claimed else 0.01, damping=0.0, shape=0.0)
     rng, truth, p, alone, missed = np.random.default_rng(3), np.linspace(5, 50, 6), [], [], []
-    for _ in range(2000):
+    for _ in range(1000):
         shared = 1 + 0.01 * rng.standard_normal(6)
         mean, std = mean_and_std(truth * shared * (1 + 0.002 * rng.standard_normal((2, 6))))
         measured = replace(read, natural_freq=mean, damped_freq=mean, freq_std=std)
@@ -69,7 +69,7 @@ def test_a_correct_model_of_many_repeats_is_rejected_as_often_as_the_level_says(
     assert (read.n_repeats, read.n_modes) == (repeats, modes)
     none, rng, truth = Floors(freq=0.0, damping=0.0, shape=0.0), np.random.default_rng(8), np.linspace(5, 50, modes)
     spread, p, known = np.geomspace(1e-4, 1e-2, modes), [], []
-    for _ in range(3000):
+    for _ in range(2000):
         mean, std = mean_and_std(truth * (1 + spread * rng.standard_normal((repeats, modes))))
         measured = replace(read, natural_freq=mean, damped_freq=mean, freq_std=std)
         off = mean / truth - 1
@@ -83,12 +83,12 @@ def test_a_correct_model_of_many_repeats_is_rejected_as_often_as_the_level_says(
         assert np.mean(np.array(known) < level) > 1.5 * level
 
 
-@pytest.mark.parametrize("held", [2, pytest.param(3, marks=pytest.mark.slow), 4])
+@pytest.mark.parametrize("held", [pytest.param(2, marks=pytest.mark.slow), 3, 4])
 def test_a_mode_in_few_of_many_repeats_takes_the_pooled_standard_deviation(tmp_path, held):
     """Mode m0 is in a few of twelve repeats: two or three say almost nothing about its own standard deviation."""
     path, rng, off = tmp_path / "modes.csv", np.random.default_rng(0), []
     none, places = Floors(freq=0.0, damping=0.0, shape=0.0), [(i, k) for i in range(5) for k in range(12)]
-    for _ in range(100):
+    for _ in range(60):
         path.write_text("mode,freq,freq_kind,repeat\n" + "".join(
             f"m{i},{(10 + 10 * i) * (1 + 0.002 * rng.standard_normal())},natural,{k}\n"
             for i, k in places if i or k < held

@@ -19,26 +19,10 @@ import pytest
 from calib import cli, interrupt
 from calib.example import write_example
 from calib.report.figures import Figures
+from tests.template import plain as template
 
 ROOT = Path(__file__).resolve().parents[2]
-PLAIN = """
-import numpy as np
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
-
-SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)))
-
-{function}
-
-def model():
-    return FunctionModel("plain", SPACE, answer)
-"""
-SCALAR_STUDY = """
-title = "Plain"
-model = "model.py:model"
-selection = ["a", "b"]
-[measurement]
-responses = "measured.csv"
+ASKED = """
 [calibration]
 population = 6
 generations = 3
@@ -71,13 +55,8 @@ def mast(here):
 def plain(here):
     """Makes a study ``plain`` whose model is the given source of a function ``answer(values)``."""
 
-    def make(function: str) -> Path:
-        folder = Path("plain")
-        folder.mkdir()
-        (folder / "study.toml").write_text(SCALAR_STUDY)
-        (folder / "model.py").write_text(PLAIN.format(function=function))
-        (folder / "measured.csv").write_text("response,value,std\ny,3.0,0.1\nz,1.0,0.1\n")
-        return folder
+    def make(function: str, asked: str = ASKED) -> Path:
+        return template.write(Path("plain"), function, asked, y=(3.0, 0.1), z=(1.0, 0.1))
 
     return make
 

@@ -73,7 +73,9 @@ def test_an_empty_degree_of_freedom_is_named(bare):
     assert "1 of 3" in caught.value.problem and "uy of node 2 at (1, 0, 0) m" in caught.value.problem
 
 
-@pytest.mark.parametrize(("shape", "verbs"), [("[0, 2]", ["run"]), ("[0]", ["compare", "report"])])
+@pytest.mark.parametrize(
+    ("shape", "verbs"), [("[0, 2]", ["run"]), pytest.param("[0]", ["compare", "report"], marks=pytest.mark.slow)]
+)
 def test_a_mesh_without_elements_allows_every_analysis(bare, capsys, request, shape, verbs):
     if verbs == ["run"]:  # the figures of the other case are drawn to the last pixel
         request.getfixturevalue("unrendered")

@@ -124,15 +124,15 @@ def test_results_replaced_by_a_file(mast, capsys):
 
 def test_results_replaced_by_a_file_while_running(mast, capsys, monkeypatch):
     @contextmanager
-    def progress():
-        def at_generation(case, generation, generations, best):
-            if generation == 3 and not Path("moved").exists():
+    def progress(verb):
+        def at_generation(stage, done=0, total=0, best=0):
+            if done == 3 and not Path("moved").exists():
                 FOLDER.rename("moved")
                 FOLDER.write_text("a file")
 
         yield at_generation
 
-    monkeypatch.setattr("calib.progress.search", progress)
+    monkeypatch.setattr("calib.progress.bars", progress)
     assert "cannot be written" in told(capsys, "calibrate", "mast", "--workers", "1")
     assert FOLDER.read_text() == "a file"
     FOLDER.unlink()
@@ -174,7 +174,7 @@ def fill(disk: Path, leave: int) -> Path:
     return ballast
 
 
-@pytest.mark.parametrize("kilobytes", [0, 80, 400])
+@pytest.mark.parametrize("kilobytes", [80, *(pytest.param(size, marks=pytest.mark.slow) for size in (0, 400))])
 def test_a_full_disk(mast, small_disk, runner, left, drafts, kilobytes, whole):
     check_full_disk(small_disk, runner, left, drafts, kilobytes, whole[0], draw=False)
 
@@ -284,7 +284,7 @@ def test_a_ledger_of_a_newer_version(mast, capsys):
     ("old", "new", "words"),
     [
         ("value = 2.0", "value = 2.5", ""),  # asks other questions of the same model: this run goes on with its own
-        ("mode_count = 6", "mode_count = 7", "changed while it was running"),
+        pytest.param("mode_count = 6", "mode_count = 7", "changed while it was running", marks=pytest.mark.slow),
         ('title = "Ex', 'titel = "Ex', "unknown key 'titel'"),
     ],
 )

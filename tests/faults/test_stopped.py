@@ -45,11 +45,11 @@ def duration(start, wait_for):
     return time.monotonic() - began
 
 
-def test_killed_three_times(mast, runner, left, whole):
+def test_killed_twice(mast, runner, left, whole):
     def start():
         return runner.fork("calibrate", "mast", "--workers", "1")
 
-    kill_again_and_again(start, 3, 1, whole[0], lambda: True, left, whole[1])
+    kill_again_and_again(start, 2, 1, whole[0], lambda: True, left, whole[1])
 
 
 @pytest.mark.slow
@@ -81,7 +81,7 @@ def test_killed_twenty_times_with_worker_processes(mast, runner, left):
     print(f"20 kills over {seconds:.1f} s of work, {finished} runs got through between them")
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
 def test_interrupted_by_the_keyboard(mast, runner, left, drafts, workers, whole):
     ledger = FOLDER / "ledger.sqlite"
     run = runner.fork("calibrate", "mast", "--workers", workers)
@@ -121,9 +121,10 @@ def test_interrupted_at_any_moment(mast, runner, left, drafts):
     assert left(FOLDER) == whole
 
 
-def test_interrupted_again_while_leaving(mast, runner, left, whole):
+@pytest.mark.parametrize("times", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_interrupted_again_while_leaving(mast, runner, left, whole, times):
     draw = random.Random(5)
-    for _ in range(3):
+    for _ in range(times):
         run = runner.fork("calibrate", "mast", "--workers", "2")
         run.until((FOLDER / "ledger.sqlite-wal").exists)
         time.sleep(0.3)
@@ -155,7 +156,9 @@ def answer(values):
 """
 
 
-@pytest.mark.parametrize(("sign", "workers"), [(signal.SIGINT, 1), (signal.SIGKILL, 2)])
+@pytest.mark.parametrize(
+    ("sign", "workers"), [(signal.SIGINT, 1), pytest.param(signal.SIGKILL, 2, marks=pytest.mark.slow)]
+)
 def test_a_stop_loses_only_what_is_under_way(plain, runner, rows, undrawn, monkeypatch, sign, workers):
     """The function of one worker runs in a process of its own, too, which is ended in the same way."""
     plain(SLOWLY)
@@ -174,7 +177,7 @@ def test_a_stop_loses_only_what_is_under_way(plain, runner, rows, undrawn, monke
     assert len(rows(ledger)[0]) >= before - workers  # those may not have arrived yet
     assert run.nobody_left()
     kept, asked = len(rows(ledger)[0]), answered()
-    again = runner.fork("sensitivity", "plain", "--workers", "2", "--quick")
+    again = runner.fork("sensitivity", "plain", "--workers", "1", "--quick")
     assert again.wait() == 0, again.err
     found = rows(ledger)[0]
     assert answered() - asked <= len(found) - kept + 2  # and two at most to see whether the model is the same

@@ -78,15 +78,23 @@ class Beam:
         return stiffness, v["c_tip"] * self.both(tip, tip), mass
 
     def modes(self, v, count, sensors=SENSORS):
-        """Frequencies, damping ratios and shapes at the sensors, by the state matrix."""
-        k, c, m = self.matrices(v)
-        n = len(k)
-        state = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]])
-        roots, vectors = np.linalg.eig(state)
-        order = [i for i in np.argsort(np.abs(roots)) if roots[i].imag > 0][:count]
-        rows = [self.deflection(s.point[0] / LENGTH) + (0 if s.direction == "y" else self.n) for s in sensors]
+        """Frequencies, damping ratios and shapes at the sensors; nothing joins the planes, which are solved apart."""
+        roots, shapes, n = [], [], self.n
+        rows = [self.deflection(s.point[0] / LENGTH) + (0 if s.direction == "y" else n) for s in sensors]
+        for plane in (slice(0, n), slice(n, 2 * n)):
+            k, c, m = (matrix[plane, plane] for matrix in self.matrices(v))
+            own, vectors = np.linalg.eig(
+                np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]])
+            )
+            oscillating = own.imag > 0
+            whole = np.zeros((2 * n, np.count_nonzero(oscillating)), dtype=complex)
+            whole[plane] = vectors[:n, oscillating]
+            roots.append(own[oscillating])
+            shapes.append(whole[rows])
+        roots, shapes = np.concatenate(roots), np.hstack(shapes)
+        order = np.argsort(np.abs(roots))[:count]
         size = np.abs(roots[order])
-        return size / (2 * np.pi), -roots[order].real / size, vectors[:n][np.ix_(rows, order)]
+        return size / (2 * np.pi), -roots[order].real / size, shapes[:, order]
 
 
 BEAM = Beam(ELEMENTS)
@@ -197,7 +205,7 @@ STUDY = """
 title = "Synthetic cantilever"
 model = "model.py:MODEL"
 effects = "model.py:library"
-selection = ["EI_y", "EI_z", "m_tip", "k_root", "c_tip"]
+selection = SELECTED
 [measurement]
 files = ["modes.csv"]
 shapes = ["shapes.csv"]
@@ -218,6 +226,9 @@ population = 8
 generations = 2
 cases = [{ name = "A1", seed = 1 }]
 """
+
+FEW = ("EI_y", "m_tip")
+"""Parameters that suffice where it matters only which points are evaluated."""
 
 MODEL = """
 from pathlib import Path
@@ -249,13 +260,16 @@ def library():
 """
 
 
-def write_study(folder, log, model="function", prop=0.0):
-    """A study of the cantilever in a folder, its model as a function or as matrices; calls are logged outside it."""
+def write_study(folder, log, model="function", prop=0.0, selected=tuple(ADOPTED)):
+    """A study of the cantilever in a folder, its model as a function or as matrices; calls are logged outside it.
+
+    Parameters that are not selected have their true value.
+    """
     from pathlib import Path
 
     folder.mkdir(parents=True)
-    m = measured(prop=prop)
-    (folder / "study.toml").write_text(STUDY.replace("MODEL", model))
+    m = measured(prop=prop, **{name: value for name, value in ADOPTED.items() if name not in selected})
+    (folder / "study.toml").write_text(STUDY.replace("MODEL", model).replace("SELECTED", repr(list(selected))))
     text = MODEL.replace("LOG_PATH", repr(str(log))).replace("EFFECTS", f"effects_of_{model}")
     (folder / "model.py").write_text(text)
     (folder / "cantilever.py").write_bytes(Path(__file__).read_bytes())

@@ -26,20 +26,20 @@ COUNT = 14
 
 
 @pytest.fixture(scope="module")
-def test():
+def modal_test():
     return calib.ModalTest(measured(), mode_count=COUNT)
 
 
 @pytest.fixture(scope="module")
-def fits(test):
-    return {make: calib.Problem(make(), test).calibrate() for make in (as_function, as_matrices)}
+def fits(modal_test):
+    return {make: calib.Problem(make(), modal_test).calibrate() for make in (as_function, as_matrices)}
 
 
 # -- the same answers as with matrices ---------------------------------------------------------------------------------
 
 
-def test_the_comparison_is_that_of_the_matrices(test):
-    own, theirs = (calib.Problem(make(), test).compare() for make in (as_function, as_matrices))
+def test_the_comparison_is_that_of_the_matrices(modal_test):
+    own, theirs = (calib.Problem(make(), modal_test).compare() for make in (as_function, as_matrices))
     pd.testing.assert_frame_equal(own.table, theirs.table, rtol=1e-6)
     mine, other = (c.by_test["test"].comparison.where_it_fails() for c in (own, theirs))
     pd.testing.assert_frame_equal(mine, other, rtol=1e-5)
@@ -82,7 +82,7 @@ def test_several_tests_each_under_its_condition_share_their_parameters():
     assert list(own.errors["test"].unique()) == ["light", "heavy"]
 
 
-def test_no_point_is_evaluated_twice(test):
+def test_no_point_is_evaluated_twice(modal_test):
     asked = []
 
     def counted(v):
@@ -90,12 +90,12 @@ def test_no_point_is_evaluated_twice(test):
         return bends(v)
 
     model = calib.ModalFunctionModel("cantilever", space(), counted, SENSORS, n_modes=14, damped=True)
-    fit = calib.Problem(model, test).calibrate(["EI_y", "m_tip"])
+    fit = calib.Problem(model, modal_test).calibrate(["EI_y", "m_tip"])
     assert len(fit.errors) and len(fit.compare().table) == 8
     assert len(asked) == len(set(asked)) > 10
 
 
-def test_without_damping_and_in_another_scale_shapes_are_real(test):
+def test_without_damping_and_in_another_scale_shapes_are_real(modal_test):
     """The undamped beam, its shapes in an arbitrary scale and sign at every call."""
     rng = np.random.default_rng(1)
 
@@ -105,7 +105,7 @@ def test_without_damping_and_in_another_scale_shapes_are_real(test):
         return freq, turned * rng.uniform(0.1, 5.0, 14) * rng.choice([-1.0, 1.0], 14)
 
     model = calib.ModalFunctionModel("beam", space().without({"c_tip": 0.0}), real, SENSORS, n_modes=14)
-    own, theirs = calib.Problem(model, test), calib.Problem(as_matrices(damped=False), test)
+    own, theirs = calib.Problem(model, modal_test), calib.Problem(as_matrices(damped=False), modal_test)
     assert not own.compare().by_test["test"].comparison.modes.is_complex
     assert {row.kind for row in own.posed.rows} == {"frequency", "shape"}
     found, wanted = own.calibrate(), theirs.calibrate()
@@ -247,27 +247,27 @@ def test_numbers_tell_the_modes_to_the_last_digit(damped):
         assert np.array_equal(getattr(modes, part), getattr(again, part))
 
 
-def test_a_function_that_fails_is_a_failed_point(test):
+def test_a_function_that_fails_is_a_failed_point(modal_test):
     def failing(v):
         raise ValueError("the solver\nhas no licence")
 
     model = calib.ModalFunctionModel("solver", space(), failing, SENSORS, n_modes=14, damped=True)
     with pytest.raises(calib.EvaluationError, match="licence"):
-        calib.Problem(model, test).compare()
+        calib.Problem(model, modal_test).compare()
 
 
-def test_a_function_that_fails_in_places_is_fitted_around_them(test):
+def test_a_function_that_fails_in_places_is_fitted_around_them(modal_test):
     def partly(v):
         if v["m_tip"] > 1.6:
             raise RuntimeError("no convergence")
         return bends(v)
 
     model = calib.ModalFunctionModel("solver", space(), partly, SENSORS, n_modes=14, damped=True)
-    fit = calib.Problem(model, test).calibrate(["EI_y", "EI_z", "m_tip"])
+    fit = calib.Problem(model, modal_test).calibrate(["EI_y", "EI_z", "m_tip"])
     assert fit.values["m_tip"] < 1.6
     assert (
         fit.statistics.criterion
-        < calib.Problem(model, test).keep(["EI_y", "EI_z", "m_tip"]).judge({}).statistics.criterion
+        < calib.Problem(model, modal_test).keep(["EI_y", "EI_z", "m_tip"]).judge({}).statistics.criterion
     )
 
 
@@ -294,25 +294,25 @@ def test_a_model_that_cannot_be_is_refused(wrong):
     assert fault.value.place is not None
 
 
-def test_sensors_are_told_by_name_pair_or_place(test):
+def test_sensors_are_told_by_name_pair_or_place(modal_test):
     named = [s.name for s in SENSORS]
     pairs = [(s.node, s.direction) for s in SENSORS]
     placed = [calib.Sensor(100 + s.node, s.direction, s.point) for s in SENSORS]
     tables = []
     for sensors in (SENSORS, named, pairs, placed):
         model = calib.ModalFunctionModel("cantilever", space(), bends, sensors, n_modes=14, damped=True)
-        tables.append(calib.Problem(model, test).compare().table)
+        tables.append(calib.Problem(model, modal_test).compare().table)
     assert all(table.equals(tables[0]) for table in tables)
 
 
-def test_a_measured_sensor_that_the_function_lacks_is_told(test):
+def test_a_measured_sensor_that_the_function_lacks_is_told(modal_test):
     def fewer(v):
         freq, ratio, shapes = BEAM.modes(v, 14)
         return freq, ratio, shapes[:-1]
 
     model = calib.ModalFunctionModel("cantilever", space(), fewer, SENSORS[:-1], n_modes=14, damped=True)
     with pytest.raises(calib.InputError, match="8z"):
-        calib.Problem(model, test)
+        calib.Problem(model, modal_test)
 
 
 def test_clusters_need_energies():

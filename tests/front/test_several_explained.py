@@ -126,20 +126,20 @@ LIBRARY = tuple(grounded(f"contact_{floor}", floor) for floor in (1, 3, 5))
 
 
 @pytest.fixture(scope="module")
-def tests():
+def modal_tests():
     return [calib.ModalTest(measured(x, seed), name=n, condition={"load": x})
             for n, x, seed in (("empty", 0.0, 1), ("loaded", LOAD, 2))]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def both(tests):
-    problem = calib.Problem(shear_frame(), tests)
+def both(modal_tests):
+    problem = calib.Problem(shear_frame(), modal_tests)
     return problem, problem.explain(LIBRARY)
 
 
-def test_two_conditions_name_the_effect_more_sharply_than_one(both, tests):
+def test_two_conditions_name_the_effect_more_sharply_than_one(both, modal_tests):
     _, why = both
-    alone = calib.Problem(shear_frame(), tests[0]).explain(LIBRARY)
+    alone = calib.Problem(shear_frame(), modal_tests[0]).explain(LIBRARY)
     width = []
     for found in (alone, why):
         assert found.verdict == "effect" and [e.name for e in found.named] == ["contact_3"]
@@ -158,15 +158,15 @@ def test_the_named_effect_acts_in_both_tests(both):
     assert max(rms["fit", "empty"], rms["fit", "loaded"]) < 1.3
 
 
-def test_local_perturbations_are_one_in_all_tests_of_a_model(both, tests):
+def test_local_perturbations_are_one_in_all_tests_of_a_model(both, modal_tests):
     problem, why = both
     scores = why.explanation.explanation.base_adequacy.perturbations
     assert len(set(scores.owners)) == 3 + 2 * STOREYS  # springs, own mass and load, and two a sensor
     one = list(scores.owners).index("grounded spring at sensor 3x")
     half = len(problem.posed.rows) // 2
     assert np.abs(scores.raw[:half, one]).max() > 0 and np.abs(scores.raw[half:, one]).max() > 0
-    fewer = replace(tests[1], modes=tests[1].modes.without((), ("3x",)))
-    adapters = _adapters(calib.Problem(shear_frame(), [tests[0], fewer]), {"matrices": LIBRARY}, 1)
+    fewer = replace(modal_tests[1], modes=modal_tests[1].modes.without((), ("3x",)))
+    adapters = _adapters(calib.Problem(shear_frame(), [modal_tests[0], fewer]), {"matrices": LIBRARY}, 1)
     assert "grounded spring at sensor 3x" in {e.name for e in adapters["loaded"].hypotheses.perturbations}
 
 
@@ -179,13 +179,13 @@ def test_a_load_that_is_held_differs_by_test(both):
 
 
 @pytest.fixture(scope="module")
-def beside(tests):
+def beside(modal_tests):
     """The frame, and a scale on which one storey's spring was weighed."""
     space = calib.ParameterSpace((calib.Parameter("k", STIFF, 0.5 * STIFF, 2 * STIFF, "N/m"),))
     rig = calib.FunctionModel("rig", space, lambda v: {"deflection": 1e3 / v["k"], "twice": 2e3 / v["k"]})
     test = calib.ResponseTest({"deflection": (1e3 / (1.06 * STIFF), 1e-6), "twice": (2e3 / (1.06 * STIFF), 2e-6)},
                               name="bench")  # fmt: skip
-    return calib.Problem.join(calib.Problem(shear_frame(), tests), calib.Problem(rig, test))
+    return calib.Problem.join(calib.Problem(shear_frame(), modal_tests), calib.Problem(rig, test))
 
 
 def test_effects_of_joined_problems_are_given_by_model(beside):

@@ -74,6 +74,7 @@ def test_the_problem_of_scalar_responses_is_that_of_the_study():
     )
 
 
+@pytest.mark.slow
 def test_run_does_every_analysis_and_returns_a_study(tmp_path, monkeypatch):
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     write_example(tmp_path / "mast")

@@ -99,7 +99,11 @@ def run(tmp_path_factory):
     return study
 
 
-@pytest.mark.parametrize("make", [lambda: Threads(2), processes], ids=["threads", "another process"])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: Threads(2), pytest.param(processes, marks=pytest.mark.slow)],
+    ids=["threads", "another process"],
+)
 def test_a_whole_run_of_a_function_has_the_tables_of_the_own_pool(run, make, tmp_path):
     with make() as executor:
         found = calib.Study.load(run.path, tmp_path).run(executor=executor)

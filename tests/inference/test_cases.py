@@ -26,18 +26,18 @@ def ledger(tmp_path):
 
 def test_a_case_finds_the_target(ledger, search):
     seen = []
-    longer = replace(search, settings=GeneticSettings(population=20, generations=60))
+    longer = replace(search, settings=GeneticSettings(population=20, generations=30))
     result = longer.run(search.cases[0], ledger, search.evaluator(), progress=lambda *state: seen.append(state))
-    assert result.misfit < 0.01 and result.misfit == search.objective(result.responses)
+    assert result.misfit < 0.05 and result.misfit == search.objective(result.responses)
     assert result.responses == search.model(result.values) and result.values["g"] == 9.81
     assert search.space.feasible(np.array([[result.values[n] for n in search.space.free_names]])).all()
-    assert result.asked == 1200 == result.solved + result.reused + result.infeasible + result.failed
+    assert result.asked == 600 == result.solved + result.reused + result.infeasible + result.failed
     assert min(result.solved, result.reused, result.infeasible, result.failed) > 0
     table = result.convergence
-    assert table["generation"].tolist() == list(range(1, 61))
+    assert table["generation"].tolist() == list(range(1, 31))
     assert (np.diff(table["best"]) <= 0).all() and table["best"].iloc[-1] == result.misfit
     assert (table["mean"] >= table["best"]).all() and table["feasible"].between(0, 20).all()
-    assert seen == [(g, 60, b) for g, b in zip(table["generation"], table["best"], strict=True)]
+    assert seen == [(g, 30, b) for g, b in zip(table["generation"], table["best"], strict=True)]
 
 
 def test_the_history_holds_all_requests(ledger, search):

@@ -38,7 +38,7 @@ def test_no_false_alarm_under_noise_and_model_error():
         (24, 8, 0.9),
         (12, 5, 0.5),
     ]:
-        for _ in range(60):
+        for _ in range(25):
             measured, model = ordinary(rng, n_sensors, n_modes, agreement)
             assert check_sensors(measured, model, names(n_sensors)) == ()
 
@@ -186,7 +186,7 @@ def test_shapes_that_have_nothing_in_common_give_hardly_any_finding():
     accused = sum(
         bool(check_sensors(rng.normal(size=(n, 12)), rng.normal(size=(n, 12)), names(n)))
         for n in (5, 6)
-        for _ in range(100)
+        for _ in range(60)
     )
     assert accused <= 1
 

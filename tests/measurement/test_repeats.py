@@ -36,7 +36,7 @@ def test_the_deviation_is_that_of_the_mean():
     truth[0] = 3.0  # the largest, to which shapes are scaled
     for complex_noise in (False, True):
         means, stds = [], []
-        for _ in range(60):
+        for _ in range(25):
             noisy = [truth + 0.05 * rng.normal(size=truth.shape) for _ in range(4)]
             if complex_noise:
                 noisy = [s + 0.05j * rng.normal(size=truth.shape) for s in noisy]
@@ -44,8 +44,8 @@ def test_the_deviation_is_that_of_the_mean():
             means.append(out.shapes[1:] * np.exp(-1j * np.angle(out.shapes[:1])))
             stds.append(out.shape_std[1:])
         expected = 0.05 / 2 / 3  # noise over sqrt(4), over the scale
-        assert np.sqrt(np.mean(np.square(stds))) == pytest.approx(expected, rel=0.04)
-        assert np.std(np.real(means), axis=0).mean() == pytest.approx(expected, rel=0.06)
+        assert np.sqrt(np.mean(np.square(stds))) == pytest.approx(expected, rel=0.06)
+        assert np.std(np.real(means), axis=0).mean() == pytest.approx(expected, rel=0.09)
 
 
 def test_frequencies_are_averaged_with_their_standard_deviation():

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from calib.missing.candidate_measurement import CandidateMeasurement
-from calib.missing.competing import CompetingModel, CompetingModels, _density
+from calib.missing.competing import CompetingModel, CompetingModels, _density, sharpness
 from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.samples import posterior_samples
@@ -173,6 +173,13 @@ def test_a_bench_test_less_accurate_than_the_posterior_changes_nothing():
     assert found.bayes_factor(CandidateMeasurement("", "bench", prior_sd={"P0": 5.0})).mean == pytest.approx(
         now, abs=1e-9
     )
+
+
+def test_a_bench_test_leaves_the_standard_deviation_that_it_states():
+    fit = competing(2)[0].pair[0].fit
+    prior = fit.prior_sd[fit.names.index("P0")]
+    assert 1 / (1 / prior**2 + sharpness(fit, "P0", 0.3) ** 2) == pytest.approx(0.3**2) and prior > 0.3
+    assert sharpness(fit, "P0", 2 * prior) == 0.0
 
 
 def test_weights_are_the_bayes_factors_now():

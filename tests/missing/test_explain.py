@@ -19,8 +19,8 @@ def without(toy, *names):
 
 def test_false_alarms_are_rare(toy):
     """Two tests at 1 % each; an effect that passes them must still be named."""
-    found = Counter(f.verdict for f in toy(effects=8, perturbations=20, signed=("E1", "E5")).explained({}, 40))
-    assert found["nothing_detectable"] >= 37
+    found = Counter(f.verdict for f in toy(effects=8, perturbations=20, signed=("E1", "E5")).explained({}, 20))
+    assert found["nothing_detectable"] >= 18
     assert found["effect"] + found["indistinguishable"] + found["two_effects"] <= 1
 
 
@@ -39,15 +39,15 @@ def test_without_a_finding_only_the_base_model_is_fitted(toy):
 
 def test_one_effect_is_named_and_measured(toy):
     """One in 100 correctly specified models has a pulled parameter: no effect is named then."""
-    found = toy(signed=("E1",)).explained({"E3": 1.0}, 30)
+    found = toy(signed=("E1",)).explained({"E3": 1.0}, 15)
     assert all(f.chosen.names == ("E3",) for f in found)
     right = [f for f in found if f.verdict == "effect"]
-    assert len(right) >= 27
+    assert len(right) >= 13
     for f in found:
         assert f.credible == (("E3",) if f.verdict == "effect" else ())
         assert f.verdict == "effect" or f.chosen.implausible or not f.chosen_adequacy.passes(0.01)
     z = [(f.chosen.fit.values["E3"] - 1.0) / np.sqrt(f.chosen.fit.covariance[-1, -1]) for f in right]
-    assert 0.75 < np.std(z) < 1.25 and abs(np.mean(z)) < 0.5
+    assert 0.6 < np.std(z) < 1.4 and abs(np.mean(z)) < 0.7
     assert all(f.chosen_adequacy.passes(0.01) and not f.chosen.implausible for f in right)
     assert all(f.ln_bayes(f.chosen) > np.log(5) + 3 for f in right)
     one = right[0]
@@ -111,9 +111,9 @@ def test_collinear_effects_are_one_group(toy):
 
 def test_weak_collinear_effects_are_both_reported(toy):
     toy = toy(effects=4).correlated("E3", "E1", 0.9)
-    found = toy.explained({"E1": 0.9}, 20)
+    found = toy.explained({"E1": 0.9}, 10)
     named = [f for f in found if f.verdict in ("effect", "indistinguishable")]
-    assert len(named) >= 17
+    assert len(named) >= 8
     both = [f for f in named if f.verdict == "indistinguishable"]
     assert all(set(f.credible) == {"E1", "E3"} for f in both) and len(both) >= len(named) / 3
     assert np.mean(["E1" in f.credible for f in named]) >= 0.9
@@ -124,8 +124,8 @@ def test_weak_collinear_effects_are_both_reported(toy):
 
 
 def test_two_effects_are_named_together(toy):
-    found = toy(signed=("E4",)).explained({"E0": 1.2, "E4": -1.2}, 12)
-    assert Counter(f.verdict for f in found)["two_effects"] >= 10
+    found = toy(signed=("E4",)).explained({"E0": 1.2, "E4": -1.2}, 6)
+    assert Counter(f.verdict for f in found)["two_effects"] >= 5
     for f in found:
         if f.verdict == "two_effects":
             assert set(f.credible) == {"E0", "E4"} == set(f.chosen.names)
@@ -135,7 +135,7 @@ def test_two_effects_are_named_together(toy):
 
 
 def test_a_local_perturbation_locates_what_the_library_lacks(toy):
-    for f in toy(perturbations=12).explained({"A7": 1.5}, 8):
+    for f in toy(perturbations=12).explained({"A7": 1.5}, 4):
         assert f.verdict == "none_explains" and f.credible == ()
         assert f.perturbation.names == ("A7",) and f.perturbation.ln_evidence > f.chosen.ln_evidence
         assert f.chosen_adequacy.p_family < 0.01
@@ -157,10 +157,10 @@ def test_goodness_of_fit_sees_what_no_score_does(toy):
 
 
 def test_an_effect_outside_the_library_is_rarely_misnamed(toy):
-    found = without(toy(effects=8, perturbations=0), "E6").explained({"E6": 2.0}, 15)
+    found = without(toy(effects=8, perturbations=0), "E6").explained({"E6": 2.0}, 8)
     assert not any(f.credible for f in found)
     verdicts = Counter(f.verdict for f in found)
-    assert verdicts["none_explains"] + verdicts["misfit_unlocated"] >= 12 and verdicts["none_explains"] >= 8
+    assert verdicts["none_explains"] + verdicts["misfit_unlocated"] >= 6 and verdicts["none_explains"] >= 4
 
 
 def test_an_incomplete_explanation_is_partial(toy):
@@ -168,14 +168,14 @@ def test_an_incomplete_explanation_is_partial(toy):
     toy = toy(effects=3, perturbations=6)
     hidden = 0.25 * sum(toy.columns[f"A{k}"] for k in range(6))
     toy = replace(toy, columns={**toy.columns, "hidden": hidden})
-    found = Counter(f.verdict for f in toy.explained({"E1": 3.0, "hidden": 2.0}, 8))
-    assert found["partial"] >= 6 and not found["effect"]
+    found = Counter(f.verdict for f in toy.explained({"E1": 3.0, "hidden": 2.0}, 5))
+    assert found["partial"] >= 4 and not found["effect"]
 
 
 def test_a_longer_library_does_not_raise_false_alarms(toy):
     toy = toy(effects=50, perturbations=0, sensors=20)
-    found = Counter(f.verdict for f in toy.explained({}, 25))
-    assert found["nothing_detectable"] >= 23 and not found["effect"]
+    found = Counter(f.verdict for f in toy.explained({}, 12))
+    assert found["nothing_detectable"] >= 11 and not found["effect"]
 
 
 def test_scalar_responses_need_no_modes(toy):
@@ -186,7 +186,7 @@ def test_scalar_responses_need_no_modes(toy):
 
 def test_progress_is_reported(toy):
     messages = []
-    explain(toy().drawn(np.random.default_rng(7), {"E1": 1.5}), progress=messages.append)
+    explain(toy().drawn(np.random.default_rng(7), {"E1": 1.5}), progress=lambda stage, *more: messages.append(stage))
     assert messages[0] == "calibrating the base model" and "fitting E1" in messages
 
 
@@ -207,7 +207,7 @@ def test_no_effect_is_named_when_a_local_perturbation_fits_better(toy):
     """A collinear effect leaves no visible misfit, but the evidence favours the local perturbation."""
     toy = toy().correlated("A5", "E2", 0.9)
     competing = 0
-    for f in toy.explained({"A5": 0.9}, 12):
+    for f in toy.explained({"A5": 0.9}, 8):
         if f.chosen is None or f.perturbation is None or len(f.chosen.effects) > 1:
             continue
         competitor = (
@@ -222,10 +222,10 @@ def test_no_effect_is_named_when_a_local_perturbation_fits_better(toy):
 def test_a_magnitude_beyond_the_plausible_one_is_no_misfit(toy):
     """Thirty times the plausible size: a local perturbation must not explain the pull by the prior."""
     toy = toy().correlated("A5", "E2", 0.6)
-    usual, large = (toy.explained({"E2": magnitude}, 8) for magnitude in (1.2, 30.0))
+    usual, large = (toy.explained({"E2": magnitude}, 4) for magnitude in (1.2, 30.0))
     assert min(f.chosen.fit.shift[f.chosen.fit.names.index("E2")] for f in large) > 28
     assert [f.verdict for f in large] == [f.verdict for f in usual]
-    assert Counter(f.verdict for f in large)["effect"] >= 6 and all(f.chosen.names == ("E2",) for f in large)
+    assert Counter(f.verdict for f in large)["effect"] >= 3 and all(f.chosen.names == ("E2",) for f in large)
 
 
 def test_a_local_perturbation_collinear_with_the_effect_does_not_compete(toy):
@@ -253,7 +253,7 @@ def test_one_of_two_equally_good_pairs_is_not_named(toy):
     """Beside the first effect two others explain the rest about as well: neither is named."""
     toy = toy(effects=4).correlated("E3", "E1", 0.95)
     equal = 0
-    for f in toy.explained({"E0": 1.4, "E1": 0.9}, 12):
+    for f in toy.explained({"E0": 1.4, "E1": 0.9}, 8):
         pairs = sorted(
             (t for t in f.candidate_fits if len(t.effects) == 2 and not t.implausible), key=lambda t: -t.ln_evidence
         )

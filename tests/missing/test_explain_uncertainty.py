@@ -30,7 +30,9 @@ def spread(toy, *names):
 def decided(toy, seed, truth, noise=1.0):
     """Explanation, and its progress messages before and after the decision is repeated."""
     messages = []
-    found = explain(toy.drawn(np.random.default_rng(seed), truth, noise), progress=messages.append)
+    found = explain(
+        toy.drawn(np.random.default_rng(seed), truth, noise), progress=lambda stage, *more: messages.append(stage)
+    )
     cut = next((k for k, words in enumerate(messages) if REPEATED in words), len(messages))
     return found, messages[:cut], messages[cut:]
 
@@ -86,7 +88,7 @@ def test_a_correct_standard_deviation_is_kept(toy):
         assert repeated == [] and found.noise_scale == 1.0
 
 
-@pytest.mark.parametrize("factor", [1.3, 2.0])
+@pytest.mark.parametrize("factor", [1.3, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_an_understated_standard_deviation_is_told_from_an_effect(toy, factor):
     toy = toy(modes=12, sensors=60)
     found = toy.explained({}, 6, noise=factor)
@@ -115,9 +117,9 @@ def test_a_standard_deviation_from_few_repeats_raises_no_false_alarms(toy):
     toy = replace(toy(perturbations=4, modes=0, sensors=40), std_dof={"response": 4.0})
     rng = np.random.default_rng(3)
     found, blind = Counter(), Counter()
-    for _ in range(30):
+    for _ in range(15):
         one = replace(toy.drawn(rng), sd=np.full(40, np.sqrt(rng.chisquare(4.0) / 4.0)))
         found[explain(one).verdict] += 1
         blind[explain(replace(one, std_dof={})).verdict] += 1
-    assert found["nothing_detectable"] >= 28
-    assert blind["nothing_detectable"] < 25
+    assert found["nothing_detectable"] >= 14
+    assert blind["nothing_detectable"] < 13

@@ -145,7 +145,7 @@ def test_the_common_factor_of_the_standard_deviation(toy, noise):
 def test_modes_that_share_a_factor_rarely_test_as_different(modes, dof):
     rng = np.random.default_rng(11)
     table = pd.DataFrame({"kind": "shape", "dof": float(dof), "chi2": np.nan}, index=range(modes))
-    found = [noise_scale(table.assign(chi2=4.0 * rng.chisquare(dof, modes))) for _ in range(3000)]
+    found = [noise_scale(table.assign(chi2=4.0 * rng.chisquare(dof, modes))) for _ in range(1500)]
     assert 0.001 < np.mean(np.array(found) == 1.0) < 0.01
 
 

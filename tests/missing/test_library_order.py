@@ -58,7 +58,7 @@ def cases(toy):
     ]
 
 
-@effort(max_examples=20, deadline=None)
+@effort(max_examples=6, deadline=None)
 @given(data=st.data())
 def test_every_order_of_the_library_gives_the_same_explanation(cases, data):
     one, settings = data.draw(st.sampled_from(cases))

@@ -49,7 +49,7 @@ def started(monkeypatch):
     return starts
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_a_second_effect_is_found_although_integers_have_moved(astray, started, monkeypatch, seed):
     one = astray.drawn(np.random.default_rng(seed), {"place": 1, "E0": 2.0, "E2": 2.0})
     found = explain(one)
@@ -114,8 +114,8 @@ def test_a_small_budget_ends_with_a_verdict_after_about_as_many_evaluations(toy)
 
     least, whole = explained(0.0), explained(np.inf)
     assert least < 20 and whole > 68  # what the verdict alone needs, and what a full search needs
-    spent = [explained(budget) for budget in (20.0, 30.0, 40.0, 60.0)]
+    spent = [explained(budget) for budget in (20.0, 50.0)]
     assert spent == sorted(spent)
-    for budget, evaluations in zip((20.0, 30.0, 40.0, 60.0), spent, strict=True):
+    for budget, evaluations in zip((20.0, 50.0), spent, strict=True):
         # The standard deviation counts as understated, so that everything, pairs too, is decided twice.
         assert budget <= evaluations <= (2 + RULES.anew + 2 * RULES.paired) * budget + 16

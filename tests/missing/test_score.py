@@ -178,7 +178,7 @@ def test_p_values_of_simulated_data_are_uniform(toy):
     toy = toy(effects=3, perturbations=0, modes=4, sensors=4, parameters=2)
     rng = np.random.default_rng(11)
     p = []
-    for _ in range(300):
+    for _ in range(150):
         one = toy.drawn(rng)
         p.append(family_p(scores(one.calibrated(), one.effects, {}), one, seed=1))
     assert stats.kstest(p, "uniform").pvalue > 0.01

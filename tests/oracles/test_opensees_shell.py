@@ -127,6 +127,7 @@ def box_modes(ops: ModuleType, refinement: int, count: int = 8) -> tuple[np.ndar
     return modes.natural_freq, theirs, mac
 
 
+@pytest.mark.slow
 def test_a_stiffened_box(opensees):
     coarse, fine = (box_modes(opensees, refinement) for refinement in (1, 2))
     gap = [np.abs(own / theirs - 1) for own, theirs, _ in (coarse, fine)]

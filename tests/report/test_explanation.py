@@ -240,7 +240,7 @@ def saved(monkeypatch):
     return figures
 
 
-def test_every_table_of_a_folder_has_its_figure(folder):
+def test_every_table_of_a_folder_has_its_figure(folder, unrendered):
     written = Figures(folder, "Bogie", True).save()
     assert [p.stem for p in written] == FIGURES
     assert all(p.parent == folder and p.read_bytes().startswith(b"\x89PNG") for p in written)

@@ -56,7 +56,7 @@ def test_an_even_effect_of_an_integer_parameter_is_found_where_correlations_are_
 def test_inert_parameters_bound_to_an_active_one_are_not_found(draw, noise):
     """Per response the level is 5 % of the tables; steep, even and product responses included."""
     false, active, tied = {}, {}, 0
-    tables = 100 if noise == 0 else 60
+    tables = 100 if noise == 0 else 40
     for seed in range(tables):
         points, responses = draw(seed, 150, noise=noise)
         for name in responses:  # each its own table, so that each has the whole 5 %
@@ -72,14 +72,14 @@ def test_inert_parameters_bound_to_an_active_one_are_not_found(draw, noise):
 
 def test_floor_is_passed_by_chance_in_one_table_of_twenty():
     rng = np.random.default_rng(5)
-    tries, n, passed, mean = 400, 80, 0, []
+    tries, n, passed, mean = 250, 80, 0, []
     for _ in range(tries):
         points = pd.DataFrame(rng.uniform(size=(n, 3)), columns=list("abc"))
         points["b"] = points["a"] + 0.1 * points["b"]
         got = variance_share(points, pd.DataFrame(rng.standard_normal((n, 4))))
         passed += (got.table > got.floor).any(axis=None)
         mean.append(got.floor.to_numpy().mean())
-    assert 0.02 * tries <= passed <= 0.085 * tries  # 5 %, within three standard errors
+    assert 0.01 * tries <= passed <= 0.091 * tries  # 5 %, within three standard errors
     assert 0.3 < np.mean(mean) < 0.6
 
 

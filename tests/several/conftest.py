@@ -124,20 +124,28 @@ def write_study(folder, text=STUDY):
 
 @pytest.fixture(scope="session")
 def run(tmp_path_factory):
-    """The study, never changed, with a whole run by the command, and the folders whose figures it drew.
+    """The study, never changed, with a whole run by the command, and the folders that it drew and reported.
 
-    The figures themselves take four times as long as all the rest and are left out.
+    The figures themselves take four times as long as all the rest and are left out, and so are the pages.
     """
     from calib import cli
+    from calib.report.html.summary import summary
+    from calib.report.html.write import Page
 
-    root, drawn = tmp_path_factory.mktemp("several"), []
+    root, drawn, reported = tmp_path_factory.mktemp("several"), [], []
     study = write_study(root / "frame")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "calib.report.figures.Figures.save", lambda figures, *given: drawn.append(figures.folder.folder.name) or []
         )
+
+        def unwritten(results, *given):
+            reported.append(results.folder.folder.name)
+            return Page(results.folder / "report.html", summary(results))
+
+        patch.setattr("calib.front.study.write_report", unwritten)
         assert cli.execute(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
-    return study, root / "results", drawn
+    return study, root / "results", drawn, reported
 
 
 @pytest.fixture

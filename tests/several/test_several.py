@@ -57,7 +57,7 @@ def test_each_test_has_its_own_results_and_the_parameters_of_all(frame):
     assert set(errors.loc[errors["group"].str.startswith("held_out"), "test"]) == {"loaded"}
     for test in tables:
         own = told(results / f"frame.{test}/explanation.json")
-        assert own["verdict"] == "effect" and (results / f"frame.{test}/report.html").is_file()
+        assert own["verdict"] == "effect"
 
 
 def test_the_pattern_of_the_effect_is_given_by_test(frame):
@@ -76,8 +76,9 @@ OF_ALL = {"parameters", "ranked_effects", "confounding", "errors_before_after"}
 
 
 def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp_path):
-    _, results, drawn = run
+    _, results, drawn, reported = run
     assert drawn == [f"{name}{end}" for name in ("frame_extended", "frame") for end in (".empty", ".loaded", "")]
+    assert reported == [name for name in drawn if "." in name]
     together = shutil.copytree(results / "frame", tmp_path / "frame")
     assert {path.stem for path in Figures(together, "together", True).save()} >= OF_ALL
 
@@ -154,8 +155,9 @@ def test_the_record_of_all_tests_has_the_rows_of_each(frame):
     assert told(results / "frame.loaded/record.json")["tests"] == ["loaded"]
 
 
-def test_functions_of_modes_in_several_tests_evaluate_no_point_again(tmp_path):
-    folder = cantilever.write_study(tmp_path / "study", tmp_path / "calls", prop=2500.0)
+@pytest.mark.slow
+def test_functions_of_modes_in_several_tests_evaluate_no_point_again(functions_in_this_process, tmp_path):
+    folder = cantilever.write_study(tmp_path / "study", tmp_path / "calls", prop=2500.0, selected=cantilever.FEW)
     text = (folder / "study.toml").read_text()
     given = text[text.index("[measurement]") : text.index("[sensitivity]")]
     one = given.replace("[held_out]", "[tests.held_out]").replace("[pairing]", "[tests.pairing]")
@@ -166,7 +168,7 @@ def test_functions_of_modes_in_several_tests_evaluate_no_point_again(tmp_path):
         effects.append(calib.Study.load(folder, tmp_path / "results")._explain().effects)
         counted.append(len((tmp_path / "calls").read_text().splitlines()))
     pd.testing.assert_frame_equal(*effects)
-    assert counted[0] > 100 and counted[1] - counted[0] <= 2  # one stored point a test, on purpose
+    assert counted[0] > 40 and counted[1] - counted[0] <= 2  # one stored point a test, on purpose
 
 
 # -- what is read ------------------------------------------------------------------------------------------------------
@@ -195,8 +197,11 @@ def test_one_test_is_a_study_as_ever(own):
     assert Study.load(own).measured.fingerprint == one.measured.fingerprint
 
 
+@pytest.mark.slow
 def test_another_model_is_fitted_beside(own, undrawn, tmp_path):
-    (own / "study.toml").write_text(STUDY.replace("[sensitivity]", f"{BENCH}\n[sensitivity]"))
+    (own / "study.toml").write_text(
+        STUDY.replace("starts = 2", "starts = 1").replace("[sensitivity]", f"{BENCH}\n[sensitivity]")
+    )
     answer = calib.Study.load(own, tmp_path / "results", workers=1).calibrate("C1")
     assert set(answer.of.tests) == {"empty", "loaded", "bench"}
     for folder in (answer.folder, tmp_path / "results/frame.bench/case_C1"):

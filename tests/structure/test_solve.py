@@ -292,7 +292,7 @@ def test_the_four_equal_axle_torsions_of_the_bogie_are_all_found():
     assert np.count_nonzero(np.abs(undamped - 55.988) < 1e-3) == 4
     truth = 1 / np.sqrt(la.eigh(mass.toarray(), stiffness.toarray(), eigvals_only=True)[::-1][:16]) / (2 * np.pi)
     np.testing.assert_allclose(undamped, truth, rtol=1e-8)
-    damped = [solve_modes(stiffness, damping, mass, count) for count in (12, 14, 16, 20)]
+    damped = [solve_modes(stiffness, damping, mass, count) for count in (14, 20)]
     for modes in damped:
         np.testing.assert_allclose(modes.natural_freq, damped[-1].natural_freq[: modes.n_modes], rtol=1e-8)
     assert np.count_nonzero(np.abs(damped[-1].natural_freq - 55.988) < 5e-3) == 4

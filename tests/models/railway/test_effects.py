@@ -108,7 +108,11 @@ def test_matrices_stay_semidefinite_and_modes_solvable_at_the_limits(library, co
         assert np.all(modes.damping_ratio > -1e-12)  # two modes of the axles have none
 
 
-@pytest.mark.parametrize("name", NAMES)
+# Those that take longest are rebuilt by hand (test_effects_rebuilt.py) or checked alone (test_effects_alone.py) too.
+LONG = {"actuator_flexibility", "damper_mount", "gear_case_offset", "brake_unit"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in NAMES])
 def test_an_effect_is_the_same_on_the_fine_and_the_fitted_mesh(effect_checks, name):
     # The finer bogie distributes the gear case over 0.24 m of the axle, which its moment of inertia bends.
     share = 0.16 if name == "gear_case_offset" else 0.1

@@ -43,7 +43,7 @@ def test_every_effect_is_rebuilt():
 
 
 # The others are checked by hand (test_effects_alone.py) and against a finer mesh (test_effects.py) every time.
-QUICK = {"block_tilt", "crossbar_mass", "brake_unit", "damper_mount", "gear_case_offset"}
+QUICK = {"crossbar_mass", "brake_unit"}
 EACH = [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in EFFECTS]
 
 

@@ -38,10 +38,14 @@ def test_names_are_unique_and_not_those_of_parameters(rigid_car):
         assert e.title and e.lacks.endswith(".") and e.look_for.endswith(".") and e.magnitude.description
 
 
-def test_magnitude_zero_leaves_the_base_model(library, modes):
+def test_magnitude_zero_leaves_the_matrices_of_the_base_model(library):
     assert library.gap({}) <= 1e-12
     nuisance = {q.name: v for e in EFFECTS.values() for q in e.nuisance for v in (q.lower, q.upper)}
     assert library.gap(nuisance) <= 1e-12
+
+
+@pytest.mark.slow
+def test_magnitude_zero_leaves_the_modes_of_the_base_model(library, modes):
     model = library.together
     found = model.modes(dict.fromkeys(NAMES, 0.0), SOLVED)
     np.testing.assert_allclose(found.natural_freq, modes.natural_freq, rtol=1e-8)
@@ -54,7 +58,9 @@ def test_matrix_derivatives_agree_with_differences(library, name):
     assert set(EFFECTS[name].names) <= set(gaps) and max(gaps.values()) <= 1.0
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if n == "hung_converter" else []) for n in NAMES]
+)
 def test_matrices_stay_semidefinite_at_the_limits(library, effect_checks, name):
     for values in effect_checks.limits(EFFECTS[name]):
         assert library.negative_directions(values) == 0
@@ -65,12 +71,14 @@ def test_a_joint_loses_no_more_than_a_thinner_floor_has(library):
     assert library.negative_directions(thin) == 0
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if EFFECTS[n].grid else []) for n in NAMES])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
 def test_parameters_of_the_base_model_cannot_do_what_an_effect_does(library, effect_checks, name):
     for vector in library.signatures(name):
         assert effect_checks.outside(vector, library.columns(SELECTED), prior=True) > 0.1
 
 
+@pytest.mark.slow
 def test_plausible_magnitudes_that_the_sensors_cannot_see(library, effect_checks):
     columns = library.columns(SELECTED)
     plain = {name: next(library.signatures(name)) for name in NAMES if not EFFECTS[name].grid}
@@ -79,6 +87,7 @@ def test_plausible_magnitudes_that_the_sensors_cannot_see(library, effect_checks
     assert {name for name, size in seen.items() if size < 1} == {"floor_joint", "track_compliance", "pivot_yaw"}
 
 
+@pytest.mark.slow
 def test_effects_that_differ_only_in_sign(library, effect_checks):
     columns = library.columns(SELECTED)
 

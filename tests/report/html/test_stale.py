@@ -20,25 +20,13 @@ from calib.report.shown import Shown
 from calib.results import OWNER, Results
 from calib.study import Study
 from calib.study_file import StudyFile
+from tests.template import plain
 
-MODEL = """
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
-
-SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)))
-
-def responses(values):
+FUNCTION = """
+def answer(values):
     return {"y": values["a"] + values["b"] / 2, "z": values["a"] - values["b"] / 2}
-
-def model():
-    return FunctionModel("plain", SPACE, responses)
 """
-STUDY = """
-title = "Plain"
-model = "model.py:model"
-selection = ["a", "b"]
-[measurement]
-responses = "data.csv"
+ASKED = """
 [sensitivity]
 samples = 12
 [calibration]
@@ -56,11 +44,7 @@ pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 def analysed(functions_in_this_process, tmp_path_factory):
     """Home of a small study of scalar responses, ``sums``, that was compared, screened and calibrated."""
     home = tmp_path_factory.mktemp("analysed")
-    folder = home / "sums"
-    folder.mkdir()
-    (folder / "study.toml").write_text(STUDY)
-    (folder / "model.py").write_text(MODEL)
-    (folder / "data.csv").write_text("response,value,std\ny,3.1,0.1\nz,1.0,0.1\n")
+    plain.write(home / "sums", FUNCTION, ASKED, y=(3.1, 0.1), z=(1.0, 0.1))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
         patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
@@ -100,14 +84,14 @@ def results(found):
 @pytest.mark.parametrize(
     ("file", "old", "new", "touched"),
     [
-        ("data.csv", "y,3.1", "y,3.2", {"compare", "sensitivity", "calibrate"}),
-        ("data.csv", "z,1.0,0.1", "z,1.0,0.2", {"compare", "sensitivity", "calibrate"}),
+        ("measured.csv", "y,3.1", "y,3.2", {"compare", "sensitivity", "calibrate"}),
+        ("measured.csv", "z,1.0,0.1", "z,1.0,0.2", {"compare", "sensitivity", "calibrate"}),
         ("model.py", "/ 2, ", "/ 3, ", {"compare", "sensitivity", "calibrate"}),
         ("study.toml", "generations = 3", "generations = 4", {"calibrate"}),
         ("study.toml", "samples = 12", "samples = 13", {"sensitivity"}),
         ("study.toml", "[sensitivity]", "[parameters]\na = { value = 2.1 }\n[sensitivity]", set(WRITES)),
         ("study.toml", 'title = "Plain"', 'title = "Other words"', set()),
-        ("data.csv", "response,", "# a remark\nresponse,", set()),
+        ("measured.csv", "response,", "# a remark\nresponse,", set()),
     ],
 )
 def test_what_a_change_makes_stale(sums, file, old, new, touched):
@@ -125,19 +109,19 @@ def test_what_a_change_makes_stale(sums, file, old, new, touched):
 def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
     before = summary(results(stale()))
     assert {"cases" in s.title.lower() for s in sections(results(stale()))} == {True, False}
-    edit("data.csv", "y,3.1", "y,2.2")
+    edit("measured.csv", "y,3.1", "y,2.2")
     output = run("compare")
     found = stale()
     assert set(found.sentences) == {"sensitivity", "calibrate"}
     assert {"parameters.csv", "summary.json", "comparison_after.csv", "verdicts.csv"} <= found.files
     assert not {"comparison_before.csv", "measured.csv"} & found.files
     for words in found.sentences.values():
-        assert "data.csv" in words and words in " ".join(output.split("\n"))
+        assert "measured.csv" in words and words in " ".join(output.split("\n"))
     shown = {s.name: s for s in sections(results(found))}
     assert {block.text.rstrip(".") for block in shown["stale"].blocks} == set(found.sentences.values())
     assert not {"calibrated", "sensitivity"} & set(shown) and "compared" in shown
     now = summary(results(found))
-    assert now.verdict != before.verdict and "calibrated" not in " ".join(what for what, _ in now.facts)
+    assert now.found != before.found and "calibrated" not in " ".join(what for what, _ in now.facts)
     run("sensitivity", "calibrate")
     assert not stale().sentences
     assert "stale" not in {s.name for s in sections(results(stale()))}
@@ -149,7 +133,7 @@ def test_tables_of_an_interrupted_analysis_are_not_shown(sums, monkeypatch, run_
     """Interrupted between its tables at another state of the study, which is then restored."""
     if not run_before:
         shutil.rmtree(ROOT)
-    edit("data.csv", "y,3.1", "y,2.2")
+    edit("measured.csv", "y,3.1", "y,2.2")
 
     def stop(*given, **more):
         raise InputError("the disk is full")
@@ -157,7 +141,7 @@ def test_tables_of_an_interrupted_analysis_are_not_shown(sums, monkeypatch, run_
     with monkeypatch.context() as patch:
         patch.setattr("calib.analyses.calibrate.write_record", stop)
         assert cli.execute(["calibrate", "sums"]) == 2
-    edit("data.csv", "y,2.2", "y,3.1")
+    edit("measured.csv", "y,2.2", "y,3.1")
     run("compare")
     assert (ROOT / "sums/parameters.csv").is_file()
     for study in (Study.load(Path("sums")), StudyFile.read(Path("sums"))):
@@ -175,12 +159,12 @@ def test_the_report_alone_names_what_is_stale_and_keeps_the_tables(sums, unrende
     tables = {p.name: p.read_bytes() for p in (ROOT / "sums").glob("*.csv")}
     pictures = {p.name for p in (ROOT / "sums").glob("*.png")}
     assert "parameters.png" in pictures
-    edit("data.csv", "y,3.1", "y,2.2")
+    edit("measured.csv", "y,3.1", "y,2.2")
     output = " ".join(run("report").split("\n"))
     assert all(words in output for words in stale().sentences.values()) and len(stale().sentences) == 3
     assert {p.name: p.read_bytes() for p in (ROOT / "sums").glob("*.csv")} == tables
     assert not list((ROOT / "sums").glob("*.png")) and (ROOT / "sums" / NAME).exists()
-    edit("data.csv", "y,2.2", "y,3.1")
+    edit("measured.csv", "y,2.2", "y,3.1")
     run("report")
     assert {p.name for p in (ROOT / "sums").glob("*.png")} == pictures
 
@@ -242,13 +226,13 @@ def test_the_report_runs_no_code_of_the_study(sums, unrendered):
 @pytest.mark.parametrize(
     ("file", "old", "new"),
     [
-        ("data.csv", "y,3.1", "y,3.2"),
+        ("measured.csv", "y,3.1", "y,3.2"),
         ("model.py", "/ 2, ", "/ 3, "),
         ("study.toml", "generations = 3", "generations = 4"),
         ("study.toml", "samples = 12", "samples = 13"),
         ("study.toml", "[sensitivity]", "[parameters]\na = { value = 2.1 }\n[sensitivity]"),
         ("study.toml", 'title = "Plain"', 'title = "Other words"'),
-        ("data.csv", "response,", "# a remark\nresponse,"),
+        ("measured.csv", "response,", "# a remark\nresponse,"),
     ],
 )
 def test_what_is_stale_is_known_without_the_code(sums, file, old, new):
@@ -272,13 +256,17 @@ def test_a_named_file_that_is_gone_counts_as_changed(sums, gone):
     assert gone in found.sentences["compare"]
 
 
-@pytest.mark.parametrize("change", [lambda file: file.unlink(), lambda file: file.write_text(f"{MODEL}\nLATER = 1\n")])
+@pytest.mark.parametrize(
+    "change", [lambda file: file.unlink(), lambda file: file.write_text(file.read_text() + "LATER = 1\n")]
+)
 def test_results_record_the_files_as_they_were_read(sums, change):
     study, results = Study.load(Path("sums")), Results(ROOT / "sums")
-    change(Path("sums/model.py"))
+    model = Path("sums/model.py")
+    text = model.read_text()
+    change(model)
     write_record(study, results, "compare", {})
     assert "compare" in stale_answers(StudyFile.read(Path("sums")), results).sentences
-    Path("sums/model.py").write_text(MODEL)
+    model.write_text(text)
     assert "compare" not in stale_answers(StudyFile.read(Path("sums")), results).sentences
 
 
