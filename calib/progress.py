@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column
-from rich.text import Text
 
 from calib.stage import Progress as Told
 from calib.terminal import ERR
@@ -29,64 +28,71 @@ def bars(verb: str) -> Iterator[Told]:
         yield _Lines(verb)
         return
     words = TextColumn("{task.description}", table_column=Column(ratio=1, overflow="fold"))
-    columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), _Left())
+    columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
     with Progress(*columns, console=ERR, transient=True, expand=True) as bar:
         yield _Bars(bar, verb)
+
+
+class _Pace:
+    """What was told last, in words, and the time left at the average speed since the count began."""
+
+    def __init__(self, verb: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self.verb, self.clock = verb, clock
+        self.stage = self.words = self.left = ""
+        self.done = self.total = self.first = 0.0
+        self.began = clock()
+
+    def tell(self, stage: str, done: float, total: float, best: float) -> bool:
+        """Take a call; whether another stage began."""
+        now, other = self.clock(), stage not in ("", self.stage)
+        self.stage = stage or self.stage
+        # Several stages may share one whole, such as a budget: the count then goes on.
+        if total != self.total or done < self.done or (other and total in (0, 1)):
+            self.began, self.first = now, done
+        self.done, self.total = done, total
+        self.words = in_words(self.verb, self.stage, done, total, best)
+        self.left = time_left(now - self.began, done - self.first, total - self.first)
+        return other
 
 
 class _Bars:
     """The present stage on a terminal."""
 
     def __init__(self, bar: Progress, verb: str) -> None:
-        self.bar, self.verb = bar, verb
-        self.stage, self.task = "", bar.add_task(verb, total=None)
+        self.bar, self.pace = bar, _Pace(verb)
+        self.task = bar.add_task(verb, total=None, left="")
 
     def __call__(self, stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
-        if stage != self.stage:
+        if self.pace.tell(stage, done, total, best):
             self.bar.remove_task(self.task)
-            self.stage, self.task = stage, TaskID(self.bar.add_task("", total=None))
-        words = in_words(self.verb, stage, done, total, best)
-        self.bar.update(self.task, description=words, completed=done, total=total or None)
+            self.task = self.bar.add_task("", total=None, left="")
+        left = f"{self.pace.left} left" if self.pace.left else ""
+        self.bar.update(self.task, description=self.pace.words, completed=done, total=total or None, left=left)
 
 
 class _Lines:
     """The present stage in sparse lines, without control characters."""
 
     def __init__(self, verb: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self.verb, self.clock = verb, clock
-        self.told, self.stage, self.began, self.first = clock(), "", clock(), 0.0
+        self.pace, self.clock, self.told = _Pace(verb, clock), clock, clock()
 
     def __call__(self, stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
-        now = self.clock()
-        if stage != self.stage:
-            self.stage, self.began, self.first = stage, now, done
-        if now - self.told < SPARSE:
-            return
-        self.told = now
-        left = time_left(now - self.began, done - self.first, total - self.first)
-        ERR.print(in_words(self.verb, stage, done, total, best) + (f", {left} left" if left else ""))
-
-
-class _Left(ProgressColumn):
-    """Time left of a stage."""
-
-    def render(self, task: Task) -> Text:
-        if task.total is None:
-            return Text("")
-        left = time_left(task.elapsed or 0.0, task.completed, task.total)
-        return Text(f"{left} left" if left else "", style="progress.remaining")
+        self.pace.tell(stage, done, total, best)
+        if self.clock() - self.told >= SPARSE:
+            self.told = self.clock()
+            ERR.print(self.pace.words + (f", {self.pace.left} left" if self.pace.left else ""))
 
 
 def in_words(verb: str, stage: str, done: float, total: float, best: float) -> str:
     """The present stage, such as ``calibrate: GB1, genetic search 12/60, best 0.31``."""
-    count = f" {done:.0f}/{total:.0f}" if total else ""
+    count = f" {100 * done:.0f} %" if total == 1 else f" {done:.0f}/{total:.0f}" if total else ""
     return f"{verb}: {stage}{count}" + (f", best {best:.4g}" if math.isfinite(best) else "")
 
 
 def time_left(elapsed: float, done: float, total: float) -> str:
     """The remaining time at the average speed so far, such as ``2 min``; empty where it is unknown."""
-    if elapsed < _STEADY or done <= 0 or total <= done:
+    seconds = elapsed * (total - done) / done if elapsed >= _STEADY and done > 0 else 0.0
+    if seconds < 1:
         return ""
-    seconds = elapsed * (total - done) / done
     unit, size = next((one for one in (("h", 3600), ("min", 60)) if seconds >= 1.7 * one[1]), ("s", 1))
     return f"{seconds / size:.0f} {unit}"

@@ -18,13 +18,23 @@ class Progress(Protocol):
         Parameters
         ----------
         stage : str
-            In words, such as ``sampling``.
+            In words, such as ``sampling``; empty where the stage told before goes on.
         done, total : float
-            Completed part and whole in the same unit; a total of 0 where it is unknown.
+            Completed part and whole in the same unit, such as points; with a whole of 1 the part is a share. A total of
+            0 where it is unknown.
         best : float
             Lowest misfit so far; NaN where there is none.
         """
         ...
+
+
+def named(progress: Progress, name: str) -> Progress:
+    """Tells the stages of a part with its name in front."""
+
+    def tell(stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
+        progress(f"{name}, {stage}" if stage else stage, done, total, best)
+
+    return tell
 
 
 def unheard(stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:

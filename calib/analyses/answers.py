@@ -127,6 +127,8 @@ def of_fit(
     changes = [of_test(test, _change(*pair)) if test else _change(*pair) for test, pair in pairs.items()]
     sure = [f"The fit has p = {statistics.p_fit:.2g}.", identified_sentence(verdicts), _AGREEMENT[agreement]]
     sure += contradictions
+    if statistics.assumed:
+        sure.append(f"This rests on an assumed standard deviation: {statistics.assumed}.")
     suspected = statistics.suspects[statistics.suspects["explains"].astype(bool)]["what"].tolist()
     if suspected:
         sure.append(f"Without {suspected[0]} alone it would fit.")

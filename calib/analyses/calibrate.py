@@ -43,6 +43,8 @@ from calib.stage import Progress, unheard
 from calib.study import Study
 from calib.study_file import StudyFile
 
+CHECKING = "leave-one-out and held-out errors"
+"""Name of the stage that follows all cases."""
 Method: TypeAlias = Literal["genetic", "gauss-newton"]
 
 
@@ -195,9 +197,11 @@ def calibrate(
     cases = chosen_cases(study, only)
     seconds = confirmed(study, ledger)
     study = recorded(study, ledger)
+    progress("solving the model")
     before = compare(study, results)
     finder = CaseFinder(study, home or results, ledger, workers, quick, progress, seconds)
     found = tuple((finder.by_search if chosen == "genetic" else finder.by_least_squares)(cases))
+    progress(CHECKING)
     notes = partial(notes_on, study, ledger, finder.home, finder.notes)
     options = options_of(only, method)
     ran = CalibrationRun(chosen, started, quick, options, notes, ledger.retried, study.search_space)

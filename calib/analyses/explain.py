@@ -206,7 +206,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     effects = effects_table(found, intervals, _gains(adapter.hypotheses, found), _visible(adapter, found), untested)
     progress("what to measure next")
     examined = adapter.hypotheses.evaluations
-    next_table, advised = _next(adapter, found, effects)
+    next_table, advised = _next(adapter, found, effects, progress)
     # Evaluations for intervals and recommendation are counted apart from those of the decision.
     recommended = adapter.hypotheses.evaluations
     figures |= {
@@ -218,9 +218,8 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
-    rests = f"These results rest on an assumed standard deviation: {facts.assumed}." if facts.assumed else ""
-    more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy), rests)
-    told = verdict(found, effects, errors, advised, facts.disagreements)
+    more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy))
+    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
     words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
     figures |= {
@@ -317,9 +316,11 @@ def _gains(hypotheses: Hypotheses, found: Explanation) -> dict[str, float]:
     return {t.names[0]: density(t) - base for t in found.singles}
 
 
-def _next(adapter: Adapter, found: Explanation, effects: pd.DataFrame) -> tuple[pd.DataFrame, Recommendation | None]:
+def _next(
+    adapter: Adapter, found: Explanation, effects: pd.DataFrame, progress: Progress
+) -> tuple[pd.DataFrame, Recommendation | None]:
     """The recommended next measurement, as a table and in words."""
-    design = adapter.design(found)
+    design = adapter.design(found, progress)
     if design is None:
         return pd.DataFrame(columns=list(RECOMMENDATION_COLUMNS)), None
     table = recommend(design)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -295,7 +296,9 @@ def _evaluate(
     seconds = confirmed(study, ledger)
     with open_evaluator(recorded(study, ledger), workers, len(points), seconds=seconds) as evaluator:
         for start in range(0, len(points), _BATCH):
-            outcomes += ledger.evaluate(study.problem.fingerprint, points[start : start + _BATCH], evaluator)
+            batch = points[start : start + _BATCH]
+            told = partial(_tell, progress, len(outcomes), len(points))
+            outcomes += ledger.evaluate(study.problem.fingerprint, batch, evaluator, told)
             progress("sampling", len(outcomes), len(points))
     if all(o.status != "ok" for o in outcomes):
         raise InputError(
@@ -304,6 +307,10 @@ def _evaluate(
             remedy="check the model over the limits of its parameters",
         )
     return outcomes
+
+
+def _tell(progress: Progress, before: int, total: int, batch: int) -> None:
+    progress("sampling", before + batch, total)
 
 
 def table_of(outcomes: Sequence[Outcome], names: Sequence[str]) -> pd.DataFrame:

@@ -48,7 +48,7 @@ def entries(study: StudyFile, result: Fitted) -> list[Entry]:
         *map(Words, held_out(study)),
         _cases(result),
         *_points(result),
-        pairs(best.answer, f"After calibration (case {best.name}):", verbose=True),
+        pairs(best.answer, f"After calibration (case {best.name}):", when="verbose"),
         *more_on_pairs(best.answer),
     ]
     return out
@@ -79,7 +79,7 @@ def _of_tests(result: JointCalibration) -> Iterator[tuple[str, ...]]:
 def _retried(result: Calibration) -> list[Words]:
     again = count(result.retried, "point")
     why = f"Evaluated again: {again} at which an earlier process died or ran out of memory or time_limit."
-    return [Words(why, verbose=False)] if result.retried else []
+    return [Words(why, when="always")] if result.retried else []
 
 
 def _parameters(result: Calibration) -> Iterator[Rows]:
@@ -97,7 +97,7 @@ def _parameters(result: Calibration) -> Iterator[Rows]:
         reasons.append((r["parameter"], r["sentence"]))
     heads = ("parameter", f"value in {best.name}", "std", "of range", "spread", "identified")
     yield Rows.of("", heads, rows, left=("identified",), most=20)
-    yield Rows.of("Why:", ("parameter", "verdict"), reasons, left=("verdict",), verbose=True)
+    yield Rows.of("Why:", ("parameter", "verdict"), reasons, left=("verdict",), when="verbose")
 
 
 def _changes(result: Calibration) -> Iterator[Rows]:
@@ -146,7 +146,7 @@ def _cases(result: Calibration) -> Rows:
         )
         for c in result.cases
     ]
-    return Rows.of("Cases:", ("case", "search", "at full order", "reported", *_COUNTS, "time"), rows, verbose=True)
+    return Rows.of("Cases:", ("case", "search", "at full order", "reported", *_COUNTS, "time"), rows, when="verbose")
 
 
 def _points(result: Calibration) -> Iterator[Rows]:
@@ -159,5 +159,5 @@ def _points(result: Calibration) -> Iterator[Rows]:
     ]
     title = "What the search minimises (objective) and what least squares minimises (total), at the end of each:"
     yield Rows.of(
-        title, ("case", "point", "objective", "sum of squares", "prior", "total"), rows, left=("point",), verbose=True
+        title, ("case", "point", "objective", "sum of squares", "prior", "total"), rows, left=("point",), when="verbose"
     )

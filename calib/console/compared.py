@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.record import assumptions_table, check_repeats
 from calib.analyses.sensitivity import Screening, Sensitivity
-from calib.console.told import Entry, Rows, Warned, Words
+from calib.console.told import Entry, Rows, Warned, When, Words
 from calib.results import Results
 from calib.study import Study
 from calib.study_file import StudyFile
@@ -49,14 +49,14 @@ def entries(study: Study, result: ComparisonResult, folder: Results) -> list[Ent
     return out
 
 
-def pairs(result: ComparisonResult, title: str = "", verbose: bool = False) -> Rows:
+def pairs(result: ComparisonResult, title: str = "", when: When = "always") -> Rows:
     """Every measured mode or response with that of the model."""
     table = result.table.to_dict("records")
     if result.comparison is None:
         responses = [
             (r["response"], f"{r['measured']:.6g}", f"{r['model']:.6g}", f"{100 * r['error']:+.2f} %") for r in table
         ]
-        return Rows.of(title, ("response", "measured", "model", "error"), responses, verbose=verbose)
+        return Rows.of(title, ("response", "measured", "model", "error"), responses, when=when)
     rows = []
     for r in table:
         paired = not math.isnan(r["natural_freq_model"])
@@ -72,7 +72,7 @@ def pairs(result: ComparisonResult, title: str = "", verbose: bool = False) -> R
             )
         )
     heads = ("mode", "model mode", "measured Hz", "model Hz", "error", "damping %", "model %", "MAC")
-    return Rows.of(title or "Natural frequencies (|lambda|/2pi):", heads, rows, verbose=verbose)
+    return Rows.of(title or "Natural frequencies (|lambda|/2pi):", heads, rows, when=when)
 
 
 def more_on_pairs(result: ComparisonResult) -> Iterator[Rows]:
@@ -82,7 +82,7 @@ def more_on_pairs(result: ComparisonResult) -> Iterator[Rows]:
             (str(r["mode"]), *(number(r[name], 3) for name in ("mac", "emac", "margin")))
             for r in result.table.to_dict("records")
         ]
-        yield Rows.of("How certain the pairs are:", ("mode", "MAC", "EMAC", "margin"), rows, verbose=True)
+        yield Rows.of("How certain the pairs are:", ("mode", "MAC", "EMAC", "margin"), rows, when="verbose")
 
 
 def held_out(study: StudyFile) -> Iterator[str]:
@@ -107,7 +107,7 @@ def of_samples(study: Study, result: Sensitivity) -> list[Entry]:
     out: list[Entry] = [Warned(result.why_failed)] if result.why_failed else []
     out += [
         Rows.of("", ("parameter", "Spearman", "partial", "variance share", "selected"), rows, most=20),
-        Rows.of("Why:", ("parameter", "why"), reasons, ("why",), verbose=True),
+        Rows.of("Why:", ("parameter", "why"), reasons, ("why",), when="verbose"),
         *(Words(sentence) for sentence in result.sentences if sentence != result.why_failed),
     ]
     if study.model.space.constraints:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from calib.analyses.added import WORDS, Added, by_group
+from calib.analyses.added import WORDS, Added, by_group, to_add
 from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.extend import Extension
 from calib.analyses.versions import Versions
@@ -18,21 +18,28 @@ from calib.results import Results
 from calib.study_file import StudyFile
 from calib.terminal import count, number
 
-EFFECTS = 8
+EFFECTS = 5
 """Effects that are shown unless all are asked for."""
+_MORE = ("z", "unabsorbed", "smallest visible")
+"""Columns that are shown on request only."""
 
 
-def entries(study: StudyFile, result: ExplanationResult) -> list[Entry]:
-    """An explanation."""
+def entries(study: StudyFile, result: ExplanationResult, followed: bool = False) -> list[Entry]:
+    """An explanation; ``followed`` by errors before and after, if its effects are added."""
     found, answer = result.explanation, result.answer
     told = {answer.found, answer.sure}
     rows = [_effect(r) for r in result.effects.to_dict("records")]
     heads = ("effect", "z", "ln Bayes", "unabsorbed", "magnitude, 95 %", "smallest visible", "remark")
+    title, notes = "Effects of the library, best first:", len(result.notes)
+    brief = [tuple(cell for head, cell in zip(heads, row, strict=True) if head not in _MORE) for row in rows]
+    named = [head for head in heads if head not in _MORE]
     out: list[Entry] = [
-        *map(Warned, result.notes),
-        Rows.of("Effects of the library, best first:", heads, rows, left=("remark",), most=EFFECTS),
-        *_errors(result),
-        *suspects(result.tables["suspects_explained"]),
+        Rows.of(title, named, brief, left=("remark",), when="brief", most=EFFECTS),
+        Rows.of(title, heads, rows, left=("remark",), when="verbose"),
+        *_errors(result, followed and to_add(found) is not None),
+        *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
+        *([Words(f"{count(notes, 'note')}: -v shows {'it' if notes == 1 else 'them'}.", "brief")] if notes else []),
+        *map(Words, result.notes),
         Words(f"\nVerdict: {result.verdict}"),
         *(Words(sentence) for sentence in result.sentences if sentence not in told),
         *map(Words, held_out(study)),
@@ -61,7 +68,7 @@ def _effect(r: Mapping[Any, Any]) -> tuple[str, ...]:
     return r["name"], number(r["z"], 1), ln_bayes, number(r["unabsorbed"], 2), magnitude, least, remark
 
 
-def _errors(result: ExplanationResult) -> list[Rows]:
+def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
     if not len(result.errors):
         return []
     chosen = result.explanation.chosen
@@ -70,7 +77,28 @@ def _errors(result: ExplanationResult) -> list[Rows]:
     if (result.errors["stage"] == "attempt").any():
         label = f" and with {name}: best attempt, not believed"
     rows = [(str(r["group"]), str(r["stage"]), *errors_row(r)) for r in result.errors.to_dict("records")]
-    return [Rows.of(f"Errors in standard deviations, before{label}:", ("data", "stage", *ERRORS), rows, ("stage",))]
+    title = f"Errors in standard deviations, before{label}:"
+    table = result.errors.pivot(index="group", columns="stage", values=["rms", "expected", "p"])
+    stages = [stage for stage in ("before", "after", "attempt") if stage in set(result.errors["stage"])]
+    short = [
+        (
+            WORDS[group],
+            *(number(table.loc[group, ("rms", stage)], 2) for stage in stages),
+            number(table.loc[group, ("expected", stages[-1])], 2),
+            *(p_words(table.loc[group, ("p", stage)]) for stage in stages),
+        )
+        for group in dict.fromkeys(result.errors["group"])
+    ]
+    heads = ("data", *stages, "of a correctly specified model", *(f"p {stage}" for stage in stages))
+    return [
+        *([] if followed else [Rows.of(title, heads, short, when="brief")]),
+        Rows.of(title, ("data", "stage", *ERRORS), rows, ("stage",), when="verbose"),
+    ]
+
+
+def p_words(p: float) -> str:
+    """A p-value; empty where there is none."""
+    return "" if math.isnan(p) else f"{p:.2g}"
 
 
 def of_extension(written: Extension, brief: bool) -> list[Entry]:
@@ -84,7 +112,7 @@ def of_extension(written: Extension, brief: bool) -> list[Entry]:
     else:
         names = ", ".join(name for effect in effects for name in effect.names)
         words.append(f"Its model has {names} too; the study leaves the selection to 'calib sensitivity'.")
-    out: list[Entry] = [Words(one, verbose=brief) for one in words]
+    out: list[Entry] = [Words(one, when="verbose" if brief else "always") for one in words]
     if written.aside is not None:
         aside = f"The study that was there had been changed, and is kept as {written.aside}, without its results."
         out.append(Warned(aside))
@@ -102,8 +130,8 @@ def of_added(result: Added, written: Extension, folder: Results) -> list[Entry]:
     return [
         Rows.of("Both models calibrated in the same way; rms errors in standard deviations:", heads, rows),
         Words(result.sentence),
-        Words(f"The extended study: {written.file.parent}", verbose=False),
-        Words(f"Its results: {folder.path}", verbose=False),
+        Words(f"The extended study: {written.file.parent}", when="always"),
+        Words(f"Its results: {folder.path}", when="always"),
     ]
 
 

@@ -72,7 +72,7 @@ class _Printing(Listener):
         if rows:
             belong, they = ("belongs", "it is") if rows == 1 else ("belong", "they are")
             rest = f"{belong} to another state of model or measurement; {they} kept but not used."
-            self._add(Words(f"{count(rows, 'earlier evaluation')} {rest}", verbose=False))
+            self._add(Words(f"{count(rows, 'earlier evaluation')} {rest}", when="always"))
 
     # -- results -------------------------------------------------------------------------------------------------------
 
@@ -90,14 +90,14 @@ class _Printing(Listener):
         self._answered(answer.answer, folder.path / "verdicts.csv", calibrated.entries(study, answer))
 
     def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
-        self._answered(answer.answer, folder.path / "effects.csv", explained.entries(study, answer))
+        self._answered(answer.answer, folder.path / "effects.csv", explained.entries(study, answer, self.verb == "run"))
         self._traces = (f"explain {study.file}", answer.traces)
 
     def may_add(self, study: StudyFile, found: Explanation) -> None:
         if named := to_add(found):
             them = "them" if len(named.names) > 1 else "it"
             command = f"calib extend {shell_argument(study.file)} {' '.join(named.names)} --into FOLDER"
-            self._add(Words(f"Add {them} with: {command}", verbose=False))
+            self._add(Words(f"Add {them} with: {command}", when="always"))
 
     def extended(self, written: Extension) -> None:
         self._add(*explained.of_extension(written, self.verb == "run"))
@@ -109,7 +109,7 @@ class _Printing(Listener):
         self._add(*explained.of_versions(found))
 
     def nothing_added(self, sentence: str) -> None:
-        self._add(Words(sentence, verbose=False))
+        self._add(Words(sentence, when="always"))
 
     def drawn(self, study: StudyFile, figures: Sequence[Path], outdated: Mapping[str, str], page: Page | None) -> None:
         entries: list[Entry] = [Warned(sentence) for sentence in outdated.values()]

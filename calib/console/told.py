@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 from calib.answer import Answer
 from calib.terminal import count, labelled, say, table, warn
@@ -17,6 +17,10 @@ WARNINGS = 4
 ALL = "-v shows all"
 
 
+When: TypeAlias = Literal["always", "brief", "verbose"]
+"""Whether an entry is shown always, only unless all is asked for, or only on request."""
+
+
 @dataclass(frozen=True)
 class Words:
     """A paragraph.
@@ -24,12 +28,11 @@ class Words:
     Attributes
     ----------
     text : str
-    verbose : bool
-        Whether it is shown on request only.
+    when : {"always", "brief", "verbose"}
     """
 
     text: str
-    verbose: bool = True
+    when: When = "verbose"
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,7 @@ class Rows:
         The most important first, where ``most`` is less than all.
     left : tuple of str
         Left-aligned columns besides the first.
-    verbose : bool
-        Whether it is shown on request only.
+    when : {"always", "brief", "verbose"}
     most : int
         Rows that are shown without a request.
     """
@@ -62,7 +64,7 @@ class Rows:
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     left: tuple[str, ...] = ()
-    verbose: bool = False
+    when: When = "always"
     most: int = MOST
 
     @classmethod
@@ -72,11 +74,11 @@ class Rows:
         heads: Sequence[str],
         rows: Iterable[Sequence[str]],
         left: Sequence[str] = (),
-        verbose: bool = False,
+        when: When = "always",
         most: int = MOST,
     ) -> Rows:
         """A table of any sequences."""
-        return cls(title, tuple(heads), tuple(map(tuple, rows)), tuple(left), verbose, most)
+        return cls(title, tuple(heads), tuple(map(tuple, rows)), tuple(left), when, most)
 
 
 Entry: TypeAlias = Words | Warned | Rows
@@ -123,9 +125,11 @@ def tell_entries(entries: Sequence[Entry], verbose: bool) -> None:
     if len(warnings) > len(shown):
         warn(f"{count(len(warnings) - len(shown), 'further warning')}: {ALL}.")
     for entry in entries:
-        if isinstance(entry, Words) and (verbose or not entry.verbose):
+        if isinstance(entry, Warned) or entry.when == ("brief" if verbose else "verbose"):
+            continue
+        if isinstance(entry, Words):
             say(entry.text)
-        elif isinstance(entry, Rows) and entry.rows and (verbose or not entry.verbose):
+        elif entry.rows:
             _tell_rows(entry, verbose)
 
 

@@ -149,7 +149,7 @@ class _Decision:
     def calibrated(self, start: dict[str, float] | None) -> CandidateFit:
         """The base model, fitted from a start, or from the nominal values with the most promising integers."""
         fits = self.fits
-        fits.progress("calibrating the base model")
+        fits.tell("calibrating the base model")
         fit_problem = fits.fit_problem(())
         start = start or nearest_whole(fit_problem, fit_problem.space.values)
         return fits.candidate_fit((), start, whole=0 if fits.spent(EARLY) else 1)
@@ -159,7 +159,7 @@ class _Decision:
 
         Sorted, so that samples, ties and what the budget leaves out do not depend on the order of the library.
         """
-        self.fits.progress("testing whether anything is missing")
+        self.fits.tell("testing whether anything is missing")
         able = sorted(self.fits.hypotheses.effects, key=lambda e: e.name)
         named = self.fits.scores(base.fit, able)
         able = [e for e in able if e.name in named.owners]

@@ -62,6 +62,7 @@ def verdict(
     errors: pd.DataFrame,
     recommendation: Recommendation | None = None,
     disagreements: pd.DataFrame | None = None,
+    assumed: str = "",
 ) -> Verdict:
     """The explanation in words.
 
@@ -76,6 +77,8 @@ def verdict(
         Recommended measurement.
     disagreements : DataFrame, optional
         Repeats that disagree with the others: columns ``repeat, mode, sensor, times``.
+    assumed : str
+        Assumed standard deviations, in words.
     """
     words = {
         "nothing_detectable": _nothing,
@@ -109,6 +112,8 @@ def verdict(
         )
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         sure.append(_OUTSIDE)
+    if assumed:
+        sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
     answer = Answer(words.found, " ".join(sure), f"{words.then} {short}".strip())
     return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, *support))))
 
