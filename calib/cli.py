@@ -82,7 +82,7 @@ class CalibrationMethod(StrEnum):
     gauss_newton = "gauss-newton"
 
 
-@app.command()
+@app.command(short_help="Write an annotated example study.")
 def new(folder: NewFolder, verbose: Verbose = False) -> None:
     """Write an annotated example study with its own model and data."""
     from calib.example import write_example
@@ -95,7 +95,7 @@ def new(folder: NewFolder, verbose: Verbose = False) -> None:
     terminal.say(f"Run it with: calib run {shell_argument(folder)}")
 
 
-@app.command()
+@app.command(short_help="Print the JSON schema of study.toml.")
 def schema() -> None:
     """Print the JSON schema of study.toml, with which editors complete and check its keys."""
     from calib.settings import schema as settings_schema
@@ -103,14 +103,14 @@ def schema() -> None:
     typer.echo(json.dumps(settings_schema(), indent=1))
 
 
-@app.command()
+@app.command(short_help="Compare model and measurement without fitting.")
 def compare(study: StudyPath, results: ResultsPath = RESULTS, verbose: Verbose = False) -> None:
     """Compare model and measurement without fitting: errors, MAC, and where the model fails."""
     with _study("compare", study, results, verbose) as loaded:
         loaded.compare()
 
 
-@app.command()
+@app.command(short_help="Find which parameters matter.")
 def sensitivity(
     study: StudyPath,
     results: ResultsPath = RESULTS,
@@ -129,7 +129,7 @@ def sensitivity(
         loaded.sensitivity(method.value, ignore_constraints=ignore_constraints)
 
 
-@app.command()
+@app.command(short_help="Fit the parameters, and compare before and after.")
 def calibrate(
     study: StudyPath,
     results: ResultsPath = RESULTS,
@@ -149,7 +149,7 @@ def calibrate(
         loaded.calibrate(case, method=method.value if method else None)
 
 
-@app.command()
+@app.command(short_help="Find which physical effect the model lacks.")
 def explain(study: StudyPath, results: ResultsPath = RESULTS, verbose: Verbose = False) -> None:
     """Find which physical effect the model lacks: a verdict, its evidence, and the recommended next measurement.
 
@@ -160,7 +160,7 @@ def explain(study: StudyPath, results: ResultsPath = RESULTS, verbose: Verbose =
         loaded.explain()
 
 
-@app.command()
+@app.command(short_help="Write a new study whose model has more effects.")
 def extend(
     study: StudyPath,
     effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Effects of the study's library.")],
@@ -187,7 +187,7 @@ class _Format(StrEnum):
     pdf = "pdf"
 
 
-@app.command()
+@app.command(short_help="Write report.html and figures from stored results.")
 def report(
     study: StudyPath,
     results: ResultsPath = RESULTS,
@@ -205,7 +205,7 @@ def report(
         known.report(tuple(dict.fromkeys(one.value for one in formats)))
 
 
-@app.command()
+@app.command(short_help="Run every analysis and write report.html.")
 def run(
     study: StudyPath,
     results: ResultsPath = RESULTS,

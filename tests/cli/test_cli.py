@@ -266,6 +266,8 @@ def test_unexpected_failures_leave_their_traceback_in_a_log(mast, capsys, monkey
 
 
 def test_help_texts_read_well(capsys):
+    assert cli.execute(["--help"]) == 0
+    assert "..." not in capsys.readouterr().out.replace("[ARGS]...", "")
     for verb in ("new", "compare", "sensitivity", "calibrate", "extend", "report", "run"):
         assert cli.execute([verb, "--help"]) == 0
         assert "Usage: calib" in capsys.readouterr().out
