@@ -131,7 +131,8 @@ class _Printing(Listener):
             self._tell_pages(told, pages)
         else:
             for one in told:
-                say(f"\n{one.title}" if one is not told[0] else one.title, style="bold")
+                if one.title:
+                    say(f"\n{one.title}" if one is not told[0] else one.title, style="bold")
                 if one.answer is not None:
                     tell_answer(one.answer, one.place)
                 tell_entries(one.entries, self.verbose)
