@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 NAMED = 6
 """Largest number of parameters or sensors named in a sentence."""
+UNTRIED = "Not all neighbours of these integers were tried: another combination may fit better."
 _WIDE = 2.0
 """Standard deviations beyond which a scalar response is counted as off."""
 _FIT = "Fit the parameters that matter: calib sensitivity, then calib calibrate."
@@ -68,8 +69,11 @@ def of_sensitivity(result: Sensitivity) -> Answer:
     count = f"{len(matter)} of {_count(len(table), 'parameter')} {'matters' if len(matter) == 1 else 'matter'}"
     words = f"{count}: {listed(matter)}." if matter else f"{count}: none moves a response beyond chance."
     selected = table.loc[table["selected"].astype(bool), "parameter"].tolist()
-    if sorted(selected) != sorted(matter):
-        words += f" The study selects {listed(selected) or 'none'}."
+    without, beside = ([n for n in a if n not in b] for a, b in ((matter, selected), (selected, matter)))
+    if without:
+        words += f" The study leaves out {listed(without)}."
+    if beside:
+        words += f" The study also selects {listed(beside)}."
     then = "Fit the selected parameters: calib calibrate." if selected else "Widen the limits, or name the parameters."
     return Answer(words, result.sentences[0], then)
 
@@ -129,6 +133,10 @@ def of_fit(
     sure += contradictions
     if statistics.assumed:
         sure.append(f"This rests on an assumed standard deviation: {statistics.assumed}.")
+    if statistics.identification.ratios_only:
+        sure.append("The data see ratios only: all of them can grow by the same factor.")
+    if not statistics.complete:
+        sure.append(UNTRIED)
     suspected = statistics.suspects[statistics.suspects["explains"].astype(bool)]["what"].tolist()
     if suspected:
         sure.append(f"Without {suspected[0]} alone it would fit.")
@@ -139,7 +147,7 @@ def of_fit(
 _AGREEMENT = {
     "one case": "",
     "one solution": "All good cases agree on one solution.",
-    "several solutions": "Several sets of parameters fit equally well.",
+    "several solutions": "The solution is not unique: several sets of parameters fit equally well.",
     "not settled": "Only one case reaches the best fit.",
 }
 
@@ -152,6 +160,8 @@ def _next(
         return f"Check the {suspected[0]} before the model."
     if statistics.fits is False or contradicted:
         return "Find what the model lacks before it is used: calib explain."
+    if statistics.identification.ratios_only:
+        return "Hold a parameter that is known, such as a mass: it settles the others."
     if statistics.fits is None:
         return "Measure more, or fit fewer parameters."
     if agreement == "not settled":

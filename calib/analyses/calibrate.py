@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import pandas as pd
 
-from calib.analyses.answers import of_calibration
+from calib.analyses.answers import UNTRIED, of_calibration
 from calib.analyses.case import CaseFinder, CaseFound
 from calib.analyses.compare import ComparisonResult, before_and_after, compare, write_comparison, write_model_modes
 from calib.analyses.contradiction import contradictions, every_response
@@ -137,7 +137,7 @@ class Calibration:
         if whole:
             out.append(f"Integers, assessed by how much worse their neighbours fit: {whole}.")
         if not statistics.complete:
-            out.append("Not all neighbours of these integers were tried: another combination may fit better.")
+            out.append(UNTRIED)
         return (*out, *filter(None, [statistics.sentence, suspect_sentence(statistics.suspects)]))
 
     @property

@@ -30,7 +30,7 @@ def entries(study: StudyFile, result: ExplanationResult, followed: bool = False)
     told = {answer.found, answer.sure}
     rows = [_effect(r) for r in result.effects.to_dict("records")]
     heads = ("effect", "z", "ln Bayes", "unabsorbed", "magnitude, 95 %", "smallest visible", "remark")
-    title, notes = "Effects of the library, best first:", len(result.notes)
+    title = "Effects of the library, best first:"
     brief = [tuple(cell for head, cell in zip(heads, row, strict=True) if head not in _MORE) for row in rows]
     named = [head for head in heads if head not in _MORE]
     out: list[Entry] = [
@@ -38,8 +38,7 @@ def entries(study: StudyFile, result: ExplanationResult, followed: bool = False)
         Rows.of(title, heads, rows, left=("remark",), when="verbose"),
         *_errors(result, followed and to_add(found) is not None),
         *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
-        *([Words(f"{count(notes, 'note')}: -v shows {'it' if notes == 1 else 'them'}.", "brief")] if notes else []),
-        *map(Words, result.notes),
+        *map(Warned, result.notes),
         Words(f"\nVerdict: {result.verdict}"),
         *(Words(sentence) for sentence in result.sentences if sentence not in told),
         *map(Words, held_out(study)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -138,6 +139,14 @@ def _tell_rows(entry: Rows, verbose: bool) -> None:
     if entry.title:
         say(entry.title)
     rows = entry.rows if verbose else entry.rows[: entry.most]
-    table(entry.heads, rows, left=entry.left)
+    known = [k == 0 or any(row[k] for row in rows) for k in range(len(entry.heads))]  # what was not measured is empty
+    table(*_columns(entry.heads, rows, known), left=entry.left)
     if len(rows) < len(entry.rows):
         say(f"{count(len(entry.rows) - len(rows), 'further row')}: {ALL}.")
+
+
+def _columns(
+    heads: Sequence[str], rows: Sequence[Sequence[str]], kept: Sequence[bool]
+) -> tuple[list[str], list[list[str]]]:
+    """The kept columns of a table."""
+    return list(compress(heads, kept)), [list(compress(row, kept)) for row in rows]
