@@ -126,11 +126,11 @@ def of_added(result: Added, written: Extension, folder: Results) -> list[Entry]:
         for r in by_group(result.errors).to_dict("records")
     ]  # fmt: skip
     heads = ("data", "rows", "before", "after", "of a correctly specified model", "p before", "p after")
+    title = "Both models calibrated in the same way; rms errors in standard deviations:"
     return [
-        Rows.of("Both models calibrated in the same way; rms errors in standard deviations:", heads, rows),
+        Rows.of(title, heads, rows),
         Words(result.sentence),
-        Words(f"The extended study: {written.file.parent}", when="always"),
-        Words(f"Its results: {folder.path}", when="always"),
+        Words(f"With the effects: {folder.path}; the extended study: {written.file.parent}", when="always"),
     ]
 
 
