@@ -1,26 +1,28 @@
-"""The ``calib`` command: one subcommand per analysis."""
+"""The ``calib`` command: one subcommand per analysis.
+
+What computes is imported when a subcommand runs: ``calib --version`` and every ``--help`` need none of it.
+"""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib import interrupt, terminal
-from calib.console import PRINTING
 from calib.errors import InputError
-from calib.example import write_example
-from calib.front.study import RESULTS, Study
-from calib.settings import possible_path
-from calib.settings import schema as settings_schema
-from calib.study_file import shell_argument
-from calib.threads import one_thread
+from calib.results import RESULTS
 from calib.version import __version__
 from calib.written import noting_kept
+
+if TYPE_CHECKING:
+    from calib.front.study import Study
 
 app = typer.Typer(
     name="calib",
@@ -34,6 +36,8 @@ app = typer.Typer(
 
 
 def _possible(path: Path) -> Path:
+    from calib.settings import possible_path
+
     try:
         return Path(possible_path(str(path)))
     except ValueError as fault:
@@ -55,6 +59,9 @@ Workers = Annotated[
     int | None,
     typer.Option("--workers", min=1, max=256, help="Worker processes [default: one per core where that pays]."),
 ]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Also assumptions, secondary tables and the list of files.")
+]
 CaseName = Annotated[
     str | None, typer.Option("--case", metavar="NAME", help="Only this case; its results go to a sub-folder.")
 ]
@@ -75,27 +82,35 @@ class CalibrationMethod(StrEnum):
     gauss_newton = "gauss-newton"
 
 
-@app.command()
-def new(folder: NewFolder) -> None:
+@app.command(short_help="Write an annotated example study.")
+def new(folder: NewFolder, verbose: Verbose = False) -> None:
     """Write an annotated example study with its own model and data."""
-    for path in write_example(folder):
-        terminal.say(str(path))
+    from calib.example import write_example
+    from calib.study_file import shell_argument
+
+    written = write_example(folder)
+    terminal.say(f"Written: {folder}, an example study of {terminal.count(len(written), 'file')}.")
+    for path in written if verbose else ():
+        terminal.say(f"  {path}")
     terminal.say(f"Run it with: calib run {shell_argument(folder)}")
 
 
-@app.command()
+@app.command(short_help="Print the JSON schema of study.toml.")
 def schema() -> None:
     """Print the JSON schema of study.toml, with which editors complete and check its keys."""
+    from calib.settings import schema as settings_schema
+
     typer.echo(json.dumps(settings_schema(), indent=1))
 
 
-@app.command()
-def compare(study: StudyPath, results: ResultsPath = RESULTS) -> None:
+@app.command(short_help="Compare model and measurement without fitting.")
+def compare(study: StudyPath, results: ResultsPath = RESULTS, verbose: Verbose = False) -> None:
     """Compare model and measurement without fitting: errors, MAC, and where the model fails."""
-    _study(study, results).compare()
+    with _study("compare", study, results, verbose) as loaded:
+        loaded.compare()
 
 
-@app.command()
+@app.command(short_help="Find which parameters matter.")
 def sensitivity(
     study: StudyPath,
     results: ResultsPath = RESULTS,
@@ -107,12 +122,14 @@ def sensitivity(
     ignore_constraints: Annotated[
         bool, typer.Option("--ignore-constraints", help="Let morris and sobol ignore the constraints.")
     ] = False,
+    verbose: Verbose = False,
 ) -> None:
     """Find which parameters matter: Latin hypercube, rank correlations, variance shares, selection with reasons."""
-    _study(study, results, workers, quick).sensitivity(method.value, ignore_constraints=ignore_constraints)
+    with _study("sensitivity", study, results, verbose, workers, quick) as loaded:
+        loaded.sensitivity(method.value, ignore_constraints=ignore_constraints)
 
 
-@app.command()
+@app.command(short_help="Fit the parameters, and compare before and after.")
 def calibrate(
     study: StudyPath,
     results: ResultsPath = RESULTS,
@@ -122,25 +139,28 @@ def calibrate(
     method: Annotated[
         CalibrationMethod | None, typer.Option("--method", help="Method [default: that of the study].")
     ] = None,
+    verbose: Verbose = False,
 ) -> None:
     """Fit the parameters in several independent cases, and compare the model before and after.
 
     Interrupt it at any time: the same command resumes it and ends with the same result.
     """
-    _study(study, results, workers, quick).calibrate(case, method=method.value if method else None)
+    with _study("calibrate", study, results, verbose, workers, quick) as loaded:
+        loaded.calibrate(case, method=method.value if method else None)
 
 
-@app.command()
-def explain(study: StudyPath, results: ResultsPath = RESULTS) -> None:
+@app.command(short_help="Find which physical effect the model lacks.")
+def explain(study: StudyPath, results: ResultsPath = RESULTS, verbose: Verbose = False) -> None:
     """Find which physical effect the model lacks: a verdict, its evidence, and the recommended next measurement.
 
     Calibrates by least squares, tests every effect of the study's library and every local perturbation of the model,
     fits the most promising ones, and tests the remaining misfit.
     """
-    _study(study, results).explain()
+    with _study("explain", study, results, verbose) as loaded:
+        loaded.explain()
 
 
-@app.command()
+@app.command(short_help="Write a new study whose model has more effects.")
 def extend(
     study: StudyPath,
     effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Effects of the study's library.")],
@@ -148,9 +168,13 @@ def extend(
         Path, typer.Option("--into", metavar="FOLDER", callback=_possible, help="A folder that does not exist yet.")
     ],
     results: ResultsPath = RESULTS,
+    verbose: Verbose = False,
 ) -> None:
     """Write a new study whose model also has the named effects; this study stays as it is."""
-    written = _study(study, results).extend(effects, into)
+    from calib.study_file import shell_argument
+
+    with _study("extend", study, results, verbose) as loaded:
+        written = loaded.extend(effects, into)
     place = "" if written.results == RESULTS else f" --results {shell_argument(written.results)}"
     terminal.say(f"Calibrate it with: calib calibrate {shell_argument(written.path)}{place}")
 
@@ -163,7 +187,7 @@ class _Format(StrEnum):
     pdf = "pdf"
 
 
-@app.command()
+@app.command(short_help="Write report.html and figures from stored results.")
 def report(
     study: StudyPath,
     results: ResultsPath = RESULTS,
@@ -171,22 +195,31 @@ def report(
         list[_Format],
         typer.Option("--format", help="Format of the figures beside the report; give it again for a further one."),
     ] = [_Format.png],  # noqa: B006
+    verbose: Verbose = False,
 ) -> None:
     """Write report.html, one file that opens anywhere, from the stored results, and redraw every figure.
 
     Nothing is computed, and no code of the study is run.
     """
-    Study(study, results, listener=PRINTING).report(tuple(dict.fromkeys(one.value for one in formats)))
+    with _study("report", study, results, verbose, load=False) as known:
+        known.report(tuple(dict.fromkeys(one.value for one in formats)))
 
 
-@app.command()
-def run(study: StudyPath, results: ResultsPath = RESULTS, workers: Workers = None, quick: Quick = False) -> None:
+@app.command(short_help="Run every analysis and write report.html.")
+def run(
+    study: StudyPath,
+    results: ResultsPath = RESULTS,
+    workers: Workers = None,
+    quick: Quick = False,
+    verbose: Verbose = False,
+) -> None:
     """Run every analysis: compare, sensitivity, calibrate, explain, add the named effects; draw, write report.html.
 
     'explain' runs where the study has a library of effects. Effects that it names are added: the extended study is
     written among the results and calibrated too, and the errors before and after are reported.
     """
-    _study(study, results, workers, quick).run()
+    with _study("run", study, results, verbose, workers, quick) as loaded:
+        loaded.run()
 
 
 def _version(asked: bool) -> None:
@@ -202,8 +235,27 @@ def _main(
     pass
 
 
-def _study(path: Path, results: Path, workers: int | None = None, quick: bool = False) -> Study:
-    return Study.load(path, results, workers=workers, quick=quick, listener=PRINTING)
+@contextmanager
+def _study(
+    verb: str,
+    path: Path,
+    results: Path,
+    verbose: bool,
+    workers: int | None = None,
+    quick: bool = False,
+    load: bool = True,
+) -> Iterator[Study]:
+    """The study of a command, which prints its answer at the end; ``load`` reads its model and data at once."""
+    from calib.console.printing import printing
+    from calib.front.study import Study
+    from calib.threads import one_thread
+
+    # The matrices are small: several threads of one product wait for each other. Only loaded libraries are limited.
+    with one_thread(), printing(verb, verbose) as listener:
+        if load:
+            yield Study.load(path, results, workers=workers, quick=quick, listener=listener)
+        else:
+            yield Study(path, results, listener=listener)
 
 
 # -- leaving -----------------------------------------------------------------------------------------------------------
@@ -224,8 +276,7 @@ def execute(arguments: list[str]) -> int:
     try:
         with noting_kept() as kept:
             try:
-                with one_thread():  # the matrices are small: several threads of one product wait for each other
-                    app(args=arguments, prog_name="calib")
+                app(args=arguments, prog_name="calib")
             finally:
                 interrupt.answered()
                 terminal.tell_kept(kept)

@@ -43,6 +43,8 @@ class Effect:
         Part of the model that is scaled by 1 + magnitude; empty for an added one.
     of_measurement : bool
         Whether it is a measurement error, not an effect missing in the model.
+    phrase : str
+        Completes "The model lacks ...", such as ``a brake unit hung on the crossbar``; by default the title, quoted.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class Effect:
     grid: tuple[Mapping[str, float], ...] = ()
     part: str = ""
     of_measurement: bool = False
+    phrase: str = ""
 
     def __post_init__(self) -> None:
         place, p = f"effect {self.name}", self.magnitude
@@ -90,6 +93,11 @@ class Effect:
     def parameters(self) -> tuple[Parameter, ...]:
         """Magnitude first, then nuisance parameters."""
         return (self.magnitude, *self.nuisance)
+
+    @property
+    def in_words(self) -> str:
+        """The effect as part of a sentence; see ``phrase``."""
+        return self.phrase or f"the effect {self.title!r}"
 
     @property
     def names(self) -> tuple[str, ...]:

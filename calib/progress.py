@@ -1,66 +1,98 @@
-"""Progress bars on the error stream; none when it is not a terminal."""
+"""Bars on the error stream that show how far a command is; where it is no terminal, a line now and then."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Column
 
+from calib.stage import Progress as Told
 from calib.terminal import ERR
 
-
-@contextmanager
-def samples() -> Iterator[Callable[[int, int], None]]:
-    """A bar over samples."""
-    with _bar(TextColumn("{task.completed:.0f}/{task.total:.0f} samples")) as bar:
-        task: TaskID | None = None
-
-        def step(done: int, total: int) -> None:
-            nonlocal task
-            if task is None:
-                task = bar.add_task("sampling", total=total)
-            bar.update(task, completed=done)
-
-        yield step
+SPARSE = 10.0
+"""Seconds between two lines where the error stream is no terminal; the first comes after that time."""
+_BAR = 24
+"""Columns of a bar."""
+_STEADY = 3.0
+"""Seconds of a stage before its time left is told: earlier it is a guess."""
 
 
 @contextmanager
-def search() -> Iterator[Callable[[str, int, int, float], None]]:
-    """One bar per case with generation, best misfit and time left."""
-    columns = (TextColumn("generation {task.completed:.0f}/{task.total:.0f}"), TextColumn("best {task.fields[best]}"))
-    with _bar(*columns) as bar:
-        tasks: dict[str, TaskID] = {}
-
-        def step(case: str, generation: int, generations: int, best: float) -> None:
-            if case not in tasks:
-                tasks[case] = bar.add_task(case, total=generations, best="-")
-            bar.update(tasks[case], completed=generation, best=f"{best:.5g}" if math.isfinite(best) else "-")
-
-        yield step
+def bars(verb: str) -> Iterator[Told]:
+    """One bar for the present stage of a command, with the time left where the whole is known."""
+    if not ERR.is_terminal:
+        yield _Lines(verb)
+        return
+    words = TextColumn("{task.description}", table_column=Column(ratio=1, overflow="fold"))
+    columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+    with Progress(*columns, console=ERR, transient=True, expand=True) as bar:
+        yield _Bars(bar, verb)
 
 
-@contextmanager
-def doing() -> Iterator[Callable[[str], None]]:
-    """A line that names the current step."""
-    with Progress(
-        TextColumn("{task.description}"),
-        TimeElapsedColumn(),
-        console=ERR,
-        disable=not ERR.is_terminal,
-        transient=True,
-    ) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda words: bar.update(task, description=words)
+class _Pace:
+    """What was told last, in words, and the time left at the average speed since the count began."""
+
+    def __init__(self, verb: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self.verb, self.clock = verb, clock
+        self.stage = self.words = self.left = ""
+        self.done = self.total = self.first = 0.0
+        self.began = clock()
+
+    def tell(self, stage: str, done: float, total: float, best: float) -> bool:
+        """Take a call; whether another stage began."""
+        now, other = self.clock(), stage not in ("", self.stage)
+        self.stage = stage or self.stage
+        # Several stages may share one whole, such as a budget: the count then goes on.
+        if total != self.total or done < self.done or (other and total in (0, 1)):
+            self.began, self.first = now, done
+        self.done, self.total = done, total
+        self.words = in_words(self.verb, self.stage, done, total, best)
+        self.left = time_left(now - self.began, done - self.first, total - self.first)
+        return other
 
 
-def _bar(*columns: TextColumn) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        *columns,
-        TimeRemainingColumn(elapsed_when_finished=True),
-        console=ERR,
-        disable=not ERR.is_terminal,
-    )
+class _Bars:
+    """The present stage on a terminal."""
+
+    def __init__(self, bar: Progress, verb: str) -> None:
+        self.bar, self.pace = bar, _Pace(verb)
+        self.task = bar.add_task(verb, total=None, left="")
+
+    def __call__(self, stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
+        if self.pace.tell(stage, done, total, best):
+            self.bar.remove_task(self.task)
+            self.task = self.bar.add_task("", total=None, left="")
+        left = f"{self.pace.left} left" if self.pace.left else ""
+        self.bar.update(self.task, description=self.pace.words, completed=done, total=total or None, left=left)
+
+
+class _Lines:
+    """The present stage in sparse lines, without control characters."""
+
+    def __init__(self, verb: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self.pace, self.clock, self.told = _Pace(verb, clock), clock, clock()
+
+    def __call__(self, stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
+        self.pace.tell(stage, done, total, best)
+        if self.clock() - self.told >= SPARSE:
+            self.told = self.clock()
+            ERR.print(self.pace.words + (f", {self.pace.left} left" if self.pace.left else ""))
+
+
+def in_words(verb: str, stage: str, done: float, total: float, best: float) -> str:
+    """The present stage, such as ``calibrate: GB1, genetic search 12/60, best 0.31``."""
+    count = f" {100 * done:.0f} %" if total == 1 else f" {done:.0f}/{total:.0f}" if total else ""
+    return f"{verb}: {stage}{count}" + (f", best {best:.4g}" if math.isfinite(best) else "")
+
+
+def time_left(elapsed: float, done: float, total: float) -> str:
+    """The remaining time at the average speed so far, such as ``2 min``; empty where it is unknown."""
+    seconds = elapsed * (total - done) / done if elapsed >= _STEADY and done > 0 else 0.0
+    if seconds < 1:
+        return ""
+    unit, size = next((one for one in (("h", 3600), ("min", 60)) if seconds >= 1.7 * one[1]), ("s", 1))
+    return f"{seconds / size:.0f} {unit}"

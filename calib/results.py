@@ -13,15 +13,17 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from calib import written
 from calib.errors import InputError
 from calib.renamed import RECORD, TABLES
-from calib.table import guarded_table
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+RESULTS = Path("results")
+"""Where results go unless another place is named."""
 _REMEDY = "choose another place with --results DIR, or free the folder"
 _MOVE = "move what is there away, or choose another place with --results DIR"
 OWNER = "owner.json"
@@ -114,6 +116,8 @@ class Results:
 
     def write_table(self, name: str, table: pd.DataFrame, index: bool = False) -> Path:
         """Write ``name.csv`` for `calib.table.read_table`; floats keep ten digits. InputError when it cannot be."""
+        from calib.table import guarded_table  # late: the command needs the constants of this module only
+
         return self._write(f"{name}.csv", guarded_table(table).to_csv(index=index, float_format="%.10g"))
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> Path:

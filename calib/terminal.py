@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import codecs
 import io
+import math
+import os
 import sys
+import textwrap
 import traceback
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-import pandas as pd
 from rich.console import Console
-from rich.table import Table
 
 from calib.errors import InputError
 from calib.excerpt import WIDEST, excerpt
 from calib.version import __version__
 
 WIDTH = 120
-"""Columns of output that does not go to a terminal."""
+"""Columns of tables that do not go to a terminal, unless the environment variable ``COLUMNS`` tells another number."""
+NARROWEST = 40
+"""Columns below which a line is not wrapped further."""
+LABEL = 10
+"""Columns of the labels in front of an answer."""
 
-_out = Console(highlight=False, markup=False, soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
+_FREE = sys.stdout.isatty() or "COLUMNS" in os.environ
+_out = Console(highlight=False, markup=False, soft_wrap=True, width=None if _FREE else WIDTH)
 ERR = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
 
 _PLAIN = str.maketrans({"\u2212": "-", "\u2013": "-", "\u2014": "-", "\u2192": "->", "\u00d7": "x", "\u2026": "..."})
@@ -45,13 +51,33 @@ def write_to_any_code_page() -> None:
 
 
 def say(text: str = "", style: str | None = None) -> None:
-    """One line of output."""
-    _out.print(text, style=style)
+    """One paragraph of output, wrapped between words on a terminal; elsewhere it stays one line."""
+    _out.print("\n".join(_wrapped(line) for line in text.split("\n")), style=style)
+
+
+def labelled(label: str, text: str) -> None:
+    """One paragraph behind a label, indented on a terminal."""
+    head = f"{label}:".ljust(LABEL)
+    _out.print(f"[bold]{head}[/bold]", end="", markup=True)
+    _out.print(_wrapped(text, LABEL))
 
 
 def warn(text: str) -> None:
-    """One line that must not be missed."""
-    _out.print(text, style="yellow")
+    """One paragraph that must not be missed."""
+    say(text, style="yellow")
+
+
+def _wrapped(text: str, indent: int = 0) -> str:
+    """Text in lines that fit the terminal; the first begins after ``indent`` columns, the others are indented so."""
+    if not _out.is_terminal or indent + len(text) <= _out.width:
+        return text
+    lines = _lines(text, max(_out.width - indent, NARROWEST))
+    return f"\n{' ' * indent}".join(lines)
+
+
+def _lines(text: str, width: int) -> list[str]:
+    """Text broken between words; a word longer than the width has a line to itself."""
+    return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def complain(text: str) -> None:
@@ -112,14 +138,31 @@ def count(number: int, thing: str) -> str:
 
 def number(value: float, digits: int) -> str:
     """A number with the given number of decimals; empty for NaN."""
-    return "" if pd.isna(value) else f"{value:.{digits}f}"
+    return "" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[str] = ()) -> None:
-    """Print a table; the first column and those in ``left`` are left-aligned."""
-    out = Table(box=None, pad_edge=False, header_style="bold")
-    for k, name in enumerate(heads):
-        out.add_column(name, justify="left" if k == 0 or name in left else "right", no_wrap=False, overflow="fold")
-    for row in rows:
-        out.add_row(*row)
-    _out.print(out)
+    """Print a table; the first column and those in ``left`` are left-aligned.
+
+    Cells wrap between words. Where even that is too wide, each row is told in a paragraph.
+    """
+    cells = [list(row) for row in rows]
+    columns = [[head, *(row[k] for row in cells)] for k, head in enumerate(heads)]
+    least = [max(len(word) for cell in column for word in cell.split() or [""]) for column in columns]
+    room = _out.width - 2 * (len(heads) - 1)
+    if sum(least) > room:
+        for first, *others in cells:
+            told = "; ".join(f"{head} {cell}" for head, cell in zip(heads[1:], others, strict=True) if cell)
+            say(f"{heads[0]} {first}: {told}")
+        return
+    widths = [max(map(len, column)) for column in columns]
+    while sum(widths) > room:
+        widest = max((k for k in range(len(widths)) if widths[k] > least[k]), key=lambda k: widths[k])
+        widths[widest] -= 1
+    sides = [str.ljust if k == 0 or name in left else str.rjust for k, name in enumerate(heads)]
+    for number, row in enumerate([heads, *cells]):
+        parts = [_lines(cell, width) for cell, width in zip(row, widths, strict=True)]
+        for k in range(max(map(len, parts))):
+            line = [side(part[k] if k < len(part) else "", width)
+                    for part, side, width in zip(parts, sides, widths, strict=True)]  # fmt: skip
+            _out.print("  ".join(line).rstrip(), style="bold" if number == 0 else None)

@@ -16,6 +16,8 @@ import opensees_code
 import pytest
 from hypothesis import settings
 
+from calib.report.html.summary import summary
+from calib.report.html.write import Page
 from calib.written import replacing
 
 # A busy machine makes any deadline fail; a submitted change must not fail by the luck of one draw.
@@ -99,8 +101,13 @@ def unrendered(monkeypatch: pytest.MonkeyPatch, without_pixels: Callable[[Any, P
     monkeypatch.setattr("calib.report.figures.svg_text", lambda figure, name: f"<svg><!-- {name} --></svg>")
 
 
+def _unwritten(results: Any, *given: Any) -> Page:
+    """Stands in for the writing of a report."""
+    return Page(results.folder / "report.html", summary(results))
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures are drawn and no report is written, which take longest of all in a test of something else."""
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-    monkeypatch.setattr("calib.front.study.write_report", lambda results: results.folder / "report.html")
+    monkeypatch.setattr("calib.front.study.write_report", _unwritten)

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RANKS = (
     {"place"},
     {"excerpt", "own_code", "csv_entries", "toml_places"},
-    {"errors", "interrupt", "written", "neighbours", "version", "threads", "renamed"},
+    {"errors", "interrupt", "written", "neighbours", "version", "threads", "renamed", "stage", "answer"},
     {"given", "mac", "degrees_of_freedom", "outcome", "table", "fingerprint"},
     {"space"},
     {"effect", "differences", "measurement", "sampling", "worker", "named_values"},
@@ -42,7 +42,7 @@ FORBIDDEN = {
     "inference": {"structure", "measurement", "correlation", "study", "settings"},
     "sensitivity": {"structure", "measurement", "correlation", "study", "settings"},
     "missing": {"structure", "measurement", "correlation", "study", "settings"},
-    "report": set(RANK) - {"errors", "table", "named_values", "written", "report"},
+    "report": set(RANK) - {"errors", "table", "named_values", "written", "stage", "report"},
     "structure": {"correlation", "study", "inference", "sensitivity"},
 }
 

@@ -12,6 +12,7 @@ from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.recommendation import ExperimentalDesign
 from calib.outcome import Outcome
+from calib.stage import Progress, unheard
 
 
 class Adapter(Protocol):
@@ -53,7 +54,7 @@ class Adapter(Protocol):
         """Points at which the user's code failed."""
         ...
 
-    def design(self, found: Explanation) -> ExperimentalDesign | None:
+    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
         """Candidate measurements; None where none can be proposed."""
         ...
 

@@ -13,7 +13,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 import pandas as pd
 
-from calib.analyses.case import CaseFinder, CaseFound, SearchProgress
+from calib.analyses.answers import UNTRIED, of_calibration
+from calib.analyses.case import CaseFinder, CaseFound
 from calib.analyses.compare import ComparisonResult, before_and_after, compare, write_comparison, write_model_modes
 from calib.analyses.contradiction import contradictions, every_response
 from calib.analyses.every_mode import all_stages, every_mode
@@ -28,6 +29,7 @@ from calib.analyses.stored import confirmed
 from calib.analyses.uncertainty import accuracy_words
 from calib.analyses.user_function import ledger_keys_of_modes
 from calib.analyses.verify import errors_at
+from calib.answer import Answer
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.standard_deviations import known_std
 from calib.errors import EvaluationError, InputError
@@ -37,9 +39,12 @@ from calib.ledger import Ledger
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.results import Results
 from calib.space import ParameterSpace
+from calib.stage import Progress, unheard
 from calib.study import Study
 from calib.study_file import StudyFile
 
+CHECKING = "leave-one-out and held-out errors"
+"""Name of the stage that follows all cases."""
 Method: TypeAlias = Literal["genetic", "gauss-newton"]
 
 
@@ -110,6 +115,11 @@ class Calibration:
         return () if self.errors is None else contradictions(self.errors, each, self.best.statistics.assumed)
 
     @property
+    def answer(self) -> Answer:
+        """What was found, how sure that is, and what to do next."""
+        return of_calibration(self)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """Identified parameters, goodness of fit, contradictions, agreement of the cases, and notes."""
         worsened = [_worsened(case) for case in self.cases if case.worsened]
@@ -127,7 +137,7 @@ class Calibration:
         if whole:
             out.append(f"Integers, assessed by how much worse their neighbours fit: {whole}.")
         if not statistics.complete:
-            out.append("Not all neighbours of these integers were tried: another combination may fit better.")
+            out.append(UNTRIED)
         return (*out, *filter(None, [statistics.sentence, suspect_sentence(statistics.suspects)]))
 
     @property
@@ -175,7 +185,7 @@ def calibrate(
     only: str | None = None,
     quick: bool = False,
     method: Method | None = None,
-    progress: SearchProgress = lambda case, generation, generations, best: None,
+    progress: Progress = unheard,
     home: Results | None = None,
 ) -> Calibration:
     """Run every case, assess its parameters, compare before and after; write all tables and ``summary.json``.
@@ -187,9 +197,11 @@ def calibrate(
     cases = chosen_cases(study, only)
     seconds = confirmed(study, ledger)
     study = recorded(study, ledger)
+    progress("solving the model")
     before = compare(study, results)
     finder = CaseFinder(study, home or results, ledger, workers, quick, progress, seconds)
     found = tuple((finder.by_search if chosen == "genetic" else finder.by_least_squares)(cases))
+    progress(CHECKING)
     notes = partial(notes_on, study, ledger, finder.home, finder.notes)
     options = options_of(only, method)
     ran = CalibrationRun(chosen, started, quick, options, notes, ledger.retried, study.search_space)
@@ -285,7 +297,7 @@ def keep(
     cases = {case.name: case.seed for case in study.settings.calibration.cases if case.name in answer.names}
     results.write_json("summary", summary)
     seeds = {**cases, "reduction": study.settings.reduction.seed}
-    write_record(study, results, "calibrate", seeds, answer.sentences, ran.quick, ran.options)
+    write_record(study, results, "calibrate", seeds, answer.sentences, ran.quick, ran.options, answer.answer)
     return answer
 
 

@@ -42,11 +42,11 @@ from calib.problem import Counts, Pair, Problem
 from calib.results import Results
 from calib.sampling import sample
 from calib.several import AnyStudy
+from calib.stage import Progress, named, unheard
 from calib.study import Study
 from calib.study_file import StudyFile
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
-SearchProgress = Callable[[str, int, int, float], None]
 Starts: TypeAlias = Sequence[Mapping[str, float]]
 
 SEARCH, FITTED = "search", "least squares"
@@ -143,7 +143,7 @@ class CaseFinder:
         Who evaluates a search; see `calib.analyses.places.Workers`.
     quick : bool
         A smaller search for a quick run.
-    progress : SearchProgress
+    progress : Progress
     seconds : float or None
         Duration of one evaluation of the study's problem (s), where known.
     notes : list of str
@@ -155,7 +155,7 @@ class CaseFinder:
     ledger: Ledger
     workers: Workers
     quick: bool
-    progress: SearchProgress
+    progress: Progress
     seconds: float | None = None
     notes: list[str] = field(init=False, repr=False, default_factory=list)
     _shared: dict[str, Shared] = field(init=False, repr=False, default_factory=dict)
@@ -178,7 +178,7 @@ class CaseFinder:
         """
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
-        reduction = reduction_noted(self.study, self.home, self.notes)
+        reduction = reduction_noted(self.study, self.home, self.notes, self.progress)
         remaining = list(cases)
         while remaining:
             problem = study.problem if reduction is None else reduction.problem
@@ -189,15 +189,17 @@ class CaseFinder:
             with open_evaluator(study, self.workers, count, problem, basis, seconds) as evaluator, evaluable(study):
                 while remaining:
                     case = remaining.pop(0)
+                    told = named(self.progress, case.name)
                     initial = sample(space, settings.population, case.seed).points
                     search = run_case(
                         case, space, objective, settings, evaluator, self.ledger, problem.fingerprint, initial,
-                        progress=partial(self.progress, case.name), certify=certify,
+                        progress=partial(told, "genetic search"), certify=certify,
                     )  # fmt: skip
                     if study.settings.calibration.refine:
-                        statistics = self.refined(reduction, [search.values], REFINE_REFITS, shared=True)
+                        statistics = self.refined(reduction, [search.values], REFINE_REFITS, shared=True, told=told)
                     else:
                         statistics = statistics_at(self.exact, Terms.of(study), search.values)
+                    told("checking at full order")
                     yield self._searched(objective, search, statistics)
                     before = reduction
                     reduction = None if reduction is None else reduction.after_case(search.values, self.home)
@@ -206,9 +208,10 @@ class CaseFinder:
 
     def by_least_squares(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
         """Least squares from several starting points of each case."""
-        fit = partial(self.refined, reduction_noted(self.study, self.home, self.notes))
+        reduction = reduction_noted(self.study, self.home, self.notes, self.progress)
         for case in cases:
-            yield reported(self.study, *least_squares(case, self.study, self.known, self.quick, self.progress, fit))
+            fit = partial(self.refined, reduction, told=named(self.progress, case.name))
+            yield reported(self.study, *least_squares(case, self.study, self.known, self.quick, fit))
 
     def refined(
         self,
@@ -218,6 +221,7 @@ class CaseFinder:
         progress: FitProgress = lambda start, fits, misfit: None,
         counts: Counts | None = None,
         shared: bool = False,
+        told: Progress = unheard,
     ) -> FitStatistics:
         """See `calib.analyses.fit_statistics.refined`.
 
@@ -226,15 +230,15 @@ class CaseFinder:
         study, counts = self.study, counts or Counts()
         exact = posed(study, self.ledger, counts=counts)
         near = None if reduction is None else posed(study, self.ledger, reduction.problem, counts)
-        common = self._in_common(exact if near is None else near, refits) if shared else None
-        return refined(exact, near, Terms.of(study), starts, refits, progress, self.known, common)
+        common = self._in_common(exact if near is None else near, refits, told) if shared else None
+        return refined(exact, near, Terms.of(study), starts, refits, progress, self.known, common, told)
 
-    def _in_common(self, problem: Problem[Pair], refits: int) -> Shared:
+    def _in_common(self, problem: Problem[Pair], refits: int, told: Progress) -> Shared:
         """Fits from the starting points that all cases share, run once per basis."""
         key = problem.pair.problem.fingerprint
         if key not in self._shared:
-            nominal = ended(problem, [self.study.search_space.values], refits)
-            self._shared[key] = Shared(nominal, known=ended(problem, self.known, refits))
+            nominal = ended(problem, [self.study.search_space.values], refits, told)
+            self._shared[key] = Shared(nominal, known=ended(problem, self.known, refits, told))
         return self._shared[key]
 
     def _searched(self, objective: Objective, search: CaseResult, statistics: FitStatistics) -> CaseFound:
@@ -270,10 +274,10 @@ def reported(
     return CaseFound(final, search, statistics, comparison_at(study, values), table)
 
 
-def reduction_noted(study: Study, home: Results, notes: list[str]) -> Reduction | None:
+def reduction_noted(study: Study, home: Results, notes: list[str], progress: Progress = unheard) -> Reduction | None:
     """The reduced basis of a study's search; None where it misses its tolerance, which is added to the notes."""
     try:
-        return reduction_of(study, home)
+        return reduction_of(study, home, progress)
     except ToleranceError as fault:
         notes.append(f"Searched at full order: {fault.problem}.")
         return None
@@ -291,7 +295,6 @@ def least_squares(
     study: AnyStudy,
     known: Sequence[dict[str, float]],
     quick: bool,
-    progress: SearchProgress,
     fit: Callable[[Starts, int, FitProgress, Counts], FitStatistics],
 ) -> tuple[CaseResult, FitStatistics]:
     """One case by least squares alone: from known points, the nominal values, and points sampled with its seed.
@@ -303,10 +306,9 @@ def least_squares(
     count = min(given, QUICK_STARTS) if quick else given
     sampled = [space.complete(x) for x in sample(space, count, case.seed).points]
     starts = [*known, space.values, *sampled][: max(count, len(known) + 1)]
-    steps, counts = Steps(case.name, count, progress), Counts()
+    steps, counts = Steps(), Counts()
     with evaluable(study):
         statistics = fit(starts, REFITS, steps, counts)
-        progress(case.name, count, count, statistics.misfit)
     seconds = time.perf_counter() - started
     return CaseResult.fitted(case.name, statistics.values, counts, steps.table(), seconds), statistics
 
@@ -317,17 +319,13 @@ def _as_it_is(outcome: Outcome) -> Outcome:
 
 @dataclass(frozen=True)
 class Steps:
-    """Records the lowest misfit after every fit of a case, and reports it as progress."""
+    """Records the lowest misfit after every fit of a case."""
 
-    name: str
-    starts: int
-    progress: SearchProgress
     lowest: list[float] = field(default_factory=list)
 
     def __call__(self, start: int, fits: int, misfit: float) -> None:
         """A fit has ended."""
         self.lowest.append(misfit)
-        self.progress(self.name, start, self.starts, misfit)
 
     def table(self) -> pd.DataFrame:
         """Convergence table with fits in place of generations."""

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
+from calib.analyses.answers import of_comparison
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.recorded import traced
 from calib.analyses.state import GEOMETRY
 from calib.analyses.uncertainty import std_notes
+from calib.answer import Answer
 from calib.correlation.compare import FAR_ERROR, Comparison
 from calib.correlation.mesh import geometry_tables
 from calib.correlation.problem import FunctionProblem
@@ -62,6 +64,11 @@ class ComparisonResult:
     chosen: Mapping[str, int] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
     std_notes: tuple[str, ...] = ()
+
+    @property
+    def answer(self) -> Answer:
+        """What was found, how sure that is, and what to do next."""
+        return of_comparison(self)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -210,7 +217,7 @@ def compare(study: Study, results: Results) -> ComparisonResult:
     ]
     columns = ["kind", "sensors", "mac_before", "mac_after", "sentence"]
     results.write_table("sensor_check", pd.DataFrame(sensor_findings, columns=columns))
-    write_record(study, results, "compare", {}, answer.sentences)
+    write_record(study, results, "compare", {}, answer.sentences, answer=answer.answer)
     return answer
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -24,6 +25,7 @@ from calib.missing.recommendation import HELD_OUT, ExperimentalDesign, Linearisa
 from calib.missing.samples import posterior_samples
 from calib.missing.score import Scores
 from calib.problem import Problem
+from calib.stage import Progress, unheard
 from calib.structure.modes import Modes
 
 PLACES = 40
@@ -56,6 +58,7 @@ def modal_design(
     held_out: Mapping[str, float] | None = None,
     samples: int = 10,
     seed: int = 1,
+    progress: Progress = unheard,
 ) -> ExperimentalDesign:
     """Candidate measurements of a modal test, linearised at posterior samples of the credible models.
 
@@ -80,6 +83,8 @@ def modal_design(
     samples : int
         Posterior samples of each model.
     seed : int
+    progress : callable
+        Called before every sample.
     """
     imagined = _Imagined(hypotheses, believed[0].fit, held_out or {})
     labels = imagined.fit_problem(believed[0].names).pair.rows
@@ -92,10 +97,12 @@ def modal_design(
         first, second = pair
         competing = CompetingModels((first, second), measured, seed)
     shares = (1.0,) if competing is None else competing.weights
-    linearisations = []
+    linearisations, number = [], itertools.count()
     for candidate_fit, own, share in zip(believed, points, shares, strict=True):
-        seen = [imagined.linearisation(candidate_fit, values, effects, found, scale, share) for values in own]
-        linearisations += [linearisation for linearisation in seen if linearisation is not None]
+        for values in own:
+            progress("what to measure next", next(number), sum(map(len, points)))
+            linearisation = imagined.linearisation(candidate_fit, values, effects, found, scale, share)
+            linearisations += [] if linearisation is None else [linearisation]
     measurements = (
         _options(hypotheses, believed[0].fit, imagined, labels, linearisations, competing) if linearisations else []
     )

@@ -43,8 +43,7 @@ from calib.missing.hypotheses import Altered, Hypotheses
 from calib.missing.pattern import pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
-from calib.missing.recommendation import recommend, recommendation_sentence
-from calib.missing.refits import Progress
+from calib.missing.recommendation import Recommendation, recommend, recommendation
 from calib.missing.rules import RULES
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import (
@@ -54,12 +53,14 @@ from calib.missing.tables import (
     misfit_table,
     pull_table,
 )
-from calib.missing.verdict import misfit_at, sentences
+from calib.missing.verdict import verdict
 from calib.missing.visible import smallest_visible, visible_within_limits
+from calib.missing.worst_misfit import misfit_at
 from calib.outcome import as_cause, failure
 from calib.results import Results
 from calib.settings import ExplainSettings
 from calib.several import AnyStudy
+from calib.stage import Progress, unheard
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
@@ -69,7 +70,7 @@ from calib.study import Study
 def explain(
     study: AnyStudy,
     results: Results,
-    progress: Progress = lambda words: None,
+    progress: Progress = unheard,
     homes: Mapping[str, Results] = MappingProxyType({}),
     folders: Mapping[str, Results] = MappingProxyType({}),
 ) -> ExplanationResult:
@@ -110,7 +111,7 @@ def explain(
         seen += [(one, folders[one.test], adapter.seen(one.test, answer)) for one in tests]
     for part, folder, own in seen:
         keep(part, folder, own)
-        write_record(part, folder, "explain", seeds)
+        write_record(part, folder, "explain", seeds, answer=own.answer)
     return answer
 
 
@@ -159,9 +160,7 @@ def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: s
                 )  # fmt: skip
 
 
-def decided(
-    adapter: Adapter, given: ExplainSettings, place: str | Path, progress: Progress = lambda words: None
-) -> Explanation:
+def decided(adapter: Adapter, given: ExplainSettings, place: str | Path, progress: Progress = unheard) -> Explanation:
     """The decision with given settings; InputError, with the study's place, where no model can be fitted."""
     settings = engine.Settings(given.alpha, given.refits, given.merge, given.seed, adapter.budget_of_fits)
     try:
@@ -209,7 +208,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     effects = effects_table(found, intervals, _gains(adapter.hypotheses, found), _visible(adapter, found), untested)
     progress("what to measure next")
     examined = adapter.hypotheses.evaluations
-    next_table, recommendation = _next(adapter, found, effects)
+    next_table, advised = _next(adapter, found, effects, progress)
     # Evaluations for intervals and recommendation are counted apart from those of the decision.
     recommended = adapter.hypotheses.evaluations
     figures |= {
@@ -218,12 +217,12 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     }
     progress("discretisation error")
     discretisation = adapter.discretisation_error(found)
-    notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
+    notes = [*adapter.notes(), *more_notes, *([] if discretisation is None else [discretisation.sentence])]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
-    rests = f"These results rest on an assumed standard deviation: {facts.assumed}." if facts.assumed else ""
-    more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy), rests)
-    words = (*sentences(found, effects, errors, recommendation, facts.disagreements), *filter(None, more))
+    more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy))
+    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
+    words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
     figures |= {
         "misfit_at": misfit_at(found.base_adequacy, facts.disagreements)
@@ -253,7 +252,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         figures["discretisation"] = discretisation.largest
     seconds = time.perf_counter() - started
     traces = tuple(reason.first.trace for reason in reasons(adapter.failed())[:SHOWN] if reason.first.trace)
-    return ExplanationResult(found, words, tuple(notes), effects, errors, tables, figures, seconds, traces)
+    return ExplanationResult(found, told.answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces)
 
 
 def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.DataFrame, list[str], dict[str, object]]:
@@ -319,18 +318,20 @@ def _gains(hypotheses: Hypotheses, found: Explanation) -> dict[str, float]:
     return {t.names[0]: density(t) - base for t in found.singles}
 
 
-def _next(adapter: Adapter, found: Explanation, effects: pd.DataFrame) -> tuple[pd.DataFrame, str]:
-    """The recommended next measurement, as a table and a sentence."""
-    design = adapter.design(found)
+def _next(
+    adapter: Adapter, found: Explanation, effects: pd.DataFrame, progress: Progress
+) -> tuple[pd.DataFrame, Recommendation | None]:
+    """The recommended next measurement, as a table and in words."""
+    design = adapter.design(found, progress)
     if design is None:
-        return pd.DataFrame(columns=list(RECOMMENDATION_COLUMNS)), ""
+        return pd.DataFrame(columns=list(RECOMMENDATION_COLUMNS)), None
     table = recommend(design)
     pair = None if design.competing is None else design.competing.names
     unseen = effects.loc[~effects["visible"].astype(bool), "name"].tolist()
     if found.verdict == "none_explains" and found.perturbation is not None:
         # The design is for the unexplained perturbation, not for undetectable effects.
         unseen = [name for name in found.perturbation.names if name in design.effects]
-    return table, recommendation_sentence(table, pair, unseen)
+    return table, recommendation(table, pair, unseen)
 
 
 def _perturbations(adapter: Adapter, found: Explanation) -> pd.DataFrame:

@@ -10,6 +10,7 @@ import pandas as pd
 
 from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.uncertainty import accuracy_words, assumed_words, std_notes
+from calib.answer import Answer
 from calib.missing.explanation import CandidateFit, Explanation, WrongDatum
 from calib.missing.local import local_perturbation
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
@@ -67,8 +68,10 @@ class ExplanationResult:
     Attributes
     ----------
     explanation : Explanation
+    answer : Answer
+        The verdict in a sentence, how sure it is, and what to do next.
     sentences : tuple of str
-        The verdict and what supports it.
+        The same with what supports it.
     notes : tuple of str
         Caveats, such as an assumed standard deviation.
     effects, errors : DataFrame
@@ -83,6 +86,7 @@ class ExplanationResult:
     """
 
     explanation: Explanation
+    answer: Answer
     sentences: tuple[str, ...]
     notes: tuple[str, ...]
     effects: pd.DataFrame

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -30,12 +31,15 @@ from calib.missing.suspect import LEVEL, suspects
 from calib.problem import Counts, Pair, Problem
 from calib.several import AnyStudy
 from calib.space import ParameterSpace
+from calib.stage import Progress, unheard
 from calib.study import Study
 
 FitProgress = Callable[[int, int, float], None]
 Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
 PosedProblem: TypeAlias = Problem[Pair] | JointProblem
 
+LEAST_SQUARES = "least squares"
+"""Name of the stage of a fit."""
 EQUAL = 0.1
 """Insignificant difference of sums of squares: a third of a standard deviation of one parameter."""
 
@@ -211,10 +215,13 @@ class Shared:
     known: MixedResult | None
 
 
-def ended(problem: PosedProblem, starts: Sequence[Mapping[str, float]], refits: int) -> MixedResult | None:
+def ended(
+    problem: PosedProblem, starts: Sequence[Mapping[str, float]], refits: int, told: Progress = unheard
+) -> MixedResult | None:
     """Best least-squares fit from some starts; None without one, or where none can be evaluated or is feasible."""
     with suppress(EvaluationError, InfeasibleError):
-        return fit_mixed(problem, problem.space, starts, refits=refits) if starts else None
+        step = partial(told, LEAST_SQUARES, total=1)
+        return fit_mixed(problem, problem.space, starts, refits=refits, step=step) if starts else None
     return None
 
 
@@ -226,16 +233,21 @@ def fitted(
     progress: FitProgress = lambda start, fits, misfit: None,
     before: FitStatistics | None = None,
     shared: Shared | None = None,
+    told: Progress = unheard,
+    stage: str = LEAST_SQUARES,
 ) -> FitStatistics:
     """The best least-squares fit from several starts, with the limits, constraints and priors of the problem's space.
 
     ``refits`` bounds the integer combinations tried from every start. ``before`` is an earlier fit that tried them, for
     a final fit that tries no more. ``shared`` holds fits of the same residual from further starts: the fit from the
     nominal values replaces the own one only if its data misfit is lower by more than `EQUAL`, the fit from known points
-    if it is better in data and priors together.
+    if it is better in data and priors together. ``told`` receives the progress of the stage of that name.
     """
     space = problem.space
-    found: MixedResult = fit_mixed(problem, space, starts, refits=refits, progress=progress)
+    found: MixedResult = fit_mixed(
+        problem, space, starts, refits=refits, progress=progress, step=partial(told, stage, total=1)
+    )
+    told("identifiability")
     if shared is not None and shared.nominal is not None:
         found = found.joined(shared.nominal, EQUAL)
     if shared is not None and shared.known is not None:
@@ -255,16 +267,17 @@ def refined(
     progress: FitProgress = lambda start, fits, misfit: None,
     known: Sequence[Mapping[str, float]] = (),
     shared: Shared | None = None,
+    told: Progress = unheard,
 ) -> FitStatistics:
     """Least squares as in `fitted`, first on a reduced problem if there is one, then at full order.
 
     The full-order fit starts from the best of the reduced fit and ``known``, so that it never ends above them.
     """
-    found = fitted(exact if near is None else near, terms, starts, refits, progress, shared=shared)
+    found = fitted(exact if near is None else near, terms, starts, refits, progress, shared=shared, told=told)
     if near is None:
         return found
     begin = min((found.values, *known), key=lambda values: sum(criteria(exact, values)))
-    return fitted(exact, terms, [begin], 1, before=found)
+    return fitted(exact, terms, [begin], 1, before=found, told=told, stage=f"{LEAST_SQUARES} at full order")
 
 
 def statistics_at(problem: PosedProblem, terms: Terms, values: Mapping[str, float]) -> FitStatistics:

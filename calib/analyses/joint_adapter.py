@@ -16,6 +16,7 @@ from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.joint import JointHypotheses
 from calib.missing.recommendation import ExperimentalDesign
 from calib.outcome import Outcome
+from calib.stage import Progress, unheard
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,7 @@ class JointAdapter:
         """Points at which the user's code failed, test by test."""
         return [outcome for adapter in self.adapters.values() for outcome in adapter.failed()]
 
-    def design(self, found: Explanation) -> ExperimentalDesign | None:
+    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
         """None: candidate measurements are proposed for single tests only."""
         return None
 

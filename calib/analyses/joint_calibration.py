@@ -10,13 +10,24 @@ from typing import TypeAlias
 
 import pandas as pd
 
-from calib.analyses.calibrate import Calibration, CalibrationRun, best_of, chosen_cases, keep, notes_on, options_of
-from calib.analyses.case import SearchProgress, Starts, known_starts, least_squares, reduction_noted, reported
+from calib.analyses.answers import of_joint
+from calib.analyses.calibrate import (
+    CHECKING,
+    Calibration,
+    CalibrationRun,
+    best_of,
+    chosen_cases,
+    keep,
+    notes_on,
+    options_of,
+)
+from calib.analyses.case import Starts, known_starts, least_squares, reduction_noted, reported
 from calib.analyses.compare import before_and_after, compare
 from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.recorded import recorded
 from calib.analyses.stored import confirmed
+from calib.answer import Answer
 from calib.errors import InputError
 from calib.forward import ForwardProblem
 from calib.joint import JointProblem, of_test, stacked
@@ -24,6 +35,7 @@ from calib.ledger import Ledger
 from calib.problem import Counts
 from calib.results import Results
 from calib.several import JointStudy
+from calib.stage import Progress, named, unheard
 
 
 @dataclass(frozen=True)
@@ -53,6 +65,11 @@ class JointCalibration:
         return self.any.verdicts
 
     @property
+    def answer(self) -> Answer:
+        """What was found, how sure that is, and what to do next."""
+        return of_joint(self)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """Identified parameters, goodness of fit, and the errors of each test before and after."""
         out = [*self.any.parameter_sentences, *self.any.case_sentences]
@@ -74,7 +91,7 @@ def calibrate_jointly(
     only: str | None = None,
     quick: bool = False,
     method: str | None = None,
-    progress: SearchProgress = lambda case, generation, generations, best: None,
+    progress: Progress = unheard,
     homes: Mapping[str, Results] | None = None,
 ) -> JointCalibration:
     """Fit all tests of a study by least squares from several starting points; write all tables.
@@ -95,18 +112,23 @@ def calibrate_jointly(
     behind_ledger = study.each(lambda one: recorded(one, ledger))
     before = {one.test: compare(one, folders[one.test]) for one in behind_ledger.studies}
     notes: dict[str, list[str]] = {one.test: [] for one in behind_ledger.studies}
-    bases = {one.test: reduction_noted(one, homes[one.test], notes[one.test]) for one in behind_ledger.studies}
+    bases = {
+        one.test: reduction_noted(one, homes[one.test], notes[one.test], progress) for one in behind_ledger.studies
+    }
     reduced = {test: basis.problem for test, basis in bases.items() if basis is not None}
     terms, known = Terms.of(study), known_starts(study)
 
     def problem(instead: Mapping[str, ForwardProblem], counts: Counts) -> JointProblem:
         return JointProblem({s.test: posed(s, ledger, instead.get(s.test), counts) for s in behind_ledger.studies})
 
-    def fit(starts: Starts, refits: int, progress: FitProgress, counts: Counts) -> FitStatistics:
+    def fit(told: Progress, starts: Starts, refits: int, steps: FitProgress, counts: Counts) -> FitStatistics:
         near = problem(reduced, counts) if reduced else None
-        return refined(problem({}, counts), near, terms, starts, refits, progress, known)
+        return refined(problem({}, counts), near, terms, starts, refits, steps, known, told=told)
 
-    fits = [least_squares(case, behind_ledger, known, quick, progress, fit) for case in cases]
+    fits = [
+        least_squares(case, behind_ledger, known, quick, partial(fit, named(progress, case.name))) for case in cases
+    ]
+    progress(CHECKING)
     found = {s.test: [reported(s, *case) for case in fits] for s in behind_ledger.studies}
     answers, options, best = {}, options_of(only, method), best_of(list(found.values()))
     for one in behind_ledger.studies:
@@ -115,7 +137,8 @@ def calibrate_jointly(
         answers[one.test] = keep(one, folders[one.test], found[one.test], best, before[one.test], ran)
     answer = JointCalibration(answers)
     _write(study, results, answer, time.perf_counter() - started)
-    write_record(study, results, "calibrate", {c.name: c.seed for c in cases}, answer.sentences, quick, options)
+    seeds = {c.name: c.seed for c in cases}
+    write_record(study, results, "calibrate", seeds, answer.sentences, quick, options, answer.answer)
     return answer
 
 

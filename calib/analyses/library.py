@@ -15,9 +15,9 @@ from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
 from calib.measurement.modal import MeasuredModes
-from calib.missing.refits import Progress
 from calib.results import Results
 from calib.space import ParameterSpace
+from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import extend
@@ -51,7 +51,7 @@ def local_perturbations(
 def modal_hypotheses(
     study: Study,
     results: Results,
-    progress: Progress = lambda words: None,
+    progress: Progress = unheard,
     local: tuple[Perturbation, ...] | None = None,
 ) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
     """Hypotheses of a study with modes, and its local perturbations, by default those of its own test.
@@ -69,7 +69,7 @@ def modal_hypotheses(
         progress("reduced basis for the effects")
 
         def search_basis() -> Basis:
-            found = reduction_of(study, results)  # a search trained it, or will need it
+            found = reduction_of(study, results, progress)  # a search trained it, or will need it
             assert found is not None
             return found.basis
 
@@ -77,7 +77,7 @@ def modal_hypotheses(
             settings = study.settings.reduction
             space, wanted = study.search_space, Wanted.of(problem, settings.tolerance, settings.seed)
             with contextlib.suppress(ToleranceError):  # then the full model is used, and `ModalAdapter` notes it
-                basis = kept_basis(model, space, effects, perturbed, wanted, results.path, search_basis)
+                basis = kept_basis(model, space, effects, perturbed, wanted, results.path, search_basis, progress)
     variants = Variants(model, effects, perturbed, basis)
     return ModelHypotheses(ModalResidual(problem), variants, study.search_space.without(study.condition)), local
 
@@ -90,6 +90,7 @@ def kept_basis(
     wanted: Wanted,
     folder: Path,
     base: Callable[[], Basis] | None = None,
+    progress: Progress = unheard,
 ) -> Basis:
     """A basis for the effects and local perturbations of a model, loaded from a folder or trained and stored there.
 
@@ -104,7 +105,8 @@ def kept_basis(
     if path.exists():
         with suppress(InputError):
             return Basis.load(path)
-    basis = effect_basis(model, base() if base else wanted.trained(model, space), space, effects, local, wanted.seed)
+    own = base() if base else wanted.trained(model, space, progress)
+    basis = effect_basis(model, own, space, effects, local, wanted.seed, progress)
     for old in folder.glob("basis_effects_*.npz"):
         if is_own(old):
             old.unlink(missing_ok=True)

@@ -20,6 +20,7 @@ from calib.correlation.rigid import COLUMNS as UNPAIRED_COLUMNS
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.recommendation import ExperimentalDesign
+from calib.stage import Progress, unheard
 from calib.structure.model import StructuralModel
 
 BASIS_ERROR = 0.05
@@ -93,7 +94,7 @@ class ModalAdapter(OneTest):
             self._full[names] = self.hypotheses.pair.with_model(variants.built(names), variants.added(names))
         return self._full[names]
 
-    def design(self, found: Explanation) -> ExperimentalDesign | None:
+    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
         """Candidate measurements, from the credible models."""
         whole = self.problem.measured if self.whole is None else self.whole.measured
         every = zip(whole.names, whole.natural_freq.tolist(), strict=True)
@@ -106,7 +107,7 @@ class ModalAdapter(OneTest):
             return None
         samples, seed = self.facts.samples, self.facts.seed
         return modal_design(
-            self.hypotheses, found.believed, candidates, named, found.noise_scale, held_out, samples, seed
+            self.hypotheses, found.believed, candidates, named, found.noise_scale, held_out, samples, seed, progress
         )
 
     def discretisation_error(self, found: Explanation) -> DiscretisationError | None:

@@ -17,6 +17,7 @@ from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.refits import DEFAULT
 from calib.outcome import Outcome
+from calib.stage import Progress, unheard
 from calib.structure.perturbations import Perturbation
 
 
@@ -81,7 +82,7 @@ class OneTest(ABC):
         """All points at which a function failed."""
         return [failure.outcome for failure in self.hypotheses.failures]
 
-    def design(self, found: Explanation) -> ExperimentalDesign | None:
+    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
         """None: further responses of a function are unknown."""
         return None
 

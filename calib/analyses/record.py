@@ -16,6 +16,7 @@ import pandas as pd
 
 from calib.analyses.state import made_from
 from calib.analyses.uncertainty import accuracy_words, assumed_std, assumed_words, in_one, std_notes
+from calib.answer import Answer
 from calib.correlation.response_residual import response_std
 from calib.correlation.standard_deviations import std_for
 from calib.errors import InputError
@@ -59,6 +60,7 @@ def write_record(
     sentences: Sequence[str] = (),
     quick: bool = False,
     options: Sequence[str] = (),
+    answer: Answer | None = None,
 ) -> None:
     """Write the data and assumptions behind the results, and add one analysis to ``record.json``.
 
@@ -80,6 +82,8 @@ def write_record(
         Whether it was a quick run.
     options : sequence of str
         Further options of the command, as they are typed.
+    answer : Answer, optional
+        The sentences that head the analysis on the console and in the report.
     """
     tests = study.studies
     tables = {
@@ -123,6 +127,7 @@ def write_record(
                 "seeds": dict(seeds),
                 "made_from": made_from(study, analysis),
                 "sentences": list(sentences),
+                **({} if answer is None else {"answer": answer.plain}),
             },
         },
     }

@@ -19,6 +19,7 @@ from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.results import Results
 from calib.space import ParameterSpace
+from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
@@ -63,9 +64,12 @@ class Wanted:
         """The requirements a basis was trained for."""
         return cls(basis.count, basis.freq_max, basis.tolerance, basis.seed)
 
-    def trained(self, model: StructuralModel, space: ParameterSpace) -> Basis:
+    def trained(self, model: StructuralModel, space: ParameterSpace, progress: Progress = unheard) -> Basis:
         """A basis of the model alone; EvaluationError when it cannot be solved at some training point."""
-        return train_basis(model, space, self.count, seed=self.seed, freq_max=self.freq_max, tolerance=self.tolerance)
+        return train_basis(
+            model, space, self.count, seed=self.seed, freq_max=self.freq_max, tolerance=self.tolerance,
+            progress=progress,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +136,7 @@ class Reduction:
         return _on(self.full, enrich_basis(model, self.basis, [values]), home)
 
 
-def reduction_of(study: Study, home: Results) -> Reduction | None:
+def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> Reduction | None:
     """Load the basis of a study's search, or train it; None where full order is fast enough.
 
     Raises
@@ -154,7 +158,7 @@ def reduction_of(study: Study, home: Results) -> Reduction | None:
     _raise_known(home, digest)
     with training(study):
         try:
-            basis = wanted.trained(problem.model, study.search_space)
+            basis = wanted.trained(problem.model, study.search_space, progress)
         except ToleranceError as fault:
             home.write_json(_UNREACHED, {"asked": digest, "problem": fault.problem})
             raise

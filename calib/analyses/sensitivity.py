@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pandas as pd
 
+from calib.analyses.answers import of_screening, of_sensitivity
 from calib.analyses.failures import reasons, reasons_sentence
 from calib.analyses.places import QUICK_BASE, QUICK_SAMPLES, QUICK_TRAJECTORIES, Workers, is_quick, open_evaluator
 from calib.analyses.record import analyses_of, begin_analysis, write_record
 from calib.analyses.recorded import recorded
 from calib.analyses.state import changed, made_from
 from calib.analyses.stored import confirmed
+from calib.answer import Answer
 from calib.correlation.problem import FunctionProblem
 from calib.errors import InputError
 from calib.forward import ForwardProblem
@@ -27,12 +30,11 @@ from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
 from calib.space import ParameterSpace
+from calib.stage import Progress, unheard
 from calib.study import Study
 from calib.study_file import shell_argument
 from calib.table import read_table
 from calib.written import is_own
-
-SampleProgress = Callable[[int, int], None]
 
 _BATCH = 50
 """Points evaluated and added to the ledger in one batch."""
@@ -80,6 +82,11 @@ class Sensitivity:
         return self.assessment.selection
 
     @property
+    def answer(self) -> Answer:
+        """What was found, how sure that is, and what to do next."""
+        return of_sensitivity(self)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """Number of samples, reasons of failure, and the selection."""
         samples = f"{self.samples} sample{'s' * (self.samples != 1)}"
@@ -98,7 +105,7 @@ def sensitivity(
     ledger: Ledger,
     workers: Workers = None,
     quick: bool = False,
-    progress: SampleProgress = lambda done, total: None,
+    progress: Progress = unheard,
 ) -> Sensitivity:
     """Sample all free parameters by a constrained Latin hypercube; rank correlations, variance shares, selection."""
     settings = study.settings.sensitivity
@@ -117,7 +124,8 @@ def sensitivity(
     results.write_table("sensitivity_samples", answer.sampled)
     if space.constraints:
         results.write_table("input_correlation", assessment.input_correlation, index=True)
-    write_record(study, results, "sensitivity", {"samples": settings.seed}, answer.sentences, quick)
+    seeds = {"samples": settings.seed}
+    write_record(study, results, "sensitivity", seeds, answer.sentences, quick, answer=answer.answer)
     return answer
 
 
@@ -232,6 +240,11 @@ class Screening:
     note: str
 
     @property
+    def answer(self) -> Answer:
+        """What was found, how sure that is, and what to do next."""
+        return of_screening(self)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """Number of points, and what the sampling ignores."""
         points = f"{self.points} point{'s' * (self.points != 1)}."
@@ -246,7 +259,7 @@ def screen(
     workers: Workers = None,
     quick: bool = False,
     ignore_constraints: bool = False,
-    progress: SampleProgress = lambda done, total: None,
+    progress: Progress = unheard,
 ) -> Screening:
     """Morris' elementary effects or Sobol's variance shares, for independent inputs between their limits."""
     space, seed = study.sensitivity_space, study.settings.sensitivity.seed
@@ -265,7 +278,7 @@ def screen(
     results.write_table(method, table)
     options = ["--ignore-constraints"] * ignore_constraints
     answer = Screening(method, table, len(design.points), design.note)
-    write_record(study, results, analysis, {"points": seed}, answer.sentences, quick, options)
+    write_record(study, results, analysis, {"points": seed}, answer.sentences, quick, options, answer.answer)
     return answer
 
 
@@ -277,14 +290,16 @@ def _evaluate(
     ledger: Ledger,
     points: Sequence[Mapping[str, float]],
     workers: Workers,
-    progress: SampleProgress,
+    progress: Progress,
 ) -> list[Outcome]:
     outcomes: list[Outcome] = []
     seconds = confirmed(study, ledger)
     with open_evaluator(recorded(study, ledger), workers, len(points), seconds=seconds) as evaluator:
         for start in range(0, len(points), _BATCH):
-            outcomes += ledger.evaluate(study.problem.fingerprint, points[start : start + _BATCH], evaluator)
-            progress(len(outcomes), len(points))
+            batch = points[start : start + _BATCH]
+            told = partial(_tell, progress, len(outcomes), len(points))
+            outcomes += ledger.evaluate(study.problem.fingerprint, batch, evaluator, told)
+            progress("sampling", len(outcomes), len(points))
     if all(o.status != "ok" for o in outcomes):
         raise InputError(
             reasons_sentence(study.sensitivity_space, reasons(outcomes), len(outcomes)),
@@ -292,6 +307,10 @@ def _evaluate(
             remedy="check the model over the limits of its parameters",
         )
     return outcomes
+
+
+def _tell(progress: Progress, before: int, total: int, batch: int) -> None:
+    progress("sampling", before + batch, total)
 
 
 def table_of(outcomes: Sequence[Outcome], names: Sequence[str]) -> pd.DataFrame:

@@ -267,6 +267,10 @@ class Comparison:
 
     def sentence(self) -> str:
         """Summary of `where_it_fails` in words."""
+        return " ".join(self.summary())
+
+    def summary(self) -> tuple[str, str]:
+        """How well the model agrees with the measurement, and whether the deviations exceed its uncertainty."""
         table = self.where_it_fails()
         lost = table.loc[table["verdict"] == UNPAIRED, "what"].tolist()
         n = self.measured.n_modes
@@ -280,18 +284,17 @@ class Comparison:
             words.append(f"The mean MAC is {mean:.3f}; noise alone limits it to {limit:.3f}.")
         tested = table[table["verdict"].isin([BEYOND, WITHIN])]
         if tested.empty:
-            words.append("The standard deviation of the measurement is unknown, so deviations cannot be tested.")
-            return " ".join(words)
+            unknown = "The standard deviation of the measurement is unknown, so deviations cannot be tested."
+            return " ".join(words), unknown
         count = int((tested["verdict"] == BEYOND).sum())
         chance = (1 - LEVEL) * len(tested)
-        words.append(
+        beyond = (
             f"{count} of {len(tested)} comparisons exceed their measurement uncertainty; "
             f"{chance:.1f} are expected by chance."
         )
         worst = tested.iloc[0]
         size = f"{worst['in_std']:.1f} times its standard deviation"
-        words.append(f"The worst is the {worst['kind']} of {worst['what']}, {size}.")
-        return " ".join(words)
+        return " ".join(words), f"{beyond} The worst is the {worst['kind']} of {worst['what']}, {size}."
 
     def _limit(self, kind: str, dof: np.ndarray | float) -> np.ndarray:
         """Quantile `LEVEL` of ``in_std`` for a correctly specified model."""

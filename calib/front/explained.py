@@ -32,6 +32,7 @@ from calib.function import FunctionModel
 from calib.given import integer, objects
 from calib.loading import require_distinct
 from calib.settings import ExplainSettings, ReductionSettings
+from calib.stage import unheard
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
 from calib.structure.modal_function import ModalFunctionModel
@@ -115,7 +116,7 @@ def explained(problem: P, effects: Effects, seed: int) -> Explained[P]:
     started = time.perf_counter()
     adapter = together(_adapters(problem, library, seed))
     found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain")
-    return Explained(problem, library, answered(adapter, found, lambda words: None, started))
+    return Explained(problem, library, answered(adapter, found, unheard, started))
 
 
 def library_of(problem: PosedProblem, effects: Effects) -> Library:

@@ -7,16 +7,16 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from calib.analyses.added import Added
-from calib.analyses.case import SearchProgress
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.extend import Extension
 from calib.analyses.joint_calibration import Fitted
-from calib.analyses.sensitivity import SampleProgress, Screening, Sensitivity
+from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.analyses.versions import Versions
 from calib.missing.explanation import Explanation
-from calib.missing.refits import Progress
+from calib.report.html.write import Page
 from calib.results import Results
+from calib.stage import Progress, unheard
 from calib.study import Study
 from calib.study_file import StudyFile
 
@@ -24,17 +24,9 @@ from calib.study_file import StudyFile
 class Listener:
     """Receives progress and results of a study's analyses; this one is silent, that of the command prints them."""
 
-    def samples(self) -> AbstractContextManager[SampleProgress]:
-        """Callback for the number of samples done and their total."""
-        return nullcontext(lambda done, total: None)
-
-    def search(self) -> AbstractContextManager[SearchProgress]:
-        """Callback for case, generation, number of generations and the best misfit so far."""
-        return nullcontext(lambda case, generation, generations, best: None)
-
-    def doing(self) -> AbstractContextManager[Progress]:
-        """Callback for the current step, in words."""
-        return nullcontext(lambda words: None)
+    def progress(self) -> AbstractContextManager[Progress]:
+        """Callback for the present stage of an analysis."""
+        return nullcontext(unheard)
 
     def first(self, earlier: StudyFile, path: Path) -> None:
         """An earlier study is calibrated first, since this one adopts its values."""
@@ -75,5 +67,5 @@ class Listener:
     def versions(self, found: Versions) -> None:
         """Errors over the versions of a model."""
 
-    def drawn(self, figures: Sequence[Path], outdated: Mapping[str, str], report: Path | None) -> None:
+    def drawn(self, study: StudyFile, figures: Sequence[Path], outdated: Mapping[str, str], page: Page | None) -> None:
         """Figures, and the report where there is one, were made."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from calib.analyses.answers import of_fit
 from calib.analyses.calibrate import tables_of
 from calib.analyses.compare import ComparisonResult, before_and_after, comparison_of, write_comparison
 from calib.analyses.record import assumptions_of, made_with, sensors_table
@@ -122,12 +123,17 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
         **before_and_after(before, after),
         "noise_mac": after.noise_mac,
     })  # fmt: skip
+    answer = of_fit(fit.statistics, fit.statistics.verdicts(fit.problem.space, {}), {"": (before, after)})
     folder.write_json("record", {
         "notebook": True,
         "model": f"{model.name} ({test.pair(model).fingerprint})",
         "analyses": {
-            "compare": {**made_with(), "quick": False, "sentences": list(before.sentences)},
-            "calibrate": {**made_with(), "quick": False, "sentences": list(fit.sentences)},
+            "compare": {
+                **made_with(), "quick": False, "sentences": list(before.sentences), "answer": before.answer.plain,
+            },
+            "calibrate": {
+                **made_with(), "quick": False, "sentences": list(fit.sentences), "answer": answer.plain,
+            },
         },
     })  # fmt: skip
 

@@ -36,14 +36,11 @@ from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.report.shown import Shown
 from calib.report.style import FORMATS, Format
-from calib.results import Results
+from calib.results import RESULTS, Results
 from calib.several import AnyStudy, JointStudy, load
 from calib.study import Study as Loaded
 from calib.study_file import StudyFile, shell_argument
 from calib.written import is_own
-
-RESULTS = Path("results")
-"""Where results go unless another place is named."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -288,14 +285,16 @@ class Study:
     def _compare(self) -> comparison.ComparisonResult:
         loaded = self.one
         self.listener.begins(loaded, "compare")
-        answer = comparison.compare(loaded, self.folder)
+        with self.listener.progress() as step:
+            step("solving the model")
+            answer = comparison.compare(loaded, self.folder)
         self.listener.compared(loaded, answer, self.folder)
         return answer
 
     def _sensitivity(self) -> sensitivity_analysis.Sensitivity:
         loaded, root = self.one, self.results
         self.listener.begins(loaded, "sensitivity")
-        with places.ledger_of(loaded, root) as ledger, self.listener.samples() as step:
+        with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
             self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
             answer = sensitivity_analysis.sensitivity(loaded, self.folder, ledger, self.workers, self.quick, step)
         self.listener.sampled(loaded, answer, self.folder)
@@ -304,7 +303,7 @@ class Study:
     def _screen(self, method: Literal["morris", "sobol"], ignore_constraints: bool) -> sensitivity_analysis.Screening:
         loaded, workers, quick = self.one, self.workers, self.quick
         self.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
-        with places.ledger_of(loaded, self.results) as ledger, self.listener.samples() as step:
+        with places.ledger_of(loaded, self.results) as ledger, self.listener.progress() as step:
             answer = sensitivity_analysis.screen(
                 loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step
             )
@@ -321,7 +320,7 @@ class Study:
         self.listener.begins(loaded, "calibrate")
         folder = places.results_of(loaded, root, quick, case, method)
         homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-        with places.ledger_of(loaded, root) as ledger, self.listener.search() as step:
+        with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
             known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
             self.listener.other_state(ledger.other_fingerprints(*known))
             if isinstance(loaded, JointStudy):
@@ -343,7 +342,7 @@ class Study:
     def _explain(self) -> ExplanationResult:
         loaded, root = self.loaded, self.results
         self.listener.begins(loaded, "explain")
-        with self.listener.doing() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept:
+        with self.listener.progress() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept:
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
             answer = explanation.explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
         self.listener.explained(loaded, answer, self.folder)
@@ -411,8 +410,9 @@ class Study:
         stale = stale_answers(study, folder, None if self.results == RESULTS else self.results)
         try:
             shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
-            written = write_report(shown) if with_report else None
-            figures = shown.figures.save(formats)
+            with self.listener.progress() as step:
+                written = write_report(shown, step) if with_report else None
+                figures = shown.figures.save(formats, step)
         except OSError as fault:
             raise InputError(
                 f"a figure or the report cannot be written ({fault.strerror})",
@@ -422,7 +422,7 @@ class Study:
         if stale.files:
             old = [file for kind in FORMATS for file in folder.path.glob(f"*.{kind}")]
             folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
-        self.listener.drawn(figures, stale.sentences, written)
+        self.listener.drawn(study, figures, stale.sentences, written)
 
 
 def _taking_over(file: Path, taken: staged.Found, before: Loaded | None) -> AnyStudy:

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -103,7 +104,7 @@ def run_case(
     ledger: Ledger,
     fingerprint: str,
     initial: np.ndarray,
-    progress: Callable[[int, int, float], None] = lambda generation, generations, best: None,
+    progress: Callable[[float, int, float], None] = lambda generation, generations, best: None,
     certify: Callable[[Outcome], Outcome] = lambda outcome: outcome,
 ) -> CaseResult:
     """Run one case. After an interruption it resumes from the ledger and ends with the same result.
@@ -125,7 +126,8 @@ def run_case(
     initial : ndarray (population, n_free)
         Initial population.
     progress : callable
-        Called with generation, number of generations and best misfit so far (infinite before there is one).
+        Called with generation, number of generations and best misfit so far (infinite before there is one); within a
+        generation with a fraction of it.
     certify : callable
         Called for every individual that would become the best one. Returns the outcome, or a more accurate one of the
         same point (of a full-order model, say) to replace it. The result must depend on the outcome alone.
@@ -151,7 +153,8 @@ def run_case(
         violation = scaled_violation(space, points)
         values = [space.complete(x) for x in points]
         feasible = np.flatnonzero(violation == 0)
-        outcomes = ledger.evaluate(fingerprint, [values[k] for k in feasible], evaluator)
+        told = partial(_within, progress, generation, settings.generations, best_misfit, len(feasible))
+        outcomes = ledger.evaluate(fingerprint, [values[k] for k in feasible], evaluator, told)
         misfit = np.full(len(points), np.nan)
         keys = [key_of(v) for v in values]
         known = {k: certified.get(keys[k], o) for k, o in zip(feasible.tolist(), outcomes, strict=True)}
@@ -197,6 +200,14 @@ def run_case(
         failed=int(status.get("failed", 0)),
         seconds=time.perf_counter() - started,
     )
+
+
+def _within(
+    progress: Callable[[float, int, float], None], generation: int, generations: int, best: float, size: int, done: int
+) -> None:
+    """Tell how far a generation is; its end is told when its best individual is known."""
+    if done < size:
+        progress(generation - 1 + done / size, generations, best)
 
 
 def _misfit(objective: Objective, outcome: Outcome) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -91,6 +91,12 @@ class FitSettings:
 
 DEFAULT = FitSettings()
 
+Step = Callable[[float], None]
+
+
+def unstepped(share: float) -> None:
+    """Nobody asks how far a fit is."""
+
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
@@ -145,6 +151,7 @@ def fit(
     start: Mapping[str, float] | None = None,
     prior: Prior | None = None,
     settings: FitSettings = DEFAULT,
+    step: Step = unstepped,
 ) -> FitResult:
     """Minimise ``|residual|^2 + sum ((theta - centre)/sd)^2`` within limits and linear constraints.
 
@@ -164,6 +171,8 @@ def fit(
     prior : Prior, optional
         Default `Prior.of(space)`; `Prior.none()` switches it off.
     settings : FitSettings
+    step : callable
+        Called before every step with the share of the way to convergence that is behind.
 
     Raises
     ------
@@ -181,6 +190,7 @@ def fit(
     rows, mu, growth = [], 0.0, 2.0
     rows.append((0, here.misfit, here.data, here.prior, 0.0, math.nan))
     iteration, rejected, reason, converged = 0, 0, "", False
+    first = math.nan
     slope = search.slope(here)
     while True:
         matrix, right = search.system(here, slope)
@@ -192,13 +202,15 @@ def fit(
         if iteration >= settings.iterations or search.evaluations >= settings.evaluations:
             reason = f"stopped after {iteration} iterations, before it converged"
             break
+        first = promised if math.isnan(first) else max(first, promised)
+        step(_behind(first, promised, max(settings.gain, settings.relative * here.misfit)))
         mu = mu or settings.damping * float(np.max(np.sum(matrix**2, axis=0)))
         there = None
         while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
-            step = region.step(matrix, right, mu, here.x)
-            trial = search.at(region.inside(here.x + step))
+            move = region.step(matrix, right, mu, here.x)
+            trial = search.at(region.inside(here.x + move))
             if trial is not None and trial.misfit < here.misfit:
-                ratio = (here.misfit - trial.misfit) / max(_promise(matrix, right, step), 1e-300)
+                ratio = (here.misfit - trial.misfit) / max(_promise(matrix, right, move), 1e-300)
                 mu, growth = mu * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 2.0
                 there, rejected = trial, 0
             else:
@@ -230,6 +242,12 @@ def fit(
         residual=here.residual,
         jacobian=slope,
     )
+
+
+def _behind(first: float, promised: float, enough: float) -> float:
+    """Share of the decades from the first predicted decrease to one that is enough."""
+    whole = math.log(first / enough) if first > enough > 0 else 0.0
+    return min(max(math.log(first / promised) / whole, 0.0), 1.0) if whole > 0 else 0.0
 
 
 def _promise(matrix: np.ndarray, right: np.ndarray, step: np.ndarray) -> float:

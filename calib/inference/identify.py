@@ -155,6 +155,11 @@ class Identification:
         names = list(self.posterior.names)
         return pd.DataFrame(self.posterior.correlation, index=names, columns=names)
 
+    @property
+    def ratios_only(self) -> bool:
+        """Whether the data do not see all parameters change together."""
+        return self.common_scale < RULES.seen  # False for NaN: fewer than two parameters
+
     def trades_with(self, name: str) -> tuple[str, float] | None:
         """The parameter that correlates most with one, and their posterior correlation; None below `Rules.trades`."""
         own = self.posterior.correlation[self.posterior.names.index(name)].copy()
@@ -174,7 +179,7 @@ class Identification:
         table = self.parameters
         out = self.confounded["words"].tolist()
         out += self.directions.loc[~self.directions["seen"], "words"].tolist()
-        if self.common_scale < RULES.seen:  # False for NaN: fewer than two parameters
+        if self.ratios_only:
             out.append(
                 f"{', '.join(table['parameter'])} can all grow by the same factor without the data noticing: they see "
                 "ratios only. A known mass or stiffness would settle it."

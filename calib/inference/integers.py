@@ -6,12 +6,13 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import pandas as pd
 
 from calib.errors import EvaluationError, InputError, again
-from calib.inference.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, fit
+from calib.inference.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, Step, fit, unstepped
 from calib.inference.region import InfeasibleError
 from calib.space import ParameterSpace
 
@@ -72,6 +73,7 @@ def fit_mixed(
     settings: FitSettings = DEFAULT,
     refits: int = 40,
     progress: Callable[[int, int, float], None] = lambda start, fits, misfit: None,
+    step: Step = unstepped,
 ) -> MixedResult:
     """Fit from several starts, integer parameters by coordinate search around each continuous optimum.
 
@@ -90,6 +92,8 @@ def fit_mixed(
         Largest number of fits for every start.
     progress : callable
         Called after every fit with start, number of fits of this start and lowest misfit so far.
+    step : callable
+        Called before every step of a fit with the share of all fits that is behind, as if every start used its refits.
 
     Raises
     ------
@@ -104,6 +108,7 @@ def fit_mixed(
     lowest = math.inf
     for k, start in enumerate(starts):
         walk = _Walk(problem, space, prior, settings, refits, whole)
+        walk.step = partial(_tell, step, walk, k, len(starts))
         here = walk.fit(space.complete(dict(start)))
         if here is not None:
             lowest = min(lowest, here.misfit)
@@ -127,6 +132,12 @@ def fit_mixed(
     return MixedResult(min(ends, key=lambda r: r.misfit), tuple(ends), table, tuple(exhausted))
 
 
+def _tell(step: Step, walk: _Walk, start: int, starts: int, share: float) -> None:
+    """Tell the share of all fits that is behind."""
+    expected = walk.refits if walk.whole else 1
+    step((start + min((len(walk.tried) + share) / expected, 1.0)) / starts)
+
+
 @dataclass(eq=False)
 class _Walk:
     """Coordinate search over integers from one start."""
@@ -140,11 +151,12 @@ class _Walk:
     tried: dict[tuple[int, ...], tuple[float, bool]] = field(default_factory=dict)
     fault: EvaluationError | None = None
     exhausted: bool = False
+    step: Step = unstepped
 
     def fit(self, values: Mapping[str, float]) -> FitResult | None:
         key = tuple(round(values[n]) for n in self.whole)
         try:
-            found = fit(self.problem, self.space, values, self.prior, self.settings)
+            found = fit(self.problem, self.space, values, self.prior, self.settings, self.step)
         except EvaluationError as fault:
             self.fault = again(fault)
             self.tried[key] = (math.inf, False)

@@ -6,9 +6,10 @@ and the ledger returns those that were evaluated before.
 
 from __future__ import annotations
 
+import itertools
 import random
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -128,7 +129,11 @@ class Ledger:
                     known[key] = outcome
 
     def evaluate(
-        self, fingerprint: str, points: Sequence[Mapping[str, float]], evaluator: BatchEvaluator
+        self,
+        fingerprint: str,
+        points: Sequence[Mapping[str, float]],
+        evaluator: BatchEvaluator,
+        told: Callable[[int], None] = lambda done: None,
     ) -> list[Outcome]:
         """Outcomes of a batch in the order of the points; those not stored are evaluated as one batch.
 
@@ -136,7 +141,7 @@ class Ledger:
 
         A failed point is not tried again, with one exception: where a worker process died, or memory or time ran out,
         the point is tried once each time the ledger is opened, provided that worker processes are used (in this
-        process such a point could end the command).
+        process such a point could end the command). ``told`` receives the number of points that are known so far.
         """
         keys = [key_of(values) for values in points]
         known = self.lookup(fingerprint, keys)
@@ -146,7 +151,13 @@ class Ledger:
             known = {k: o for k, o in known.items() if k not in again}
         new = {key: values for key, values in zip(keys, points, strict=True) if key not in known}
         if new:
-            outcomes = evaluator.evaluate(list(new.values()), lambda outcome: self.append(fingerprint, [outcome]))
+            done = itertools.count(len(points) - len(new) + 1)
+
+            def arrived(outcome: Outcome) -> None:
+                self.append(fingerprint, [outcome])
+                told(next(done))
+
+            outcomes = evaluator.evaluate(list(new.values()), arrived)
             known |= dict(zip(new, outcomes, strict=True))
         return [known[key] for key in keys]
 

@@ -20,16 +20,15 @@ from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import LinearisedFit, nearest_whole
 from calib.missing.pairs import alone, fit_pairs
-from calib.missing.refits import DEFAULT, EARLY, LATE, Progress, Refits, Settings
+from calib.missing.refits import DEFAULT, EARLY, LATE, Refits, Settings
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
+from calib.stage import Progress, unheard
 
 
-def explain(
-    hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = lambda words: None
-) -> Explanation:
+def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = unheard) -> Explanation:
     """Decide which effect, if any, the base model lacks.
 
     The base model is calibrated. Tests decide whether the largest score among named effects and among unnamed local
@@ -150,7 +149,7 @@ class _Decision:
     def calibrated(self, start: dict[str, float] | None) -> CandidateFit:
         """The base model, fitted from a start, or from the nominal values with the most promising integers."""
         fits = self.fits
-        fits.progress("calibrating the base model")
+        fits.tell("calibrating the base model")
         fit_problem = fits.fit_problem(())
         start = start or nearest_whole(fit_problem, fit_problem.space.values)
         return fits.candidate_fit((), start, whole=0 if fits.spent(EARLY) else 1)
@@ -160,7 +159,7 @@ class _Decision:
 
         Sorted, so that samples, ties and what the budget leaves out do not depend on the order of the library.
         """
-        self.fits.progress("testing whether anything is missing")
+        self.fits.tell("testing whether anything is missing")
         able = sorted(self.fits.hypotheses.effects, key=lambda e: e.name)
         named = self.fits.scores(base.fit, able)
         able = [e for e in able if e.name in named.owners]

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg as la
 
 from calib.errors import EvaluationError
-from calib.inference.gauss_newton import FitSettings, Prior
+from calib.inference.gauss_newton import FitSettings, Prior, Step, unstepped
 from calib.inference.gauss_newton import fit as gauss_newton
 from calib.inference.identify import posterior
 from calib.missing.hypotheses import FitProblem
@@ -135,6 +135,7 @@ def fitted(
     start: Mapping[str, float],
     whole: int = 0,
     settings: FitSettings = FINE,
+    step: Step = unstepped,
 ) -> LinearisedFit:
     """Fit a problem from a start.
 
@@ -150,20 +151,23 @@ def fitted(
         when it predicts a decrease.
     settings : FitSettings
         Its ``evaluations`` limit all these fits together.
+    step : callable
+        Called before every step; see `calib.inference.gauss_newton.fit`.
 
     Raises
     ------
     EvaluationError
         When the start cannot be evaluated.
     """
-    fit, used = _fitted(fit_problem, effects, start, settings)
+    fit, used = _fitted(fit_problem, effects, start, settings, step)
     for turn in range(_TURNS if whole else 0):
         if used >= settings.evaluations:
             break
         better = _better_whole(fit, whole if turn == 0 else min(whole, 2))
         if better is None:
             break
-        there, more = _fitted(fit_problem, effects, better, replace(settings, evaluations=settings.evaluations - used))
+        rest = replace(settings, evaluations=settings.evaluations - used)
+        there, more = _fitted(fit_problem, effects, better, rest, step)
         used += more
         if there.misfit >= fit.misfit:
             break
@@ -267,13 +271,13 @@ def _axes(count: int) -> list[tuple[int, ...]]:
 
 
 def _fitted(
-    fit_problem: FitProblem, effects: tuple[str, ...], start: Mapping[str, float], settings: FitSettings
+    fit_problem: FitProblem, effects: tuple[str, ...], start: Mapping[str, float], settings: FitSettings, step: Step
 ) -> tuple[LinearisedFit, int]:
     """The fit with the integers of the start, and the number of residuals evaluated."""
     space = fit_problem.space
     inside = {n: min(max(v, space[n].lower), space[n].upper) for n, v in start.items() if n in space.free_names}
     prior = Prior.of(space)
-    result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings)
+    result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings, step)
     fit = LinearisedFit(
         effects=effects,
         fit_problem=fit_problem,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from calib.effect import Effect
@@ -14,6 +15,19 @@ WIDE = 1.96
 def unit_words(unit: str) -> str:
     """A unit behind a number; empty for a dimensionless one."""
     return "" if unit == "-" else f" {unit}"
+
+
+def interval_words(value: float, low: float, high: float, unit: str) -> str:
+    """A magnitude with its 95 % interval, such as ``about 64 kg (95 %: 54 to 74)``.
+
+    The last digit is a tenth of the leading one of the interval's width, or less.
+    """
+    width = high - low
+    if not (math.isfinite(width) and width > 0):
+        return f"about {value:.3g}{unit_words(unit)}"
+    places = 1 - math.floor(math.log10(width))
+    number, first, last = (f"{round(x, places):.{max(places, 0)}f}" for x in (value, low, high))
+    return f"about {number}{unit_words(unit)} (95 %: {first} to {last})"
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def fit_pairs(
         if fits.spent():
             break
         names = tuple(sorted(key))
-        fits.progress("fitting " + " with ".join(fits.by_name[n].title for n in names))
+        fits.tell("fitting " + " with ".join(fits.by_name[n].title for n in names))
         parent = min((t for t in (best, *singles) if t.names[0] in key), key=lambda t: t.fit.misfit)
         pair = fits.best_of(names, starts[:1], parent)
         if len(starts) > 1 and (pair is None or pair.implausible):

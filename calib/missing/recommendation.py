@@ -160,8 +160,24 @@ def _as_ratio(ln_bayes: float) -> str:
     return f"{size}:1" if ln_bayes >= 0 else f"1:{size}"
 
 
-def recommendation_sentence(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Sequence[str]) -> str:
-    """The best next measurement in a sentence; empty when none is worthwhile.
+@dataclass(frozen=True)
+class Recommendation:
+    """The best next measurement in words.
+
+    Attributes
+    ----------
+    sentence : str
+        With its gain and the spread of it.
+    short : str
+        What to measure only; empty where nothing is worthwhile.
+    """
+
+    sentence: str
+    short: str = ""
+
+
+def recommendation(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Sequence[str]) -> Recommendation | None:
+    """The best next measurement in words; None when none is worthwhile.
 
     A held-out mode needs no new measurement, but no longer verifies the result once it is used: the sentence says so
     and also names the best new measurement.
@@ -176,23 +192,25 @@ def recommendation_sentence(table: pd.DataFrame, pair: tuple[str, str] | None, u
         Effects that are not visible; used without a pair.
     """
     if table.empty:
-        return ""
+        return None
     if pair is not None:
         own = table[table["effect"] == pair[0]]
         best = own.iloc[0]
         if float(best["ln_bayes"]) < RULES.credible:
             intro = f"No measurement looked at would tell {pair[0]} from {pair[1]}"
-            return f"{intro}; the best gives {best['words']}. {AVERAGED}"
-        advice = [_with_what_is_new(own)]
-        intro = "To tell them apart, measure next: "
+            return Recommendation(f"{intro}; the best gives {best['words']}. {AVERAGED}", f"{intro}.")
+        advised = [own]
+        purpose = "To tell them apart, measure next: "
     else:
         wanted = [table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)] for name in unseen]
-        advice = [_with_what_is_new(own) for own in wanted if len(own)][:3]
-        intro = "To see more, measure next: "
-    if not advice:
-        return ""
-    used = " A held-out mode that is used no longer verifies the result." if any(HELD_OUT in t for t in advice) else ""
-    return f"{intro}{'; '.join(advice)}. {AVERAGED}{used}"
+        advised = [own for own in wanted if len(own)][:3]
+        purpose = "To see more, measure next: "
+    if not advised:
+        return None
+    told = [_with_what_is_new(own) for own in advised]
+    used = " A held-out mode that is used no longer verifies the result." if any(HELD_OUT in t for t in told) else ""
+    names = dict.fromkeys(str(own["measurement"].iloc[0]) for own in advised)
+    return Recommendation(f"{purpose}{'; '.join(told)}. {AVERAGED}{used}", f"{purpose}{'; or '.join(names)}.")
 
 
 def _with_what_is_new(measurements: pd.DataFrame) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,6 +21,7 @@ from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
+from calib.stage import Progress
 
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects, and for choosing integer parameters again."""
@@ -29,9 +30,6 @@ EARLY, LATE = 0.7, 0.85
 def near_to(reached: float) -> float:
     """Log evidence below the best within which a fit is refined, when the best has gained ``reached``."""
     return max(RULES.close, RULES.nearly * reached)
-
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -123,8 +121,16 @@ class Refits:
     ) -> CandidateFit:
         """The model with the named effects or local perturbations, fitted from a start (`linearised_fit.fitted`)."""
         return self._candidate_fit(
-            names, fitted(self.fit_problem(names), names, start, whole, self.affordable(settings))
+            names, fitted(self.fit_problem(names), names, start, whole, self.affordable(settings), self._step)
         )
+
+    def tell(self, stage: str) -> None:
+        """Tell the present step, with the part of the budget that is used."""
+        used = max(self.allowance.used, 0)
+        self.progress(stage, used, max(self.allowance.most, used))
+
+    def _step(self, share: float) -> None:
+        self.tell("")
 
     def affordable(self, settings: FitSettings) -> FitSettings:
         """Fit settings limited to the evaluations left in the budget, but no fewer than the verdict needs."""
@@ -179,7 +185,7 @@ class Refits:
         self, base: CandidateFit, named: Scores, name: str, starts: dict[tuple[str, ...], dict[str, float]]
     ) -> CandidateFit | None:
         """Fit of one effect, from its earlier fit or from one step off the base model."""
-        self.progress(f"fitting {self.by_name[name].title}")
+        self.tell(f"fitting {self.by_name[name].title}")
         known = [starts[(name,)]] if (name,) in starts else None
         return self.best_of((name,), known or self.starts(base.fit, named, name), base)
 

@@ -1,37 +1,70 @@
-"""Verdict of an explanation in sentences."""
+"""Verdict of an explanation in sentences: what is missing, how sure that is, what to do next, and what supports it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import pandas as pd
 
+from calib.answer import Answer
 from calib.effect import Effect
-from calib.missing.explanation import AdequacyTests, Explanation
+from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
-from calib.missing.local import WIDE, local_perturbation, unit_words
+from calib.missing.local import WIDE, interval_words, local_perturbation, unit_words
+from calib.missing.recommendation import Recommendation
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
+from calib.missing.worst_misfit import p_words, where, worst_repeats
 
-_LEAST = 2 / RULES.draws
-"""Smallest p-value that is stated: that of the samples, for the smaller of two tests (`AdequacyTests.p_family`)."""
 _REPEATS = 3
 """Largest number of repeats named in a sentence."""
 
 
+MOST = 99.0
+"""Largest probability that is stated (%): the prior of the library is no surer."""
 GROUPS = {"left_out": "data left out in turn", **UNSEEN}
 """Groups of data that a fit has not seen, in words."""
 
+_OUTSIDE = "An effect outside the library cannot be excluded."
 
-def sentences(
+
+@dataclass(frozen=True)
+class Verdict:
+    """An explanation in words.
+
+    Attributes
+    ----------
+    answer : Answer
+        The verdict in a sentence, how sure it is, and what to do next.
+    sentences : tuple of str
+        The same with what it rests on, what these data cannot show, and the recommended measurement with its gain.
+    """
+
+    answer: Answer
+    sentences: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Words:
+    """What one kind of verdict says; ``then`` is what to do before anything is measured."""
+
+    found: str
+    sure: str
+    then: str = ""
+    support: tuple[str, ...] = ()
+
+
+def verdict(
     found: Explanation,
     effects: pd.DataFrame,
     errors: pd.DataFrame,
-    recommendation: str,
+    recommendation: Recommendation | None = None,
     disagreements: pd.DataFrame | None = None,
-) -> tuple[str, ...]:
-    """Verdict first, then its support, the effects that are not visible, and the recommended measurement.
+    assumed: str = "",
+) -> Verdict:
+    """The explanation in words.
 
     Parameters
     ----------
@@ -40,12 +73,14 @@ def sentences(
         From `calib.missing.tables.effects_table`.
     errors : DataFrame
         ``group, stage, rms, expected, p``; may be empty.
-    recommendation : str
-        Recommended measurement; may be empty.
+    recommendation : Recommendation, optional
+        Recommended measurement.
     disagreements : DataFrame, optional
         Repeats that disagree with the others: columns ``repeat, mode, sensor, times``.
+    assumed : str
+        Assumed standard deviations, in words.
     """
-    parts = {
+    words = {
         "nothing_detectable": _nothing,
         "noise_underestimated": _noise,
         "effect": _effect,
@@ -56,25 +91,31 @@ def sentences(
         "none_explains": _none,
         "misfit_unlocated": _unlocated,
     }[found.verdict](found, effects)
+    sure, support = [words.sure], list(words.support)
     if found.verdict == "misfit_unlocated" and disagreements is not None:
         repeats = worst_repeats(found.base_adequacy, disagreements)[:_REPEATS]
-        parts.append("Repeats that disagree with the others: " + ", ".join(repeats) + "." if repeats else "")
+        support.append("Repeats that disagree with the others: " + ", ".join(repeats) + "." if repeats else "")
     if found.noise_scale != 1 and found.verdict != "noise_underestimated":
-        parts.append(f"The standard deviation was taken {found.noise_scale:.2g} times as large as stated.")
+        sure.append(f"The standard deviation was taken {found.noise_scale:.2g} times as large as stated.")
     if found.names_something:
-        parts += _errors(errors)
+        support += _errors(errors)
     if found.verdict == "unconfirmed":
-        parts += _contradicted(errors)
-    parts += _unseen(effects, found.chosen.names if found.names_something and found.chosen is not None else ())
-    if recommendation and found.verdict not in ("noise_underestimated", "misfit_unlocated"):
-        parts.append(recommendation)
+        support += _contradicted(errors)
+    support += _unseen(effects, found.chosen.names if found.names_something and found.chosen is not None else ())
+    short = ""
+    if recommendation is not None and found.verdict not in ("noise_underestimated", "misfit_unlocated"):
+        support.append(recommendation.sentence)
+        short = recommendation.short
     if found.verdict in ("partial", "none_explains", "misfit_unlocated") and not found.begun_anew:
-        parts.append(
+        support.append(
             "All fits started from the base fit, in which no parameter is pulled; each may be a local minimum."
         )
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
-        parts.append("Explanations outside the library cannot be excluded.")
-    return tuple(part for part in parts if part)
+        sure.append(_OUTSIDE)
+    if assumed:
+        sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
+    answer = Answer(words.found, " ".join(sure), f"{words.then} {short}".strip())
+    return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, *support))))
 
 
 def rounded(value: float) -> str:
@@ -82,70 +123,72 @@ def rounded(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
-def _chance(p: float) -> str:
-    return f"< {_LEAST:.1g}" if p < _LEAST else f"{p:.2g}"
+# -- parts of sentences ------------------------------------------------------------------------------------------------
 
 
-def _p(p: float) -> str:
-    return f"p {_chance(p)}" if p < _LEAST else f"p = {_chance(p)}"
+def _without(found: Explanation) -> str:
+    """How improbable the misfit of the base model would be if nothing were missing."""
+    return f"If nothing were missing: {_family(found)}."
 
 
 def _family(found: Explanation) -> str:
+    """The tests of the base model, in words."""
     adequacy = found.base_adequacy
     local = f"{len(set(adequacy.perturbations.owners))} local perturbations"
     tested = sum(len(g.names) for g in found.groups)
     counts = f"{tested} effect{'s' * (tested != 1)} and {local}" if tested else local
     return (
-        f"with the model complete the chance of such scores is {_chance(adequacy.p_family)} (family-wise over "
-        f"{counts}) and of such a misfit as a whole {_chance(adequacy.p_fit)}"
+        f"{p_words(adequacy.p_family)} for the largest score of {counts}, {p_words(adequacy.p_fit)} for the whole fit"
     )
 
 
-def _nothing(found: Explanation, effects: pd.DataFrame) -> list[str]:
-    if found.groups and not effects["visible"].astype(bool).any():
-        return [
-            "These data cannot show any effect of the library at a plausible magnitude. "
-            f"The base model fits them: {_family(found)}."
-        ]
-    return [f"Nothing detectable is missing: {_family(found)}."]
+def _with(found: Explanation, them: str = "it") -> str:
+    """How well the data fit with the chosen effects, in words."""
+    adequacy = found.chosen_adequacy
+    assert adequacy is not None
+    words = f"With {them} no other stands out ({p_words(adequacy.p_family)}) and the fit has {p_words(adequacy.p_fit)}"
+    if adequacy.p_fit <= found.alpha:
+        return (
+            f"{words}, which is poor: the standard deviation may be larger than stated, or something more is missing."
+        )
+    return f"{words}."
 
 
-def _noise(found: Explanation, effects: pd.DataFrame) -> list[str]:
-    factor = f"{found.noise_scale:.2g}"
-    return [
-        f"The residuals of all modes are too large by a common factor of {factor}: check the standard deviation. "
-        "Repeats do not show what differs between set-ups, and an assumed standard deviation may be too small. With "
-        f"the standard deviation {factor} times as large nothing detectable is missing."
-    ]
+def _row(effects: pd.DataFrame, name: str) -> pd.Series:
+    return effects[effects["name"] == name].iloc[0]
 
 
 def _magnitude(effects: pd.DataFrame, name: str) -> str:
-    row = effects[effects["name"] == name].iloc[0]
-    unit = unit_words(row["unit"])
+    row = _row(effects, name)
     if not row["refitted"]:
-        return f"whose signature is that of {str(row['confounded_with']).split(', ')[0]}"
-    return f"{row['magnitude']:.3g}{unit} (95 %: {row['magnitude_low']:.3g} to {row['magnitude_high']:.3g}{unit})"
+        return f"with the signature of {str(row['confounded_with']).split(', ')[0]}"
+    return interval_words(row["magnitude"], row["magnitude_low"], row["magnitude_high"], str(row["unit"]))
 
 
-def _titled(effects: pd.DataFrame, name: str, collinear: str | None = None) -> str:
-    row = effects[effects["name"] == name].iloc[0]
-    same = str(row["stands_for"]) if collinear is None else collinear
-    others = f", or collinear here: {same}" if same else ""
-    return f"{row['title']} ({name}{others})"
+def _sized(effects: pd.DataFrame, e: Effect) -> str:
+    """An effect with its magnitude, such as ``a guy rope along x, about 12 kN/m (95 %: 10 to 14)``."""
+    return f"{e.in_words}, {_magnitude(effects, e.name)}"
 
 
-def _collinear(found: Explanation, name: str) -> str:
-    """Credible effects collinear with one of a pair."""
-    own = {n for g in found.groups if name in g.names for n in g.names} - {name}
-    return ", ".join(n for n in found.credible if n in own)
+def _collinear(found: Explanation, effects: pd.DataFrame, chosen: CandidateFit) -> str:
+    """Effects whose signatures are those of the chosen ones, in words."""
+    out = []
+    for e in chosen.effects:
+        if len(chosen.effects) > 1:
+            own = {n for g in found.groups if e.name in g.names for n in g.names} - {e.name}
+            same = ", ".join(n for n in found.credible if n in own)
+        else:
+            same = str(_row(effects, e.name)["stands_for"])
+        out += [f"Collinear with {e.name} in these data: {same}."] if same else []
+    return " ".join(out)
 
 
-def _look_for(found: Explanation) -> list[str]:
-    chosen = found.chosen.effects if found.chosen is not None else ()
-    return [
-        "As it is, the model says: " + " ".join(_ended(e.lacks) for e in chosen),
-        "Look for: " + " ".join(_ended(e.look_for) for e in chosen),
-    ]
+def _look_for(effects: Sequence[Effect], joint: str = " ") -> str:
+    return f"Look for: {joint.join(_ended(e.look_for) for e in effects)}"
+
+
+def _as_it_is(effects: Sequence[Effect]) -> str:
+    return "As it is, the model says: " + " ".join(_ended(e.lacks) for e in effects)
 
 
 def _ended(words: str) -> str:
@@ -153,90 +196,140 @@ def _ended(words: str) -> str:
     return words if words.endswith((".", "!", "?")) or not words else f"{words}."
 
 
-def _effects(found: Explanation) -> tuple[Effect, ...]:
-    return tuple(e for g in found.groups for e in g.effects)
+# -- verdict by verdict ------------------------------------------------------------------------------------------------
 
 
-def _clean(found: Explanation) -> str:
-    adequacy = found.chosen_adequacy
-    assert adequacy is not None
-    whole = f"the fit as a whole has {_p(adequacy.p_fit)}"
-    if adequacy.p_fit <= found.alpha:
-        whole += ", which is poor: the standard deviation may be larger than stated, or something more may be missing"
-    return f"After adding it no effect or local perturbation stands out ({_p(adequacy.p_family)}); {whole}."
+def _nothing(found: Explanation, effects: pd.DataFrame) -> _Words:
+    sure = f"The data are as expected of a complete model: {_family(found)}."
+    if found.groups and not effects["visible"].astype(bool).any():
+        blind = "The base model fits, but these data cannot show any effect of the library at a plausible magnitude."
+        return _Words(blind, sure)
+    return _Words("The model fits: no missing effect is detectable in these data.", sure)
 
 
-def _effect(found: Explanation, effects: pd.DataFrame) -> list[str]:
-    name = found.credible[0]
-    row = effects[effects["name"] == name].iloc[0]
-    out = [
-        f"Something is missing: {_family(found)}.",
-        f"Best explanation: {_titled(effects, name)}, {_magnitude(effects, name)}; probability "
-        f"{100 * row['model_probability']:.0f} % within the library.",
-        _clean(found),
-    ]
-    return out + _look_for(found)
+def _noise(found: Explanation, effects: pd.DataFrame) -> _Words:
+    factor = f"{found.noise_scale:.2g}"
+    return _Words(
+        f"The standard deviation seems understated: the residuals of all modes are {factor} times too large.",
+        f"With {factor} times the standard deviation nothing detectable is missing. {_without(found)}",
+        "Check the standard deviation before anything else: repeats do not show what differs between set-ups, and an "
+        "assumed one may be too small.",
+    )
 
 
-def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> list[str]:
+def _effect(found: Explanation, effects: pd.DataFrame) -> _Words:
+    assert found.chosen is not None
+    (e,) = found.chosen.effects
+    tested = sum(len(g.names) for g in found.groups)
+    chance = 100 * float(_row(effects, e.name)["model_probability"])
+    probable = f"{chance:.0f} % probable" if chance <= MOST else f"more than {MOST:g} % probable"
+    among = f" among the {tested} effects of the library" if tested > 1 else " within the library"
+    return _Words(
+        f"The model lacks {_sized(effects, e)}.",
+        f"{e.name} is {probable}{among}. {_without(found)} {_with(found)}",
+        _look_for((e,)),
+        (_collinear(found, effects, found.chosen), _as_it_is((e,))),
+    )
+
+
+def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> _Words:
     rows = effects[effects["name"].isin(found.credible)].sort_values("ln_bayes", ascending=False)
-    explaining = [(float(b), f"{_titled(effects, n, '')}, {_magnitude(effects, n)}")
-                  for n, b in zip(rows["name"], rows["ln_bayes"], strict=True)]  # fmt: skip
-    adequacy = ""
+    known = {e.name: e for g in found.groups for e in g.effects}
+    credible = [known[name] for name in rows["name"]]
+    explaining = [(float(b), _sized(effects, e)) for e, b in zip(credible, rows["ln_bayes"], strict=True)]
+    check = ""
     if found.fault is not None:
-        explaining.append(
-            (found.ln_bayes(found.fault), f"a fault of the measurement: {local_perturbation(found.fault).told}")
-        )
-        adequacy = "Or: " + " ".join(e.look_for for e in found.fault.effects)
+        told = f"a fault of the measurement: {local_perturbation(found.fault).told}"
+        explaining.append((found.ln_bayes(found.fault), told))
+        check = "Or: " + " ".join(_ended(e.look_for) for e in found.fault.effects)
     if found.datum is not None:
         explaining.append((found.ln_bayes(found.datum), found.datum.told))
-        adequacy = f"Or measure the {found.datum.what} again."
+        check = f"Or measure the {found.datum.what} again."
     explaining.sort(key=lambda one: -one[0])
     bayes_factor = math.exp(explaining[0][0] - explaining[1][0])
     named = "; or ".join(words for _, words in explaining)
-    credible = [e for n in rows["name"] for e in _effects(found) if e.name == n]
-    wrong = ", or a measurement is wrong" if len(explaining) > len(rows) else ""
     # Only a wrong measurement may be far ahead; an effect that far ahead would be named.
-    first = (
-        "A wrong measurement explains it best"
-        if bayes_factor > math.exp(RULES.credible)
-        else "These data cannot tell between"
+    if bayes_factor > math.exp(RULES.credible):
+        first = "A wrong measurement explains the misfit best"
+    elif len(explaining) > len(rows):
+        first = "Model or measurement is wrong, and these data cannot tell which"
+    else:
+        first = "The model lacks something, and these data cannot tell which"
+    return _Words(
+        f"{first}: {named}.",
+        f"The odds of the first against the second are {rounded(bayes_factor)}:1. {_without(found)} {_with(found)}",
+        f"{_look_for(credible, ' Or: ')} {check}".strip(),
+        (_as_it_is(credible),),
     )
-    return [
-        f"Something is missing{wrong}: {_family(found)}.",
-        f"{first}: {named}. The odds of the first against the second are {rounded(bayes_factor)}:1.",
-        _clean(found),
-        "As it is, the model says: " + " ".join(_ended(e.lacks) for e in credible),
-        f"Look for: {' Or: '.join(_ended(e.look_for) for e in credible)} {adequacy}".strip(),
-    ]
 
 
-def _two(found: Explanation, effects: pd.DataFrame) -> list[str]:
+def _two(found: Explanation, effects: pd.DataFrame) -> _Words:
     assert found.chosen is not None
     phrases = []
-    collinear = {e.name: _collinear(found, e.name) for e in found.chosen.effects}
     for e in found.chosen.effects:
         value, std = found.chosen.magnitude(e.name)
-        size = f"{value:.3g} +- {WIDE * std:.2g}{unit_words(e.magnitude.unit)} (95 %)"
-        phrases.append(f"{_titled(effects, e.name, collinear[e.name])}, {size}")
-    return [
-        f"Two effects are missing: {_family(found)}, and no single effect removes the systematic misfit.",
-        "Best explanation: " + " together with ".join(phrases) + ".",
-        _clean(found).replace("adding it", "adding both"),
-        *_look_for(found),
-    ]
-
-
-def _unconfirmed(found: Explanation, effects: pd.DataFrame) -> list[str]:
-    assert found.chosen is not None
-    named = " together with ".join(
-        f"{_titled(effects, e.name)}, {_magnitude(effects, e.name)}" for e in found.chosen.effects
+        ends = (max(value - WIDE * std, e.magnitude.lower), min(value + WIDE * std, e.magnitude.upper))
+        phrases.append(f"{e.in_words}, {interval_words(value, *ends, e.magnitude.unit)}")
+    return _Words(
+        f"The model lacks two effects: {'; and '.join(phrases)}.",
+        f"No single effect removes the systematic misfit. {_without(found)} {_with(found, 'both')}",
+        _look_for(found.chosen.effects),
+        (_collinear(found, effects, found.chosen), _as_it_is(found.chosen.effects)),
     )
-    return [
-        f"What fits is not confirmed{'' if found.uncontested else ' by data that no fit has seen'}: {_family(found)}.",
-        f"Fits, not confirmed: {named}.",
-        "No local perturbation could be tested, so a wrong name cannot be excluded." * found.uncontested,
-    ]
+
+
+def _unconfirmed(found: Explanation, effects: pd.DataFrame) -> _Words:
+    assert found.chosen is not None
+    named = " together with ".join(_sized(effects, e) for e in found.chosen.effects)
+    if found.uncontested:
+        against = "but no local perturbation could be tested against it, so a wrong name cannot be excluded"
+        then = "Measure more modes or sensors before it is added."
+    else:
+        against = "but data that no fit has seen contradict it"
+        then = "Check the held-out data: it stands in for something else, or they are in error."
+    return _Words(f"No effect is confirmed: {named}, would fit, {against}.", _without(found), then)
+
+
+def _rest(found: Explanation) -> str:
+    """Local perturbation that fits a systematic misfit best, in words."""
+    perturbation = found.perturbation
+    if perturbation is None:
+        return ""
+    better = bool(found.groups) and (found.chosen is None or perturbation.ln_evidence > found.chosen.ln_evidence)
+    words = "it fits better than every listed effect" if better else "it would help most"
+    size = local_perturbation(perturbation).told
+    return f"Look first at this place: {size}; {words}. It is a place to look at, not a cause."
+
+
+def _partial(found: Explanation, effects: pd.DataFrame) -> _Words:
+    assert found.chosen is not None and found.chosen_adequacy is not None
+    (e,) = found.chosen.effects
+    before, after = found.base.fit.misfit, found.chosen.fit.misfit
+    return _Words(
+        f"The model lacks something that no listed effect explains fully: {_sized(effects, e)}, is a part of it or "
+        "stands in for something else.",
+        f"It lowers the sum of squares from {before:.0f} to {after:.0f} but leaves "
+        f"{p_words(found.chosen_adequacy.p_family)}. {_without(found)}",
+        _rest(found),
+    )
+
+
+def _none(found: Explanation, effects: pd.DataFrame) -> _Words:
+    what = "The model lacks something that no listed effect explains." if found.groups else "The model lacks something."
+    attempt = ""
+    if found.chosen is not None:
+        (e,) = found.chosen.effects
+        attempt = f"The best attempt, {_sized(effects, e)}, is not believed: {_why_not(found)}."
+    return _Words(what, _without(found), _rest(found), (attempt,))
+
+
+def _unlocated(found: Explanation, effects: pd.DataFrame) -> _Words:
+    return _Words(
+        "The model misses the data by more than their standard deviation, but no effect and no place stands out.",
+        f"{_without(found)} The misfit is largest {where(found.base_adequacy)}.",
+        "Look at that measurement first: its channel, its repeats, and whether its standard deviation is larger than "
+        "stated.",
+    )
 
 
 def _contradicted(errors: pd.DataFrame) -> list[str]:
@@ -250,103 +343,12 @@ def _contradicted(errors: pd.DataFrame) -> list[str]:
         before, after = numbers[group, "before"], numbers[group, "attempt"]
         phrases.append(
             f"{GROUPS[group]} {float(before['rms']):.2f} -> {float(after['rms']):.2f} (noise floor "
-            f"{float(after['expected']):.2f}, {_p(float(after['p']))})"
+            f"{float(after['expected']):.2f}, {p_words(float(after['p']))})"
         )
     return [
         f"Error in standard deviations: {', '.join(phrases)}. Either it stands in for something else, or these data "
         "are themselves in error: check them before it is added."
     ]
-
-
-def _rest(found: Explanation) -> str:
-    """Local perturbation that fits a systematic misfit best, in words."""
-    perturbation = found.perturbation
-    if perturbation is None:
-        return ""
-    better = bool(found.groups) and (found.chosen is None or perturbation.ln_evidence > found.chosen.ln_evidence)
-    words = (
-        "fits better than every listed effect" if better else "is where an unnamed local perturbation would help most"
-    )
-    size = local_perturbation(perturbation).told
-    return f"A local perturbation, {size}, {words}; that is a place to look at, not a cause."
-
-
-def _partial(found: Explanation, effects: pd.DataFrame) -> list[str]:
-    assert found.chosen is not None and found.chosen_adequacy is not None
-    name = found.chosen.names[0]
-    before, after = found.base.fit.misfit, found.chosen.fit.misfit
-    return [
-        f"Systematic misfit that no listed effect removes: {_family(found)}.",
-        f"{_titled(effects, name)}, {_magnitude(effects, name)}, lowers the sum of squares from {before:.0f} to "
-        f"{after:.0f} but leaves {_p(found.chosen_adequacy.p_family)}: it is part of the answer or stands in for "
-        "something that is not listed.",
-        _rest(found),
-    ]
-
-
-def _none(found: Explanation, effects: pd.DataFrame) -> list[str]:
-    what = "Systematic misfit that no listed effect explains" if found.groups else "Something is missing"
-    out = [f"{what}: {_family(found)}."]
-    if found.chosen is not None:
-        out.append(f"The best attempt, {_titled(effects, found.chosen.names[0])}, is not believed: {_why_not(found)}.")
-    return [*out, _rest(found)]
-
-
-def _unlocated(found: Explanation, effects: pd.DataFrame) -> list[str]:
-    return [
-        "The misfit is beyond the standard deviation, but no effect and no local perturbation stands out: "
-        f"{_family(found)}.",
-        f"It is largest {_where(found.base_adequacy)}.",
-        "Look at that measurement first: its channel, its repeats, and whether its standard deviation is larger than "
-        "stated.",
-    ]
-
-
-def misfit_at(adequacy: AdequacyTests, disagreements: pd.DataFrame) -> dict[str, object]:
-    """Where a fit is worst: ``sensor`` or scalar response, ``mode`` with its ``kind``; ``repeats`` that disagree."""
-    sensor, mode = _worst(adequacy)
-    return {
-        "sensor": None if sensor is None else str(sensor["sensor"]),
-        "mode": None if mode is None else str(mode["mode"]),
-        "kind": None if mode is None else str(mode["kind"]),
-        "repeats": worst_repeats(adequacy, disagreements),
-    }
-
-
-def worst_repeats(adequacy: AdequacyTests, disagreements: pd.DataFrame) -> list[str]:
-    """Repeats that disagree with the others; first those that do where the fit is worst, then by how much."""
-    sensor, mode = _worst(adequacy)
-    places = {str(row[name]) for row, name in ((sensor, "sensor"), (mode, "mode")) if row is not None}
-    here = disagreements[["sensor", "mode"]].isin(places).any(axis=1)
-    order = disagreements.assign(here=here).sort_values(["here", "times"], ascending=False, kind="stable")
-    return list(dict.fromkeys(order["repeat"].astype(str)))
-
-
-def _worst(adequacy: AdequacyTests) -> tuple[pd.Series | None, pd.Series | None]:
-    """Rows of the worst sensor and of the worst mode of a fit; None where it has none."""
-    modes = adequacy.modes[adequacy.modes["mode"] != ""].sort_values("p", kind="stable")
-    return (adequacy.sensors.iloc[0] if len(adequacy.sensors) else None, modes.iloc[0] if len(modes) else None)
-
-
-def _where(adequacy: AdequacyTests) -> str:
-    """The worst sensor and the worst mode of a fit, each with its p-value, in words."""
-    phrases = []
-    worst, last = _worst(adequacy)
-    if worst is not None:
-        times = math.sqrt(float(worst["chi2"]) / max(float(worst["dof"]), 1.0))
-        phrases.append(
-            f"at {worst['sensor']} ({times:.1f} times its standard deviation, "
-            f"{_of_many(worst['p'], len(adequacy.sensors))})"
-        )
-    if last is not None:
-        count = int((adequacy.modes["mode"] != "").sum())
-        phrases.append(f"in the {last['kind']} of mode {last['mode']} ({_of_many(last['p'], count)})")
-    return " and ".join(phrases)
-
-
-def _of_many(p: float, count: int) -> str:
-    """p-value of the worst one of several, in words (Bonferroni)."""
-    return f"{_p(min(1.0, float(p) * count))} as the worst of {count}"
 
 
 def _why_not(found: Explanation) -> str:
@@ -357,7 +359,7 @@ def _why_not(found: Explanation) -> str:
         "implausible": candidate_fit.implausible,
         "dof": f"it leaves {max(adequacy.dof, 0.0):.1f} effective degrees of freedom, and below two no fit can be "
         "tested",
-        "misfit": f"what is left still has {_p(min(adequacy.p_family, adequacy.p_fit))}",
+        "misfit": f"what is left still has {p_words(min(adequacy.p_family, adequacy.p_fit))}",
         "local_perturbation": "a local perturbation fits better",
         "evidence": "the evidence for it is too weak among so many candidates",
     }[found.refused]

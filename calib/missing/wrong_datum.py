@@ -44,7 +44,7 @@ def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: C
     gone = next(d.rows for d in data_of(h.rows) if (d.what, d.kind) == (first["what"], first["kind"]))
     kept = np.setdiff1d(np.arange(len(h.rows)), gone)
     fit_problem = fits.fit_problem(())
-    fits.progress(f"fitting without {first['what']}")
+    fits.tell(f"fitting without {first['what']}")
     try:
         rest = fitted(Altered(fit_problem, kept=kept), (), base.fit.values, settings=fits.affordable(FINE))
         difference = fit_problem.residual(rest.values)[gone]

@@ -13,6 +13,7 @@ from calib.report.draw import Drawing, plan
 from calib.report.shown import Shown
 from calib.report.style import Format, add_heading, save, style, take_dollars_literally
 from calib.report.svg import svg_text
+from calib.stage import Progress, unheard
 
 
 class Figures:
@@ -62,13 +63,15 @@ class Figures:
             take_dollars_literally(figure)
             return svg_text(figure, identifier or name)
 
-    def save(self, formats: Sequence[Format] = ("png",)) -> list[Path]:
+    def save(self, formats: Sequence[Format] = ("png",), progress: Progress = unheard) -> list[Path]:
         """Write every figure beside its tables, in every format; nothing is computed anew.
 
         Parameters
         ----------
         formats : sequence of str
             Of `calib.report.style.FORMATS`.
+        progress : callable
+            Called before every figure.
 
         Returns
         -------
@@ -81,7 +84,8 @@ class Figures:
             The folder is missing, or a table is damaged; nothing is written then.
         """
         written = []
-        for name, drawing in self.plan.items():
+        for number, (name, drawing) in enumerate(self.plan.items()):
+            progress("drawing figures", number, len(self.plan))
             with style():
                 figure = self._drawn.pop(name, None) or drawing.draw()
                 heading = f"{self.title}: {drawing.caption}" if self.title else drawing.caption

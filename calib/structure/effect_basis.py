@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.space import ParameterSpace
+from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.extend import extend
@@ -36,6 +38,7 @@ def effect_basis(
     effects: Sequence[Effect],
     perturbations: Sequence[Effect],
     seed: int,
+    progress: Progress = unheard,
 ) -> Basis:
     """The next version of a basis, which spans modes with effects and derivatives by perturbations.
 
@@ -53,18 +56,23 @@ def effect_basis(
     effects, perturbations : sequence of Effect
         Modes are solved with each effect, derivatives are taken by each perturbation.
     seed : int
+    progress : callable
+        Called before every effect and every batch of perturbations.
     """
     growth = Growth(model, basis)
     middle = {p.name: p.value for p in space.parameters}
     points = [middle, *space_filling_points(space, _POINTS, np.random.default_rng(seed))[:_POINTS]]
     vectors = basis.vectors
-    for effect in effects:
+    stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / _TOGETHER)
+    for number, effect in enumerate(effects):
+        progress(stage, number, len(effects) + batches)
         extended = extend(model, [effect])
         count = basis.count + extended.n_dof - model.n_dof
         solved = [extended.modes({**point, **own}, count) for point in points for own in _sampled(effect)]
         vectors = growth.widened(vectors, np.hstack([_unit(growth, m, model.n_dof, basis) for m in solved]), _ERROR)
     nominal = model.modes(middle, basis.count)
     for first in range(0, len(perturbations), _TOGETHER):
+        progress(stage, len(effects) + first // _TOGETHER, len(effects) + batches)
         some = perturbations[first : first + _TOGETHER]
         slopes = _derivatives(growth, extend(model, some), middle, nominal, some, basis)
         for k in range(0, len(slopes), _BATCH):

@@ -10,6 +10,7 @@ import scipy.linalg as la
 
 from calib.errors import InputError, ToleranceError
 from calib.space import ParameterSpace
+from calib.stage import Progress, unheard
 from calib.structure.basis import CHECK_COLUMNS, Basis
 from calib.structure.certificate import mode_errors
 from calib.structure.model import StructuralModel
@@ -57,6 +58,7 @@ def train_basis(
     damping_max: float = 0.95,
     tolerance: float = 1e-5,
     samples: int | None = None,
+    progress: Progress = unheard,
 ) -> Basis:
     """Train a basis that represents the lowest modes of a model over whole parameter spaces.
 
@@ -85,6 +87,8 @@ def train_basis(
     samples : int, optional
         Snapshot points of each space; default 8 plus 2 for each free parameter, at least as many as an integer
         parameter has values.
+    progress : callable
+        Called before every point that is solved.
 
     Raises
     ------
@@ -121,10 +125,15 @@ def train_basis(
     growth = Growth(model, basis)
     vectors = growth.statics()
     points = [p for space in several for p in space_filling_points(space, samples or _sample_count(space), rng)]
-    snapshots = np.hstack([growth.snapshots(model.modes(p, count), target) for p in points])
+    solved = []
+    for k, p in enumerate(points):
+        progress("training the reduced basis", k, len(points))
+        solved.append(growth.snapshots(model.modes(p, count), target))
+    snapshots = np.hstack(solved)
     vectors = np.hstack([vectors, growth.decomposed(snapshots, vectors, _POD * tolerance)])
     basis = replace(basis, vectors=vectors, samples=_rows(basis, points))
     for number in range(1, _ROUNDS + 1):
+        progress(f"checking the reduced basis, round {number}")
         fresh = [p for space in several for p in space_filling_points(space, _fresh_count(space), rng)]
         basis, passed = growth.enriched(basis, fresh, target, number)
         if passed:

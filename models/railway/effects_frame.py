@@ -43,6 +43,7 @@ def frame_effects() -> tuple[Effect, ...]:
         Effect(
             name="crossbar_joint",
             title="Soft joints between crossbars and girders",
+            phrase="soft joints between crossbars and girders",
             lacks="The crossbars keep their full section up to the girders' axes.",
             look_for="Cracked or skipped welds, access holes and thin webs where the crossbars meet the girders.",
             magnitude=Parameter(
@@ -54,6 +55,7 @@ def frame_effects() -> tuple[Effect, ...]:
         Effect(
             name="girder_end",
             title="Soft girder ends",
+            phrase="soft girder ends",
             lacks="The girder ends keep plane sections and their full walls from the crossbars to the axles.",
             look_for="Cut-outs, thin walls or warping of the girders between crossbar and axle box.",
             magnitude=Parameter(
@@ -65,6 +67,7 @@ def frame_effects() -> tuple[Effect, ...]:
         Effect(
             name="crossbar_mass",
             title="Unmodelled mass at the middle of the front crossbar",
+            phrase="a mass at the middle of the front crossbar",
             lacks="The additional mass of the crossbars is spread evenly over both of them.",
             look_for="Brackets, pipes, ballast or test equipment at the middle of the front crossbar.",
             magnitude=Parameter("crossbar_mass", 0.0, 0.0, 600.0, "kg", prior_sd=100.0, description="mass of it"),
@@ -73,6 +76,7 @@ def frame_effects() -> tuple[Effect, ...]:
         Effect(
             name="brake_unit",
             title="Brake unit hung elastically on the front crossbar",
+            phrase="a brake unit hung elastically on the front crossbar",
             lacks="Everything on the crossbars moves rigidly with them.",
             look_for="A brake unit on rubber bushes at the left of the front crossbar: knock on it and listen.",
             magnitude=Parameter("brake_unit", 0.1, 0.1, 500.0, "kg", prior_sd=80.0, description="mass of the unit"),

@@ -18,6 +18,7 @@ def rig_effects() -> tuple[Effect, ...]:
         Effect(
             name="actuator_flexibility",
             title="Actuators and their frame give way",
+            phrase="give in the actuators and their frame",
             lacks="The actuators hold the distribution blocks almost rigidly.",
             look_for="Motion of the actuators' frame, oil columns under pressure, clearances in their joints.",
             magnitude=Parameter(
@@ -29,6 +30,7 @@ def rig_effects() -> tuple[Effect, ...]:
         Effect(
             name="block_tilt",
             title="Elastic blocks resist tilting across",
+            phrase="the resistance of the elastic blocks to tilting across",
             lacks="The elastic blocks carry vertical force but no moment about the longitudinal axis.",
             look_for="Width of the elastic blocks, and whether they stand on their whole face.",
             magnitude=Parameter(
@@ -40,6 +42,7 @@ def rig_effects() -> tuple[Effect, ...]:
         Effect(
             name="block_damping",
             title="Elastic blocks dissipate",
+            phrase="damping in the elastic blocks",
             lacks="The elastic blocks of the secondary suspension are elastic without loss.",
             look_for="Warmth of the rubber after running; its loss angle from the supplier.",
             magnitude=Parameter(

@@ -32,6 +32,7 @@ def suspension_effects() -> tuple[Effect, ...]:
         Effect(
             name="primary_uneven",
             title="Primary springs of one corner stiffer or softer",
+            phrase="a corner with stiffer or softer primary springs (front left)",
             lacks="All four corners have the same primary springs.",
             look_for="A wrong, broken or shimmed spring at the front left axle box; unequal heights of the corners.",
             magnitude=Parameter(
@@ -43,6 +44,7 @@ def suspension_effects() -> tuple[Effect, ...]:
         Effect(
             name="weak_damper",
             title="One primary damper weak",
+            phrase="a weak primary damper (front left)",
             lacks="All four primary dampers work alike.",
             look_for="A leaking front left damper: oil on its body, a stroke without resistance by hand.",
             magnitude=Parameter(
@@ -54,6 +56,7 @@ def suspension_effects() -> tuple[Effect, ...]:
         Effect(
             name="damper_mount",
             title="Soft mounts of the primary dampers",
+            phrase="soft mounts of the primary dampers",
             lacks="The dampers are fixed rigidly at both ends, so that they dissipate at any frequency.",
             look_for="Soft or worn rubber bushes and thin brackets at the eyes of the primary dampers.",
             magnitude=Parameter(
@@ -66,6 +69,7 @@ def suspension_effects() -> tuple[Effect, ...]:
         Effect(
             name="wheel_contact",
             title="Unequal wheel-rail contact of the front axle",
+            phrase="an unequal wheel-rail contact of the front axle",
             lacks="All wheels stand equally firmly on their rails.",
             look_for="Unequal wheel loads, a gap under a rail pad or dirt on the rail at the front axle.",
             magnitude=Parameter(
@@ -77,6 +81,7 @@ def suspension_effects() -> tuple[Effect, ...]:
         Effect(
             name="rolling_wheels",
             title="Wheels roll as the axles move lengthwise",
+            phrase="the rolling of the wheels as the axles move lengthwise",
             lacks="Axles move lengthwise without turning their wheels.",
             look_for="Whether the wheels are free to roll: brakes released, no wedges, clean rails.",
             magnitude=Parameter(
@@ -88,6 +93,7 @@ def suspension_effects() -> tuple[Effect, ...]:
         Effect(
             name="gear_case_offset",
             title="Gear case off the middle of the front axle",
+            phrase="the offset of the gear case from the middle of the front axle",
             lacks="The gear case sits in the middle of the axle.",
             look_for="Where the gear case really sits: measure from either wheel, to the left positive.",
             magnitude=Parameter(
@@ -99,6 +105,7 @@ def suspension_effects() -> tuple[Effect, ...]:
         Effect(
             name="torque_link",
             title="Torque link between gear case and front crossbar",
+            phrase="a torque link between gear case and front crossbar",
             lacks="The gear case touches nothing but the axle.",
             look_for="A reaction link with rubber bushes between gear case and front crossbar.",
             magnitude=Parameter(
@@ -109,6 +116,7 @@ def suspension_effects() -> tuple[Effect, ...]:
         Effect(
             name="rod_damping",
             title="Rubber bushes of the connecting rods dissipate",
+            phrase="damping in the rubber bushes of the connecting rods",
             lacks="The connecting rods are elastic without loss.",
             look_for="Warm, cracked or oil-soaked rubber bushes at the ends of the connecting rods.",
             magnitude=Parameter(
@@ -119,6 +127,7 @@ def suspension_effects() -> tuple[Effect, ...]:
         Effect(
             name="stiff_bushes",
             title="Bushes of the connecting rods resist turning",
+            phrase="the resistance to turning of the bushes of the connecting rods",
             lacks="The connecting rods carry force along their own line only, as between frictionless hinges.",
             look_for="Seized or over-tightened joints and wide rubber bushes at the ends of the connecting rods.",
             magnitude=Parameter(

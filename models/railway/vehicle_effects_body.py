@@ -34,6 +34,7 @@ def body_effects() -> tuple[Effect, ...]:
         Effect(
             name="floor_joint",
             title="Soft joint between side walls and floor",
+            phrase="a soft joint between side walls and floor",
             lacks="Floor and cross-beams keep their full bending stiffness up to the side walls.",
             look_for="Bolted or riveted joints, access holes and thin webs where cross-beams and floor meet the walls.",
             magnitude=Parameter(
@@ -45,6 +46,7 @@ def body_effects() -> tuple[Effect, ...]:
         Effect(
             name="window_corners",
             title="Window corners soft in shear",
+            phrase="window corners that are soft in shear",
             lacks="The window pillars keep their full section up to the rails over and under the windows.",
             look_for="Cut-outs, tapered pillars, cracks or missing gussets at the corners of the windows.",
             magnitude=Parameter(
@@ -56,6 +58,7 @@ def body_effects() -> tuple[Effect, ...]:
         Effect(
             name="window_glass",
             title="Bonded window panes carry shear",
+            phrase="bonded window panes that carry shear",
             lacks="The windows are open holes.",
             look_for="Panes bonded all round with stiff adhesive instead of sitting in a soft rubber profile.",
             magnitude=Parameter(
@@ -67,6 +70,7 @@ def body_effects() -> tuple[Effect, ...]:
         Effect(
             name="body_damping",
             title="The car body dissipates",
+            phrase="damping of the car body",
             lacks="The car body is elastic without loss.",
             look_for="Damping layers, insulation, linings and floor coverings that are glued on or rub.",
             magnitude=Parameter(
@@ -78,6 +82,7 @@ def body_effects() -> tuple[Effect, ...]:
         Effect(
             name="neighbour_coupling",
             title="Coupling to the neighbouring car",
+            phrase="a coupling to the neighbouring car",
             lacks="Both ends of the car are free.",
             look_for="Whether the car was tested uncoupled: coupler, gangway and cables at the rear end.",
             magnitude=Parameter(
@@ -89,6 +94,7 @@ def body_effects() -> tuple[Effect, ...]:
         Effect(
             name="tipping",
             title="The body's weight tips it",
+            phrase="the tipping of the body by its weight",
             lacks="The body's weight does no work when the body rolls.",
             look_for="Height of the centre of gravity: the moment is weight times height over the lateral links.",
             magnitude=Parameter(

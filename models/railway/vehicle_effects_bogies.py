@@ -22,6 +22,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
         Effect(
             name="track_compliance",
             title="The track gives way",
+            phrase="give in the track",
             lacks="The rails stand on rigid ground.",
             look_for="Soft rail pads, ballast, or a workshop floor that gives under the rails.",
             magnitude=Parameter(
@@ -33,6 +34,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
         Effect(
             name="rod_bushes",
             title="Soft bushes of the front bogie's connecting rods",
+            phrase="soft bushes of the front bogie's connecting rods",
             lacks="The connecting rods of both bogies are alike, bushes included.",
             look_for="New, soft or cracked rubber bushes at the axle-box rods of the front bogie.",
             magnitude=Parameter(
@@ -44,6 +46,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
         Effect(
             name="tilting_rod_bush",
             title="Soft bush of a tilting rod",
+            phrase="a soft bush of a tilting rod",
             lacks="All tilting rods are alike, bushes included.",
             look_for="Wear or clearance in the joints of the front left tilting rod.",
             magnitude=Parameter(
@@ -55,6 +58,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
         Effect(
             name="bolster_mass",
             title="Unmodelled mass on the front load bolster",
+            phrase="a mass on the front load bolster",
             lacks="The load bolsters carry nothing but themselves.",
             look_for="Brackets, valves, pipes or test equipment on the load bolster of the front bogie.",
             magnitude=Parameter("bolster_mass", 0.0, 0.0, 1500.0, "kg", prior_sd=200.0, description="mass of it"),
@@ -63,6 +67,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
         Effect(
             name="pivot_yaw",
             title="Centre pivots resist turning",
+            phrase="the resistance of the centre pivots to turning",
             lacks="The bogies turn freely about their centre pivots.",
             look_for="Side bearers with friction, tight pivots, hoses and cables between bogie and floor.",
             magnitude=Parameter(

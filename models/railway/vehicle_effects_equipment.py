@@ -38,18 +38,21 @@ def equipment_effects() -> tuple[Effect, ...]:
         _hung(
             "hung_converter", "traction converter", (-0.4, 0.4),
             title="Traction converter hung elastically",
+            phrase="a traction converter hung elastically",
             lacks="The traction converter under the floor moves rigidly with its feet.",
             look_for="Rubber mounts between the traction converter and the floor; a gap that closes when it is lifted.",
         ),
         _hung(
             "hung_roof_unit", "front roof unit", (-0.2, 0.3),
             title="Front roof unit on soft mounts",
+            phrase="soft mounts of the front roof unit",
             lacks="The roof units move rigidly with their feet.",
             look_for="Rubber mounts under the front roof unit, usually an air conditioner with its compressor.",
         ),
         Effect(
             name="soft_seats",
             title="Passenger seats bounce on the floor",
+            phrase="passenger seats that bounce on the floor",
             lacks="The seats move rigidly with the floor.",
             look_for="Light seat frames on few fixings: push a seat down, let go and watch it.",
             magnitude=Parameter(
@@ -62,6 +65,7 @@ def equipment_effects() -> tuple[Effect, ...]:
         Effect(
             name="equipment_offset",
             title="Under-floor equipment off the middle",
+            phrase="an offset of the under-floor equipment from the middle",
             lacks="Everything under the floor sits in the middle of the car.",
             look_for="Where the heavy units really hang, to the left positive; unequal wheel loads left and right.",
             magnitude=Parameter(
@@ -73,10 +77,12 @@ def equipment_effects() -> tuple[Effect, ...]:
     )  # fmt: skip
 
 
-def _hung(name: str, item: str, drop: tuple[float, float], title: str, lacks: str, look_for: str) -> Effect:
+def _hung(
+    name: str, item: str, drop: tuple[float, float], title: str, phrase: str, lacks: str, look_for: str
+) -> Effect:
     """A unit on elastic mounts at its feet; its centre may be lower than in the model, within ``drop`` in m."""
     return Effect(
-        name=name, title=title, lacks=lacks, look_for=look_for,
+        name=name, title=title, phrase=phrase, lacks=lacks, look_for=look_for,
         magnitude=Parameter(name, 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
         build=partial(_unit, name=name, item=item),
         nuisance=(

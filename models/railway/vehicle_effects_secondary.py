@@ -23,6 +23,7 @@ def secondary_effects() -> tuple[Effect, ...]:
         Effect(
             name="anti_roll_bar",
             title="Anti-roll bars between frames and bolsters",
+            phrase="anti-roll bars between frames and bolsters",
             lacks="Frame and load bolster roll against each other on the secondary springs alone.",
             look_for="A torsion bar with levers and links between each bogie frame and its bolster.",
             magnitude=Parameter(
@@ -34,6 +35,7 @@ def secondary_effects() -> tuple[Effect, ...]:
         Effect(
             name="damper_asymmetry",
             title="Secondary dampers uneven left and right",
+            phrase="secondary dampers that are uneven left and right",
             lacks="All secondary dampers work alike.",
             look_for="Leaking or wrong dampers on one side of the car; oil on a body, a stroke without resistance.",
             magnitude=Parameter(
@@ -45,6 +47,7 @@ def secondary_effects() -> tuple[Effect, ...]:
         Effect(
             name="secondary_asymmetry",
             title="Secondary springs of the front bogie uneven left and right",
+            phrase="secondary springs of the front bogie that are uneven left and right",
             lacks="The secondary springs of a bogie are alike.",
             look_for="Wrong, broken or shimmed springs; unequal heights of the load bolster left and right.",
             magnitude=Parameter(
@@ -56,6 +59,7 @@ def secondary_effects() -> tuple[Effect, ...]:
         Effect(
             name="air_spring",
             title="Air springs beside the secondary springs",
+            phrase="air springs beside the secondary springs",
             lacks="The secondary suspension has springs with dampers beside them, but none in series.",
             look_for="Air bellows with a reservoir behind an orifice or a long pipe at the secondary springs.",
             magnitude=Parameter(
@@ -74,6 +78,7 @@ def secondary_effects() -> tuple[Effect, ...]:
         Effect(
             name="yaw_damper_mount",
             title="Soft mounts of the yaw dampers",
+            phrase="soft mounts of the yaw dampers",
             lacks="The yaw dampers are fixed rigidly to bracket and floor.",
             look_for="Soft or worn rubber bushes at the eyes of the yaw dampers.",
             magnitude=Parameter(
@@ -86,6 +91,7 @@ def secondary_effects() -> tuple[Effect, ...]:
         Effect(
             name="soft_pads",
             title="Floor pads on the left softer",
+            phrase="softer floor pads on the left",
             lacks="All pads between tilting bolsters and floor are alike.",
             look_for="Aged, oil-soaked or wrong rubber pads on the left of the car.",
             magnitude=Parameter(
@@ -97,6 +103,7 @@ def secondary_effects() -> tuple[Effect, ...]:
         Effect(
             name="pad_damping",
             title="Floor pads dissipate",
+            phrase="damping in the floor pads",
             lacks="The pads between tilting bolsters and floor are elastic without loss.",
             look_for="Loss angle of the pads' rubber from the supplier; pads that are warm after running.",
             magnitude=Parameter(

@@ -19,6 +19,7 @@ def library():
     own = Effect(
         name="bracket_mass_1",
         title="Bracket on mass 1",
+        phrase="a bracket on mass 1",
         lacks="Mass 1 was weighed without the bracket that holds the shaker's rod.",
         look_for="The bracket, its bolts and the end of the rod.",
         magnitude=Parameter("bracket_mass_1", 0.0, 0.0, 1.0, "kg", prior_sd=0.1),

@@ -47,7 +47,7 @@ def guyed(
     folder = tmp_path_factory.mktemp("guyed")
     study = Study.load(edited(mast.write_study(folder / "mast", {"guy": 12000.0}), *HELD))
     results, progress = Results.at(folder / "results", study.name), []
-    return study, results, explain(study, results, progress.append), progress
+    return study, results, explain(study, results, lambda stage, *more: progress.append(stage)), progress
 
 
 @pytest.fixture(scope="session")

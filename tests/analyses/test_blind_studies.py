@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from calib import cli
+from calib.missing.local import interval_words
 from calib.missing.verdict import rounded
 from calib.results import Results
 
@@ -55,7 +56,7 @@ def test_the_hidden_effect_is_named_and_no_other(explained):
     assert effects.index[0] == name and summary["chosen"] == [name]
     assert effects.loc[name, "model_probability"] > 0.95 and effects["credible"].sum() == 1
     assert effects.drop(name)["ln_bayes"].max() < effects.loc[name, "ln_bayes"] - 3
-    assert f"({name})" in summary["sentence"] and summary["sentence"].count("Best explanation") == 1
+    assert name in summary["sentences"][1] and summary["sentences"][0] == summary["sentence"].split(". ")[0] + "."
 
 
 def test_the_interval_of_the_magnitude_covers_the_truth(explained):
@@ -104,7 +105,7 @@ def test_the_sentence_agrees_with_the_tables(explained, name):
     summary, effects, errors = written(folder)
     text = summary["sentence"]
     local = len(set(pd.read_csv(folder / "perturbations.csv")["perturbation"]))
-    assert f"(family-wise over {len(effects)} effects and {local} local perturbations)" in text
+    assert f"largest score of {len(effects)} effects and {local} local perturbations" in text
     assert local == summary["local_perturbations"] > 100
     for effect, row in effects[~effects["visible"]].iterrows():
         unit = "" if row["unit"] == "-" else f" {row['unit']}"
@@ -114,10 +115,7 @@ def test_the_sentence_agrees_with_the_tables(explained, name):
         ) in text
     if summary["chosen"] and summary["verdict"] == "effect":
         row = effects.loc[summary["chosen"][0]]
-        assert (
-            f"{row['magnitude']:.3g} {row['unit']} (95 %: {row['magnitude_low']:.3g} to {row['magnitude_high']:.3g}"
-            in text
-        )
+        assert interval_words(row["magnitude"], row["magnitude_low"], row["magnitude_high"], row["unit"]) in text
         for group, words in (("held_out_sensors", "held-out sensors"), ("held_out_modes", "held-out modes")):
             before, after = errors["rms"][group, "before"], errors["rms"][group, "after"]
             assert f"{words} {before:.2f} -> {after:.2f}" in text
@@ -153,7 +151,7 @@ def test_an_effect_outside_the_library_is_not_misnamed(explained):
     assert summary["credible_set"] == [] and not effects["credible"].any()
     assert not set(truth(OUTSIDE)["effects"]) & set(effects.index)
     assert summary["p_family"] <= 0.01 or summary["p_fit"] <= 0.01
-    assert "Best explanation" not in summary["sentence"] and "Look for" not in summary["sentence"]
+    assert "Look for" not in summary["sentence"]
     assert "a place to look at, not a cause" in summary["sentence"]
 
 

@@ -76,7 +76,7 @@ def test_contradicting_data_are_reported_everywhere(tmp_path, monkeypatch, capsy
     assert said.count(sentence) == 1
     assert all(f"{name} (held out)" in said for name in ("y6", "y7"))
     assert sentence in json.loads((folder / "record.json").read_text())["analyses"]["calibrate"]["sentences"]
-    assert sentence in summary(StudyResults(folder, "A line", True)).verdict
+    assert sentence in summary(StudyResults(folder, "A line", True)).sure
     each = pd.read_csv(folder / "responses.csv").set_index("response")
     assert each.index[each["held_out"]].tolist() == ["y6", "y7"] and len(each) == 8
 

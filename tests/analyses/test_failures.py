@@ -59,7 +59,7 @@ def test_the_commonest_reason_is_reported(sums, tmp_path):
 def test_a_basis_that_misses_its_tolerance_is_not_used_and_not_tried_again(tmp_path, monkeypatch, method):
     tried = []
 
-    def missing(self, model, space):
+    def missing(self, model, space, progress):
         tried.append(space)
         raise ToleranceError("it misses its tolerance of 1e-05")
 

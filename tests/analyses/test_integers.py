@@ -31,7 +31,7 @@ def test_an_incomplete_search_over_integers_is_reported(here, monkeypatch, capsy
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     measured = {"y": (51.0, 0.1), "z": (7.0, 0.1), "w": (2.0, 0.1)}
     plain.write(Path("plain"), FUNCTION, ASKED, SPACE, '["a", "n"]', **measured)
-    assert cli.execute(["calibrate", "plain", "--method", "gauss-newton", "--workers", "1"]) == 0
+    assert cli.execute(["calibrate", "plain", "--method", "gauss-newton", "--workers", "1", "--verbose"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert (UNTRIED in out) == (refits == 2)
     assert "by how much worse their neighbours fit: n." in out

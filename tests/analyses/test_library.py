@@ -68,8 +68,10 @@ def test_effects_in_the_model_are_not_candidates(study, results, mast):
 
 def test_the_basis_is_trained_once_and_kept(study, results, small_pays):
     progress = []
-    first, _ = modal_hypotheses(study, results, progress.append)
-    assert progress == ["reduced basis for the effects"] and len(small_pays) == 1 and len(bases(results)) == 1
+    first, _ = modal_hypotheses(study, results, lambda stage, *more: progress.append(stage))
+    stages = ["reduced basis for the effects", "training the reduced basis", "training the basis for the effects"]
+    assert [stage for stage in dict.fromkeys(progress) if stage in stages] == stages
+    assert len(small_pays) == 1 and len(bases(results)) == 1
     again, _ = modal_hypotheses(Study.load(study.file), results)
     assert len(small_pays) == 1
     np.testing.assert_array_equal(first.variants.basis.vectors, again.variants.basis.vectors)

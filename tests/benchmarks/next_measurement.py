@@ -45,6 +45,7 @@ from calib.missing.explain import explain
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.recommendation import recommend
 from calib.missing.refits import DEFAULT, Refits
+from calib.stage import unheard
 
 
 def run(twin: Twin) -> dict[str, Any]:
@@ -91,7 +92,7 @@ def refitted(found: Explanation, hypotheses: ModelHypotheses, names: Sequence[st
     One that the decision did not fit begins at a third of its plausible size, well inside its range: at 0 an effect
     with nuisance parameters has no slope.
     """
-    fits = Refits(hypotheses, replace(DEFAULT, budget=math.inf), found.noise_scale, lambda words: None)
+    fits = Refits(hypotheses, replace(DEFAULT, budget=math.inf), found.noise_scale, unheard)
     known = {t.names[0]: t.fit.values for t in found.singles}
     plausible = {e.name: e.plausible for e in hypotheses.effects}
     starts = {name: known.get(name, {**found.base.fit.values, name: plausible[name] / 3}) for name in names}

@@ -60,7 +60,7 @@ def whole(asked, tmp_path_factory):
     """A folder with a whole run of the example, and its output."""
     folder = tmp_path_factory.mktemp("whole")
     small_mast(folder)
-    return folder, asked(folder, "run", "mast", "--workers", "1")
+    return folder, asked(folder, "run", "mast", "--workers", "1", "-v")
 
 
 @pytest.fixture
@@ -184,7 +184,7 @@ def test_rows_of_the_reduced_problem_are_not_called_stale(here, capsys):
 
 def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, unrendered, monkeypatch, capsys):
     told = Path("results/mast/report.html")
-    assert f"one file that opens offline: {told}" in whole[1]
+    assert f"Report:   {told}" in whole[1]
     first = told.read_bytes()
     for figure in (told, *Path("results/mast").glob("*.png")):
         figure.unlink()
@@ -266,6 +266,8 @@ def test_unexpected_failures_leave_their_traceback_in_a_log(mast, capsys, monkey
 
 
 def test_help_texts_read_well(capsys):
+    assert cli.execute(["--help"]) == 0
+    assert "..." not in capsys.readouterr().out.replace("[ARGS]...", "")
     for verb in ("new", "compare", "sensitivity", "calibrate", "extend", "report", "run"):
         assert cli.execute([verb, "--help"]) == 0
         assert "Usage: calib" in capsys.readouterr().out

@@ -1,14 +1,19 @@
 """Terminal output of the command."""
 
+import io
+import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
+from calib import cli, terminal
 from calib.analyses.sensitivity import Screening
-from calib.console import PRINTING
+from calib.console.printing import printing
 from calib.results import Results
 
 
@@ -17,7 +22,8 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
         [("a", "x", np.nan), ("a", "y", np.nan), ("b", "x", 0.25), ("b", "y", 0.75)],
         columns=["parameter", "response", "mu_star"],
     )
-    PRINTING.screened(Screening("morris", table, 12, ""), Results(tmp_path))
+    with printing("sensitivity") as listener:
+        listener.screened(Screening("morris", table, 12, ""), Results(tmp_path))
     first, second = (line.split() for line in capsys.readouterr().out.splitlines() if line[:2] in ("a ", "b "))
     assert first == ["b", "0.75", "y"] and second == "a no response: too few are known, or none changes".split()
 
@@ -34,7 +40,91 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
 def test_only_an_effect_without_a_competing_model_is_added(capsys, verdict, names, untold, added):
     chosen = SimpleNamespace(names=names)
     found = SimpleNamespace(verdict=verdict, chosen=chosen, untold=untold)
-    PRINTING.may_add(SimpleNamespace(file=Path("mast/study.toml")), found)
+    with printing("explain") as listener:
+        listener.may_add(SimpleNamespace(file=Path("mast/study.toml")), found)
     them, _, which = added.partition(": ")
     told = f"Add {them} with: calib extend mast {which} --into FOLDER\n" if added else ""
-    assert capsys.readouterr().out == told
+    assert "".join(x for x in capsys.readouterr().out.splitlines(True) if x.strip()) == told
+
+
+LABELS = ["Found:", "How sure:", "Next:", "Results:"]
+
+
+@pytest.fixture
+def wide(monkeypatch):
+    """Function that sets the width of a terminal, and returns what is written to it."""
+
+    def of(width):
+        stream = io.StringIO()
+        console = Console(file=stream, width=width, highlight=False, markup=False, soft_wrap=True, force_terminal=True,
+                          color_system=None)  # fmt: skip
+        monkeypatch.setattr(terminal, "_out", console)
+        return stream
+
+    return of
+
+
+def plain(text):
+    return re.sub(r"\x1b\[[0-9;]*m", "", text)
+
+
+@pytest.mark.parametrize("verb", ["compare", "sensitivity", "calibrate", "explain"])
+def test_an_answer_in_four_lines_comes_first_and_is_that_of_the_record(guyed, capsys, verb):
+    more = [] if verb in ("compare", "explain") else ["--workers", "1"]
+    assert cli.execute([verb, "mast", *more, *(["--quick"] if more else [])]) == 0
+    title, *answer = capsys.readouterr().out.splitlines()[:5]
+    assert title == f"A mast that may lack something: {verb}  [synthetic measurement]"
+    assert [line[: terminal.LABEL].strip() for line in answer] == LABELS
+    folder = Path("results/mast/quick" if more else "results/mast")
+    stored = json.loads((folder / "record.json").read_text())["analyses"][verb]["answer"]
+    assert [line[terminal.LABEL :] for line in answer[:3]] == [stored[key] for key in ("found", "sure", "then")]
+    assert all(stored.values()) and Path(answer[3][terminal.LABEL :]).exists()
+
+
+def test_an_explanation_fits_on_one_screen_and_tells_all_on_request(guyed, wide, explanation):
+    out = {}
+    for options in ((), ("--verbose",)):
+        stream = wide(80)
+        assert cli.execute(["explain", "mast", *options]) == 0
+        out[options] = plain(stream.getvalue())
+    brief, whole = out.values()
+    assert len(brief.splitlines()) <= 40 < len(whole.splitlines())
+    assert max(map(len, brief.splitlines())) <= 80
+    words = " ".join(whole.split())
+    assert all(" ".join(sentence.split()) in words for sentence in explanation()["sentences"])
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 120, 200])
+def test_no_word_of_a_table_is_cut(wide, width):
+    heads = ("parameter", "a head of many words", "value", "remark")
+    rows = [
+        ("K_primary", "1.5", "557.5 kN/m", "std too large, rests on the prior"),
+        ("m_girder_centre_of_the_rear", "12345.678", "67.228 kg/m", "no: on its limit " * 5),
+        ("c", "", "", ""),
+    ]
+    stream = wide(width)
+    terminal.table(heads, rows, left=("remark",))
+    text = plain(stream.getvalue())
+    told = text.split()
+    for word in {word for row in rows for cell in row for word in cell.split()}:
+        assert word in told or f"{word};" in told or f"{word}:" in told
+    assert "…" not in text and "..." not in text
+    assert max(map(len, text.splitlines())) <= max(width, len("parameter m_girder_centre_of_the_rear:"))
+
+
+def test_long_text_is_wrapped_between_words_on_a_terminal_only(wide, capsys):
+    text = "word " * 60 + "a_name_that_is_longer_than_the_whole_line_of_this_terminal_is"
+    terminal.say(text)
+    assert capsys.readouterr().out == f"{text}\n"
+    stream = wide(40)
+    terminal.labelled("Found", text)
+    lines = plain(stream.getvalue()).splitlines()
+    assert " ".join(lines).split() == ["Found:", *text.split()]
+    assert all(line.startswith(" " * terminal.LABEL) for line in lines[1:])
+
+
+def test_what_was_found_is_told_even_if_a_later_step_fails(guyed, monkeypatch, capsys):
+    monkeypatch.setattr("calib.analyses.sensitivity.sensitivity", lambda *given: 1 / 0)
+    assert cli.execute(["run", "mast", "--workers", "1"]) == 1
+    out = capsys.readouterr().out
+    assert "A mast that may lack something: compare" in out and out.count("Found:") == 1

@@ -29,7 +29,7 @@ def refused(capsys, one_sentence):
 
 def test_a_study_without_effects_is_told_the_place(guyed, capsys, edit, explanation):
     edit(guyed, 'effects = "effects.py:library"\n', "")
-    assert cli.execute(["explain", "mast"]) == 0
+    assert cli.execute(["explain", "mast", "-v"]) == 0
     found = explanation()
     assert found["verdict"] == "none_explains" and found["effects"] == [] and found["p_family"] < 0.01
     assert found["local_perturbation"]["name"] in Path("results/mast/perturbations.csv").read_text()

@@ -11,13 +11,15 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from calib import cli
 from calib.analyses import calibrate as calibration
+from calib.report.html.summary import summary
+from calib.report.html.write import Page
 from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
 FOLDER, OWN = Path("results/mast/quick"), Path("results/mast_extended/quick")
 UNSEEN = ("held_out_sensors", "held_out_modes")
-RUN = ["run", "mast", "--quick", "--workers", "1"]
+RUN = ["run", "mast", "--quick", "--workers", "1", "-v"]
 
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
@@ -30,13 +32,18 @@ def quick(folder: Path, write_study, asked, edit, hidden) -> str:
     return asked(folder, *RUN)
 
 
+def _unwritten(results, *given):
+    """Stands in for the writing of a report."""
+    return Page(results.folder / "report.html", summary(results))
+
+
 @pytest.fixture(scope="module")
 def lacking(write_study, asked, edit, tmp_path_factory):
     """A folder with the run of a mast with a guy rope that its model lacks, without figures, and its output."""
     folder = tmp_path_factory.mktemp("lacking")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-        patch.setattr("calib.front.study.write_report", lambda results: results.folder / "report.html")
+        patch.setattr("calib.front.study.write_report", _unwritten)
         return folder, quick(folder, write_study, asked, edit, {"guy": 12000.0})
 
 
@@ -80,7 +87,7 @@ def test_the_output_is_in_order_with_its_numbers(within):
     heads = [
         line.split(": ")[1].split("  ")[0] for line in within.splitlines() if line.endswith("[synthetic measurement]")
     ]
-    verbs = ["compare", "sensitivity", "calibrate", "explain", "extend", "calibrate", "before and after"]
+    verbs = ["run", "compare", "sensitivity", "calibrate", "explain", "extend", "calibrate", "before and after"]
     assert heads == verbs
     end = within[within.index("before and after  [synthetic") :]
     added = json.loads((FOLDER / "added.json").read_text())
@@ -202,8 +209,8 @@ def test_a_model_without_matrices_is_run_to_the_end_too(here, asked):
 
 def test_a_command_computes_on_one_thread(here, monkeypatch):
     seen = []
-    monkeypatch.setattr(cli, "write_example", lambda folder: seen.append(threadpool_info()) or [])
+    monkeypatch.setattr("calib.front.study.Study.report", lambda *given: seen.append(threadpool_info()))
     with threadpool_limits(2):
-        assert cli.execute(["new", "mast"]) == 0
+        assert cli.execute(["report", "mast"]) == 0
         assert {pool["num_threads"] for pool in threadpool_info()} == {2}
     assert seen[0] and {pool["num_threads"] for pool in seen[0]} == {1}

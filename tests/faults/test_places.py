@@ -125,15 +125,15 @@ def test_results_replaced_by_a_file(mast, told):
 
 def test_results_replaced_by_a_file_while_running(mast, told, monkeypatch):
     @contextmanager
-    def progress():
-        def at_generation(case, generation, generations, best):
-            if generation == 3 and not Path("moved").exists():
+    def progress(verb):
+        def at_generation(stage, done=0, total=0, best=0):
+            if done == 3 and not Path("moved").exists():
                 FOLDER.rename("moved")
                 FOLDER.write_text("a file")
 
         yield at_generation
 
-    monkeypatch.setattr("calib.progress.search", progress)
+    monkeypatch.setattr("calib.progress.bars", progress)
     assert "cannot be written" in told("calibrate", "mast", "--workers", "1")
     assert FOLDER.read_text() == "a file"
     FOLDER.unlink()

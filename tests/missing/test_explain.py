@@ -186,7 +186,7 @@ def test_scalar_responses_need_no_modes(toy):
 
 def test_progress_is_reported(toy):
     messages = []
-    explain(toy().drawn(np.random.default_rng(7), {"E1": 1.5}), progress=messages.append)
+    explain(toy().drawn(np.random.default_rng(7), {"E1": 1.5}), progress=lambda stage, *more: messages.append(stage))
     assert messages[0] == "calibrating the base model" and "fitting E1" in messages
 
 

@@ -30,7 +30,9 @@ def spread(toy, *names):
 def decided(toy, seed, truth, noise=1.0):
     """Explanation, and its progress messages before and after the decision is repeated."""
     messages = []
-    found = explain(toy.drawn(np.random.default_rng(seed), truth, noise), progress=messages.append)
+    found = explain(
+        toy.drawn(np.random.default_rng(seed), truth, noise), progress=lambda stage, *more: messages.append(stage)
+    )
     cut = next((k for k, words in enumerate(messages) if REPEATED in words), len(messages))
     return found, messages[:cut], messages[cut:]
 

@@ -1,12 +1,13 @@
 """Choice and magnitude of the fitted local perturbation."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calib.missing.explain import Settings, explain
-from calib.missing.local import LocalPerturbation, local_perturbation
+from calib.missing.local import LocalPerturbation, interval_words, local_perturbation
 
 
 def named_part(made, *names):
@@ -92,3 +93,17 @@ def test_without_any_local_perturbation_nothing_is_named(toy):
         found = explain(replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"E0": 1.0}))
         assert (found.verdict, found.chosen.names) == (verdict, ("E0",))
         assert found.uncontested == (not perturbations) and found.names_something == bool(perturbations)
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "unit", "words"),
+    [
+        (63.55, 54.4, 74.2, "kg", "about 64 kg (95 %: 54 to 74)"),
+        (11993.0, 11432.0, 12549.0, "N/m", "about 12000 N/m (95 %: 11400 to 12500)"),
+        (0.1071, 0.0712, 0.1431, "-", "about 0.107 (95 %: 0.071 to 0.143)"),
+        (5.0, 5.0, 5.0, "mm", "about 5 mm"),
+        (5.0, math.nan, math.nan, "mm", "about 5 mm"),
+    ],
+)
+def test_a_magnitude_has_as_many_digits_as_its_interval(value, low, high, unit, words):
+    assert interval_words(value, low, high, unit) == words

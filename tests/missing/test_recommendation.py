@@ -20,10 +20,23 @@ from calib.missing.recommendation import (
     ExperimentalDesign,
     Linearisation,
     recommend,
-    recommendation_sentence,
+    recommendation,
 )
 
 P, M, MORE = 3, 4, 6
+
+
+def _sentence(*given):
+    """The recommendation in words; empty without one. Its short form names the same measurements."""
+    found = recommendation(*given)
+    if found is None:
+        return ""
+    table = given[0]
+    named = [name for name in table["measurement"].unique() if name in found.short]
+    assert all(name in found.sentence for name in named) and (named or "No measurement" in found.short)
+    return found.sentence
+
+
 TWICE = CandidateMeasurement("twice the repeats", "repeats", scale=1 / math.sqrt(2))
 SENSOR = CandidateMeasurement("a sensor on the roof", "sensor", rows=np.arange(20) >= 20 - MORE)
 
@@ -238,14 +251,14 @@ def test_the_measurement_that_tells_a_pair_apart_comes_first():
 
 
 def test_the_sentence_about_a_pair_names_the_best_measurement_with_its_bayes_factor():
-    assert recommendation_sentence(recommend(apart()), ("E0", "E1"), []) == (
+    assert _sentence(recommend(apart()), ("E0", "E1"), []) == (
         "To tell them apart, measure next: a sensor on the roof: odds of 150:1 for the true one of E0 and E1 (20:1 to "
         f"1100:1), beyond 20:1 with a chance of 90 %. {AVERAGED}"
     )
 
 
 def test_the_sentence_says_when_nothing_tells_a_pair_apart():
-    sentence = recommendation_sentence(recommend(apart(2.9, -0.1)), ("E0", "E1"), [])
+    sentence = _sentence(recommend(apart(2.9, -0.1)), ("E0", "E1"), [])
     assert sentence.startswith(
         "No measurement looked at would tell E0 from E1; the best gives a sensor on the roof: odds "
     )
@@ -285,24 +298,24 @@ def table_of(*rows):
 
 def test_the_best_measurement_is_named_for_every_invisible_effect():
     table = table_of(("A", "E0", 1.5), ("B", "E0", 4.0), ("A", "E1", 3.0), ("B", "E1", 2.0), ("A", "E2", 9.0))
-    sentence = recommendation_sentence(table, None, ["E1", "E0"])
+    sentence = _sentence(table, None, ["E1", "E0"])
     assert sentence == f"To see more, measure next: A: 3 times the score of E1; B: 4 times the score of E0. {AVERAGED}"
 
 
 def test_a_measurement_of_little_gain_is_not_recommended():
     table = table_of(("A", "E0", WORTHWHILE - 0.01), ("A", "E1", WORTHWHILE), ("A", "E2", math.nan))
     assert (
-        recommendation_sentence(table, None, ["E0", "E1", "E2"])
+        _sentence(table, None, ["E0", "E1", "E2"])
         == f"To see more, measure next: A: 1.2 times the score of E1. {AVERAGED}"
     )
-    assert recommendation_sentence(table, None, ["E0", "E2"]) == ""
-    assert recommendation_sentence(table, None, []) == ""
-    assert recommendation_sentence(table.head(0), ("E0", "E1"), ["E0"]) == ""
+    assert _sentence(table, None, ["E0", "E2"]) == ""
+    assert _sentence(table, None, []) == ""
+    assert _sentence(table.head(0), ("E0", "E1"), ["E0"]) == ""
 
 
 def test_at_most_three_measurements_are_recommended():
     table = table_of(*[("A", f"E{k}", 5.0) for k in range(6)])
-    assert recommendation_sentence(table, None, [f"E{k}" for k in range(6)]).count("times the score") == 3
+    assert _sentence(table, None, [f"E{k}" for k in range(6)]).count("times the score") == 3
 
 
 VERIFIES = f" {AVERAGED} A held-out mode that is used no longer verifies the result."
@@ -311,13 +324,13 @@ VERIFIES = f" {AVERAGED} A held-out mode that is used no longer verifies the res
 def test_a_held_out_mode_is_recommended_with_the_best_new_measurement():
     held = f"mode 4BT{HELD_OUT}"
     table = table_of((held, "E0", 5.0), ("mode 9BT, held-out so far", "E0", 4.0), ("A", "E0", 2.0), ("B", "E0", 1.9))
-    sentence = recommendation_sentence(table, None, ["E0"])
+    sentence = _sentence(table, None, ["E0"])
     assert sentence == (
         f"To see more, measure next: {held}: 5 times the score of E0 (new: A: 2 times the score of E0).{VERIFIES}"
     )
-    alone = recommendation_sentence(table_of((held, "E0", 5.0), ("A", "E0", WORTHWHILE - 0.01)), None, ["E0"])
+    alone = _sentence(table_of((held, "E0", 5.0), ("A", "E0", WORTHWHILE - 0.01)), None, ["E0"])
     assert alone == f"To see more, measure next: {held}: 5 times the score of E0.{VERIFIES}"
-    new = recommendation_sentence(table_of((held, "E0", 2.0), ("A", "E0", 5.0)), None, ["E0"])
+    new = _sentence(table_of((held, "E0", 2.0), ("A", "E0", 5.0)), None, ["E0"])
     assert new == f"To see more, measure next: A: 5 times the score of E0. {AVERAGED}"
 
 
@@ -325,7 +338,7 @@ def test_a_held_out_mode_for_a_pair_is_recommended_with_the_best_new_measurement
     held = replace(SENSOR, name=f"mode 4BT{HELD_OUT}", kind="mode")
     bayes_factor = {held.name: BayesFactor(5.0, 3.0, 7.0, 0.9), TWICE.name: BayesFactor(0.0, -1.0, 1.0, 0.1)}
     p = replace(design(measurements=(TWICE, held)), competing=Told(bayes_factor))
-    sentence = recommendation_sentence(recommend(p), ("E0", "E1"), [])
+    sentence = _sentence(recommend(p), ("E0", "E1"), [])
     assert sentence.startswith(f"To tell them apart, measure next: {held.name}: odds of ") and sentence.endswith(
         VERIFIES
     )

@@ -8,8 +8,10 @@ import pytest
 
 from calib.missing.explain import explain
 from calib.missing.goodness import by_sensor
+from calib.missing.recommendation import Recommendation
 from calib.missing.tables import effects_table
-from calib.missing.verdict import misfit_at, sentences
+from calib.missing.verdict import verdict
+from calib.missing.worst_misfit import misfit_at
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +32,9 @@ def test_the_worst_sensor_and_mode_are_named(spoiled, seed):
     assert found.base_adequacy.p_family > 0.01 > found.base_adequacy.p_fit
     assert found.verdict == "misfit_unlocated" and found.credible == () and not found.names_something
     assert found.base_adequacy.sensors.iloc[0]["sensor"] == "S7"
-    text = " ".join(
-        sentences(found, effects_table(found, {}, {}), effects_table(found, {}, {}).head(0), "Recommendation.")
-    )
+    effects = effects_table(found, {}, {})
+    told = verdict(found, effects, effects.head(0), Recommendation("Recommendation.", "Recommendation."))
+    text = " ".join((*told.sentences, told.answer.then))
     assert "at S7 (" in text and "of mode M5" in text and "nan" not in text
     assert "Recommendation." not in text and "(score" not in text  # no place of no significance
 
@@ -49,10 +51,10 @@ def test_the_repeat_that_disagrees_where_the_fit_is_worst_is_named_first(spoiled
     where = misfit_at(found.base_adequacy, table)
     assert where == {"sensor": "S7", "mode": "M5", "kind": "shape", "repeats": ["run 2", "run 4", "run 1"]}
     effects = effects_table(found, {}, {})
-    text = " ".join(sentences(found, effects, effects.head(0), "", table))
+    text = " ".join(verdict(found, effects, effects.head(0), None, table).sentences)
     assert all(repeat in text for repeat in where["repeats"])
     assert misfit_at(found.base_adequacy, table.head(0))["repeats"] == []
-    quiet = sentences(found, effects, effects.head(0), "", table.head(0))
+    quiet = verdict(found, effects, effects.head(0), None, table.head(0)).sentences
     assert not any("run" in words.split() for words in quiet)
 
 

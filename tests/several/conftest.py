@@ -129,6 +129,8 @@ def run(tmp_path_factory):
     The figures themselves take four times as long as all the rest and are left out, and so are the pages.
     """
     from calib import cli
+    from calib.report.html.summary import summary
+    from calib.report.html.write import Page
 
     root, drawn, reported = tmp_path_factory.mktemp("several"), [], []
     study = write_study(root / "frame")
@@ -136,10 +138,12 @@ def run(tmp_path_factory):
         patch.setattr(
             "calib.report.figures.Figures.save", lambda figures, *given: drawn.append(figures.folder.folder.name) or []
         )
-        patch.setattr(
-            "calib.front.study.write_report",
-            lambda results: reported.append(results.folder.folder.name) or results.folder / "report.html",
-        )
+
+        def unwritten(results, *given):
+            reported.append(results.folder.folder.name)
+            return Page(results.folder / "report.html", summary(results))
+
+        patch.setattr("calib.front.study.write_report", unwritten)
         assert cli.execute(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
     return study, root / "results", drawn, reported
 

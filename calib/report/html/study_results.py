@@ -19,6 +19,7 @@ from calib.report.tables import read_table
 STAGES = ("before", "after")
 _ANALYSIS = {
     "when": str, "quick": bool, "versions": {ANY: str}, "seeds": {ANY: float}, "sentences": [str],
+    "answer": {"found": str, "sure": str, "then": str},
 }  # fmt: skip
 RECORD = {
     "study": str, "notebook": bool, "model": str, "adopted": {ANY: float}, "adopted_from": str, "effects_known": float,
@@ -120,6 +121,11 @@ class StudyResults:
         """Sentences that an analysis reported; none if it was not run or is stale."""
         record = {} if analysis in self.stale else self.analyses.get(analysis, {})
         return tuple(str(words) for words in record.get("sentences", ()))
+
+    def answer(self, analysis: str) -> Mapping[str, str]:
+        """What an analysis found, how sure that is, and what to do next; empty if it was not run or is stale."""
+        record = {} if analysis in self.stale else self.analyses.get(analysis, {})
+        return {key: str(words) for key, words in record.get("answer", {}).items()}
 
     @property
     def analyses(self) -> Mapping[str, Mapping[str, Any]]:

@@ -1,4 +1,4 @@
-"""Summary at the top of the page: the verdict and its key numbers."""
+"""Summary at the top of the page: the answer and its key numbers."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ DATA = {
     "held_out_responses": "error in held-out responses",
 }
 
+ANSWERING = ("explain", "calibrate", "compare")
+"""Analyses whose answer heads the page, the most telling first."""
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -25,22 +28,34 @@ class Summary:
 
     Attributes
     ----------
-    verdict : str
+    found : str
+        What was found.
+    sure, then : str
+        How sure that is, and what to do next; empty where nothing was found.
     facts : tuple of (name, formatted number)
     origin : str
         Study, version and time of the last analysis.
     """
 
-    verdict: str
+    found: str
+    sure: str
+    then: str
     facts: tuple[tuple[str, str], ...]
     origin: str = ""
 
 
 def summary(results: StudyResults) -> Summary:
-    """Return the verdict of the last analysis that has one, with the key numbers."""
+    """Return the answer of the last analysis that has one, with the key numbers."""
     facts = [*_measured(results), *_calibrated(results), *_explained(results)]
-    verdict = _explanation(results) or _calibration(results) or _comparison(results)
-    return Summary(verdict, tuple(facts), _origin(results))
+    answer = next(filter(None, map(results.answer, ANSWERING)), {"found": _nothing(results)})
+    sure = f"{answer.get('sure', '')} {results.added.get('conclusion', '')}".strip()
+    found, sure, then = (w.replace(" -> ", " → ") for w in (answer["found"], sure, answer.get("then", "")))
+    return Summary(found, sure, then, tuple(facts), _origin(results))
+
+
+def _nothing(results: StudyResults) -> str:
+    stale = "There are no results for the present state of the study."
+    return stale if results.stale else "No comparison has been run yet."
 
 
 def _origin(results: StudyResults) -> str:
@@ -51,60 +66,6 @@ def _origin(results: StudyResults) -> str:
     version = last.get("versions", {}).get("calib", "")
     what = "A fit from Python" if results.record.get("notebook") else f"Study {results.name}, analysed"
     return f"{what} on {str(last.get('when', ''))[:10]} by calib {version}{quick}."
-
-
-def _explanation(results: StudyResults) -> str:
-    explanation = results.explanation
-    table = effects_table(results) if explanation else None
-    titles = {} if table is None else {str(r["name"]): str(r["title"]) for r in table.to_dict("records")}
-    chosen = [titles.get(name, name) for name in explanation.get("chosen", [])]
-    credible = [titles.get(name, name) for name in explanation.get("credible_set", [])]
-    fault = explanation.get("measurement_fault")
-    if isinstance(fault, dict):
-        credible.append(f"{fault.get('name', '')}, a fault of the measurement")
-    datum = explanation.get("wrong_datum")
-    if isinstance(datum, dict):
-        credible.append(f"{datum.get('what', '')}, an erroneous datum")
-    verdicts = {
-        "effect": f"Something is missing in the model, and it is named: {' and '.join(chosen)}.",
-        "two_effects": f"Two things are missing in the model, and they are named: {' and '.join(chosen)}.",
-        "indistinguishable": f"Something is missing in the model; these data cannot tell which: {'; '.join(credible)}.",
-        "unconfirmed": f"{' and '.join(chosen)} would fit, but is not confirmed: no effect is named.",
-        "partial": f"Something is missing in the model; {' and '.join(chosen) or 'an effect'} explains a part of it.",
-        "none_explains": "Something is missing in the model that no effect of the library explains.",
-        "misfit_unlocated": "The misfit exceeds the measurement uncertainty, but no missing effect stands out.",
-        "nothing_detectable": "These data show no missing effect.",
-        "noise_underestimated": "The measurement uncertainty seems to be understated; no effect can be named.",
-    }
-    verdict = verdicts.get(str(explanation.get("verdict", "")), "")
-    return f"{verdict} {results.added.get('conclusion', '')}".strip()
-
-
-def _calibration(results: StudyResults) -> str:
-    figures = results.summary
-    if not figures:
-        return ""
-    label = "mean error" if results.scalar else "mean frequency error"
-    words = f"Calibrated: the {label} fell from {percent(figures['mean_freq_error_before'])} % to "
-    words += f"{percent(figures['mean_freq_error_after'])} %"
-    if figures.get("mean_mac_after") is not None:
-        macs = (fixed(figures[f"mean_mac_{stage}"], 3) for stage in STAGES)
-        words += f", the mean MAC went from {' to '.join(macs)}"
-    fits = next((s for s in results.sentences("calibrate") if s.startswith("Sum of squares")), "")
-    return " ".join([f"{words}.", *filter(None, [fits]), *map(str, figures.get("contradictions", ()))])
-
-
-def _comparison(results: StudyResults) -> str:
-    if results.scalar:
-        table = results.table("comparison_before", ["response"], ["error"])
-        error = None if table is None else table["error"].abs().mean()
-    else:
-        compared = results.compared("before")
-        error = None if compared is None else compared["freq_error"].abs().mean()
-    if error is None or pd.isna(error):
-        stale = "There are no results for the present state of the study."
-        return stale if results.stale else "No comparison has been run yet."
-    return f"Compared, nothing fitted: the mean error of the model is {percent(error)} %."
 
 
 def _measured(results: StudyResults) -> list[tuple[str, str]]:

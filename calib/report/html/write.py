@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from importlib import resources
 from itertools import count
 from pathlib import Path
@@ -23,9 +24,10 @@ from calib.report.html import (
     variance_share,
     verified,
 )
-from calib.report.html.page import Section, Viewer
+from calib.report.html.page import Picture, Section, Viewer
 from calib.report.html.study_results import StudyResults
-from calib.report.html.summary import summary
+from calib.report.html.summary import Summary, summary
+from calib.stage import Progress, unheard
 from calib.written import replacing
 
 NAME = "report.html"
@@ -54,7 +56,22 @@ def sections(results: StudyResults) -> tuple[Section, ...]:
     return tuple(found for section in SECTIONS if (found := section(results)) is not None)
 
 
-def write_report(results: StudyResults) -> Path:
+@dataclass(frozen=True)
+class Page:
+    """A report that was written.
+
+    Attributes
+    ----------
+    path : Path
+    summary : Summary
+        What its head says.
+    """
+
+    path: Path
+    summary: Summary
+
+
+def write_report(results: StudyResults, progress: Progress = unheard) -> Page:
     """Write ``report.html`` from the tables of a folder, beside them; nothing is computed anew.
 
     Raises
@@ -64,20 +81,26 @@ def write_report(results: StudyResults) -> Path:
     """
     if not results.figures.folder.folder.is_dir():
         raise InputError("there is no such folder of results", place=results.figures.folder.folder)
-    text, path = page(results), results.folder / NAME
+    text, path = page(results, progress), results.folder / NAME
     with replacing(path) as draft:
         draft.write_text(text, encoding="utf-8")
-    return path
+    return Page(path, summary(results))
 
 
-def page(results: StudyResults) -> str:
+def page(results: StudyResults, progress: Progress = unheard) -> str:
     """Return the HTML of the whole page."""
     loader = PackageLoader("calib.report.html", "template")
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
-    environment.filters["svg"] = lambda picture: Markup(results.figures.svg(picture.name))
+    drawn = count(1)
+
+    def svg(picture: Picture) -> Markup:
+        progress("drawing the report", next(drawn), len(results.figures.plan))
+        return Markup(results.figures.svg(picture.name))
+
+    environment.filters["svg"] = svg
     environment.filters["file"] = lambda table: _address(results.folder / f"{table}.csv")
     environment.globals["number"] = count(1).__next__
     shown = sections(results)

@@ -9,6 +9,7 @@ import pytest
 from calib.measurement.read import read_modes
 from calib.structure.extend import extend
 from models.railway import bogie_effects, bogie_on_rig
+from models.railway.vehicle_effects import vehicle_effects
 
 STUDY = Path(__file__).resolve().parents[3] / "studies" / "bogie" / "measured"
 EFFECTS = {e.name: e for e in bogie_effects()}
@@ -155,3 +156,8 @@ def test_plausible_magnitudes_that_the_sensors_cannot_see(library, effect_checks
         for name in NAMES
     }
     assert {name for name, size in seen.items() if size < 1} == {"girder_end", "wheel_contact"}
+
+
+def test_every_effect_completes_the_sentence_on_what_the_model_lacks():
+    for effect in (*bogie_effects(), *vehicle_effects()):
+        assert effect.in_words == effect.phrase and effect.phrase[0].islower() and effect.phrase[-1] not in ".,;:"

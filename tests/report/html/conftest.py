@@ -11,7 +11,8 @@ import pytest
 from calib import cli
 from calib.loading import module_of
 from calib.report.html.study_results import StudyResults
-from calib.report.html.write import page, sections
+from calib.report.html.summary import summary
+from calib.report.html.write import Page, page, sections
 
 ROOT = Path(__file__).resolve().parents[3]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
@@ -70,12 +71,17 @@ class Reader(HTMLParser):
         return " ".join(" ".join(self.words).split())
 
 
+def _unwritten(results, *given):
+    """Stands in for the writing of a report."""
+    return Page(results.folder / "report.html", summary(results))
+
+
 def run(folder, *analyses):
     """Run analyses without drawing figures, which would take longest; results go beside the study."""
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()):
         patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
         patch.setattr("calib.front.study.isolated", lambda study: study)
-        patch.setattr("calib.front.study.write_report", lambda results: results.folder / "report.html")
+        patch.setattr("calib.front.study.write_report", _unwritten)
         for analysis, *more in analyses:
             assert cli.execute([analysis, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
     return folder.parent / "results" / folder.name

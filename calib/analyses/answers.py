@@ -1,0 +1,192 @@
+"""The answers of the analyses, made from their results; that of an explanation is `calib.missing.verdict`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from calib.answer import Answer
+from calib.correlation.compare import BEYOND
+from calib.inference.verdicts import identified_sentence
+from calib.joint import of_test
+
+if TYPE_CHECKING:
+    from calib.analyses.calibrate import Calibration
+    from calib.analyses.compare import ComparisonResult
+    from calib.analyses.fit_statistics import FitStatistics
+    from calib.analyses.joint_calibration import JointCalibration
+    from calib.analyses.sensitivity import Screening, Sensitivity
+
+NAMED = 6
+"""Largest number of parameters or sensors named in a sentence."""
+UNTRIED = "Not all neighbours of these integers were tried: another combination may fit better."
+_WIDE = 2.0
+"""Standard deviations beyond which a scalar response is counted as off."""
+_FIT = "Fit the parameters that matter: calib sensitivity, then calib calibrate."
+_FINE = "Nothing calls for a calibration."
+
+
+def of_comparison(result: ComparisonResult) -> Answer:
+    """Answer of a comparison without a fit."""
+    found = result.comparison
+    if found is None:
+        return _of_responses(result)
+    agreement, tested = found.summary()
+    doubtful = list(dict.fromkeys(name for finding in result.sensor_findings for name in finding.sensors))
+    if doubtful:
+        then = f"Check first: {'sensor' if len(doubtful) == 1 else 'sensors'} {listed(doubtful)}."
+    elif found.far:
+        then = f"Check first: the pairing and the units of {listed(found.far)}, far off in frequency."
+    else:
+        then = _FIT if (found.where_it_fails()["verdict"] == BEYOND).any() else _FINE
+    return Answer(agreement, tested, then)
+
+
+def _of_responses(result: ComparisonResult) -> Answer:
+    table = result.table
+    words = f"The mean error of the model is {100 * result.mean_freq_error:.2f} % over {_count(len(table), 'response')}"
+    known = table.dropna(subset=["error"])
+    if len(known):
+        worst = known.iloc[int(known["error"].abs().to_numpy().argmax())]
+        words += f"; the largest is {100 * worst['error']:+.2f} % ({worst['response']})"
+    in_std = table["error_in_std"].abs().dropna()
+    if in_std.empty:
+        tested, off = "The standard deviation of the measurement is unknown, so deviations cannot be tested.", 1
+    else:
+        off = int((in_std > _WIDE).sum())
+        tested = f"{off} of {_count(len(in_std), 'response')} are off by more than {_WIDE:g} standard deviations."
+    return Answer(f"{words}.", tested, _FIT if off else _FINE)
+
+
+def of_sensitivity(result: Sensitivity) -> Answer:
+    """Answer of a sensitivity analysis by rank correlations."""
+    table = result.assessment.selection
+    matter = table.loc[table["measured"].astype(bool), "parameter"].tolist()
+    count = f"{len(matter)} of {_count(len(table), 'parameter')} {'matters' if len(matter) == 1 else 'matter'}"
+    words = f"{count}: {listed(matter)}." if matter else f"{count}: none moves a response beyond chance."
+    selected = table.loc[table["selected"].astype(bool), "parameter"].tolist()
+    without, beside = ([n for n in a if n not in b] for a, b in ((matter, selected), (selected, matter)))
+    if without:
+        words += f" The study leaves out {listed(without)}."
+    if beside:
+        words += f" The study also selects {listed(beside)}."
+    then = "Fit the selected parameters: calib calibrate." if selected else "Widen the limits, or name the parameters."
+    return Answer(words, result.sentences[0], then)
+
+
+def of_screening(result: Screening) -> Answer:
+    """Answer of a sensitivity analysis by Morris or Sobol."""
+    size = "mu_star" if result.method == "morris" else "ST"
+    known = result.table.dropna(subset=[size])
+    largest = known.groupby("parameter", sort=False)[size].max().sort_values(ascending=False, kind="stable")
+    order = [f"{name} ({value:.2g})" for name, value in largest.items()]
+    words = f"By their largest {size}: {listed(order)}." if order else "No response is known, so nothing is ranked."
+    then = "Name the parameters that matter in 'selection', then fit them: calib calibrate."
+    return Answer(words, result.sentences[0], then)
+
+
+def of_calibration(result: Calibration) -> Answer:
+    """Answer of a calibration against one test."""
+    pairs = {"": (result.before, result.best.answer)}
+    return of_fit(result.best.statistics, result.verdicts, pairs, result.contradictions, result.agreement.verdict)
+
+
+def of_joint(result: JointCalibration) -> Answer:
+    """Answer of a calibration against several tests."""
+    pairs = {test: (one.before, one.best.answer) for test, one in result.tests.items()}
+    against = tuple(of_test(test, words) for test, one in result.tests.items() for words in one.contradictions)
+    return of_fit(result.any.best.statistics, result.verdicts, pairs, against, result.any.agreement.verdict)
+
+
+def of_fit(
+    statistics: FitStatistics,
+    verdicts: pd.DataFrame,
+    pairs: Mapping[str, tuple[ComparisonResult, ComparisonResult]],
+    contradictions: Sequence[str] = (),
+    agreement: str = "one case",
+) -> Answer:
+    """Answer of any fit.
+
+    Parameters
+    ----------
+    statistics : FitStatistics
+    verdicts : DataFrame
+        From `calib.inference.verdicts.parameter_verdicts`.
+    pairs : mapping from str to (ComparisonResult, ComparisonResult)
+        Before and after the fit, by name of the test.
+    contradictions : sequence of str
+        On held-out data.
+    agreement : str
+        See `calib.inference.cases.Agreement`.
+    """
+    fits = {
+        True: "The calibrated model fits the data within their standard deviation",
+        False: "The calibrated model does not fit the data within their standard deviation",
+        None: "The calibrated model has as many unknowns as data, so its fit says nothing",
+    }[statistics.fits]
+    changes = [of_test(test, _change(*pair)) if test else _change(*pair) for test, pair in pairs.items()]
+    sure = [f"The fit has p = {statistics.p_fit:.2g}.", identified_sentence(verdicts), _AGREEMENT[agreement]]
+    sure += contradictions
+    if statistics.assumed:
+        sure.append(f"This rests on an assumed standard deviation: {statistics.assumed}.")
+    if statistics.identification.ratios_only:
+        sure.append("The data see ratios only: all of them can grow by the same factor.")
+    if not statistics.complete:
+        sure.append(UNTRIED)
+    suspected = statistics.suspects[statistics.suspects["explains"].astype(bool)]["what"].tolist()
+    if suspected:
+        sure.append(f"Without {suspected[0]} alone it would fit.")
+    return Answer(f"{fits}: {'; '.join(changes)}.", " ".join(filter(None, sure)), _next(statistics, verdicts, suspected,
+                  bool(contradictions), agreement))  # fmt: skip
+
+
+_AGREEMENT = {
+    "one case": "",
+    "one solution": "All good cases agree on one solution.",
+    "several solutions": "The solution is not unique: several sets of parameters fit equally well.",
+    "not settled": "Only one case reaches the best fit.",
+}
+
+
+def _next(
+    statistics: FitStatistics, verdicts: pd.DataFrame, suspected: Sequence[str], contradicted: bool, agreement: str
+) -> str:
+    """What to do after a fit; what casts most doubt comes first."""
+    if suspected:
+        return f"Check the {suspected[0]} before the model."
+    if statistics.fits is False or contradicted:
+        return "Find what the model lacks before it is used: calib explain."
+    if statistics.identification.ratios_only:
+        return "Hold a parameter that is known, such as a mass: it settles the others."
+    if statistics.fits is None:
+        return "Measure more, or fit fewer parameters."
+    if agreement == "not settled":
+        return "Give the search more generations or cases."
+    bad = verdicts.loc[verdicts["identified"].notna() & ~verdicts["identified"].fillna(True).astype(bool), "parameter"]
+    if len(bad) or agreement == "several solutions":
+        which = f": {listed(bad.tolist())}" if len(bad) else ""
+        return f"Do not rely on single values that are not identified{which}; measure them apart, or leave them out."
+    return "Use the model within the frequencies and limits that it was fitted in."
+
+
+def _change(before: ComparisonResult, after: ComparisonResult) -> str:
+    label = "mean error" if before.comparison is None else "mean frequency error"
+    words = f"{label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %"
+    if not math.isnan(after.mean_mac):
+        allowed = "" if np.isnan(after.noise_mac) else f" (noise allows {after.noise_mac:.3f})"
+        words += f", mean MAC {before.mean_mac:.3f} -> {after.mean_mac:.3f}{allowed}"
+    return words
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a row; of many only the first."""
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}{'s' * (number != 1)}"

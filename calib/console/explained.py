@@ -1,0 +1,145 @@
+"""What an explanation prints, and what follows from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from calib.analyses.added import WORDS, Added, by_group, to_add
+from calib.analyses.explanation_result import ExplanationResult
+from calib.analyses.extend import Extension
+from calib.analyses.versions import Versions
+from calib.console.calibrated import ERRORS, errors_row, suspects
+from calib.console.compared import held_out
+from calib.console.told import Entry, Rows, Warned, Words
+from calib.missing.verdict import rounded
+from calib.results import Results
+from calib.study_file import StudyFile
+from calib.terminal import count, number
+
+EFFECTS = 5
+"""Effects that are shown unless all are asked for."""
+_MORE = ("z", "unabsorbed", "smallest visible")
+"""Columns that are shown on request only."""
+
+
+def entries(study: StudyFile, result: ExplanationResult, followed: bool = False) -> list[Entry]:
+    """An explanation; ``followed`` by errors before and after, if its effects are added."""
+    found, answer = result.explanation, result.answer
+    told = {answer.found, answer.sure}
+    rows = [_effect(r) for r in result.effects.to_dict("records")]
+    heads = ("effect", "z", "ln Bayes", "unabsorbed", "magnitude, 95 %", "smallest visible", "remark")
+    title = "Effects of the library, best first:"
+    brief = [tuple(cell for head, cell in zip(heads, row, strict=True) if head not in _MORE) for row in rows]
+    named = [head for head in heads if head not in _MORE]
+    out: list[Entry] = [
+        Rows.of(title, named, brief, left=("remark",), when="brief", most=EFFECTS),
+        Rows.of(title, heads, rows, left=("remark",), when="verbose"),
+        *_errors(result, followed and to_add(found) is not None),
+        *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
+        *map(Warned, result.notes),
+        Words(f"\nVerdict: {result.verdict}"),
+        *(Words(sentence) for sentence in result.sentences if sentence not in told),
+        *map(Words, held_out(study)),
+    ]
+    effects = count(sum(len(g.names) for g in found.groups), "effect")
+    local = count(len(result.tables["perturbations"]), "local perturbation")
+    fits = count(len(result.tables["candidate_fits"]), "model")
+    work = f"{fits} fitted, {count(found.evaluations, 'model evaluation')}"
+    out.append(Words(f"{effects} and {local} tested, {work}, {result.seconds:.0f} s."))
+    if rows:
+        against = "ln Bayes is against the base model, for the plausible size of each effect"
+        out.append(Words(f"z is a score, not a probability; {against}."))
+    return out
+
+
+def _effect(r: Mapping[Any, Any]) -> tuple[str, ...]:
+    unit = "" if r["unit"] == "-" else f" {r['unit']}"
+    interval = f"{r['magnitude']:.3g} [{r['magnitude_low']:.3g}, {r['magnitude_high']:.3g}]{unit}"
+    least = f"{rounded(r['magnitude_min'])}{unit}" if math.isfinite(r["magnitude_min"]) else ""
+    least = ", ".join([*([least] if least else []), *([] if r["visible"] else ["not visible"])])
+    ln_bayes = number(r["ln_bayes"], 1)
+    if not r["refitted"] and ln_bayes:
+        ln_bayes = f"{ln_bayes} (linear)"
+    remark = "credible" if r["credible"] else r["implausible"]
+    magnitude = interval if r["refitted"] else ""
+    return r["name"], number(r["z"], 1), ln_bayes, number(r["unabsorbed"], 2), magnitude, least, remark
+
+
+def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
+    if not len(result.errors):
+        return []
+    chosen = result.explanation.chosen
+    name = "" if chosen is None else " and ".join(chosen.names)
+    label = f" and after with {name}" if name else ""
+    if (result.errors["stage"] == "attempt").any():
+        label = f" and with {name}: best attempt, not believed"
+    rows = [(str(r["group"]), str(r["stage"]), *errors_row(r)) for r in result.errors.to_dict("records")]
+    title = f"Errors in standard deviations, before{label}:"
+    table = result.errors.pivot(index="group", columns="stage", values=["rms", "expected", "p"])
+    stages = [stage for stage in ("before", "after", "attempt") if stage in set(result.errors["stage"])]
+    short = [
+        (
+            WORDS[group],
+            *(number(table.loc[group, ("rms", stage)], 2) for stage in stages),
+            number(table.loc[group, ("expected", stages[-1])], 2),
+            *(p_words(table.loc[group, ("p", stage)]) for stage in stages),
+        )
+        for group in dict.fromkeys(result.errors["group"])
+    ]
+    heads = ("data", *stages, "of a correctly specified model", *(f"p {stage}" for stage in stages))
+    return [
+        *([] if followed else [Rows.of(title, heads, short, when="brief")]),
+        Rows.of(title, ("data", "stage", *ERRORS), rows, ("stage",), when="verbose"),
+    ]
+
+
+def p_words(p: float) -> str:
+    """A p-value; empty where there is none."""
+    return "" if math.isnan(p) else f"{p:.2g}"
+
+
+def of_extension(written: Extension, brief: bool) -> list[Entry]:
+    """A study with more effects; ``brief`` where a run goes on with it."""
+    effects, folder = written.effects, written.file.parent
+    more = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
+    named = " and ".join(f"{effect.title} ({effect.name})" for effect in effects)
+    words = [f"Written: {folder}, which builds on the same study and has {more} more in its model: {named}."]
+    if written.selected:
+        words.append(f"Its calibration may change {', '.join(written.selected)} too.")
+    else:
+        names = ", ".join(name for effect in effects for name in effect.names)
+        words.append(f"Its model has {names} too; the study leaves the selection to 'calib sensitivity'.")
+    out: list[Entry] = [Words(one, when="verbose" if brief else "always") for one in words]
+    if written.aside is not None:
+        aside = f"The study that was there had been changed, and is kept as {written.aside}, without its results."
+        out.append(Warned(aside))
+    return out
+
+
+def of_added(result: Added, written: Extension, folder: Results) -> list[Entry]:
+    """Errors before and after adding the named effects."""
+    rows = [
+        (WORDS[r["group"]], str(r["rows_after"]), *(number(r[f"rms_{stage}"], 2) for stage in ("before", "after")),
+         number(r["expected_after"], 2), *(f"{r[f'p_{stage}']:.2g}" for stage in ("before", "after")))
+        for r in by_group(result.errors).to_dict("records")
+    ]  # fmt: skip
+    heads = ("data", "rows", "before", "after", "of a correctly specified model", "p before", "p after")
+    title = "Both models calibrated in the same way; rms errors in standard deviations:"
+    return [
+        Rows.of(title, heads, rows),
+        Words(result.sentence),
+        Words(f"With the effects: {folder.path}; the extended study: {written.file.parent}", when="always"),
+    ]
+
+
+def of_versions(found: Versions) -> list[Entry]:
+    """Errors over the versions of a model."""
+    rows = [
+        (str(r["study"]), str(r["effects"]) or "none", str(r["group"]), number(r["rms"], 2), number(r["expected"], 2))
+        for r in found.table.to_dict("records")
+    ]
+    heads = ("study", "effects", "data", "rms", "of a correctly specified model")
+    title = "Errors in standard deviations over the versions of the model:"
+    return [*map(Warned, found.notes), Rows.of(title, heads, rows, left=("effects", "data"))]

@@ -1,0 +1,26 @@
+"""What the command imports before it has anything to compute."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = ("numpy", "scipy", "pandas", "matplotlib", "pymoo", "SALib", "jinja2")
+SCRIPT = """
+import sys
+from calib import cli
+code = cli.execute(sys.argv[1:])
+print("imported:", *sys.modules)
+sys.exit(code)
+"""
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["run", "--help"], ["frobnicate"]])
+def test_nothing_that_computes_is_imported_to_tell_the_version_or_the_options(arguments):
+    command = [sys.executable, "-c", SCRIPT, *arguments]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == (2 if arguments == ["frobnicate"] else 0)
+    imported = {name.split(".")[0] for name in done.stdout.rpartition("imported: ")[2].split()}
+    assert "calib" in imported and not imported & set(HEAVY)

@@ -1,0 +1,138 @@
+"""How far a command is: bars on a terminal, sparse lines elsewhere, and the stages that the analyses tell."""
+
+import io
+import re
+from contextlib import nullcontext
+
+import pytest
+from rich.console import Console
+
+from calib import progress
+from calib.front.listener import Listener
+from calib.front.study import Study
+from calib.stage import named
+
+
+class Clock:
+    """A clock that is moved by hand."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def lines(monkeypatch):
+    """Sparse lines by a clock of our own, and what they have written."""
+    stream, clock = io.StringIO(), Clock()
+    monkeypatch.setattr(progress, "ERR", Console(file=stream, width=80, soft_wrap=True))
+    return progress._Lines("calibrate", clock), clock, stream
+
+
+def test_lines_are_sparse_and_without_control_characters(lines):
+    tell, clock, stream = lines
+    for done in range(101):
+        tell("sampling", done, 100)
+        clock.now += 0.5
+    told = stream.getvalue().splitlines()
+    assert len(told) == int(100 * 0.5 / progress.SPARSE)
+    for line in told:
+        done = int(re.search(r"(\d+)/100", line).group(1))
+        assert line.isprintable() and line.startswith("calibrate: sampling")
+        left = progress.time_left(0.5 * done, done, 100)
+        assert line.endswith(f", {left} left" if left else "/100") and bool(left) == (done < 99)
+
+
+def test_a_short_command_tells_nothing_where_there_is_no_terminal(lines):
+    tell, clock, stream = lines
+    for done in range(10):
+        tell("solving the model", done, 10)
+        clock.now += 0.9
+    assert stream.getvalue() == ""
+
+
+def test_a_stage_that_goes_on_keeps_its_name_and_a_shared_whole_its_pace():
+    clock = Clock()
+    pace = progress._Pace("explain", clock)
+    assert pace.tell("fitting A", 0, 100, float("nan"))
+    clock.now += 10
+    assert not pace.tell("", 20, 100, float("nan")) and "fitting A 20/100" in pace.words and pace.left == "40 s"
+    clock.now += 10
+    assert pace.tell("fitting B", 40, 100, float("nan")) and "fitting B 40/100" in pace.words and pace.left == "30 s"
+    clock.now += 10
+    assert pace.tell("what to measure next", 0, 10, float("nan")) and pace.left == ""
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "done", "total", "left"),
+    [
+        (10, 5, 10, "10 s"),
+        (10, 0, 10, ""),
+        (1, 5, 10, ""),
+        (60, 1, 11, "10 min"),
+        (3600, 1, 4, "3 h"),
+        (10, 10, 10, ""),
+    ],
+)
+def test_the_time_left_follows_from_the_average_speed(elapsed, done, total, left):
+    assert progress.time_left(elapsed, done, total) == left
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_bars_fit_the_terminal(monkeypatch, width):
+    """Nothing is cut: a long stage wraps between its words."""
+    stream = io.StringIO()
+    console = Console(file=stream, force_terminal=True, width=width, legacy_windows=False)
+    monkeypatch.setattr(progress, "ERR", console)
+    stage = "fitting an effect with a name of very many words that does not end on one line of a terminal"
+    with progress.bars("explain") as tell:
+        tell(stage, 3, 7)
+        lines = console.render_lines(tell.bar.get_renderable(), pad=False)
+        text = "\n".join("".join(segment.text for segment in line) for line in lines)
+    assert all(len(line) <= width for line in text.splitlines()) and "…" not in text
+    assert set(stage.split()) <= set(text.split())
+
+
+class Recorder(Listener):
+    """Keeps every stage with its count."""
+
+    def __init__(self):
+        self.told = []
+
+    def progress(self):
+        return nullcontext(lambda stage, done=0, total=0, best=0: self.told.append((stage, done, total)))
+
+
+@pytest.mark.parametrize("method", ["genetic", "gauss-newton"])
+def test_every_part_of_a_calibration_tells_how_far_it_is(guyed, undrawn, method):
+    listener = Recorder()
+    Study.load("mast", workers=1, quick=True, listener=listener).calibrate(method=method)
+    stages = [stage for stage, _, _ in listener.told]
+    order = list(dict.fromkeys(stages))
+    wanted = ["A1, genetic search", "A1, least squares", "A1, checking at full order"]
+    wanted = wanted if method == "genetic" else wanted[1:2]
+    assert [s for s in order if s in wanted] == wanted
+    assert order[0] == "solving the model" and order[-1] == "leave-one-out and held-out errors"
+    assert all(0 <= done <= total for _, done, total in listener.told if total)
+    shares = [done for stage, done, total in listener.told if stage == "A1, least squares" and total == 1]
+    assert len(shares) > 3 and max(shares) > 0.5
+
+
+def test_an_explanation_tells_the_part_of_its_budget_and_of_its_samples(guyed, undrawn):
+    listener = Recorder()
+    Study.load("mast", workers=1, listener=listener).explain()
+    fits = [(done, total) for stage, done, total in listener.told if stage.startswith("fitting ") or not stage]
+    assert fits and all(0 <= done <= total for done, total in fits)
+    assert [done for done, _ in fits] == sorted(done for done, _ in fits) and fits[-1][0] > fits[0][0]
+    samples = [done for stage, done, total in listener.told if stage == "what to measure next" and total]
+    assert samples == list(range(len(samples))) and len(samples) >= 10
+
+
+def test_a_part_tells_its_stages_under_its_name():
+    told = []
+    tell = named(lambda stage, *more: told.append(stage), "GB1")
+    tell("least squares", 0.5, 1)
+    tell("", 0.6, 1)
+    assert told == ["GB1, least squares", ""]
