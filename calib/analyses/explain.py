@@ -217,7 +217,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     }
     progress("discretisation error")
     discretisation = adapter.discretisation_error(found)
-    notes = [*adapter.notes(), *more_notes, *([] if discretisation is None else [discretisation.sentence])]
+    notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
     more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy))

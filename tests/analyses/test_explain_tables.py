@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired", "std_from"]
 COMMON = {"effects", "errors", "perturbations", "confounding", "pulls", "misfit_kinds", "candidate_fits",
           "next_measurement", "accuracy", "explained_fits", "suspects_explained", "why", "why_places"}  # fmt: skip
-MODAL = COMMON | {"sensor_misfit", "unpaired", "mesh_points", "mesh_elements"}
+MODAL = COMMON | {"sensor_misfit", "unpaired", "mesh_points", "mesh_elements", "model_places"}
 GROUND = {"measured", "assumptions", "parameter_space", "repeat_disagreements"}
 """Tables that every analysis writes."""
 OF_MODES = [group for group in GROUPS if group != "held_out_responses"]

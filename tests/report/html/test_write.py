@@ -133,7 +133,7 @@ def test_the_reason_for_adding_no_effect_is_shown(folder, reader, unpainted):
 def test_nothing_is_loaded_from_anywhere(text, read):
     assert not read.named("link") and not read.named("iframe") and not read.named("object")
     for _, attributes in read.elements:
-        assert "src" not in attributes and attributes.get("href", "#").startswith(("#", "data:text/csv;base64,"))
+        assert "src" not in attributes and attributes.get("href", "#").startswith(("#", "data:text/csv;charset=utf-8,"))
         assert not any(name.startswith("on") for name in attributes)
     style = "".join(read.styles)
     assert "@import" not in style and "url(" not in style
