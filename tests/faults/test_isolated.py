@@ -57,6 +57,7 @@ def test_a_point_that_ends_its_process_is_a_row_whatever_the_workers(faults, fau
     assert run.nobody_left()
 
 
+@pytest.mark.slow
 def test_least_squares_survives_such_a_point_too(faults, runner):
     faults("os._exit(3)")
     for method in ("gauss-newton", "genetic"):

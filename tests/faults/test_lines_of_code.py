@@ -129,7 +129,7 @@ def test_mistakes_while_a_model_is_evaluated(plain, in_this_process, function, m
     mistakes.check(mistakes.refused(folder, compare).at, expected)
 
 
-@pytest.mark.parametrize("kind", ["exception", "NaN"])
+@pytest.mark.parametrize("kind", ["exception", pytest.param("NaN", marks=pytest.mark.slow)])
 def test_the_line_comes_from_the_child_process_and_from_the_ledger(plain, kind, mistakes):
     folder = plain("")
     expected = mistakes.put(folder / "model.py", ("\n\n\n\n", f"\n\n{EVALUATING[kind]}\n"))
@@ -137,7 +137,9 @@ def test_the_line_comes_from_the_child_process_and_from_the_ledger(plain, kind, 
         mistakes.check(mistakes.refused(folder, compare).at, expected)
 
 
-@pytest.mark.parametrize("kind", ["exception", "own refusal", "NaN"])
+@pytest.mark.parametrize(
+    "kind", ["exception", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("own refusal", "NaN"))]
+)
 def test_the_line_comes_from_worker_processes(plain, kind, mistakes):
     folder = plain("")
     expected = mistakes.put(folder / "model.py", ("\n\n\n\n", f"\n\n{EVALUATING[kind]}\n"))
@@ -227,8 +229,10 @@ def library():
         ((("BODY", "pass"), ("return (Effect", "return [Effect"), (", build),)", ", build)]"),
           ("def library", "def ⟦library⟧")), Study.load),
         ((("BODY", "return lambda values: ⟦values['gone']⟧"),), compare),
-        ((("BODY", "def ⟦bent⟧(values):\n        return {'y': 1.0}\n    return bent"),), compare),
-        ((("BODY", "def ⟦bent⟧(values):\n        return {'y': 1.0, 'z': float('nan')}\n    return bent"),), compare),
+        pytest.param((("BODY", "def ⟦bent⟧(values):\n        return {'y': 1.0}\n    return bent"),), compare,
+                     marks=pytest.mark.slow),
+        pytest.param((("BODY", "def ⟦bent⟧(values):\n        return {'y': 1.0, 'z': float('nan')}\n    return bent"),),
+                     compare, marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_mistakes_in_an_effect(plain, changes, act, mistakes):
@@ -244,7 +248,7 @@ def test_mistakes_in_an_effect(plain, changes, act, mistakes):
     [
         ("return lambda values: {'y1': ⟦values['gone']⟧}", True),
         ("return lambda values: {'y1': ⟦values['gone']⟧}", False),
-        ("def ⟦bent⟧(values):\n        return {'y1': 0.0}\n    return bent", True),
+        pytest.param("def ⟦bent⟧(values):\n        return {'y1': 0.0}\n    return bent", True, marks=pytest.mark.slow),
         ("return lambda values: {name: 2 * y for name, y in model.function(values).items()}", True),
         ("return lambda values: {name: 2 * y for name, y in model.function(values).items()}", False),
     ],
