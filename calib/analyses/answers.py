@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
 
+from calib.analyses.fit_statistics import FitStatistics
 from calib.answer import Answer
-from calib.correlation.compare import BEYOND
+from calib.correlation.compare import BEYOND, Comparison
+from calib.correlation.sensors import SensorFinding
 from calib.inference.verdicts import identified_sentence
 from calib.joint import of_test
-
-if TYPE_CHECKING:
-    from calib.analyses.calibrate import Calibration
-    from calib.analyses.compare import ComparisonResult
-    from calib.analyses.fit_statistics import FitStatistics
-    from calib.analyses.joint_calibration import JointCalibration
-    from calib.analyses.sensitivity import Screening, Sensitivity
 
 NAMED = 6
 """Largest number of parameters or sensors named in a sentence."""
@@ -30,7 +25,24 @@ _FIT = "Fit the parameters that matter: calib sensitivity, then calib calibrate.
 _FINE = "Nothing calls for a calibration."
 
 
-def of_comparison(result: ComparisonResult) -> Answer:
+class _Compared(Protocol):
+    """What is asked of `calib.analyses.compare.ComparisonResult`."""
+
+    @property
+    def table(self) -> pd.DataFrame: ...
+    @property
+    def mean_freq_error(self) -> float: ...
+    @property
+    def mean_mac(self) -> float: ...
+    @property
+    def noise_mac(self) -> float: ...
+    @property
+    def comparison(self) -> Comparison | None: ...
+    @property
+    def sensor_findings(self) -> Sequence[SensorFinding]: ...
+
+
+def of_comparison(result: _Compared) -> Answer:
     """Answer of a comparison without a fit."""
     found = result.comparison
     if found is None:
@@ -46,7 +58,7 @@ def of_comparison(result: ComparisonResult) -> Answer:
     return Answer(agreement, tested, then)
 
 
-def _of_responses(result: ComparisonResult) -> Answer:
+def _of_responses(result: _Compared) -> Answer:
     table = result.table
     words = f"The mean error of the model is {100 * result.mean_freq_error:.2f} % over {_count(len(table), 'response')}"
     known = table.dropna(subset=["error"])
@@ -62,9 +74,8 @@ def _of_responses(result: ComparisonResult) -> Answer:
     return Answer(f"{words}.", tested, _FIT if off else _FINE)
 
 
-def of_sensitivity(result: Sensitivity) -> Answer:
-    """Answer of a sensitivity analysis by rank correlations."""
-    table = result.assessment.selection
+def of_sensitivity(table: pd.DataFrame, tested: str) -> Answer:
+    """Answer of a sensitivity analysis by rank correlations from its selection; ``tested`` tells how sure."""
     matter = table.loc[table["measured"].astype(bool), "parameter"].tolist()
     count = f"{len(matter)} of {_count(len(table), 'parameter')} {'matters' if len(matter) == 1 else 'matter'}"
     words = f"{count}: {listed(matter)}." if matter else f"{count}: none moves a response beyond chance."
@@ -75,37 +86,24 @@ def of_sensitivity(result: Sensitivity) -> Answer:
     if beside:
         words += f" The study also selects {listed(beside)}."
     then = "Fit the selected parameters: calib calibrate." if selected else "Widen the limits, or name the parameters."
-    return Answer(words, result.sentences[0], then)
+    return Answer(words, tested, then)
 
 
-def of_screening(result: Screening) -> Answer:
-    """Answer of a sensitivity analysis by Morris or Sobol."""
-    size = "mu_star" if result.method == "morris" else "ST"
-    known = result.table.dropna(subset=[size])
+def of_screening(method: str, table: pd.DataFrame, tested: str) -> Answer:
+    """Answer of a sensitivity analysis by Morris or Sobol; ``tested`` tells how sure."""
+    size = "mu_star" if method == "morris" else "ST"
+    known = table.dropna(subset=[size])
     largest = known.groupby("parameter", sort=False)[size].max().sort_values(ascending=False, kind="stable")
     order = [f"{name} ({value:.2g})" for name, value in largest.items()]
     words = f"By their largest {size}: {listed(order)}." if order else "No response is known, so nothing is ranked."
     then = "Name the parameters that matter in 'selection', then fit them: calib calibrate."
-    return Answer(words, result.sentences[0], then)
-
-
-def of_calibration(result: Calibration) -> Answer:
-    """Answer of a calibration against one test."""
-    pairs = {"": (result.before, result.best.answer)}
-    return of_fit(result.best.statistics, result.verdicts, pairs, result.contradictions, result.agreement.verdict)
-
-
-def of_joint(result: JointCalibration) -> Answer:
-    """Answer of a calibration against several tests."""
-    pairs = {test: (one.before, one.best.answer) for test, one in result.tests.items()}
-    against = tuple(of_test(test, words) for test, one in result.tests.items() for words in one.contradictions)
-    return of_fit(result.any.best.statistics, result.verdicts, pairs, against, result.any.agreement.verdict)
+    return Answer(words, tested, then)
 
 
 def of_fit(
     statistics: FitStatistics,
     verdicts: pd.DataFrame,
-    pairs: Mapping[str, tuple[ComparisonResult, ComparisonResult]],
+    pairs: Mapping[str, tuple[_Compared, _Compared]],
     contradictions: Sequence[str] = (),
     agreement: str = "one case",
 ) -> Answer:
@@ -173,7 +171,7 @@ def _next(
     return "Use the model within the frequencies and limits that it was fitted in."
 
 
-def _change(before: ComparisonResult, after: ComparisonResult) -> str:
+def _change(before: _Compared, after: _Compared) -> str:
     label = "mean error" if before.comparison is None else "mean frequency error"
     words = f"{label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %"
     if not math.isnan(after.mean_mac):

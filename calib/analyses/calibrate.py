@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import pandas as pd
 
-from calib.analyses.answers import UNTRIED, of_calibration
+from calib.analyses.answers import UNTRIED, of_fit
 from calib.analyses.case import CaseFinder, CaseFound
 from calib.analyses.compare import ComparisonResult, before_and_after, compare, write_comparison, write_model_modes
 from calib.analyses.contradiction import contradictions, every_response
@@ -117,7 +117,8 @@ class Calibration:
     @property
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
-        return of_calibration(self)
+        pairs = {"": (self.before, self.best.answer)}
+        return of_fit(self.best.statistics, self.verdicts, pairs, self.contradictions, self.agreement.verdict)
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import pandas as pd
 
-from calib.analyses.answers import of_joint
+from calib.analyses.answers import of_fit
 from calib.analyses.calibrate import (
     CHECKING,
     Calibration,
@@ -67,7 +67,9 @@ class JointCalibration:
     @property
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
-        return of_joint(self)
+        pairs = {test: (one.before, one.best.answer) for test, one in self.tests.items()}
+        against = tuple(of_test(test, words) for test, one in self.tests.items() for words in one.contradictions)
+        return of_fit(self.any.best.statistics, self.verdicts, pairs, against, self.any.agreement.verdict)
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -84,7 +84,7 @@ class Sensitivity:
     @property
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
-        return of_sensitivity(self)
+        return of_sensitivity(self.assessment.selection, self.sentences[0])
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -242,7 +242,7 @@ class Screening:
     @property
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
-        return of_screening(self)
+        return of_screening(self.method, self.table, self.sentences[0])
 
     @property
     def sentences(self) -> tuple[str, ...]:

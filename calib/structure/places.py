@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from calib.structure.affine import AffineMatrix
-
-if TYPE_CHECKING:
-    from calib.structure.model import StructuralModel
+from calib.space import ParameterSpace
+from calib.structure.affine import AffineMatrix, Monomial
+from calib.structure.geometry import DofMap, Mesh
 
 Form = Literal["spring", "damper", "mass", "support", "part"]
 
@@ -51,7 +50,35 @@ class ModelPlace:
     place: tuple[float, float, float]
 
 
-def model_places(model: StructuralModel) -> tuple[ModelPlace, ...]:
+class _Part(Protocol):
+    """What is asked of a named part; see `calib.structure.model.Part`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def matrix(self) -> sp.csr_array: ...
+    @property
+    def coefficient(self) -> Monomial: ...
+    @property
+    def place(self) -> tuple[float, float, float]: ...
+
+
+class _Structure(Protocol):
+    """What is asked of a model; see `calib.structure.model.StructuralModel`."""
+
+    @property
+    def space(self) -> ParameterSpace: ...
+    @property
+    def mesh(self) -> Mesh: ...
+    @property
+    def dofs(self) -> DofMap: ...
+    @property
+    def parts(self) -> Sequence[_Part]: ...
+
+
+def model_places(model: _Structure) -> tuple[ModelPlace, ...]:
     """Pieces of a model: all that parameters scale or move, and springs, dampers, lumped masses and supports.
 
     Named parts (`StructuralModel.parts`) count first. A parameter without one is placed by the terms that it scales,
@@ -73,12 +100,12 @@ def model_places(model: StructuralModel) -> tuple[ModelPlace, ...]:
     return (*found, *(ModelPlace("support", "support", "", (), at) for at in _middles(model, np.flatnonzero(held))))
 
 
-def _scaling(model: StructuralModel, names: frozenset[str]) -> tuple[str, ...]:
+def _scaling(model: _Structure, names: frozenset[str]) -> tuple[str, ...]:
     """Those of the names that are parameters, in the order of the space."""
     return tuple(name for name in model.space.names if name in names)
 
 
-def _terms(model: StructuralModel, matrix: AffineMatrix) -> Iterator[tuple[str, tuple[str, ...], sp.csr_array]]:
+def _terms(model: _Structure, matrix: AffineMatrix) -> Iterator[tuple[str, tuple[str, ...], sp.csr_array]]:
     """Name, parameters and matrix of each term; one that discrete parameters select, at their nominal values."""
     for term in matrix.terms:
         yield term.name, _scaling(model, term.coefficient.names), sp.csr_array(term.matrix)
@@ -89,7 +116,7 @@ def _terms(model: StructuralModel, matrix: AffineMatrix) -> Iterator[tuple[str, 
         yield chosen.name, _scaling(model, frozenset(names)), sp.csr_array(b.T @ b)
 
 
-def _form(model: StructuralModel, kind: str, matrix: sp.csr_array) -> Form:
+def _form(model: _Structure, kind: str, matrix: sp.csr_array) -> Form:
     """What a piece of K, C or M looks like in a drawing."""
     used = np.unique(sp.csr_array(matrix).indices)
     if not 0 < len(used) <= _FEW:
@@ -104,7 +131,7 @@ def _form(model: StructuralModel, kind: str, matrix: sp.csr_array) -> Form:
 
 
 def _middles(
-    model: StructuralModel, nodes: np.ndarray, matrix: sp.csr_array | None = None
+    model: _Structure, nodes: np.ndarray, matrix: sp.csr_array | None = None
 ) -> list[tuple[float, float, float]]:
     """Middle of each group of nodes that lines of the mesh, edges of faces or a matrix connect, in metres."""
     count = len(model.mesh.points)

@@ -77,8 +77,7 @@ def test_parameters_that_matter_are_counted_and_what_the_study_does_otherwise_is
     table = pd.DataFrame(
         {"parameter": ["a", "b", "c"], "measured": [True, True, False], "selected": [True, False, True]}
     )
-    result = SimpleNamespace(assessment=SimpleNamespace(selection=table), sentences=("20 samples.",))
-    answer = of_sensitivity(result)
+    answer = of_sensitivity(table, "20 samples.")
     assert "2 of 3" in answer.found and "leaves out b" in answer.found and "also selects c" in answer.found
     assert answer.sure == "20 samples." and "calib calibrate" in answer.then
 
@@ -88,7 +87,7 @@ def test_a_screening_ranks_by_the_largest_effect():
         [("a", "x", 0.1), ("b", "x", 0.3), ("a", "y", 0.7), ("c", "x", np.nan)],
         columns=["parameter", "response", "mu_star"],
     )
-    answer = of_screening(SimpleNamespace(method="morris", table=table, sentences=("12 points.",)))
+    answer = of_screening("morris", table, "12 points.")
     assert answer.found.index("a (0.7)") < answer.found.index("b (0.3)") and "c (" not in answer.found
 
 
