@@ -134,7 +134,7 @@ def _beside(ax: Axes, row: float, text: str, colour: str, far: float = 0.0, **lo
 
 def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: bool, any_bound: bool) -> None:
     handles: list[Artist] = [
-        Patch(color=CASES[k % len(CASES)], label=f"{case} (reported)" if case == best_case else str(case))
+        Patch(color=CASES[k % len(CASES)], label=f"{case} (its fit is reported)" if case == best_case else str(case))
         for k, case in enumerate(cases)
     ]
     if any_unstable:

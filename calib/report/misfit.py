@@ -148,7 +148,9 @@ def where_it_fails_figure(table: pd.DataFrame, *, name: str = "") -> Figure:
 
 
 def _unlikely_bar(image: ScalarMappable, panels: list[Axes]) -> None:
-    bar = panels[0].figure.colorbar(image, ax=panels, label="−log₁₀ p", fraction=0.04, pad=0.02, aspect=30)
+    bar = panels[0].figure.colorbar(
+        image, ax=panels, label="colour: −log₁₀ p (number: χ²/ν)", fraction=0.04, pad=0.02, aspect=30
+    )
     bar.set_ticks([0, 4, 8, 12, 16], labels=["0", "4", "8", "12", "≥ 16"])
 
 

@@ -114,7 +114,7 @@ def model_figure(mesh: Mesh, sensors: pd.DataFrame | None = None) -> Figure:
     ]
     handles.append(Line2D([], [], color=BLACK, linewidth=1.3, label="beams and other lines"))
     if sensors is not None:
-        words = f"sensors ({len(sensors)}) and their directions"
+        words = f"sensors used ({len(sensors)}) and their directions"
         handles.append(Line2D([], [], color=MEASURED, marker="o", markersize=4.5, linewidth=1.2, label=words))
     wide, high = seen_size(rest, 0.06 * float(np.linalg.norm(np.ptp(rest, axis=0))))
     foot = max(FOOT, 0.4 + 0.2 * math.ceil(len(handles) / _ABREAST))

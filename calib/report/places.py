@@ -142,4 +142,4 @@ def _numbers(table: pd.DataFrame) -> dict[int, int | str]:
     rows = np.flatnonzero(table["parameters"].ne(""))
     if len(rows) > _MOST_NUMBERS:
         rows = rows[~table.iloc[rows].duplicated(["form", "parameters"]).to_numpy()]
-    return {k: ",".join(str(keys[n]) for n in table["parameters"].iloc[k].split()) for k in rows.tolist()}
+    return {k: "+".join(str(keys[n]) for n in table["parameters"].iloc[k].split()) for k in rows.tolist()}

@@ -30,6 +30,8 @@ from calib.report.wireframe import wireframe
 
 _PALE = "#D6E6F2"
 _AXES = ["x", "y", "z"]
+_MANY = 1000
+"""Elements in all panels from which they are painted as pixels in SVG and PDF, which would be large otherwise."""
 _WIDTHS = np.array([0.3, 0.8, 1.2])
 """Line widths of the edges of faces, borders and lines, in points."""
 
@@ -135,7 +137,9 @@ def mode_shapes_figure(
         found, (test, model) = shapes[shapes["mode"] == mode], _panel_titles(mode, facts)
         draw_measured_shape(found, mesh, figure.add_subplot(left, projection="3d"), title=test)
         motion = deflection[deflection["mode"] == mode]
-        draw_mode_shape(found, motion, mesh, figure.add_subplot(right, projection="3d"), title=model)
+        ax = draw_mode_shape(found, motion, mesh, figure.add_subplot(right, projection="3d"), title=model)
+        for drawn in ax.collections:
+            drawn.set_rasterized(len(modes) * len(mesh.elements) > _MANY)
     show_axes(figure)
     write_size(figure, rest)
     handles = [

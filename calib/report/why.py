@@ -261,7 +261,7 @@ def why_figure(
     height = float(figure.get_size_inches()[1])
     if places is not None:
         show_axes(figure)
-        colour_bar(figure, ScalarMappable(_CORRELATION, "RdBu_r"), "correlation ρ with local perturbations (–)", _TICKS)
+        colour_bar(figure, ScalarMappable(_CORRELATION, "RdBu_r"), "ρ with local perturbations (–)", _TICKS)
     handles = [*(_handles(attempt) if len(bars) else []), *(_equal() if shapes else [])]
     looks: dict[str, Any] = {"ncols": 2 if places is not None else len(handles), "borderaxespad": 0.0}
     start = (1.05 if places is not None else 0.1) / WIDTH
@@ -282,14 +282,14 @@ def _signature(attempt: bool) -> dict[str, Any]:
 
 def _handles(attempt: bool) -> list[Artist]:
     return [
-        Patch(label="residual of the base model", **_RESIDUAL),
-        Patch(label="signature of the effect", **_signature(attempt)),
+        Patch(label="residual (base model)", **_RESIDUAL),
+        Patch(label="signature", **_signature(attempt)),
         Line2D([], [], label="left", **_LEFT),
     ]
 
 
 def _equal() -> list[Artist]:
-    return [Line2D([], [], color=BLACK, linewidth=0.9, linestyle="--", label="residual = signature")]
+    return [Line2D([], [], color=BLACK, linewidth=0.9, linestyle="--", label="equal")]
 
 
 def _names(table: pd.DataFrame) -> list[str]:
@@ -302,7 +302,8 @@ def _placed(places: pd.DataFrame, effect: str) -> pd.DataFrame:
 
 
 def _explained(table: pd.DataFrame, kind: str) -> str:
-    return f"{kind}: {percent(share(table), 0)} % explained"
+    explained = share(table)
+    return f"{kind}: {percent(explained, 0)} % explained" if explained > 0 else f"{kind}: not explained"
 
 
 def _heading(own: pd.DataFrame, effects: pd.DataFrame | None, places: pd.DataFrame | None, attempt: bool) -> str:
@@ -317,21 +318,20 @@ def _heading(own: pd.DataFrame, effects: pd.DataFrame | None, places: pd.DataFra
     told = [words, f"{which} {percent(share(own), 0)} % of the {squares(own)}, to first order."]
     if places is not None and (where := place_words(places, name)):
         told.append(
-            f"1  most alike of the local perturbations: {where}" if most_alike(places, name) is not None else where
+            f"Most alike among the local perturbations, marked 1: {where}"
+            if most_alike(places, name) is not None
+            else where
         )
     return "\n".join(textwrap.fill(line, 125, subsequent_indent="    ") for line in told)
 
 
 def _cells(spec: SubplotSpec, bars: bool, shapes: bool, structure: bool) -> dict[str, SubplotSpec]:
     """Cells of the panels of one effect; empty columns between them hold the labels."""
-    widths = {"label": 0.6}
-    if bars:
-        widths["bars"] = 2.9 if structure and shapes else 4.2 if structure or shapes else 7.2
-    if shapes:
-        widths |= {"labels": 0.65, "shapes": 1.75 if structure else 2.4}
-    if structure:
-        widths |= {"gap": 0.1, "structure": 2.0}
-    widths["end"] = WIDTH - sum(widths.values())
+    label, gap, end = 0.6, 0.1, 0.1
+    beside = {"labels": 0.65, "shapes": 1.7 if structure else 2.4} if shapes else {}
+    beside |= {"gap": gap, "structure": 2.2} if structure else {}
+    rest = WIDTH - label - end - sum(beside.values())
+    widths = {"label": label, **({"bars": rest} if bars else {}), **beside, "end": end if bars else end + rest}
     grid = spec.subgridspec(1, len(widths), width_ratios=list(widths.values()), wspace=0.0)
     return {name: grid[0, k] for k, name in enumerate(widths) if name in ("bars", "shapes", "structure")}
 

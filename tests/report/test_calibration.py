@@ -80,7 +80,10 @@ def test_unknown_stability_is_no_verdict(parameters):
 
 
 def test_the_reported_case_is_marked(parameters):
-    assert legend(draw_searches(parameters.assign(stable=True), best_case="GB1"))[:2] == ["GB1 (reported)", "GB2"]
+    assert legend(draw_searches(parameters.assign(stable=True), best_case="GB1"))[:2] == [
+        "GB1 (its fit is reported)",
+        "GB2",
+    ]
 
 
 def test_lines_are_the_misfits(convergence):

@@ -112,7 +112,7 @@ def test_figures_show_the_tables(folder, saved, before, convergence):
         [bar.get_height() for bar in saved["comparison"].axes[0].containers[0]], 100 * before["freq_error"]
     )
     np.testing.assert_array_equal(saved["convergence"].axes[0].lines[0].get_ydata(), convergence["best"][:3])
-    assert "GB2 (reported)" in [t.get_text() for t in saved["searches"].axes[0].get_legend().get_texts()]
+    assert "GB2 (its fit is reported)" in [t.get_text() for t in saved["searches"].axes[0].get_legend().get_texts()]
     assert any("GB2" in t.get_text() for t in saved["parameters"].axes[0].get_legend().get_texts())
 
 

@@ -43,4 +43,4 @@ def test_the_legend_names_groups_and_counts_sensors(shapes, hull):
     figure = model_figure(hull, shapes[shapes["mode"] == "1BT"])
     figure.savefig(os.devnull, format="png")
     words = [t.get_text() for t in figure.legends[0].get_texts()]
-    assert words == ["hull", "top", "beams and other lines", "sensors (4) and their directions"]
+    assert words == ["hull", "top", "beams and other lines", "sensors used (4) and their directions"]
