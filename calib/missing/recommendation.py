@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -200,17 +200,28 @@ def recommendation(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Se
             intro = f"No measurement looked at would tell {pair[0]} from {pair[1]}"
             return Recommendation(f"{intro}; the best gives {best['words']}. {AVERAGED}", f"{intro}.")
         advised = [own]
-        purpose = "To tell them apart, measure next: "
+        purpose = "To tell them apart"
     else:
         wanted = [table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)] for name in unseen]
         advised = [own for own in wanted if len(own)][:3]
-        purpose = "To see more, measure next: "
+        purpose = "To see more"
     if not advised:
         return None
     told = [_with_what_is_new(own) for own in advised]
     used = " A held-out mode that is used no longer verifies the result." if any(HELD_OUT in t for t in told) else ""
     names = dict.fromkeys(str(own["measurement"].iloc[0]) for own in advised)
-    return Recommendation(f"{purpose}{'; '.join(told)}. {AVERAGED}{used}", f"{purpose}{'; or '.join(names)}.")
+    return Recommendation(f"{purpose}, measure next: {'; '.join(told)}. {AVERAGED}{used}", _in_short(purpose, names))
+
+
+def _in_short(purpose: str, names: Iterable[str]) -> str:
+    """What to measure, best first, and which held-out modes are measured already."""
+    every = list(names)
+    new = [name for name in every if not name.endswith(HELD_OUT)]
+    held = [name.removesuffix(HELD_OUT) for name in every if name.endswith(HELD_OUT)]
+    use = f"let the fit use {' or '.join(held)}, measured and held out so far"
+    if not new:
+        return f"{purpose}, {use}."
+    return f"{purpose}, measure next: {'; or '.join(new)}{f'; or {use}' if held else ''}."
 
 
 def _with_what_is_new(measurements: pd.DataFrame) -> str:

@@ -32,7 +32,7 @@ def _sentence(*given):
     if found is None:
         return ""
     table = given[0]
-    named = [name for name in table["measurement"].unique() if name in found.short]
+    named = [name for name in table["measurement"].unique() if name.removesuffix(HELD_OUT) in found.short]
     assert all(name in found.sentence for name in named) and (named or "No measurement" in found.short)
     return found.sentence
 
@@ -332,6 +332,15 @@ def test_a_held_out_mode_is_recommended_with_the_best_new_measurement():
     assert alone == f"To see more, measure next: {held}: 5 times the score of E0.{VERIFIES}"
     new = _sentence(table_of((held, "E0", 2.0), ("A", "E0", 5.0)), None, ["E0"])
     assert new == f"To see more, measure next: A: 5 times the score of E0. {AVERAGED}"
+
+
+def test_in_short_a_held_out_mode_is_not_to_be_measured_but_used():
+    held = f"mode 4BT{HELD_OUT}"
+    table = table_of((held, "E0", 5.0), ("A", "E1", 2.0), ("B", "E2", 1.9))
+    short = recommendation(table, None, ["E0", "E1", "E2"]).short
+    assert short == "To see more, measure next: A; or B; or let the fit use mode 4BT, measured and held out so far."
+    alone = recommendation(table, None, ["E0"]).short
+    assert alone == "To see more, let the fit use mode 4BT, measured and held out so far."
 
 
 def test_a_held_out_mode_for_a_pair_is_recommended_with_the_best_new_measurement():
