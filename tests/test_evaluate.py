@@ -182,7 +182,10 @@ def test_workers_change_nothing(source, monkeypatch):
     assert [o.status for o in serial[13:]] == ["failed", "failed", "failed", "ok"]
 
 
-@pytest.mark.parametrize(("workers", "xs"), [(1, (0.1, -1, -5, 0.3)), (2, (0.1, -6, -4, 0.2, -1, 0.3))])
+@pytest.mark.parametrize(
+    ("workers", "xs"),
+    [(1, (0.1, -1, -5, 0.3)), pytest.param(2, (0.1, -6, -4, 0.2, -1, 0.3), marks=pytest.mark.slow)],
+)
 def test_every_outcome_is_told_once(source, workers, xs):
     told = []
     with Evaluator(source(), workers, time_limit=2.0) as evaluator:

@@ -70,6 +70,7 @@ def shares(found, clusters, of):
     return found.model.energy_shares(found.values, found.modes.shapes[:, of], clusters).sum(axis=0)
 
 
+@pytest.mark.slow
 def test_adopted_parameters_are_held_at_what_the_first_phase_found(study):
     for space in (study.sensitivity_space, study.search_space):
         assert not set(ADOPTED) & set(space.free_names)
@@ -87,12 +88,14 @@ def test_the_twin_stands_on_the_bogies_of_the_first_phase():
     assert set(ADOPTED) <= set(own) and all(TRUTH["parameters"][n] == BOGIE_TRUTH[n] for n in own)
 
 
+@pytest.mark.slow
 def test_initial_error_is_as_stated(before):
     assert before.measured.names == FITTED and len(before.pairing.paired) == 5
     assert TRUTH["initial_mean_freq_error"] >= 0.10
     assert np.abs(before.freq_error).mean() == pytest.approx(TRUTH["initial_mean_freq_error"], abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_twin_varies_as_stated(study):
     """Five repeats of twelve modes against the noise-free twin: their means lie within the stated deviations."""
     measured = study.whole
@@ -104,6 +107,7 @@ def test_the_twin_varies_as_stated(study):
     assert 0.022 < np.sqrt((measured.shape_std**2).mean()) < 0.028
 
 
+@pytest.mark.slow
 def test_shares_of_the_equipment_keep_their_sum_within_a_tenth(study):
     drawn = sample(study.sensitivity_space, study.settings.sensitivity.samples, study.settings.sensitivity.seed)
     names = study.sensitivity_space.free_names
@@ -167,6 +171,7 @@ def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, c
     assert table.loc[list(FITTED), "error_initial"].abs().mean() > table.loc[list(FITTED), "error_before"].abs().mean()
 
 
+@pytest.mark.slow
 def test_the_table_of_every_mode_can_be_a_study_without_held_out_modes(study, before):
     none = replace(study, settings=study.settings.model_copy(update={"held_out": type(study.settings.held_out)()}))
     stages = all_stages(none, before, before)

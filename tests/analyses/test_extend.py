@@ -166,6 +166,7 @@ def test_nothing_half_written_remains(sums, monkeypatch, what, fault):
     assert {p.name for p in Path().iterdir()} == {"sums"}
 
 
+@pytest.mark.slow
 def test_the_command_names_the_next_command_and_that_works(sums, capsys):
     assert cli.execute(["extend", "sums", "bend", "--into", "new"]) == 0
     out = capsys.readouterr().out

@@ -82,6 +82,7 @@ def test_the_study_is_compared_and_fitted_as_with_matrices(fitted):
     assert list(mine.modes["mode"]) == list(theirs.modes["mode"]) and "m8" in list(mine.modes["mode"])
 
 
+@pytest.mark.slow
 def test_the_explanation_is_that_of_the_matrices_and_evaluates_no_point_twice(own, folders, tmp_path):
     folder, calls = own
     studies = {"function": isolated(Study.load(folder)), "matrices": Study.load(folders["matrices"])}
@@ -113,6 +114,7 @@ def test_no_point_is_solved_twice_and_a_second_run_solves_none(few, tmp_path):
     assert sum((second - first).values()) == 1
 
 
+@pytest.mark.slow
 def test_an_explanation_behind_the_ledger_reuses_the_points_of_a_calibration(few, tmp_path):
     folder, calls = few
     found, counted = [], []

@@ -150,6 +150,7 @@ def test_a_changed_measurement_makes_old_rows_stale_and_says_so(answered, capsys
     assert "another state of model or measurement" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_measures_can_choose_the_parameters(mast, capsys):
     text = Path("mast/study.toml").read_text()
     Path("mast/study.toml").write_text(text.replace('["E", "m_top", "K_base"]', '"from sensitivity"', 1))
@@ -207,6 +208,7 @@ def test_results_go_where_they_are_told(mast):
     assert Path("out/here/mast/comparison_before.csv").exists() and not Path("results").exists()
 
 
+@pytest.mark.slow
 def test_the_measured_rig_without_shapes(here, drawn, unrendered, capsys):
     shutil.copytree(ROOT / "studies/four_storey_rig", "rig")
     text = (

@@ -119,6 +119,7 @@ def test_figures_and_reports_of_both_are_drawn_and_redrawn(within, drawn, monkey
     assert (FOLDER / "report.html").read_text() == page and (OWN / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_the_same_run_again_says_the_same(lacking, monkeypatch):
     monkeypatch.chdir(lacking[0])
     before = tables(Path("results"))
@@ -127,6 +128,7 @@ def test_the_same_run_again_says_the_same(lacking, monkeypatch):
     assert sorted(p.name for p in FOLDER.glob("mast_extended*")) == ["mast_extended"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_completed_by_the_same_command(within, monkeypatch):
     whole = tables(Path("results"))
     shutil.rmtree("results")
@@ -159,6 +161,7 @@ def test_two_effects_are_added_together(here, write_study, asked, edit):
     assert "With them the model fits better" in added["sentence"]
 
 
+@pytest.mark.slow
 def test_a_calibration_that_ends_elsewhere_than_the_explanation_says_so(within, monkeypatch):
     assert "ended elsewhere" not in json.loads((FOLDER / "added.json").read_text())["sentence"]
     calibrate = calibration.calibrate

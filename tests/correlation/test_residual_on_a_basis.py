@@ -20,6 +20,7 @@ def pair():
     return study, names, ModalResidual(study.problem), ModalResidual(study.problem.reduced(basis))
 
 
+@pytest.mark.slow
 def test_residual_and_jacobian_agree_with_full_order(pair):
     _, names, full, reduced = pair
     values = {"K_primary": 700.0, "pos_long_left": 6.0}
@@ -28,6 +29,7 @@ def test_residual_and_jacobian_agree_with_full_order(pair):
     assert np.all(np.linalg.norm(exact - near, axis=0) < 5e-3 * np.linalg.norm(exact, axis=0))
 
 
+@pytest.mark.slow
 def test_frequency_derivatives_on_the_basis_are_those_of_its_own_frequencies(pair):
     study, names, _, reduced = pair
     values = study.model.space.values

@@ -137,7 +137,14 @@ def test_inputs_among_the_results(sums, capsys):
     assert cli.execute(["compare", "plain", "--results", "other"]) == 0
 
 
-@pytest.mark.parametrize("name", ["measured.csv", "record.json", "parameters.png", "report.html"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "measured.csv",
+        "report.html",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("record.json", "parameters.png")),
+    ],
+)
 def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monkeypatch, name):
     if name.endswith(".png"):
         monkeypatch.setattr("calib.report.figures.Figures.save", SAVE)

@@ -42,6 +42,7 @@ def rows():
         ).fetchall()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "told", "more"),
     [("os._exit(3)", WORKER_DIED, []), ("time.sleep(1000)", f"{TOOK_TOO_LONG} 1 s", ["--workers", "1"])],

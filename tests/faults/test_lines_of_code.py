@@ -129,7 +129,8 @@ def test_mistakes_while_a_model_is_evaluated(plain, in_this_process, function, m
     mistakes.check(mistakes.refused(folder, compare).at, expected)
 
 
-@pytest.mark.parametrize("kind", ["exception", pytest.param("NaN", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["exception", "NaN"])
 def test_the_line_comes_from_the_child_process_and_from_the_ledger(plain, kind, mistakes):
     folder = plain("")
     expected = mistakes.put(folder / "model.py", ("\n\n\n\n", f"\n\n{EVALUATING[kind]}\n"))

@@ -224,6 +224,7 @@ def test_a_point_that_hangs_is_abandoned(slow, tmp_path):
     )  # abandoning one point is enough; its neighbour may be restarted
 
 
+@pytest.mark.slow
 def test_hanging_and_dying_in_one_batch(slow):
     with Evaluator(slow, 2, time_limit=0.5) as evaluator:
         outcomes = evaluator.evaluate(points(1, 101, -1, 2, 102, -2, 3))

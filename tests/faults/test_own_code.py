@@ -185,6 +185,7 @@ def test_an_exception_in_the_only_effect(bent, told):
     assert "# here" in LOG.read_text()
 
 
+@pytest.mark.slow
 def test_an_exception_in_one_effect_of_several(bent, undrawn, capsys):
     folder = bent(2)
     assert cli.execute(["explain", str(folder)]) == 0
@@ -192,9 +193,8 @@ def test_an_exception_in_one_effect_of_several(bent, undrawn, capsys):
     assert "# here" in LOG.read_text() and "NameError" in LOG.read_text()
 
 
-@pytest.mark.parametrize(
-    "options", [[], pytest.param(["--method", "gauss-newton", "--workers", "1"], marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [[], ["--method", "gauss-newton", "--workers", "1"]])
 def test_an_exception_in_an_effect_that_a_calibrated_model_has(bent, told, options):
     folder = bent(2, 'with_effects = ["bend"]')
     for _ in range(2):  # the second time the ledger knows what failed

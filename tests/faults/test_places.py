@@ -204,6 +204,7 @@ def check_full_disk(disk, runner, left, drafts, kilobytes, whole, draw, one_sent
     assert left(FOLDER) == whole
 
 
+@pytest.mark.slow
 def test_a_disk_too_full_for_a_figure(answered_there, runner, one_sentence):
     before = files(FOLDER)
     fill(answered_there, 100_000)

@@ -46,6 +46,7 @@ def duration(start, wait_for):
     return time.monotonic() - began
 
 
+@pytest.mark.slow
 def test_killed_twice(mast, runner, left, whole):
     def start():
         return runner.fork("calibrate", "mast", "--workers", "1")
@@ -122,7 +123,8 @@ def test_interrupted_at_any_moment(mast, runner, left, drafts):
     assert left(FOLDER) == whole
 
 
-@pytest.mark.parametrize("times", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [1, 3])
 def test_interrupted_again_while_leaving(mast, runner, left, whole, times):
     draw = random.Random(5)
     for _ in range(times):

@@ -64,6 +64,7 @@ def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
     assert fit.compare().table["freq_error"].abs().max() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_function_is_explained_as_in_the_study(chain, explained, tmp_path):
     study = calib.Study.load(STUDIES / "five_mass_chain").loaded
     found = explain(study, Results.at(tmp_path, "chain"))

@@ -81,7 +81,10 @@ def test_a_search_is_that_of_the_study(rig, chain, name, tmp_path):
 
 @pytest.mark.parametrize(
     "make",
-    [lambda: ThreadPoolExecutor(3), lambda: ProcessPoolExecutor(1, get_context("spawn"))],
+    [
+        lambda: ThreadPoolExecutor(3),
+        pytest.param(lambda: ProcessPoolExecutor(1, get_context("spawn")), marks=pytest.mark.slow),
+    ],
     ids=["threads", "another process"],
 )
 def test_an_executor_changes_nothing(rig, make):

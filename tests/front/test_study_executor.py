@@ -82,7 +82,11 @@ def asked_of_rig(root, workers):
     return tables(results.path)
 
 
-@pytest.mark.parametrize("make", [lambda: Threads(3), processes], ids=["threads", "another process"])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: Threads(3), pytest.param(processes, marks=pytest.mark.slow)],
+    ids=["threads", "another process"],
+)
 def test_a_model_of_matrices_has_the_tables_of_the_own_pool(rig, make, tmp_path):
     with make() as executor:
         require_same(rig, asked_of_rig(tmp_path, Injected(executor)))
@@ -99,11 +103,8 @@ def run(tmp_path_factory):
     return study
 
 
-@pytest.mark.parametrize(
-    "make",
-    [lambda: Threads(2), pytest.param(processes, marks=pytest.mark.slow)],
-    ids=["threads", "another process"],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [lambda: Threads(2), processes], ids=["threads", "another process"])
 def test_a_whole_run_of_a_function_has_the_tables_of_the_own_pool(run, make, tmp_path):
     with make() as executor:
         found = calib.Study.load(run.path, tmp_path).run(executor=executor)

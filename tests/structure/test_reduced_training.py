@@ -73,6 +73,7 @@ def test_the_bogie_on_both_of_its_spaces():
             assert np.max(reduced.indicator(complete, found)[found.natural_freq < 50], initial=0.0) < 1e-5
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_basis_and_another_does_not(trained):
     model, one = trained
     same, other = (train_basis(model, model.space, 4, seed=s, freq_max=np.inf) for s in (1, 2))
@@ -159,6 +160,7 @@ def test_a_missed_mode_is_reported(ladder):
     assert table.set_index("quantity").loc["missed", "max"] == 1
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_is_not_reached_is_reported_with_the_error(ladder):
     model = ladder()
     with pytest.raises(ToleranceError, match="raise the tolerance") as fault:

@@ -38,6 +38,7 @@ def test_names_are_unique_and_not_those_of_parameters(rigid_car):
         assert e.title and e.lacks.endswith(".") and e.look_for.endswith(".") and e.magnitude.description
 
 
+@pytest.mark.slow
 def test_magnitude_zero_leaves_the_matrices_of_the_base_model(library):
     assert library.gap({}) <= 1e-12
     nuisance = {q.name: v for e in EFFECTS.values() for q in e.nuisance for v in (q.lower, q.upper)}
@@ -59,7 +60,7 @@ def test_matrix_derivatives_agree_with_differences(library, name):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] if n == "hung_converter" else []) for n in NAMES]
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if n.startswith("hung") else []) for n in NAMES]
 )
 def test_matrices_stay_semidefinite_at_the_limits(library, effect_checks, name):
     for values in effect_checks.limits(EFFECTS[name]):
