@@ -142,8 +142,8 @@ PROBE = """
     report.back = paper.src === home;
 
     // Words under the mouse of a figure: an area that is not painted has them too.
-    const worded = [...document.querySelectorAll("figure svg g[pointer-events] > title")].filter(
-      (title) => (title.nextElementSibling?.getAttribute("style") ?? "").includes("fill: none")
+    const worded = [...document.querySelectorAll("figure svg g[pointer-events] > title:not(:only-child)")].filter(
+      (title) => getComputedStyle(title.nextElementSibling).fill === "none"
         && title.nextElementSibling.getBoundingClientRect().width > 0);
     report.worded = worded.length;
     worded[0].parentNode.scrollIntoView({ block: "center", behavior: "instant" });
