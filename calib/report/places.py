@@ -17,6 +17,7 @@ from calib.report.scene import (
     FOOT,
     PLACE,
     frame_panel,
+    hover_places,
     new_axes,
     new_figure,
     number_points,
@@ -62,7 +63,7 @@ def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Ax
     -------
     Axes3D
         One line for each form, with the form as gid; what no parameter scales is grey. A number is that of
-        `numbered_parameters`.
+        `numbered_parameters`. Name, form and parameters appear under the mouse.
     """
     ax = new_axes(ax)
     parts, rest = pieces(mesh), places(mesh)
@@ -81,6 +82,7 @@ def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Ax
     at = table[PLACE].to_numpy(dtype=float)
     frame_panel(ax, np.concatenate([rest[np.unique(parts.corners)], at]), "")
     number_points(ax, at, _numbers(table))
+    hover_places(ax, at, _words(table))
     return ax
 
 
@@ -136,10 +138,21 @@ def _forms_of(table: pd.DataFrame, name: str) -> str:
     return ", ".join(words)
 
 
+def _words(table: pd.DataFrame) -> list[str]:
+    """What each piece is: ``upper rod front left: spring, K_rod_upper``."""
+    forms = np.where(table["form"] == "part", table["kind"] + " of a part", table["form"].map(_WORDS))
+    scaled = table["parameters"].str.split().str.join(", ").replace("", "fixed")
+    held = table["form"] == "support"
+    return [
+        form if still else f"{name}: {form}, {by}"
+        for name, form, by, still in zip(table["name"], forms, scaled, held, strict=True)
+    ]
+
+
 def _numbers(table: pd.DataFrame) -> dict[int, int | str]:
     """Row of each place to number, and what to write there."""
     keys = numbered_parameters(table)
-    rows = np.flatnonzero(table["parameters"].ne(""))
+    rows = np.flatnonzero(table["parameters"].ne("") & ~table.duplicated([*PLACE, "parameters"]))
     if len(rows) > _MOST_NUMBERS:
         rows = rows[~table.iloc[rows].duplicated(["form", "parameters"]).to_numpy()]
     return {k: "+".join(str(keys[n]) for n in table["parameters"].iloc[k].split()) for k in rows.tolist()}

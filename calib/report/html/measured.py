@@ -137,7 +137,7 @@ def _map(results: StudyResults, table: pd.DataFrame) -> list[Block]:
     marks = "Springs, dampers, masses and supports of the model; numbers are those of the parameters in the key."
     return [
         *results.picture("model", f"The model and the sensors on it. {AXES_NOTE}", alt),
-        *results.picture("model_places", f"{marks} {AXES_NOTE}", marks),
+        *results.picture("model_places", f"{marks} Point at a mark for its name. {AXES_NOTE}", marks),
     ]
 
 
