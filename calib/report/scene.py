@@ -211,11 +211,13 @@ def hover_places(ax: Axes3D, points: np.ndarray, words: Sequence[str]) -> None:
 
 
 def seen_size(points: np.ndarray, room: float) -> tuple[float, float]:
-    """Return width and height of the view of points (n, 3) with some room in total, everything in metres."""
-    if not len(points):
-        return 1.0, 0.5
-    wide, high = np.ptp(plot_coordinates(points) @ view_directions().T, axis=0)
-    return float(wide + room) or 1.0, float(high + room)
+    """Return width and height of the view of points (n, 3) with some room in total, everything in metres.
+
+    What has no extent, such as a model at one point, takes half as much height as width.
+    """
+    wide, high = np.ptp(plot_coordinates(points) @ view_directions().T, axis=0) + room if len(points) else (0.0, 0.0)
+    width = float(wide) or 1.0
+    return width, float(high) or 0.5 * width
 
 
 def panel_grid(

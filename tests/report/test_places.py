@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.report.mesh import Mesh
+from calib.report.model import model_figure
 from calib.report.places import draw_places, numbered_parameters, places_figure
 from calib.report.style import style
 from calib.report.svg import svg_text
@@ -89,3 +91,15 @@ def test_a_model_of_few_pieces_is_drawn_too(mesh, table, kept):
     figure = places_figure(mesh, some.assign(parameters=""))
     figure.draw_without_rendering()
     assert len(figure.legends[0].get_texts()) == len(kept)
+
+
+@pytest.mark.parametrize("line", [None, (0, 1)])
+def test_a_model_at_one_point_is_drawn_too(table, line):
+    points = pd.DataFrame([(0, 1.0, 1.0, 1.0), (1, 1.0, 1.0, 1.0)], columns=["point", *PLACE])
+    elements = pd.DataFrame([] if line is None else [("rod", *line, np.nan, np.nan)], columns=["group", *"abcd"])
+    sensor = pd.DataFrame([("y", 1.0, 1.0, 1.0)], columns=["direction", *PLACE])
+    mesh, some = Mesh(points, elements), table[:1].assign(x=1.0, y=1.0, z=1.0)
+    for figure in (places_figure(mesh, some), model_figure(mesh, sensor)):
+        figure.draw_without_rendering()
+        panel = figure.axes[0].get_position(original=True)
+        assert panel.height * figure.get_size_inches()[1] > 1.0
