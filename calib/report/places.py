@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from calib.report.mesh import FACE, Mesh, pieces, places
+from calib.report.mesh import FACE, Mesh, pieces, places, seen_places
 from calib.report.scene import (
     FOOT,
     PLACE,
@@ -93,7 +93,7 @@ def numbered_parameters(table: pd.DataFrame) -> dict[str, int]:
 
 def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
     """Draw the places with a key of numbers and marks; for the arguments see `draw_places`."""
-    rest = places(mesh)[np.unique(pieces(mesh).corners)]
+    rest = seen_places(mesh)
     keys = numbered_parameters(table)
     fixed = table["parameters"].eq("")
     forms = [form for form in MARKS if ((table["form"] == form) & (~fixed | (form == "support"))).any()]
