@@ -13,6 +13,7 @@ from matplotlib.path import Path
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calib.report.mesh import FACE, Mesh, pieces, places, seen_places
+from calib.report.numbers import counted
 from calib.report.scene import (
     FOOT,
     PLACE,
@@ -47,6 +48,9 @@ _WORDS = {"spring": "spring", "damper": "damper", "mass": "lumped mass", "suppor
 _MOST_NUMBERS = 48
 """Most pieces that are all numbered; of more, one of each kind."""
 _COLUMNS = 3
+"""Most columns of the key."""
+_LETTER = 0.061
+"""Mean width of a letter of the key, in inches."""
 
 
 def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Axes3D:
@@ -97,17 +101,19 @@ def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
     keys = numbered_parameters(table)
     fixed = table["parameters"].eq("")
     forms = [form for form in MARKS if ((table["form"] == form) & (~fixed | (form == "support"))).any()]
-    rows = math.ceil(len(keys) / _COLUMNS)
+    shown = [f"{k}  {name}: {_forms_of(table, name)}" for name, k in keys.items()]
+    room = _LETTER * max(map(len, shown), default=0) + 0.1
+    columns = max(1, min(_COLUMNS, int((WIDTH - 0.2) / room)))
+    rows = math.ceil(len(keys) / columns)
     foot = FOOT + 0.17 * rows + 0.1
     wide, high = seen_size(rest, 0.1 * float(np.linalg.norm(np.ptp(rest, axis=0))))
     figure = new_figure(min(WIDTH * high / wide, 5.6) + foot, foot)
     height = float(figure.get_size_inches()[1])
     draw_places(mesh, table, figure.add_subplot(projection="3d"))
-    shown = [f"{k}  {name}: {_forms_of(table, name)}" for name, k in keys.items()]
-    for column in range(_COLUMNS):
+    for column in range(columns):
         lines = shown[column * rows : (column + 1) * rows]
         figure.text(
-            (0.15 + column * (WIDTH - 0.2) / _COLUMNS) / WIDTH, (foot - 0.05) / height, "\n".join(lines), va="top",
+            (0.15 + column * (WIDTH - 0.2) / columns) / WIDTH, (foot - 0.05) / height, "\n".join(lines), va="top",
             fontsize=8.5, linespacing=1.3,
         )  # fmt: skip
     handles = [Line2D([], [], linestyle="none", label=_WORDS[form], **MARKS[form]) for form in forms]
@@ -131,7 +137,7 @@ def _forms_of(table: pd.DataFrame, name: str) -> str:
             continue
         if form == "part":
             of = dict.fromkeys(own.loc[own["form"] == "part", "kind"])
-            words.append(f"{' and '.join(of)} of {counts[form]} parts" if counts[form] > 1 else " and ".join(of))
+            words.append(f"{' and '.join(of)} of {counted(int(counts[form]), 'part')}")
         else:
             many = "es" if form == "mass" else "s"
             words.append(f"{counts[form]} {_WORDS[form]}{many if counts[form] > 1 else ''}")
@@ -155,4 +161,4 @@ def _numbers(table: pd.DataFrame) -> dict[int, int | str]:
     rows = np.flatnonzero(table["parameters"].ne("") & ~table.duplicated([*PLACE, "parameters"]))
     if len(rows) > _MOST_NUMBERS:
         rows = rows[~table.iloc[rows].duplicated(["form", "parameters"]).to_numpy()]
-    return {k: "+".join(str(keys[n]) for n in table["parameters"].iloc[k].split()) for k in rows.tolist()}
+    return {k: "+".join(map(str, sorted(keys[n] for n in table["parameters"].iloc[k].split()))) for k in rows.tolist()}

@@ -2,6 +2,7 @@
 
 import re
 from html import unescape
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -60,7 +61,7 @@ def test_every_piece_is_drawn_at_its_place_in_the_look_of_its_form(mesh, table):
 def test_a_number_stands_once_at_every_place_of_a_parameter(mesh, table):
     assert numbered_parameters(table) == {"K_rod": 1, "c_rod": 2, "m_bar": 3}
     numbers = [text.get_text() for text in draw_places(mesh, table).texts if text.get_text()]
-    assert sorted(numbers) == ["1", "1", "2", "3+1"]
+    assert sorted(numbers) == ["1", "1", "1+3", "2"]
 
 
 def test_names_appear_under_the_mouse_together_at_one_place(mesh, table):
@@ -82,7 +83,17 @@ def test_names_appear_under_the_mouse_together_at_one_place(mesh, table):
 
 def test_the_key_counts_the_pieces_of_every_parameter(mesh, table):
     (key,) = {t.get_text() for t in places_figure(mesh, table).texts if "K_rod" in t.get_text()}
-    assert key == "1  K_rod: 3 springs, mass"
+    assert key == "1  K_rod: 3 springs, mass of 1 part"
+
+
+@pytest.mark.parametrize(("name", "columns"), [("K", 3), ("K_of_a_rod_with_a_long_name", 2), ("K" * 90, 1)])
+def test_the_columns_of_the_key_do_not_meet(mesh, table, name, columns):
+    rows = [table[:1].assign(parameters=f"{name}{k}") for k in range(6)]
+    figure = places_figure(mesh, pd.concat(rows, ignore_index=True))
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in figure.texts if name in text.get_text()]
+    assert len(boxes) == columns
+    assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
 
 
 @pytest.mark.parametrize("kept", [["support"], ["mass"], ["spring", "support"]])
