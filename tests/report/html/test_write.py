@@ -229,6 +229,13 @@ def test_an_interruption_while_writing_leaves_the_old_page(folder, unpainted, mo
     assert path.read_bytes() == old and not [p for p in folder.iterdir() if p.name.startswith(".")]
 
 
+def test_every_figure_of_the_page_is_a_step_of_its_progress(everything, unpainted, blocks):
+    steps = []
+    page(StudyResults(everything, TITLE, True), lambda stage, done, total: steps.append((done, total)))
+    count = len(blocks(everything, Picture))
+    assert count > 12 and steps == [(k, count) for k in range(count)]
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [("measured.csv", "natural_freq", "frequency"), ("effects.csv", "True", "maybe"), ("record.json", "{", "")],
