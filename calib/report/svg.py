@@ -30,6 +30,7 @@ _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _COMMAND = re.compile(r"\s*([A-Za-z])\s*")
 """Command of a path, with the room around it."""
 _FINEST = re.compile(r"(\d+\.\d{2})\d+")
+_SPACES = re.compile(" {2,}")
 _NO_TURN = re.compile(r"\s*rotate\(-?0( [^)]*)?\)")
 
 
@@ -115,8 +116,9 @@ def svg_text(figure: Figure, name: str) -> str:
     _own_names(root, name)
     for element in root.iter():
         _shorten(element.attrib)
-        if not (element.text or "").strip():
-            element.text = None
+        words = element.text if (element.text or "").strip() else None
+        # A browser shows several spaces as one.
+        element.text = words and _SPACES.sub(lambda found: "\u00a0" * len(found[0]), words)
         if not (element.tail or "").strip():
             element.tail = None
     _share_styles(root)

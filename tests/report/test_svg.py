@@ -52,6 +52,12 @@ def test_text_stays_text_and_nothing_points_outside(figure):
     assert "viewBox" in root.attrib and "width" not in root.attrib
 
 
+def test_spaces_keep_words_apart(figure):
+    figure.axes[0].set_title("1BT   10.82 Hz, one space here")
+    shown = [element.text for element in ElementTree.fromstring(svg_text(figure, "one")).iter(f"{SVG}text")]
+    assert "1BT\u00a0\u00a0\u00a010.82 Hz, one space here" in shown
+
+
 def looks(element, around):
     """Tag and resolved style of everything that is drawn, without the font that all texts have."""
     own = {**around, **dict(part.split(": ") for part in element.get("style", "").split("; ") if part)}

@@ -57,7 +57,7 @@ def test_an_analysis_that_was_not_run_is_omitted_and_its_command_named(folder, g
         for suffix in ("csv", "json"):
             (folder / f"{name}.{suffix}").unlink(missing_ok=True)
     *shown, last = sections(StudyResults(folder, TITLE, True))
-    assert [s.name for s in shown] == [n for n in WHOLE if n != section] and last.name == "not-asked"
+    assert [s.name for s in shown] == [n for n in WHOLE if n != section] and last.name == "not_run"
     assert any(f"{command} mast" in words.text for words in last.blocks)
 
 
@@ -112,7 +112,7 @@ def test_until_something_is_added_the_errors_are_those_of_the_explanation(folder
     for file in folder.glob("added*"):
         file.unlink()
     *shown, last = sections(StudyResults(folder, TITLE, True))
-    assert [s.name for s in shown] == WHOLE and last.name == "not-asked"
+    assert [s.name for s in shown] == WHOLE and last.name == "not_run"
     assert any("calib run mast" in words.text for words in last.blocks)
     errors = pd.read_csv(folder / "errors.csv")
     rows = blocks(folder, Table)["Errors before and after adding guy"].rows
@@ -256,5 +256,5 @@ def test_a_missing_folder(tmp_path):
 
 def test_an_empty_folder_names_the_commands_to_run(tmp_path, reader):
     found = reader(page(StudyResults(tmp_path, TITLE, False)))
-    assert [a["id"] for a in found.named("section")] == ["not-asked"]
+    assert [a["id"] for a in found.named("section")] == ["not_run"]
     assert "No comparison has been run yet." in found.text
