@@ -60,7 +60,8 @@ def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Ax
     ----------
     mesh : Mesh
     table : DataFrame
-        Columns ``name, form, parameters`` (names with spaces between, empty for what is fixed) and ``x, y, z`` (m).
+        Columns ``name, form, kind, parameters`` (names with semicolons between, empty for what is fixed) and
+        ``x, y, z`` (m).
     ax : Axes3D, optional
 
     Returns
@@ -92,7 +93,13 @@ def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Ax
 
 def numbered_parameters(table: pd.DataFrame) -> dict[str, int]:
     """Number of each parameter of a table of `draw_places`, from 1, in the order of their first places."""
-    return {name: k for k, name in enumerate(dict.fromkeys(" ".join(table["parameters"]).split()), start=1)}
+    names = (name for cell in table["parameters"] for name in _names(cell))
+    return {name: k for k, name in enumerate(dict.fromkeys(names), start=1)}
+
+
+def _names(cell: str) -> list[str]:
+    """The parameters in a cell of the table."""
+    return cell.split("; ") if cell else []
 
 
 def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
@@ -129,7 +136,7 @@ def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
 
 def _forms_of(table: pd.DataFrame, name: str) -> str:
     """What a parameter is: ``4 springs``."""
-    own = table[[name in names.split() for names in table["parameters"]]]
+    own = table[[name in _names(cell) for cell in table["parameters"]]]
     counts = own["form"].value_counts()
     words = []
     for form in MARKS:
@@ -147,7 +154,7 @@ def _forms_of(table: pd.DataFrame, name: str) -> str:
 def _words(table: pd.DataFrame) -> list[str]:
     """What each piece is: ``upper rod front left: spring, K_rod_upper``."""
     forms = np.where(table["form"] == "part", table["kind"] + " of a part", table["form"].map(_WORDS))
-    scaled = table["parameters"].str.split().str.join(", ").replace("", "fixed")
+    scaled = [", ".join(_names(cell)) or "fixed" for cell in table["parameters"]]
     held = table["form"] == "support"
     return [
         form if still else f"{name}: {form}, {by}"
@@ -161,4 +168,4 @@ def _numbers(table: pd.DataFrame) -> dict[int, int | str]:
     rows = np.flatnonzero(table["parameters"].ne("") & ~table.duplicated([*PLACE, "parameters"]))
     if len(rows) > _MOST_NUMBERS:
         rows = rows[~table.iloc[rows].duplicated(["form", "parameters"]).to_numpy()]
-    return {k: "+".join(map(str, sorted(keys[n] for n in table["parameters"].iloc[k].split()))) for k in rows.tolist()}
+    return {k: "+".join(map(str, sorted(keys[n] for n in _names(table["parameters"].iloc[k])))) for k in rows.tolist()}

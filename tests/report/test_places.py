@@ -20,14 +20,14 @@ PLACE = ["x", "y", "z"]
 @pytest.fixture
 def table():
     rows = [
-        ("rod left", "spring", "stiffness", "K_rod", 0.0, 0.5, 1.0),
-        ("rod right", "spring", "stiffness", "K_rod", 0.0, 0.0, -1.0),
-        ("rod right, z", "spring", "stiffness", "K_rod", 0.0, 0.0, -1.0),
+        ("rod left", "spring", "stiffness", "K of rod", 0.0, 0.5, 1.0),
+        ("rod right", "spring", "stiffness", "K of rod", 0.0, 0.0, -1.0),
+        ("rod right, z", "spring", "stiffness", "K of rod", 0.0, 0.0, -1.0),
         ("damper", "damper", "damping", "c_rod", 1e-17, 0.5, 1.0),
         ("block", "mass", "mass", "", 2.0, 0.5, 1.0),
         ("contact", "spring", "stiffness", "", 2.0, 0.0, -1.0),
         ("support", "support", "", "", 2.0, 0.0, -1.0),
-        ("bar", "part", "mass", "m_bar K_rod", 1.0, 0.5, 1.0),
+        ("bar", "part", "mass", "m_bar; K of rod", 1.0, 0.5, 1.0),
     ]
     return pd.DataFrame(rows, columns=["name", "form", "kind", "parameters", *PLACE])
 
@@ -59,7 +59,7 @@ def test_every_piece_is_drawn_at_its_place_in_the_look_of_its_form(mesh, table):
 
 
 def test_a_number_stands_once_at_every_place_of_a_parameter(mesh, table):
-    assert numbered_parameters(table) == {"K_rod": 1, "c_rod": 2, "m_bar": 3}
+    assert numbered_parameters(table) == {"K of rod": 1, "c_rod": 2, "m_bar": 3}
     numbers = [text.get_text() for text in draw_places(mesh, table).texts if text.get_text()]
     assert sorted(numbers) == ["1", "1", "1+3", "2"]
 
@@ -73,17 +73,17 @@ def test_names_appear_under_the_mouse_together_at_one_place(mesh, table):
         text = svg_text(places_figure(mesh, table), "places")
     words = [unescape(found) for found in re.findall("<title>(.*?)</title>", text, re.S)]
     assert words == [
-        "rod left: spring, K_rod\ndamper: damper, c_rod",
-        "rod right: spring, K_rod\nrod right, z: spring, K_rod",
+        "rod left: spring, K of rod\ndamper: damper, c_rod",
+        "rod right: spring, K of rod\nrod right, z: spring, K of rod",
         "block: lumped mass, fixed",
         "contact: spring, fixed\nsupport",
-        "bar: mass of a part, m_bar, K_rod",
+        "bar: mass of a part, m_bar, K of rod",
     ]
 
 
 def test_the_key_counts_the_pieces_of_every_parameter(mesh, table):
-    (key,) = {t.get_text() for t in places_figure(mesh, table).texts if "K_rod" in t.get_text()}
-    assert key == "1  K_rod: 3 springs, mass of 1 part"
+    (key,) = {t.get_text() for t in places_figure(mesh, table).texts if "K of rod" in t.get_text()}
+    assert key == "1  K of rod: 3 springs, mass of 1 part"
 
 
 @pytest.mark.parametrize(("name", "columns"), [("K", 3), ("K_of_a_rod_with_a_long_name", 2), ("K" * 90, 1)])
