@@ -82,6 +82,15 @@ def test_results_without_a_record_are_shown_as_far_as_possible(folder):
     assert shown == [n for n in WHOLE if n not in ("measured", "versions")]
 
 
+def test_a_model_is_shown_whether_or_not_shapes_were_measured(folder, blocks):
+    sensors = pd.read_csv(folder / "sensors.csv")
+    used = (~sensors["held_out"]).sum()
+    assert f"the {used} sensors" in blocks(folder, Picture)["model"].alt and used < len(sensors)
+    for name in ("sensors", "shapes_before", "shapes_after"):
+        (folder / f"{name}.csv").unlink()
+    assert "model_places" in blocks(folder, Picture)
+
+
 def test_scalar_responses_have_neither_modes_nor_shapes(scalar, reader):
     found = reader(page(StudyResults(scalar, "Five masses", True)))
     names = [a["id"] for a in found.named("section")]
