@@ -65,6 +65,14 @@ def test_every_parameter_of_the_bogie_has_its_places():
     assert len(wheels) == 4 and not any(p.parameters for p in wheels)
 
 
+def test_a_shaft_of_rotations_alone_has_no_supports():
+    shaft = StructuralModel.from_matrices(
+        stiffness={"k": LINK}, mass=np.eye(2), parameters=[Parameter("k", 1e4, 1e3, 1e5)],
+        dofs=pd.DataFrame({"node": [1, 2], "direction": "rx", "x": [0.0, 1.0], "y": 0.0, "z": 0.0}),
+    )  # fmt: skip
+    assert [(p.form, p.place) for p in shaft.places] == [("spring", (0.5, 0.0, 0.0))]
+
+
 def test_a_support_holds_all_translations():
     (support,) = [p for p in four_storey_rig().places if p.form == "support"]
     assert support.parameters == () and support.place[1] == 0.0
