@@ -52,6 +52,12 @@ def _placed(mesh: Mesh) -> np.ndarray:
 
 
 def places_table(places: Iterable[ModelPlace]) -> pd.DataFrame:
-    """Return pieces of a model that have coordinates: ``name, form, kind``, ``parameters`` (with spaces between), m."""
-    rows = [(p.name, p.form, p.kind, " ".join(p.parameters), *p.place) for p in places if np.isfinite(p.place).all()]
+    """Return pieces of a model that have coordinates.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``name, form, kind, parameters`` (names with semicolons between) and ``x, y, z`` (m).
+    """
+    rows = [(p.name, p.form, p.kind, "; ".join(p.parameters), *p.place) for p in places if np.isfinite(p.place).all()]
     return pd.DataFrame(rows, columns=["name", "form", "kind", "parameters", "x", "y", "z"])

@@ -321,7 +321,7 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
 
 
 def _comparison(path: Path) -> pd.DataFrame | None:
-    if not path.exists() or _of_scalar_responses(path):
+    if not path.exists() or of_scalar_responses(path):
         return None
     numbers = ["natural_freq_measured", "natural_freq_model", "freq_error", "mac"]
     return read_table(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
@@ -338,8 +338,8 @@ def _square(path: Path, key: str = "parameter", may_be_empty: bool = False) -> p
     return table
 
 
-def _of_scalar_responses(path: Path) -> bool:
-    """Whether a comparison is one of scalar responses, which have no modes to draw."""
+def of_scalar_responses(path: Path) -> bool:
+    """Whether a table of a measurement or a comparison is of scalar responses, which have no modes to draw."""
     try:
         with path.open(encoding="utf-8") as stream:
             return stream.readline().startswith("response,")
@@ -353,7 +353,7 @@ def _there(folder: Folder, name: str) -> list[str]:
 
 
 def _scalar_comparison(path: Path) -> pd.DataFrame | None:
-    if not path.exists() or not _of_scalar_responses(path):
+    if not path.exists() or not of_scalar_responses(path):
         return None
     return read_table(path, ["response"], ["measured", "model", "error", "error_in_std"], unique="response")
 

@@ -100,6 +100,11 @@ def places(mesh: Mesh) -> np.ndarray:
     return mesh.points[PLACE].to_numpy(dtype=float)
 
 
+def seen_places(mesh: Mesh) -> np.ndarray:
+    """Return the points that are drawn, those of `pieces`, (n, 3) in metres."""
+    return places(mesh)[np.unique(pieces(mesh).corners)]
+
+
 def motions(mesh: Mesh, deflection: pd.DataFrame) -> np.ndarray:
     """Return the motion of every point, (n_points, 3), from columns ``point, u, v, w``; 0 where the table has none."""
     moved = deflection.set_index("point")[["u", "v", "w"]].reindex(mesh.points["point"])
@@ -115,10 +120,10 @@ def pieces(mesh: Mesh) -> Pieces:
     if mesh.elements.empty:
         alone = np.repeat(np.arange(len(mesh.points))[:, None], 4, axis=1)
         return Pieces(alone, np.full(len(alone), LINE), np.full(len(alone), "points"))
-    corners, group = _corners(mesh), mesh.elements["group"].to_numpy(dtype=str)
+    corners, group = element_corners(mesh), mesh.elements["group"].to_numpy(dtype=str)
     of_face = mesh.elements["c"].notna().to_numpy()
     faces = corners[of_face]
-    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    edges = element_edges(faces)
     owner = np.repeat(group[of_face], 4)
     border, its_group = _borders(edges, owner)
     known = {*map(tuple, edges.tolist())}
@@ -135,16 +140,21 @@ def pieces(mesh: Mesh) -> Pieces:
 
 def thickness(mesh: Mesh) -> float:
     """Return the middle one of the three extents of all faces, in metres; infinite where there are none."""
-    faces = _corners(mesh)[mesh.elements["c"].notna().to_numpy()]
+    faces = element_corners(mesh)[mesh.elements["c"].notna().to_numpy()]
     return float(np.sort(np.ptp(places(mesh)[faces.ravel()], axis=0))[1]) if len(faces) else math.inf
 
 
-def _corners(mesh: Mesh) -> np.ndarray:
-    """Rows of the table of points at the corners of every element, (n_elements, 4)."""
+def element_corners(mesh: Mesh) -> np.ndarray:
+    """Return rows of the table of points at the corners of every element, (n_elements, 4); a line is run to and fro."""
     row = pd.Series(np.arange(len(mesh.points)), index=mesh.points["point"].to_numpy(dtype=int))
     a, b, c, d = (mesh.elements[name].to_numpy(dtype=float) for name in "abcd")
     numbers = np.column_stack([a, b, np.where(np.isnan(c), b, c), np.where(np.isnan(d), a, d)]).astype(int)
     return row.loc[numbers.ravel()].to_numpy(dtype=int).reshape(-1, 4)
+
+
+def element_edges(corners: np.ndarray) -> np.ndarray:
+    """Return the four edges of every element, (4 n, 2), the smaller row first, from its corners (n, 4)."""
+    return np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
 
 
 def _borders(edges: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from calib.report.mesh import FACE, LINE, Mesh, draw_pieces, pieces, places
+from calib.report.mesh import FACE, LINE, Mesh, draw_pieces, pieces, places, seen_places
 from calib.report.scene import (
     FOOT,
     PLACE,
@@ -106,7 +106,7 @@ def face_groups(mesh: Mesh) -> list[str]:
 
 def model_figure(mesh: Mesh, sensors: pd.DataFrame | None = None) -> Figure:
     """Draw the model with a legend; for the arguments see `draw_model`."""
-    rest = places(mesh)[np.unique(pieces(mesh).corners)]
+    rest = seen_places(mesh)
     names = face_groups(mesh)
     handles: list[Artist] = [
         Patch(facecolor=COLOURS[k % len(COLOURS)], edgecolor=_BORDER, linewidth=0.5, label=name)

@@ -12,11 +12,13 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from calib.report.mesh import FACE, Mesh, pieces, places
+from calib.report.mesh import FACE, Mesh, pieces, places, seen_places
+from calib.report.numbers import counted
 from calib.report.scene import (
     FOOT,
     PLACE,
     frame_panel,
+    hover_places,
     new_axes,
     new_figure,
     number_points,
@@ -46,6 +48,9 @@ _WORDS = {"spring": "spring", "damper": "damper", "mass": "lumped mass", "suppor
 _MOST_NUMBERS = 48
 """Most pieces that are all numbered; of more, one of each kind."""
 _COLUMNS = 3
+"""Most columns of the key."""
+_LETTER = 0.061
+"""Mean width of a letter of the key, in inches."""
 
 
 def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Axes3D:
@@ -55,14 +60,15 @@ def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Ax
     ----------
     mesh : Mesh
     table : DataFrame
-        Columns ``name, form, parameters`` (names with spaces between, empty for what is fixed) and ``x, y, z`` (m).
+        Columns ``name, form, kind, parameters`` (names with semicolons between, empty for what is fixed) and
+        ``x, y, z`` (m).
     ax : Axes3D, optional
 
     Returns
     -------
     Axes3D
         One line for each form, with the form as gid; what no parameter scales is grey. A number is that of
-        `numbered_parameters`.
+        `numbered_parameters`. Name, form and parameters appear under the mouse.
     """
     ax = new_axes(ax)
     parts, rest = pieces(mesh), places(mesh)
@@ -81,31 +87,40 @@ def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Ax
     at = table[PLACE].to_numpy(dtype=float)
     frame_panel(ax, np.concatenate([rest[np.unique(parts.corners)], at]), "")
     number_points(ax, at, _numbers(table))
+    hover_places(ax, at, _words(table))
     return ax
 
 
 def numbered_parameters(table: pd.DataFrame) -> dict[str, int]:
     """Number of each parameter of a table of `draw_places`, from 1, in the order of their first places."""
-    return {name: k for k, name in enumerate(dict.fromkeys(" ".join(table["parameters"]).split()), start=1)}
+    names = (name for cell in table["parameters"] for name in _names(cell))
+    return {name: k for k, name in enumerate(dict.fromkeys(names), start=1)}
+
+
+def _names(cell: str) -> list[str]:
+    """The parameters in a cell of the table."""
+    return cell.split("; ") if cell else []
 
 
 def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
     """Draw the places with a key of numbers and marks; for the arguments see `draw_places`."""
-    rest = places(mesh)[np.unique(pieces(mesh).corners)]
+    rest = seen_places(mesh)
     keys = numbered_parameters(table)
     fixed = table["parameters"].eq("")
     forms = [form for form in MARKS if ((table["form"] == form) & (~fixed | (form == "support"))).any()]
-    rows = math.ceil(len(keys) / _COLUMNS)
+    shown = [f"{k}  {name}: {_forms_of(table, name)}" for name, k in keys.items()]
+    room = _LETTER * max(map(len, shown), default=0) + 0.1
+    columns = max(1, min(_COLUMNS, int((WIDTH - 0.2) / room)))
+    rows = math.ceil(len(keys) / columns)
     foot = FOOT + 0.17 * rows + 0.1
     wide, high = seen_size(rest, 0.1 * float(np.linalg.norm(np.ptp(rest, axis=0))))
     figure = new_figure(min(WIDTH * high / wide, 5.6) + foot, foot)
     height = float(figure.get_size_inches()[1])
     draw_places(mesh, table, figure.add_subplot(projection="3d"))
-    shown = [f"{k}  {name}: {_forms_of(table, name)}" for name, k in keys.items()]
-    for column in range(_COLUMNS):
+    for column in range(columns):
         lines = shown[column * rows : (column + 1) * rows]
         figure.text(
-            (0.15 + column * (WIDTH - 0.2) / _COLUMNS) / WIDTH, (foot - 0.05) / height, "\n".join(lines), va="top",
+            (0.15 + column * (WIDTH - 0.2) / columns) / WIDTH, (foot - 0.05) / height, "\n".join(lines), va="top",
             fontsize=8.5, linespacing=1.3,
         )  # fmt: skip
     handles = [Line2D([], [], linestyle="none", label=_WORDS[form], **MARKS[form]) for form in forms]
@@ -121,7 +136,7 @@ def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
 
 def _forms_of(table: pd.DataFrame, name: str) -> str:
     """What a parameter is: ``4 springs``."""
-    own = table[[name in names.split() for names in table["parameters"]]]
+    own = table[[name in _names(cell) for cell in table["parameters"]]]
     counts = own["form"].value_counts()
     words = []
     for form in MARKS:
@@ -129,17 +144,28 @@ def _forms_of(table: pd.DataFrame, name: str) -> str:
             continue
         if form == "part":
             of = dict.fromkeys(own.loc[own["form"] == "part", "kind"])
-            words.append(f"{' and '.join(of)} of {counts[form]} parts" if counts[form] > 1 else " and ".join(of))
+            words.append(f"{' and '.join(of)} of {counted(int(counts[form]), 'part')}")
         else:
             many = "es" if form == "mass" else "s"
             words.append(f"{counts[form]} {_WORDS[form]}{many if counts[form] > 1 else ''}")
     return ", ".join(words)
 
 
+def _words(table: pd.DataFrame) -> list[str]:
+    """What each piece is: ``upper rod front left: spring, K_rod_upper``."""
+    forms = np.where(table["form"] == "part", table["kind"] + " of a part", table["form"].map(_WORDS))
+    scaled = [", ".join(_names(cell)) or "fixed" for cell in table["parameters"]]
+    held = table["form"] == "support"
+    return [
+        form if still else f"{name}: {form}, {by}"
+        for name, form, by, still in zip(table["name"], forms, scaled, held, strict=True)
+    ]
+
+
 def _numbers(table: pd.DataFrame) -> dict[int, int | str]:
     """Row of each place to number, and what to write there."""
     keys = numbered_parameters(table)
-    rows = np.flatnonzero(table["parameters"].ne(""))
+    rows = np.flatnonzero(table["parameters"].ne("") & ~table.duplicated([*PLACE, "parameters"]))
     if len(rows) > _MOST_NUMBERS:
         rows = rows[~table.iloc[rows].duplicated(["form", "parameters"]).to_numpy()]
-    return {k: "+".join(str(keys[n]) for n in table["parameters"].iloc[k].split()) for k in rows.tolist()}
+    return {k: "+".join(map(str, sorted(keys[n] for n in _names(table["parameters"].iloc[k])))) for k in rows.tolist()}

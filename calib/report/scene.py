@@ -15,6 +15,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from calib.report.style import BLACK, DENSE, DPI, WIDTH
+from calib.report.svg import hover
 
 PLACE = ["x", "y", "z"]
 FOOT = 0.8
@@ -27,6 +28,12 @@ _LOW = 0.45
 """Height over width of the view below which a structure counts as long and low."""
 _LEADER = 16.0
 """Length in points of the line to a number."""
+_DIGIT = np.array([6.0, 8.0])
+"""Width and height in points of a digit of a number."""
+_POINTED = 13.0
+"""Diameter in points of the area that shows words under the mouse."""
+_NEAR = 6
+"""Decimals of coordinates, in metres, at which two places are one."""
 
 
 def plot_coordinates(points: np.ndarray) -> np.ndarray:
@@ -165,14 +172,17 @@ def number_points(ax: Axes3D, points: np.ndarray, numbers: Mapping[int, int | st
     flat = np.column_stack([x, y])
     seen = ax.transData.transform(flat)
     turns = np.arange(12) * math.pi / 6.0
-    offsets = _LEADER * np.column_stack([np.cos(turns), np.sin(turns)])
-    box = ax.get_position(original=True).transformed(ax.get_figure(root=True).transFigure).padded(-8.0)
-    taken = seen
+    around = np.column_stack([np.cos(turns), np.sin(turns)])
+    box = ax.get_position(original=True).transformed(ax.get_figure(root=True).transFigure)
+    taken, sizes = seen, np.zeros_like(seen)
     for k, number in numbers.items():
-        ends = seen[k] + offsets * DPI / 72.0
-        room = np.linalg.norm(ends[:, None] - taken, axis=2).min(axis=1)
-        best = int(np.argmax(room - 1e3 * np.array([not box.contains(*end) for end in ends])))
-        taken = np.vstack([taken, ends[best]])
+        half = 0.5 * np.array([_DIGIT[0] * len(str(number)), _DIGIT[1]])
+        offsets = around * (_LEADER + half - 0.5 * _DIGIT)
+        ends, half = seen[k] + offsets * DPI / 72.0, half * DPI / 72.0
+        room = np.linalg.norm(np.maximum(np.abs(ends[:, None] - taken) - half - sizes, 0.0), axis=2).min(axis=1)
+        inside = [box.contains(*(end - half)) and box.contains(*(end + half)) for end in ends]
+        best = int(np.argmax(np.where(inside, room, room - 1e3)))
+        taken, sizes = np.vstack([taken, ends[best]]), np.vstack([sizes, half])
         ax.annotate(
             str(number),
             flat[k],
@@ -188,12 +198,26 @@ def number_points(ax: Axes3D, points: np.ndarray, numbers: Mapping[int, int | st
         )
 
 
+def hover_places(ax: Axes3D, points: np.ndarray, words: Sequence[str]) -> None:
+    """Give places their words under the mouse, one text for each of the points (n, 3) in metres; one place has all."""
+    together: dict[tuple[float, ...], list[str]] = {}
+    for place, text in zip(plot_coordinates(points).round(_NEAR).tolist(), words, strict=True):
+        together.setdefault(tuple(place), []).append(text)
+    # One line each: a collection in space sorts its points by depth, but not their words.
+    for place, texts in together.items():
+        looks = {"color": "none", "markersize": _POINTED, "clip_on": False, "zorder": 6}
+        (area,) = ax.plot(*([x] for x in place), "o", gid="words", **looks)
+        hover(area, "\n".join(texts))
+
+
 def seen_size(points: np.ndarray, room: float) -> tuple[float, float]:
-    """Return width and height of the view of points (n, 3) with some room in total, everything in metres."""
-    if not len(points):
-        return 1.0, 0.5
-    wide, high = np.ptp(plot_coordinates(points) @ view_directions().T, axis=0)
-    return float(wide + room) or 1.0, float(high + room)
+    """Return width and height of the view of points (n, 3) with some room in total, everything in metres.
+
+    What has no extent, such as a model at one point, takes half as much height as width.
+    """
+    wide, high = np.ptp(plot_coordinates(points) @ view_directions().T, axis=0) + room if len(points) else (0.0, 0.0)
+    width = float(wide) or 1.0
+    return width, float(high) or 0.5 * width
 
 
 def panel_grid(

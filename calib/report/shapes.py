@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from calib.report.mesh import FACE, Mesh, draw_pieces, motions, pieces, places, thickness
+from calib.report.mesh import FACE, Mesh, draw_pieces, motions, pieces, places, seen_places, thickness
 from calib.report.scene import (
     PLACE,
     frame_panel,
@@ -103,7 +103,7 @@ def draw_measured_shape(shapes: pd.DataFrame, mesh: Mesh, ax: Axes3D | None = No
     """
     ax = new_axes(ax)
     place, measured = measured_motions(shapes)
-    rest = places(mesh)[np.unique(pieces(mesh).corners)]
+    rest = seen_places(mesh)
     lines = wireframe(mesh, place)
     at = np.concatenate([rest, place])
     moved = place + motion_scale(at, measured, thickness(mesh)) * measured
@@ -129,7 +129,7 @@ def mode_shapes_figure(
         Columns ``mode, natural_freq_measured, natural_freq_model, mac`` for the titles of the panels.
     """
     modes = list(dict.fromkeys(shapes["mode"]))
-    rest = places(mesh)[np.unique(pieces(mesh).corners)]
+    rest = seen_places(mesh)
     everything = np.concatenate([rest, shapes[PLACE].dropna().to_numpy(dtype=float)])
     figure, cells = panel_grid(2 * len(modes), everything, thickness(mesh), pairs=True)
     facts = {} if comparison is None else {str(row["mode"]): row for row in comparison.to_dict("records")}

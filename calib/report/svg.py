@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Any
 from urllib.parse import quote, unquote
 from xml.etree import ElementTree
@@ -23,10 +24,14 @@ _FAMILY = "'DejaVu Sans', Verdana, Arial, sans-serif"
 """Fonts of the same widths first, so that words keep their room."""
 _FONT = re.compile(r"(font(?:-family)?:[^;]*?)'DejaVu Sans'[^;]*")
 _SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
+_GROUP, _TITLE, _DEFS = (f"{{{_SVG}}}{name}" for name in ("g", "title", "defs"))
+_LINK = f"{{{_XLINK}}}href"
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _COMMAND = re.compile(r"\s*([A-Za-z])\s*")
 """Command of a path, with the room around it."""
 _FINEST = re.compile(r"(\d+\.\d{2})\d+")
+_SPACES = re.compile(" {2,}")
+_NO_TURN = re.compile(r"\s*rotate\(-?0( [^)]*)?\)")
 
 
 def hover(artist: Artist, *words: str) -> None:
@@ -110,18 +115,16 @@ def svg_text(figure: Figure, name: str) -> str:
     _say_words(root)
     _own_names(root, name)
     for element in root.iter():
-        for key in ("style", "d", "transform", "x", "y", "points"):
-            if key in element.attrib:
-                element.set(key, _FINEST.sub(r"\1", _FONT.sub(rf"\g<1>{_FAMILY}", element.attrib[key])))
-        if "d" in element.attrib:
-            element.set("d", _COMMAND.sub(r"\1", element.attrib["d"]).strip())
-        if not (element.text or "").strip():
-            element.text = None
+        _shorten(element.attrib)
+        words = element.text if (element.text or "").strip() else None
+        # A browser shows several spaces as one.
+        element.text = words and _SPACES.sub(lambda found: "\u00a0" * len(found[0]), words)
         if not (element.tail or "").strip():
             element.tail = None
+    _share_styles(root)
     for size in ("width", "height", "version"):
         root.attrib.pop(size, None)
-    root.set("style", "stroke-linejoin: round; stroke-linecap: butt")
+    root.set("style", f"stroke-linejoin: round; stroke-linecap: butt; font-family: {_FAMILY}")
     ElementTree.register_namespace("", _SVG)
     ElementTree.register_namespace("xlink", _XLINK)
     return ElementTree.tostring(root, encoding="unicode")
@@ -129,13 +132,12 @@ def svg_text(figure: Figure, name: str) -> str:
 
 def _say_words(root: ElementTree.Element) -> None:
     """Turn addresses that carry words into groups with a title."""
-    address = f"{{{_XLINK}}}href"
     for element in root.iter(f"{{{_SVG}}}a"):
-        words = element.attrib.get(address, "")
+        words = element.attrib.get(_LINK, "")
         element.attrib.clear()
-        element.tag = f"{{{_SVG}}}g"
+        element.tag = _GROUP
         if words.startswith(_HOVER):
-            title = ElementTree.Element(f"{{{_SVG}}}title")
+            title = ElementTree.Element(_TITLE)
             title.text = unquote(words.removeprefix(_HOVER))
             element.insert(0, title)
             element.set("pointer-events", "all")  # an area without paint has words too
@@ -143,8 +145,7 @@ def _say_words(root: ElementTree.Element) -> None:
 
 def _own_names(root: ElementTree.Element, name: str) -> None:
     """Keep only identifiers that something refers to, each beginning with the name of the figure."""
-    link = f"{{{_XLINK}}}href"
-    wanted = {v[1:] for e in root.iter() if (v := e.attrib.get(link, "")).startswith("#")}
+    wanted = {v[1:] for e in root.iter() if (v := e.attrib.get(_LINK, "")).startswith("#")}
     wanted |= {found for e in root.iter() for value in e.attrib.values() for found in _REFERENCE.findall(value)}
     for element in root.iter():
         own = element.attrib.get("id")
@@ -153,7 +154,62 @@ def _own_names(root: ElementTree.Element, name: str) -> None:
         elif own is not None:
             del element.attrib["id"]
         for key, value in element.attrib.items():
-            if key == link and value.startswith("#"):
+            if key == _LINK and value.startswith("#"):
                 element.set(key, f"#{name}-{value[1:]}")
             elif "url(#" in value:
                 element.set(key, _REFERENCE.sub(rf"url(#{name}-\1)", value))
+
+
+def _shorten(attributes: dict[str, str]) -> None:
+    """Remove digits finer than a hundredth, turns by no angle, the font of the whole figure, and breaks of lines."""
+    for key, value in [*attributes.items()]:
+        if key in ("style", "d", "transform", "x", "y", "points"):
+            value = _FINEST.sub(r"\1", value)
+        if key == "style":
+            each = _FONT.sub(rf"\g<1>{_FAMILY}", value).split("; ")
+            value = "; ".join(one for one in each if one != f"font-family: {_FAMILY}")
+        elif key == "transform":
+            value = _NO_TURN.sub("", value)
+        elif key == "d":
+            value = _COMMAND.sub(r"\1", value).strip()
+        elif key == _LINK:
+            value = "".join(value.split())
+        if value:
+            attributes[key] = value
+        else:
+            del attributes[key]
+
+
+def _share_styles(parent: ElementTree.Element) -> None:
+    """Write the style of neighbours once, in the group around them, and remove groups that say nothing."""
+    children: list[ElementTree.Element] = []
+    for child in parent:
+        if child.tag == _GROUP:
+            _share_styles(child)
+        children += _opened(child)
+    parent[:] = []
+    for style, run in groupby(children, _inherited):
+        same = list(run)
+        if style and len(same) > 1:
+            group = ElementTree.Element(_GROUP, {"style": style})
+            for member in same:
+                del member.attrib["style"]
+                group.extend(_opened(member))
+            same = [group]
+        parent.extend(same)
+    drawn = [child for child in parent if child.tag not in (_TITLE, _DEFS)]
+    if len(drawn) == 1 and parent.tag == _GROUP and "style" not in parent.attrib and (style := _inherited(drawn[0])):
+        parent.set("style", style)
+        del drawn[0].attrib["style"]
+        parent[:] = [inner for child in parent for inner in _opened(child)]
+
+
+def _opened(element: ElementTree.Element) -> list[ElementTree.Element]:
+    """The members of a group without attributes, or the element."""
+    return list(element) if element.tag == _GROUP and not element.attrib else [element]
+
+
+def _inherited(element: ElementTree.Element) -> str:
+    """The style of an element if a group can have it instead: the opacity of a group is not that of its members."""
+    style = element.attrib.get("style", "")
+    return "" if style.startswith("opacity:") or "; opacity:" in style else style

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from calib.report.mesh import Mesh, places
+from calib.report.mesh import Mesh, element_corners, element_edges, places
 
 
 def wireframe(mesh: Mesh, sensors: np.ndarray) -> np.ndarray:
@@ -28,7 +28,8 @@ def wireframe(mesh: Mesh, sensors: np.ndarray) -> np.ndarray:
         Rows of ``sensors``, the smaller first, each pair once.
     """
     rest, same = _merged(places(mesh))
-    edges = same[_edges(mesh)]
+    edges = np.unique(np.sort(same[element_edges(element_corners(mesh))], axis=1), axis=0)
+    edges = edges[edges[:, 0] != edges[:, 1]]
     if not len(sensors) or not len(edges):
         return np.zeros((0, 2), dtype=int)
     length = np.maximum(np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1), 1e-12)
@@ -50,14 +51,3 @@ def _merged(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     fine = 1e-6 * float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
     _, first, same = np.unique(np.round(points / fine), axis=0, return_index=True, return_inverse=True)
     return points[first], same.reshape(-1)
-
-
-def _edges(mesh: Mesh) -> np.ndarray:
-    """Lines and edges of faces, (n, 2) rows of the table of points, each once."""
-    row = {number: k for k, number in enumerate(mesh.points["point"].astype(int))}
-    corners = mesh.elements[["a", "b", "c", "d"]].to_numpy(dtype=float)
-    is_face = np.isfinite(corners[:, 2:]).all(axis=1)
-    faces = corners[is_face]
-    pairs = np.concatenate([corners[~is_face, :2], *(faces[:, [i, (i + 1) % 4]] for i in range(4))]).astype(int)
-    found = np.array([sorted((row[a], row[b])) for a, b in pairs.tolist() if a != b], dtype=int).reshape(-1, 2)
-    return np.unique(found, axis=0)

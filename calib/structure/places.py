@@ -96,7 +96,8 @@ def model_places(model: _Structure) -> tuple[ModelPlace, ...]:
                 nodes = model.dofs.node[np.unique(matrix.indices)]
                 form = _form(model, kind, matrix)
                 found += [ModelPlace(name, form, kind, parameters, at) for at in _middles(model, nodes, matrix)]
-    held = np.diff(model.dofs.expansion.indptr).reshape(-1, 6)[:, :3].max(axis=1) == 0
+    translates = (np.diff(model.dofs.expansion.indptr).reshape(-1, 6)[:, :3] > 0).any(axis=1)
+    held = ~translates & translates.any()  # a model of rotations alone holds nothing
     return (*found, *(ModelPlace("support", "support", "", (), at) for at in _middles(model, np.flatnonzero(held))))
 
 

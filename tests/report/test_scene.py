@@ -2,6 +2,7 @@ import os
 
 import numpy as np
 from matplotlib.colors import Normalize
+from matplotlib.text import Text
 
 from calib.report.scene import draw_dots, frame_panel, new_axes, new_figure, number_points
 
@@ -32,3 +33,19 @@ def test_circles_grow_with_the_absolute_value():
     draw_dots(ax, np.zeros((3, 3)), np.array([-4.0, 2.0, 4.0]), Normalize(-4.0, 4.0), "RdBu_r", "dots")
     areas = ax.collections[0].get_sizes()
     assert areas[0] == areas[2] > areas[1]
+
+
+def test_numbers_at_one_place_cover_neither_each_other_nor_the_place():
+    figure = new_figure(4.0)
+    ax = new_axes(figure.add_subplot(projection="3d"))
+    points = np.array([[0.0, 0, 0], *[[4, 0, 0]] * 4, [8, 0, 0]])
+    draw_dots(ax, points, np.ones(6), Normalize(0.0, 1.0), "OrRd", "dots")
+    frame_panel(ax, points, "")
+    number_points(ax, points, {1: "1+2+3", 2: "11+12", 3: 6, 4: "14+15"})
+    figure.savefig(os.devnull, format="png")
+    boxes = [Text.get_window_extent(t) for t in ax.texts if t.get_text()]
+    seen = ax.transData.transform(ax.collections[0].get_offsets())
+    assert len(boxes) == 4
+    for k, box in enumerate(boxes):
+        assert not any(box.contains(*place) for place in seen)
+        assert not any(box.overlaps(other) for other in boxes[:k])

@@ -1,5 +1,6 @@
 """Figures as SVG in a page."""
 
+import io
 import re
 from xml.etree import ElementTree
 
@@ -49,6 +50,41 @@ def test_text_stays_text_and_nothing_points_outside(figure):
         not list(root.iter(f"{SVG}style")) and not list(root.iter(f"{SVG}a")) and not list(root.iter(f"{SVG}metadata"))
     )
     assert "viewBox" in root.attrib and "width" not in root.attrib
+
+
+def test_spaces_keep_words_apart(figure):
+    figure.axes[0].set_title("1BT   10.82 Hz, one space here")
+    shown = [element.text for element in ElementTree.fromstring(svg_text(figure, "one")).iter(f"{SVG}text")]
+    assert "1BT\u00a0\u00a0\u00a010.82 Hz, one space here" in shown
+
+
+def looks(element, around):
+    """Tag and resolved style of everything that is drawn, without the font that all texts have."""
+    own = {**around, **dict(part.split(": ") for part in element.get("style", "").split("; ") if part)}
+    own.pop("font-family", None)
+    if element.tag.removeprefix(SVG) in ("path", "use", "text", "tspan", "image"):
+        yield element.tag, own
+    for child in element:
+        if child.tag != f"{SVG}defs":
+            yield from looks(child, {name: value for name, value in own.items() if name != "opacity"})
+
+
+def test_everything_has_the_style_that_matplotlib_gives_it(figure):
+    (ax,) = figure.axes
+    ax.set_yscale("log")  # powers of ten are formulas
+    ax.bar([1, 2], [1, 1], alpha=0.5)
+    file = io.BytesIO()
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        figure.savefig(file, format="svg", facecolor="none")
+    given, written = ElementTree.fromstring(file.getvalue()), ElementTree.fromstring(svg_text(figure, "one"))
+    written.attrib.pop("style")  # that of Matplotlib's style sheet
+    wanted = list(looks(given, {}))
+    assert list(looks(written, {})) == wanted
+    formulas = [{part.tag for part in text} for text in written.iter(f"{SVG}text") if len(text)]
+    assert formulas and all(tags == {f"{SVG}tspan"} for tags in formulas)
+    assert any("opacity" in style for _, style in wanted)
+    assert len(list(written.iter(f"{SVG}g"))) < len(list(given.iter(f"{SVG}g"))) / 2
+    assert all(group.attrib for group in written.iter(f"{SVG}g"))
 
 
 def test_identifiers_of_two_figures_in_a_page_never_clash(figure):

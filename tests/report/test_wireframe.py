@@ -30,6 +30,13 @@ def test_parts_meet_where_their_points_coincide_and_else_stay_apart():
     assert wireframe(mesh(points, *BAR, (7, 8), (8, 9)), sensors).tolist() == [[0, 1]]
 
 
+def test_elements_over_one_another_are_as_long_as_one():
+    branch = [(3, 0, 0), (3, 1.25, 0), (3, 2.5, 0)]
+    sensors = np.array([(0, 0, 0), (6, 0, 0), (3, 2.5, 0)], dtype=float)
+    twice = mesh([*LINE, *branch, *branch], *BAR, (7, 8), (8, 9), (10, 11), (11, 12))
+    assert wireframe(twice, sensors).tolist() == [[0, 2], [1, 2]]  # the last one is the nearest to the middle
+
+
 def test_sensors_at_the_corners_of_a_plate_are_joined_along_its_edges():
     n = 9
     points = [(i, j, 0) for j in range(n) for i in range(n)]

@@ -3,8 +3,10 @@
 import numpy as np
 import pandas as pd
 
+from calib.correlation.mesh import places_table
 from calib.space import Parameter
 from calib.structure.model import StructuralModel
+from calib.structure.places import ModelPlace
 from models.four_storey_rig import four_storey_rig
 from models.railway.rig import bogie_on_rig
 
@@ -63,6 +65,22 @@ def test_every_parameter_of_the_bogie_has_its_places():
     assert len(wheels) == 4 and not any(p.parameters for p in wheels)
 
 
+def test_a_shaft_of_rotations_alone_has_no_supports():
+    shaft = StructuralModel.from_matrices(
+        stiffness={"k": LINK}, mass=np.eye(2), parameters=[Parameter("k", 1e4, 1e3, 1e5)],
+        dofs=pd.DataFrame({"node": [1, 2], "direction": "rx", "x": [0.0, 1.0], "y": 0.0, "z": 0.0}),
+    )  # fmt: skip
+    assert [(p.form, p.place) for p in shaft.places] == [("spring", (0.5, 0.0, 0.0))]
+
+
 def test_a_support_holds_all_translations():
     (support,) = [p for p in four_storey_rig().places if p.form == "support"]
     assert support.parameters == () and support.place[1] == 0.0
+
+
+def test_names_with_spaces_stay_apart_in_the_table():
+    model = chain(4)
+    place = ModelPlace("spring", "spring", "stiffness", ("K of rod", "pos of rod"), (0.0, 1.0, 2.0))
+    table = places_table([place, *model.places])
+    assert table["parameters"].iloc[0].split("; ") == ["K of rod", "pos of rod"]
+    assert table[["x", "y", "z"]].iloc[0].tolist() == [0.0, 1.0, 2.0] and len(table) == 1 + len(model.places)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calib.report.html.page import Block, Section, Table, Terms, Words
+from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, significant, yes
@@ -19,7 +19,8 @@ def section(results: StudyResults) -> Section | None:
     table = _responses(results) if results.scalar else _modes(results)
     if table is None:
         return Section("measured", "What was measured", tuple(blocks)) if blocks else None
-    return Section("measured", "What was measured", (*blocks, *table, *_sensors(results), *_suspicious(results)))
+    blocks += [*table, *_sensors(results), *_model(results), *_suspicious(results)]
+    return Section("measured", "What was measured", tuple(blocks))
 
 
 def _repeats(results: StudyResults) -> str:
@@ -121,23 +122,17 @@ def _sensors(results: StudyResults) -> list[Block]:
     )
     heads = ("sensor", "direction", "x, m", "y, m", "z, m", "on", "std, % of the largest entry", "")
     intro = f"Mode shapes were measured by {counted(len(table), 'sensor')}, each one direction at one point."
-    return [
-        Words(f"{intro} {_held_out(table, 'sensor', 'sensor')}"),
-        *_map(results, table),
-        Table("Sensors", heads, rows, (1, 5, 7)),
-    ]
+    return [Words(f"{intro} {_held_out(table, 'sensor', 'sensor')}"), Table("Sensors", heads, rows, (1, 5, 7))]
 
 
-def _map(results: StudyResults, table: pd.DataFrame) -> list[Block]:
-    placed = table.dropna(subset=["x", "y", "z"])
-    if placed.empty:
-        return []
-    held = int(sum(flag(value) for value in placed["held_out"]))
-    alt = f"Positions of {counted(len(placed), 'sensor')} on the structure, {held} of them held out."
+def _model(results: StudyResults) -> list[Picture]:
+    """The model with the sensors that are used on it, and its springs, masses and supports."""
+    used = 0 if results.sensors is None else sum(not flag(held) for held in results.sensors["held_out"])
+    what = f"The model and the {counted(used, 'sensor')} used on it." if used else "The model, its parts in colours."
     marks = "Springs, dampers, masses and supports of the model; numbers are those of the parameters in the key."
     return [
-        *results.picture("model", f"The model and the sensors on it. {AXES_NOTE}", alt),
-        *results.picture("model_places", f"{marks} {AXES_NOTE}", marks),
+        *results.picture("model", f"{what} {AXES_NOTE}", what),
+        *results.picture("model_places", f"{marks} Point at a mark for its name. {AXES_NOTE}", marks),
     ]
 
 

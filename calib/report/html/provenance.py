@@ -124,4 +124,4 @@ def not_run(results: StudyResults) -> Section | None:
     if not lines:
         return None
     intro = Words(f"These analyses have no results here; the commands run them ({name} stands for the study's folder).")
-    return Section("not-asked", "Analyses not run", (intro, *(Words(line) for line in lines)))
+    return Section("not_run", "Analyses not run", (intro, *(Words(line) for line in lines)))

@@ -43,11 +43,9 @@ def scene(results: StudyResults) -> dict[str, Any] | None:
     mesh = read_mesh(results.folder)
     structure = _Structure(mesh)
     stages, sites, moved = _stages(results, mesh, structure)
-    layers, dots = [], [moved]
-    for made in (_sensors(results, structure), _misfit(results, structure), _perturbations(results)):
-        if made is not None:
-            layers.append(made[0])
-            dots.append(made[1])
+    found = (_sensors(results, structure), _misfit(results, structure), *_perturbations(results))
+    made = [layer for layer in found if layer is not None]
+    layers, dots = [data for data, _ in made], [moved, *(points for _, points in made)]
     if not stages and not layers:
         return None
     return {
@@ -273,20 +271,23 @@ def _misfit(results: StudyResults, structure: _Structure) -> tuple[dict[str, Any
     return _layer("misfit", "Misfit at the sensors", words, tips, feet, rms / largest, colours, names, key)
 
 
-def _perturbations(results: StudyResults) -> tuple[dict[str, Any], np.ndarray] | None:
+def _perturbations(results: StudyResults) -> list[tuple[dict[str, Any], np.ndarray]]:
+    """A layer for each kind: perturbations of stiffness and of mass are often at one place."""
     table = results.perturbations
-    placed = None if table is None else table.dropna(subset=[*PLACE, "score"])
-    if table is None or placed is None or placed.empty:
-        return None
-    score = placed["score"].to_numpy(dtype=float)
-    limit, chance = noise_limit(table["score"]), f"{100 * NOISE_LEVEL:.0f} %"
-    beyond = np.abs(score) > limit
-    names = [f"{r['perturbation']}: z {fixed(r['score'], 1, sign=True)}" for r in placed.to_dict("records")]
-    words = (
-        f"{beyond.sum()} of {len(placed)} scores exceed {fixed(limit, 2)}, which noise alone does anywhere with a "
-        f"probability of at most {chance}; places to inspect, not causes"
-    )
-    colours = [VERMILLION if b else SKY for b in beyond]
+    if table is None:
+        return []
+    limit, largest = noise_limit(table["score"]), float(table["score"].abs().max()) or 1.0
     key = [(VERMILLION, f"|z| > {fixed(limit, 2)}"), (SKY, "smaller")]
-    dots, sizes = placed[PLACE].to_numpy(dtype=float), np.abs(score) / float(np.abs(score).max() or 1.0)
-    return _layer("perturbations", "Local perturbations", words, dots, None, sizes, colours, names, key)
+    layers = []
+    for kind, placed in table.dropna(subset=[*PLACE, "score"]).groupby("kind", sort=False):
+        size = placed["score"].abs().to_numpy(dtype=float)
+        beyond = size > limit
+        names = [f"{r['perturbation']}: z {fixed(r['score'], 1, sign=True)}" for r in placed.to_dict("records")]
+        words = (
+            f"{beyond.sum()} of {len(placed)} scores exceed {fixed(limit, 2)}, which noise alone does anywhere, in any "
+            f"kind, with a probability of at most {100 * NOISE_LEVEL:.0f} %; places to inspect, not causes"
+        )
+        colours = [VERMILLION if b else SKY for b in beyond]
+        dots, title = placed[PLACE].to_numpy(dtype=float), f"Local perturbations of {kind}"
+        layers.append(_layer(f"perturbations of {kind}", title, words, dots, None, size / largest, colours, names, key))
+    return layers

@@ -11,6 +11,7 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.named_values import ANY, read_json
+from calib.report.draw import of_scalar_responses
 from calib.report.figures import Figures
 from calib.report.html.page import Picture
 from calib.report.shown import Folder
@@ -142,8 +143,7 @@ class StudyResults:
         """Whether the study compares scalar responses, which have no modes."""
         for table in ("measured", "comparison_before", "comparison_after"):
             if self.has(table):
-                with (self.folder / f"{table}.csv").open(encoding="utf-8", errors="replace") as stream:
-                    return stream.readline().startswith("response,")
+                return of_scalar_responses(self.folder / f"{table}.csv")
         return self.has("response_misfit")
 
     def compared(self, stage: str) -> pd.DataFrame | None:

@@ -94,17 +94,18 @@ def page(results: StudyResults, progress: Progress = unheard) -> str:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
-    drawn = count(1)
+    shown = sections(results)
+    blocks = [block for section in shown for block in section.blocks]
+    drawn, pictures = count(), sum(isinstance(block, Picture) for block in blocks)
 
     def svg(picture: Picture) -> Markup:
-        progress("drawing the report", next(drawn), len(results.figures.plan))
+        progress("drawing the report", next(drawn), pictures)
         return Markup(results.figures.svg(picture.name))
 
     environment.filters["svg"] = svg
     environment.filters["file"] = lambda table: _address(results.folder / f"{table}.csv")
     environment.globals["number"] = count(1).__next__
-    shown = sections(results)
-    in_space = any(isinstance(block, Viewer) for section in shown for block in section.blocks)
+    in_space = any(isinstance(block, Viewer) for block in blocks)
     scripts = ("report.js", "three.min.js", "viewer.js") if in_space else ("report.js",)
     return environment.get_template("report.html").render(
         results=results,

@@ -142,8 +142,8 @@ PROBE = """
     report.back = paper.src === home;
 
     // Words under the mouse of a figure: an area that is not painted has them too.
-    const worded = [...document.querySelectorAll("figure svg g[pointer-events] > title")].filter(
-      (title) => (title.nextElementSibling?.getAttribute("style") ?? "").includes("fill: none")
+    const worded = [...document.querySelectorAll("figure svg g[pointer-events] > title:not(:only-child)")].filter(
+      (title) => getComputedStyle(title.nextElementSibling).fill === "none"
         && title.nextElementSibling.getBoundingClientRect().width > 0);
     report.worded = worded.length;
     worded[0].parentNode.scrollIntoView({ block: "center", behavior: "instant" });
@@ -258,8 +258,9 @@ def test_keys_turn_the_view_and_reset_it(mast):
 
 def test_a_dot_is_named_by_keys_and_under_the_mouse(mast, everything):
     report = mast[1]
-    table = pd.read_csv(everything / "perturbations.csv").set_index("perturbation")["score"]
-    strongest = table.abs().idxmax()
+    table = pd.read_csv(everything / "perturbations.csv").set_index("perturbation")
+    last = report["layers"][-1]["value"].removeprefix("perturbations of ")  # the layer chosen last
+    strongest = table.loc[table["kind"] == last, "score"].abs().idxmax()
     assert strongest in report["named"] and report["pointed"] == report["named"]
     assert report["left"] and report["nothing"] == ""
 

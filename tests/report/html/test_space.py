@@ -13,6 +13,7 @@ from calib.report.scene import plot_coordinates, view_directions
 from calib.report.where import noise_limit, sensor_rms
 
 PLACE, MOTION = ["x", "y", "z"], ["u", "v", "w"]
+PERTURBATIONS = ["perturbations of stiffness", "perturbations of mass"]
 
 
 def unpacked(pack):
@@ -117,18 +118,23 @@ def test_misfits_have_the_size_and_the_place_of_their_rms(everything, results):
     np.testing.assert_allclose(span / span[0], rms / rms[0], atol=0.02)
 
 
-def test_scores_beyond_the_limit_have_the_colour_of_their_key(everything, results):
-    table, shown = pd.read_csv(everything / "perturbations.csv"), layer(results, "perturbations")
-    placed = table.dropna(subset=[*PLACE, "score"])
-    limit = noise_limit(table["score"])
-    beyond = {*placed.loc[placed["score"].abs() > limit, "perturbation"]}
-    assert 0 < len(beyond) < len(placed)
-    colour = shown["key"][0]["colour"]
-    coloured = {n.split(": z ")[0] for n, c in zip(shown["names"], shown["colours"], strict=True) if c == colour}
-    assert coloured == beyond and len(shown["names"]) == len(placed)
-    at = dict(zip([n.split(": z ")[0] for n in shown["names"]], unpacked(shown["points"]), strict=True))
-    for row in placed.to_dict("records"):
-        np.testing.assert_allclose(at[row["perturbation"]], [row[axis] for axis in PLACE], atol=1e-3)
+def test_scores_beyond_the_limit_have_the_colour_of_their_key_in_a_layer_for_each_kind(everything, results):
+    table = pd.read_csv(everything / "perturbations.csv")
+    limit, largest = noise_limit(table["score"]), table["score"].abs().max()
+    by_kind = table.dropna(subset=[*PLACE, "score"]).groupby("kind")
+    assert len(by_kind) > 1 and {*PERTURBATIONS} == {f"perturbations of {kind}" for kind, _ in by_kind}
+    found = []
+    for kind, placed in by_kind:
+        shown = layer(results, f"perturbations of {kind}")
+        names = [name.split(": z ")[0] for name in shown["names"]]
+        rows = placed.set_index("perturbation").loc[names]
+        assert len(names) == len(placed)
+        found += (beyond := (rows["score"].abs() > limit).tolist())
+        first, second = (entry["colour"] for entry in shown["key"])
+        assert shown["colours"] == [first if b else second for b in beyond]
+        np.testing.assert_allclose(unpacked(shown["points"]), rows[PLACE], atol=1e-3)
+        np.testing.assert_allclose(shown["sizes"], 6.0 + 12.0 * rows["score"].abs() / largest, atol=0.051)
+    assert 0 < sum(found) < len(found)
 
 
 def test_noise_alone_exceeds_the_limit_as_often_as_stated():
@@ -142,8 +148,8 @@ def test_noise_alone_exceeds_the_limit_as_often_as_stated():
 @pytest.mark.parametrize(
     ("gone", "left"),
     [
-        (["shapes_before", "shapes_after"], ["sensors", "misfit", "perturbations"]),
-        (["sensors"], ["misfit", "perturbations"]),
+        (["shapes_before", "shapes_after"], ["sensors", "misfit", *PERTURBATIONS]),
+        (["sensors"], ["misfit", *PERTURBATIONS]),
         (["sensor_misfit", "perturbations"], ["sensors"]),
     ],
 )
@@ -202,4 +208,5 @@ def test_packed_numbers_lose_less_than_a_step():
 
 
 def test_all_data_can_be_written_as_json(results):
-    json.dumps(scene(results), allow_nan=False)
+    data = scene(results)
+    assert json.loads(json.dumps(data, allow_nan=False)) == data

@@ -201,7 +201,7 @@ def test_nothing_of_a_complete_run_is_stale(everything, tmp_path):
     assert set(found.sentences) == {"compare", "sensitivity", "calibrate", "explain", "extend"}
     assert all("modes.csv" in words for words in found.sentences.values())
     shown = sections(StudyResults(Shown(tmp_path / "all/results/mast", found.files), "A mast", False, found.sentences))
-    assert {s.name for s in shown} <= {"stale", "versions", "not-asked"}
+    assert {s.name for s in shown} <= {"stale", "versions", "not_run"}
 
 
 def test_the_report_runs_no_code_of_the_study(sums, unrendered):

@@ -57,7 +57,7 @@ def test_an_analysis_that_was_not_run_is_omitted_and_its_command_named(folder, g
         for suffix in ("csv", "json"):
             (folder / f"{name}.{suffix}").unlink(missing_ok=True)
     *shown, last = sections(StudyResults(folder, TITLE, True))
-    assert [s.name for s in shown] == [n for n in WHOLE if n != section] and last.name == "not-asked"
+    assert [s.name for s in shown] == [n for n in WHOLE if n != section] and last.name == "not_run"
     assert any(f"{command} mast" in words.text for words in last.blocks)
 
 
@@ -80,6 +80,15 @@ def test_results_without_a_record_are_shown_as_far_as_possible(folder):
         (folder / name).unlink()
     shown = [s.name for s in sections(StudyResults(folder, TITLE, False))]
     assert shown == [n for n in WHOLE if n not in ("measured", "versions")]
+
+
+def test_a_model_is_shown_whether_or_not_shapes_were_measured(folder, blocks):
+    sensors = pd.read_csv(folder / "sensors.csv")
+    used = (~sensors["held_out"]).sum()
+    assert f"the {used} sensors" in blocks(folder, Picture)["model"].alt and used < len(sensors)
+    for name in ("sensors", "shapes_before", "shapes_after"):
+        (folder / f"{name}.csv").unlink()
+    assert "model_places" in blocks(folder, Picture)
 
 
 def test_scalar_responses_have_neither_modes_nor_shapes(scalar, reader):
@@ -112,7 +121,7 @@ def test_until_something_is_added_the_errors_are_those_of_the_explanation(folder
     for file in folder.glob("added*"):
         file.unlink()
     *shown, last = sections(StudyResults(folder, TITLE, True))
-    assert [s.name for s in shown] == WHOLE and last.name == "not-asked"
+    assert [s.name for s in shown] == WHOLE and last.name == "not_run"
     assert any("calib run mast" in words.text for words in last.blocks)
     errors = pd.read_csv(folder / "errors.csv")
     rows = blocks(folder, Table)["Errors before and after adding guy"].rows
@@ -229,6 +238,13 @@ def test_an_interruption_while_writing_leaves_the_old_page(folder, unpainted, mo
     assert path.read_bytes() == old and not [p for p in folder.iterdir() if p.name.startswith(".")]
 
 
+def test_every_figure_of_the_page_is_a_step_of_its_progress(everything, unpainted, blocks):
+    steps = []
+    page(StudyResults(everything, TITLE, True), lambda stage, done, total: steps.append((done, total)))
+    count = len(blocks(everything, Picture))
+    assert count > 12 and steps == [(k, count) for k in range(count)]
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [("measured.csv", "natural_freq", "frequency"), ("effects.csv", "True", "maybe"), ("record.json", "{", "")],
@@ -249,5 +265,5 @@ def test_a_missing_folder(tmp_path):
 
 def test_an_empty_folder_names_the_commands_to_run(tmp_path, reader):
     found = reader(page(StudyResults(tmp_path, TITLE, False)))
-    assert [a["id"] for a in found.named("section")] == ["not-asked"]
+    assert [a["id"] for a in found.named("section")] == ["not_run"]
     assert "No comparison has been run yet." in found.text

@@ -24,6 +24,13 @@ function some(points, numbers) {
   return Float32Array.from({ length: 3 * numbers.length }, (_, k) => points[3 * numbers[(k / 3) | 0] + (k % 3)]);
 }
 
+function joined(a, b) {
+  const both = new Float32Array(a.length + b.length);
+  both.set(a);
+  both.set(b, a.length);
+  return both;
+}
+
 // Lines of one colour and a width in pixels, from pairs of points.
 class Lines extends THREE.LineSegments2 {
   constructor(pairs, colour, width) {
@@ -71,7 +78,7 @@ class Dots extends THREE.Points {
         }`,
       transparent: true, depthTest: false, depthWrite: false,
     }));
-    Object.assign(this, { sizes, names, frustumCulled: false, renderOrder: 2 });
+    Object.assign(this, { sizes, largest: sizes.reduce((a, b) => Math.max(a, b), 0), names, frustumCulled: false, renderOrder: 2 });
   }
 
   place(points) {
@@ -88,7 +95,7 @@ class Dots extends THREE.Points {
 
   // The nearest dot under a ray, or -1; `size` is that of a pixel in metres.
   pointed(ray, size) {
-    ray.params.Points.threshold = (Math.max(...this.sizes, 0) / 2 + NEAR) * size;
+    ray.params.Points.threshold = (this.largest / 2 + NEAR) * size;
     this.geometry.computeBoundingSphere();
     const room = (hit) => hit.distanceToRay / size - this.sizes[hit.index] / 2;
     const hits = ray.intersectObject(this).filter((hit) => room(hit) <= NEAR);
@@ -162,7 +169,7 @@ class Model {
     this.dots.place(dots);
     if (feet) {
       const sticks = this.add(new Lines(layer.names.flatMap((_, k) => [k, k + layer.names.length]), DARK, 1.2));
-      sticks.place(Float32Array.of(...feet, ...dots));
+      sticks.place(joined(feet, dots));
     }
     this.still[0].visible = this.still[0].triangles.length > 0;
     this.move = () => {};
@@ -180,7 +187,7 @@ class Model {
     this.move = (phase) => {
       const factor = phase * mode.scale, tips = moved(at, measured, factor);
       this.dots.place(tips);
-      sticks.place(Float32Array.of(...at, ...tips));
+      sticks.place(joined(at, tips));
       if (!motion) return;
       const shape = moved(this.rest, motion, factor);
       this.moving.forEach((part) => part.place(shape));
