@@ -62,6 +62,7 @@ def calibrated(folder: Path):
         return study, results, calibrate(study, results, ledger, workers=1)
 
 
+@pytest.mark.slow
 def test_contradicting_data_are_reported_everywhere(tmp_path, monkeypatch, capsys):
     line(tmp_path / "bent", 3.0)
     monkeypatch.chdir(tmp_path)

@@ -49,6 +49,7 @@ tuple(Parameter(name, 3.0, 1.0, 9.0, integer=True) for name in "mn"),
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", ["refine = true", "refine = false", 'method = "gauss-newton"'])
 def test_a_study_of_integers_alone_is_calibrated(here, monkeypatch, more):
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])

@@ -41,6 +41,7 @@ def test_a_function_and_its_effects_run_in_one_other_process(sums):
     assert len(pids) == 1 and os.getpid() not in pids
 
 
+@pytest.mark.slow
 def test_an_effect_that_ends_the_process_is_a_failed_point(sums):
     file = sums / "model.py"
     file.write_text("import os\n" + file.read_text().replace('model.function(v)["s"]', "os._exit(1)"))

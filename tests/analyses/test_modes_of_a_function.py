@@ -275,6 +275,7 @@ def test_responses_cannot_be_compared_with_modes(own):
         Study.load(folder)
 
 
+@pytest.mark.slow
 def test_without_locations_the_model_is_not_drawn(own, tmp_path):
     folder, _ = own
     edit(folder / "study.toml", 'sensors = "sensors.csv"\n', "")

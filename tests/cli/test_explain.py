@@ -100,6 +100,7 @@ def test_nothing_missing_is_reported_without_a_name(here, write_study, capsys, e
     assert "calib extend" not in out and explanation()["credible_set"] == []
 
 
+@pytest.mark.slow
 def test_two_effects_are_told_without_offering_one_of_them(here, write_study, capsys, explanation):
     write_study(Path("mast"), {"platform": 25.0, "stuck_base": 0.6})
     assert cli.execute(["explain", "mast"]) == 0
@@ -110,6 +111,7 @@ def test_two_effects_are_told_without_offering_one_of_them(here, write_study, ca
     assert Study.load(Path("FOLDER")).settings.with_effects == ("platform", "stuck_base")
 
 
+@pytest.mark.slow
 def test_a_rejected_candidate_fit_is_reported_as_one(guyed, capsys, explanation):
     """The guy rope is present, and the library holds all other effects."""
     text = (guyed / "effects.py").read_text()

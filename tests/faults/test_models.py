@@ -155,6 +155,7 @@ def test_a_model_that_fails_at_its_nominal_values(plain, capsys, one_sentence):
         assert "at its nominal values: SystemExit: 0 (model.py, line " in said and one_sentence(said)
 
 
+@pytest.mark.slow
 def test_a_model_that_leaves_for_another_directory(plain, here, monkeypatch):
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     plain("import os\ndef answer(values):\n    os.chdir('/')\n    return {'y': values['a'], 'z': values['b']}")

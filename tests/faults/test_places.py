@@ -123,6 +123,7 @@ def test_results_replaced_by_a_file(mast, told):
     assert FOLDER.read_text() == "a file"
 
 
+@pytest.mark.slow
 def test_results_replaced_by_a_file_while_running(mast, told, monkeypatch):
     @contextmanager
     def progress(verb):

@@ -105,6 +105,7 @@ def _killed_at(path, number):
     traced(path, count)
 
 
+@pytest.mark.slow
 def test_killed_at_any_statement_nothing_is_lost(former, tmp_path):
     statements = []
     former.write(tmp_path / "whole.sqlite")

@@ -98,6 +98,7 @@ def test_an_understated_standard_deviation_is_told_from_an_effect(toy, factor):
         assert f.noise_scale == pytest.approx(factor, rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_effect_is_named_despite_an_understated_standard_deviation(toy):
     toy = toy(modes=12, sensors=60, size=20.0)
     for f in toy.explained({"E2": 1.0}, 5, noise=2.0):

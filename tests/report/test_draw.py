@@ -86,6 +86,7 @@ def test_every_figure_of_a_synthetic_measurement_is_labelled(folder, saved):
     assert not any(SYNTHETIC in all_words(figure) for figure in saved.values())
 
 
+@pytest.mark.slow
 def test_the_heading_covers_no_data(folder, saved):
     Figures(
         folder, "A bogie with a title so long that it needs more than one line over a figure of this width", True

@@ -52,7 +52,8 @@ def test_an_even_effect_of_an_integer_parameter_is_found_where_correlations_are_
     assert found == 50 and missed >= 47
 
 
-@pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, 0.5])
 def test_inert_parameters_bound_to_an_active_one_are_not_found(draw, noise):
     """Per response the level is 5 % of the tables; steep, even and product responses included."""
     false, active, tied = {}, {}, 0

@@ -60,7 +60,8 @@ def test_the_magnitude_found_is_the_one_built_in(base, measure, plain, name):
         assert found.values[p.name] == pytest.approx(truth[p.name], rel=0.02)
 
 
-@pytest.mark.parametrize("offset", [-600.0, pytest.param(280.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("offset", [-600.0, 280.0])
 def test_a_gear_case_anywhere_on_its_axle_is_felt_there(base, measure, plain, offset):
     name = "gear_case_offset"
     changed = measure(rebuilt.BOGIES[name]({name: offset}))
@@ -68,6 +69,7 @@ def test_a_gear_case_anywhere_on_its_axle_is_felt_there(base, measure, plain, of
     assert found.values[name] == pytest.approx(offset, rel=0.02) and found.after < 0.1 * found.before
 
 
+@pytest.mark.slow
 def test_a_gear_case_off_the_middle_bends_its_axle_less(base):
     # The axle is softest in its middle: a mass that leaves it lets the axle's own bending rise.
     name = "gear_case_offset"

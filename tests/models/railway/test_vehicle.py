@@ -144,6 +144,7 @@ def test_secondary_springs_move_the_rigid_modes_alone(moved):
     assert max(abs(change[name]) for name in ("4C", "6C")) < 0.1
 
 
+@pytest.mark.slow
 def test_walls_ratio_of_moments_of_inertia_rules_the_distortion(moved):
     walls, base, cover = (moved({f"RMI_{name}": 1.1 * own}) for name, own in
                           (("walls", 90), ("base", 225), ("cover", 300)))  # fmt: skip
@@ -153,6 +154,7 @@ def test_walls_ratio_of_moments_of_inertia_rules_the_distortion(moved):
     assert moved({"RMI_walls": 45})["4C"] < -10
 
 
+@pytest.mark.slow
 def test_tilting_rods_and_masses_of_walls_and_cover_act_on_rolling(moved):
     change = moved({"K_rod_tilting": 25_000})
     assert change["1C"] > 1.0 and change["1C"] > 5 * max(change["2C"], change["3C"])
@@ -160,6 +162,7 @@ def test_tilting_rods_and_masses_of_walls_and_cover_act_on_rolling(moved):
     assert walls < -0.4 and cover < -0.4
 
 
+@pytest.mark.slow
 def test_yaw_dampers_act_on_pitching_bogies_alone(car, damped, which, name_modes):
     modes = car.modes({"c_yaw": 440}, 15)
     index = name_modes(car, modes.shapes).index

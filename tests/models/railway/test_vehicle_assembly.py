@@ -161,6 +161,7 @@ def test_body_is_balanced_and_its_inertias_are_those_of_a_hollow_box(whole):
     assert all(0.85 * 7.48 < radius < 7.48 for radius in slewing)
 
 
+@pytest.mark.slow
 def test_terms_make_the_matrices_of_any_values(car, whole):
     values = {
         "E_aluminium": 73.0, "rho_aluminium": 2650.0, "RMI_base": 130.0, "RMI_walls": 40.0, "RMI_cover": 410.0,

@@ -91,6 +91,7 @@ def test_a_model_is_shown_whether_or_not_shapes_were_measured(folder, blocks):
     assert "model_places" in blocks(folder, Picture)
 
 
+@pytest.mark.slow
 def test_scalar_responses_have_neither_modes_nor_shapes(scalar, reader):
     found = reader(page(StudyResults(scalar, "Five masses", True)))
     names = [a["id"] for a in found.named("section")]
