@@ -65,7 +65,7 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	@echo docs/_build/html/index.html
 
-# A study that has run is not run again; the vehicle's figures are drawn where its results are at hand.
+# A study that has run is replayed from its ledger; the vehicle's figures are drawn where its results are at hand.
 docs-figures: $(VENV)/.installed
 	@set -e; for study in $(SHOWN); do echo "calib run $$study"; $(BIN)/calib run "$$study"; done
 	$(BIN)/python docs/figures.py

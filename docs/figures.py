@@ -11,6 +11,7 @@ import io
 import json
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -25,8 +26,6 @@ from calib.report.worst import draw_worst
 HERE = Path(__file__).resolve().parent
 COLOURS = 128
 """Of a PNG: enough for every figure, and a third of its size."""
-
-
 TICKS = [m * 10**k for k in range(-3, 3) for m in (1, 2, 3, 5)]
 """Of a logarithmic axis that spans little more than a decade."""
 
@@ -69,30 +68,36 @@ def main() -> None:
     arguments.add_argument("--into", type=Path, default=HERE / "figures", help="where the figures go")
     given = arguments.parse_args()
     given.into.mkdir(parents=True, exist_ok=True)
-    for name, shown in FIGURES.items():
-        folder = given.results / shown.folder
-        if not (folder / "record.json").is_file():
-            print(f"{name}: kept, there are no results in {folder}")
-            continue
-        write(of_folder(folder, shown.name), given.into / f"{name}.png")
     both = [given.results / name for name in ("hidden_bogie", "hidden_bogie_extended")]
-    if all((folder / "record.json").is_file() for folder in both):
-        write(before_and_after(*both), given.into / "hidden_bogie.png")
+    drawn = {"hidden_bogie": lambda: before_and_after(*both)}
+    drawn |= {name: partial(of_folder, given.results / shown.folder, shown.name) for name, shown in FIGURES.items()}
+    for name, draw in drawn.items():
+        figure = draw()
+        if figure is None:
+            print(f"{name}: kept, its results are not in {given.results}")
+        else:
+            write(figure, given.into / f"{name}.png")
 
 
-def of_folder(folder: Path, name: str) -> Figure:
-    """A figure of a results folder, with its heading."""
+def of_folder(folder: Path, name: str) -> Figure | None:
+    """A figure of a calibrated study's results, with its heading; None where there is none of that name."""
+    if not (folder / "summary.json").is_file():
+        return None
     record = _record(folder)
-    drawing = Figures(folder, record["title"], record["synthetic"]).plan[name]
+    drawing = Figures(folder, record["title"], record["synthetic"]).plan.get(name)
+    if drawing is None:
+        return None
     with style():
         figure = drawing.draw()
         add_heading(figure, f"{record['title']}: {drawing.caption}", record["synthetic"])
     return figure
 
 
-def before_and_after(base: Path, extended: Path) -> Figure:
-    """The worst comparisons of two calibrated models: as it was, and with the effects that an explanation named."""
+def before_and_after(base: Path, extended: Path) -> Figure | None:
+    """The worst comparisons of two calibrated models: as it was, and with the effects that `calib run` added."""
     files = [folder / "where_it_fails_after.csv" for folder in (base, extended)]
+    if not all(file.is_file() for file in (base / "added.json", *files)):
+        return None
     record = _record(base)
     (effect,) = json.loads((base / "added.json").read_text("utf-8"))["effects"]
     added = f"{effect['title'][:1].lower()}{effect['title'][1:]}, {effect['value']:.3g} {effect['unit']}"

@@ -15,10 +15,11 @@ from calib.space import Parameter
 
 
 def pulls(fit: LinearisedFit, added: Sequence[Effect] = ()) -> pd.DataFrame:
-    """Pull of each calibration parameter against its standard deviation in a correctly specified model.
+    """Pull of each calibration parameter: its shift over the standard deviation of that shift.
 
-    In a correctly specified model ``theta - c`` has the variance ``s^2 - V``: prior less posterior. A parameter is
-    pulled when the ratio exceeds the normal quantile for all parameters together; it then absorbs a missing effect.
+    In a correctly specified model ``theta - c`` has the variance ``s^2 - V``, prior less posterior, and the pull is
+    standard normal (Demortier and Lyons 2002). A parameter is pulled when its pull exceeds the normal quantile for all
+    parameters together; it then absorbs a missing effect.
 
     Returns
     -------
@@ -49,9 +50,9 @@ def _pulls(
 def implausible(fit: LinearisedFit, added: Sequence[Effect]) -> str:
     """Why a fitted model is implausible, in words; empty when it is plausible."""
     reasons = []
-    for name, *_, score, _, pulled in _pulls(fit, added):
+    for name, *_, score, limit, pulled in _pulls(fit, added):
         if pulled:
-            reasons.append(f"{name} had to move {score:+.1f} prior standard deviations")
+            reasons.append(f"{name} has a pull of {score:+.1f} (limit {limit:.1f})")
     for effect in added:
         p = effect.magnitude
         for limit in (p.upper, p.lower) if effect.signed else (p.upper,):

@@ -57,7 +57,7 @@ def main() -> None:
     model, space = study.model, study.search_space
     if given.bare:
         model, space = bare(model, space)
-    print(f"{'hidden':20s}" + "".join(f"{c:>18s}" for c in COLUMNS) + f"{'calls (mean)':>14s}{'(most)':>8s}")
+    print(f"{'hidden':20s}" + "".join(f"{c:>25s}" for c in COLUMNS) + f"{'calls (mean)':>14s}{'(most)':>8s}")
     for name in hidden:
         counts: Counter[str] = Counter()
         calls = []
@@ -72,7 +72,7 @@ def main() -> None:
             found = explain(asked, Settings(budget=np.inf))
             counts[_outcome(found.verdict, found.untold, truth_of(name))] += 1
             calls.append(found.evaluations)
-        cells = "".join(f"{counts[c]:18d}" for c in COLUMNS)
+        cells = "".join(f"{counts[c]:25d}" for c in COLUMNS)
         print(f"{name or 'nothing':20s}{cells}{np.mean(calls):14.0f}{max(calls):8d}", flush=True)
 
 

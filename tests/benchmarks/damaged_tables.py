@@ -1,11 +1,11 @@
 """Tables with mistakes that people, spreadsheets and disks make, given to everything that reads a table.
 
-Every outcome must be an answer or an `InputError` of one line. Run it with ``python damaged_tables.py 10000``; the fast
-tests try some hundreds.
+Every outcome must be an answer or an `InputError` of one line. The fast tests try some hundreds.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import random
@@ -214,8 +214,11 @@ def answer(folder: Path, study: Path, *questions: str) -> tuple[Path, Path]:
     return copy, folder / "results" / study.name
 
 
-def main(count: int) -> int:
-    """Try so many tables; tell outcomes and every traceback."""
+def main() -> int:
+    """Try as many tables as the command line says; print outcomes and every traceback."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("count", nargs="?", type=int, default=10_000, help="tables (default 10000)")
+    count = arguments.parse_args().count
     root = Path(__file__).resolve().parents[2]
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as scratch:
@@ -237,4 +240,4 @@ def main(count: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 10_000))
+    sys.exit(main())

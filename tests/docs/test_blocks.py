@@ -11,6 +11,7 @@ from calib.errors import InputError
 ROOT = Path(__file__).resolve().parents[2]
 RUN = runpy.run_path(str(Path(__file__).with_name("blocks.py")))
 TABLES = runpy.run_path(str(Path(__file__).with_name("tables.py")))
+STATEMENTS = runpy.run_path(str(Path(__file__).with_name("statements.py")))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [page for page in PAGES if "_build" not in page.parts]
 
@@ -29,6 +30,8 @@ def test_every_block_of_a_page_runs(undrawn, tmp_path, monkeypatch, page):
     names = RUN["run_page"](page, tmp_path)
     if (tmp_path / "results").is_dir():  # of the hidden bogie, among others
         assert TABLES["missing"](tmp_path / "results") == {} == TABLES["stale"](tmp_path / "results")
+    if page.name == "tutorial.md":  # what README and pages state of the studies that the tutorial runs
+        assert STATEMENTS["unstated"](tmp_path / "results") == []
     if "why" in names:
         assert names["why"].verdict == "effect" and [e.name for e in names["why"].named] == ["brake_unit"]
         fit, better = names["fit"], names["better"]

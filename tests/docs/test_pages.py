@@ -39,7 +39,19 @@ def test_every_figure_is_small_and_shown_and_every_drawn_one_is_there():
     there = {file.name: file.stat().st_size for file in FIGURES.iterdir()}
     assert set(there) == shown and max(there.values()) <= 150_000
     drawn = runpy.run_path(str(ROOT / "docs/figures.py"))["FIGURES"]
-    assert {f"{name}.png" for name in drawn} <= set(there)
+    assert {f"{name}.png" for name in (*drawn, "hidden_bogie")} == set(there)
+
+
+def test_a_figure_whose_results_are_not_at_hand_keeps_its_file(tmp_path, monkeypatch):
+    figures = runpy.run_path(str(ROOT / "docs/figures.py"))
+    for name in ("record.json", "summary.json"):  # calibrated, but without any table
+        file = tmp_path / "results/bogie" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text('{"title": "Bogie", "synthetic": true}', "utf-8")
+    given = ["figures.py", "--results", str(tmp_path / "results"), "--into", str(tmp_path / "drawn")]
+    monkeypatch.setattr(sys, "argv", given)
+    figures["main"]()
+    assert list((tmp_path / "drawn").iterdir()) == []
 
 
 def test_the_rates_of_the_read_me_are_those_that_were_counted(monkeypatch):

@@ -36,7 +36,7 @@ def test_a_pulled_parameter_is_named(toy):
     assert row["value"] == pytest.approx(-0.9, abs=0.06) and row["nominal"] == 0.0 and row["prior_sd"] == 0.2
     variance = 0.2**2 - fit.covariance[2, 2]
     assert row["standardised"] == pytest.approx(row["value"] / np.sqrt(variance))
-    assert "P2 had to move -4." in implausible(fit, ())
+    assert "P2 has a pull of -4." in implausible(fit, ())
 
 
 def test_the_pull_is_relative_to_what_the_data_determine(toy):

@@ -315,8 +315,8 @@ def test_the_reason_against_the_best_attempt_is_stated(cases):
     found = cases["none_explains"]
     left = min(found.chosen_adequacy.p_family, found.chosen_adequacy.p_fit)
     assert left <= 0.01 and f"is not believed: what is left still has {with_p(left)}." in text_of(found)
-    pulled = replace(found, chosen=replace(found.chosen, implausible="P1 had to move +5.0 prior standard deviations"))
-    assert "is not believed: P1 had to move +5.0 prior standard deviations." in text_of(pulled)
+    pulled = replace(found, chosen=replace(found.chosen, implausible="P1 has a pull of +5.0 (limit 3.3)"))
+    assert "is not believed: P1 has a pull of +5.0 (limit 3.3)." in text_of(pulled)
     kinds = found.chosen_adequacy.kinds
     assert (found.refused, pulled.refused) == ("misfit", "implausible")
     few = replace(
