@@ -13,7 +13,7 @@ from calib.analyses.versions import Versions
 from calib.console.calibrated import ERRORS, errors_row, suspects
 from calib.console.compared import held_out
 from calib.console.told import Entry, Rows, Warned, Words
-from calib.missing.verdict import rounded
+from calib.missing.recommendation import rounded
 from calib.results import Results
 from calib.study_file import StudyFile
 from calib.terminal import count, number
