@@ -107,6 +107,11 @@ class FunctionVariants(Generic[F]):
             self._built[key] = kept(extend_function(self._base, [self._by_name[name] for name in key]))
         return self._built[key]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All effects and local perturbations."""
+        return tuple(self._by_name)
+
     @cached_property
     def _base(self) -> F:
         return kept(self.model)
@@ -119,8 +124,28 @@ class FunctionVariants(Generic[F]):
     def _common(self) -> F:
         further = tuple(p for e in self._by_name.values() for p in e.parameters)
         space = ParameterSpace(self.model.space.parameters + further, self.model.space.constraints)
-        return replace(self.model, space=space, function=self._evaluate)
+        return replace(self.model, space=space, function=_Chosen(self))
 
-    def _evaluate(self, values: Mapping[str, float]) -> Any:
-        model = self.built([name for name in self._by_name if values.get(name, 0.0) != 0])
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """The function of all parameters: effects of magnitude 0 are left out.
+
+    Attributes
+    ----------
+    variants : FunctionVariants
+    """
+
+    variants: FunctionVariants[Any]
+
+    def _model(self, values: Mapping[str, float]) -> Any:
+        return self.variants.built([name for name in self.variants.names if values.get(name, 0.0) != 0])
+
+    def function_at(self, values: Mapping[str, float]) -> Callable[..., Any]:
+        """The function that is called at these values; see `calib.own_code.defined_at`."""
+        function: Callable[..., Any] = self._model(values).function
+        return function
+
+    def __call__(self, values: Mapping[str, float]) -> Any:
+        model = self._model(values)
         return model.function({name: float(values[name]) for name in model.space.names})
