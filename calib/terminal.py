@@ -15,6 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from calib.answer import LABEL
 from calib.errors import InputError
 from calib.excerpt import WIDEST, excerpt
 from calib.version import __version__
@@ -23,8 +24,6 @@ WIDTH = 120
 """Columns of tables that do not go to a terminal, unless the environment variable ``COLUMNS`` tells another number."""
 NARROWEST = 40
 """Columns below which a line is not wrapped further."""
-LABEL = 10
-"""Columns of the labels in front of an answer."""
 
 _FREE = sys.stdout.isatty() or "COLUMNS" in os.environ
 _out = Console(highlight=False, markup=False, soft_wrap=True, width=None if _FREE else WIDTH)

@@ -78,6 +78,12 @@ class Explained(Shown, Generic[P]):
         return {model: tuple(e for e in own if e.name in credible) for model, own in self.effects.items()}
 
     @property
+    def lines(self) -> Mapping[str, str]:
+        """What is missing, how sure that is, where to look and what to measure next, and where the evidence is."""
+        rest = ".sentences, .table and .errors; all of it in .explanation"
+        return {**self.explanation.answer.labelled, "Evidence": rest}
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict with its evidence, then notes."""
         return (*self.explanation.sentences, *self.explanation.notes)
