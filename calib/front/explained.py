@@ -31,8 +31,8 @@ from calib.front.test import ModalTest, Model, ResponseTest, Test, under
 from calib.function import FunctionModel
 from calib.given import integer, objects
 from calib.loading import require_distinct
+from calib.progress import in_python
 from calib.settings import ExplainSettings, ReductionSettings
-from calib.stage import unheard
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
 from calib.structure.modal_function import ModalFunctionModel
@@ -112,7 +112,7 @@ class Explained(Shown, Generic[P]):
         return f"Explained({self.verdict}{''.join(f', {e.name}' for e in self.named)})"
 
 
-def explained(problem: P, effects: Effects, seed: int) -> Explained[P]:
+def explained(problem: P, effects: Effects, seed: int, progress: bool) -> Explained[P]:
     """See `calib.front.problem.Problem.explain`."""
     library, seed = library_of(problem, effects), integer(seed, 0, "seed")
     known = [(model, library.get(model.name, ())) for model, _ in problem.by_model]
@@ -120,9 +120,10 @@ def explained(problem: P, effects: Effects, seed: int) -> Explained[P]:
         require_distinct(own, model, "effects")
     require_usable(known, "effects")
     started = time.perf_counter()
-    adapter = together(_adapters(problem, library, seed))
-    found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain")
-    return Explained(problem, library, answered(adapter, found, unheard, started))
+    with in_python("explain", progress) as told:
+        adapter = together(_adapters(problem, library, seed))
+        found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain", told)
+        return Explained(problem, library, answered(adapter, found, told, started))
 
 
 def library_of(problem: PosedProblem, effects: Effects) -> Library:

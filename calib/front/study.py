@@ -24,7 +24,7 @@ from calib.analyses.stored import modes_kept
 from calib.analyses.versions import write_versions
 from calib.errors import InputError
 from calib.executor import Injected
-from calib.front.listener import Listener
+from calib.front.listener import Listener, Showing
 from calib.front.problem import Problem
 from calib.front.shown import AnalysisResult, Compared
 from calib.front.test import test_of
@@ -92,13 +92,16 @@ class Study:
         *,
         workers: int | None = None,
         quick: bool = False,
+        progress: bool = True,
         listener: Listener | None = None,
     ) -> Study:
         """Read a study with everything it names; InputError for anything wrong in it.
 
-        If it adopts values of another study that is not calibrated yet, that one is calibrated first.
+        If it adopts values of another study that is not calibrated yet, that one is calibrated first. A terminal or a
+        notebook shows how far its analyses are, unless ``progress`` is false or a listener receives it.
         """
-        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, listener or Listener())
+        told = listener or (Showing() if progress else Listener())
+        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, told)
         assert study.loaded is not None
         return study
 

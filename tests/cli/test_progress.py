@@ -28,7 +28,7 @@ def lines(monkeypatch):
     """Sparse lines by a clock of our own, and what they have written."""
     stream, clock = io.StringIO(), Clock()
     monkeypatch.setattr(progress, "ERR", Console(file=stream, width=80, soft_wrap=True))
-    return progress._Lines("calibrate", clock), clock, stream
+    return progress._Lines("calibrate", progress.ERR.print, progress.SPARSE, clock), clock, stream
 
 
 def test_lines_are_sparse_and_without_control_characters(lines):
