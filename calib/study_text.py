@@ -6,6 +6,7 @@ import difflib
 import os
 import re
 import tomllib
+from codecs import BOM_UTF8
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -156,7 +157,7 @@ _WITH_PATHS = ("measurement", "adopted")
 
 def _layer(file: Path) -> Layer:
     try:
-        text = file.read_bytes().decode("utf-8")
+        text = file.read_bytes().removeprefix(BOM_UTF8).decode("utf-8")  # some editors of Windows write one
     except FileNotFoundError:
         raise InputError(
             "there is no such study file",
