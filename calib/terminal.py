@@ -136,8 +136,8 @@ def count(number: int, thing: str) -> str:
 
 
 def number(value: float, digits: int) -> str:
-    """A number with the given number of decimals; empty for NaN."""
-    return "" if math.isnan(value) else f"{value:.{digits}f}"
+    """A number with the given number of decimals, never -0; empty for NaN."""
+    return "" if math.isnan(value) else f"{value:z.{digits}f}"
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[str] = ()) -> None:
