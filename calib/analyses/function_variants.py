@@ -6,7 +6,8 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from types import TracebackType
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from calib.effect import Effect
 from calib.errors import InputError
@@ -15,6 +16,13 @@ from calib.space import ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
 
 F = TypeVar("F", FunctionModel, ModalFunctionModel)
+
+
+class _Raised(NamedTuple):
+    """An exception of a function, with the traceback of its first call."""
+
+    fault: Exception
+    trace: TracebackType | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +49,11 @@ class Kept:
             try:
                 self._found[key] = self.function(dict(values))
             except Exception as fault:
-                self._found[key] = fault
-        if isinstance(self._found[key], Exception):
-            raise self._found[key]
-        return copy.deepcopy(self._found[key])
+                self._found[key] = _Raised(fault, fault.__traceback__)
+        found = self._found[key]
+        if isinstance(found, _Raised):
+            raise found.fault.with_traceback(found.trace)  # else its traceback would grow by every call
+        return copy.deepcopy(found)
 
 
 def kept(model: F) -> F:
