@@ -76,6 +76,15 @@ def test_a_terminal_shows_a_bar_and_a_file_nothing(monkeypatch):
     assert "calibrate" in terminal.getvalue() and file.getvalue() == ""
 
 
+def test_two_analyses_at_once_share_a_terminal(monkeypatch):
+    stream = io.StringIO()
+    monkeypatch.setattr(progress, "ERR", Console(file=stream, force_terminal=True, width=80))
+    with progress.in_python("outer") as outer:
+        fit = problem_of(answer).calibrate()
+        outer("last", 1, 2)
+    assert fit.statistics.fits and "outer: last 1/2" in stream.getvalue()
+
+
 @pytest.mark.parametrize("act", [*ACTS.values(), calib.Problem.compare, lambda problem: problem.judge({})])
 def test_a_wrong_result_shows_the_function_that_gave_it(act):
     with pytest.raises((calib.EvaluationError, calib.InputError)) as caught:
