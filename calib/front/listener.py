@@ -76,7 +76,7 @@ class Showing(Listener):
     """Shows how far an analysis is, on a terminal or below a notebook's cell; nothing else."""
 
     def __init__(self) -> None:
-        self._verb = ""
+        self._verb = "report"  # which begins no analysis
 
     def begins(self, study: StudyFile, verb: str) -> None:
         """Keeps the name of the analysis."""

@@ -94,9 +94,12 @@ def test_a_wrong_result_shows_the_function_that_gave_it(act):
 
 
 @pytest.mark.parametrize("wanted", [True, False])
-def test_a_study_shows_its_stage_unless_told_otherwise(cell, wanted, tmp_path):
+def test_a_study_shows_its_stage_unless_told_otherwise(cell, wanted, tmp_path, unrendered):
     write_example(tmp_path / "mast")
     study = calib.Study.load(tmp_path / "mast", tmp_path / "results", workers=1, quick=True, progress=wanted)
     study.compare()
     assert any(words.startswith("compare: ") for words in cell) == wanted
     assert (cell[-1:] == [""]) == wanted
+    cell.clear()
+    calib.Study.load(tmp_path / "mast", tmp_path / "results", progress=wanted).report()
+    assert any(words.startswith("report: ") for words in cell) == wanted
