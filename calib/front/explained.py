@@ -80,7 +80,9 @@ class Explained(Shown, Generic[P]):
     @property
     def lines(self) -> Mapping[str, str]:
         """What is missing, how sure that is, where to look and what to measure next, and where the evidence is."""
-        rest = ".sentences, .table and .errors; all of it in .explanation"
+        count = len(self.explanation.notes)
+        notes = f" with {count} note{'s' * (count != 1)}" if count else ""
+        rest = f".sentences{notes}, .table, .errors; all in .explanation"
         return {**self.explanation.answer.labelled, "Evidence": rest}
 
     @property
