@@ -32,7 +32,7 @@ def bars(verb: str) -> Iterator[Told]:
     if not ERR.is_terminal:
         yield _Lines(verb, ERR.print, SPARSE)
         return
-    words = TextColumn("{task.description}", table_column=Column(ratio=1, overflow="fold"))
+    words = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, overflow="fold"))
     columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
     with Progress(*columns, console=ERR, transient=True, expand=True) as bar:
         yield _Bars(bar, verb)
