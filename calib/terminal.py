@@ -26,8 +26,8 @@ NARROWEST = 40
 """Columns below which a line is not wrapped further."""
 
 _FREE = sys.stdout.isatty() or "COLUMNS" in os.environ
-_out = Console(highlight=False, markup=False, soft_wrap=True, width=None if _FREE else WIDTH)
-ERR = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+_out = Console(highlight=False, markup=False, emoji=False, soft_wrap=True, width=None if _FREE else WIDTH)
+ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
 
 _PLAIN = str.maketrans({"\u2212": "-", "\u2013": "-", "\u2014": "-", "\u2192": "->", "\u00d7": "x", "\u2026": "..."})
 """For streams whose code page has no such characters."""
