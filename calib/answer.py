@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+LABEL = 10
+"""Columns of the labels in front of an answer."""
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -22,6 +25,11 @@ class Answer:
     found: str
     sure: str
     then: str
+
+    @property
+    def labelled(self) -> dict[str, str]:
+        """Its sentences by their labels, as the console and notebooks show them."""
+        return {"Found": self.found, "How sure": self.sure, "Next": self.then}
 
     @property
     def plain(self) -> dict[str, str]:

@@ -10,7 +10,7 @@ import re
 import sysconfig
 import tokenize
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ _NOT_THE_USERS = (
     *(sysconfig.get_path(kind) + os.sep for kind in ("stdlib", "purelib", "platlib")),
 )
 _INSTALLED = ("site-packages", "dist-packages")
+_CELL = "<ipython-input"
+"""Beginning of the name of what is typed into IPython; a notebook's cell has the name of a file that is not there."""
 _LIBRARY = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "models") + os.sep
 """Models that come with calib: a library where the user's own code calls them, else the code that a study names."""
 _HEAD_LINES = 30
@@ -60,14 +62,15 @@ def _own_frames(frames: Sequence[traceback.FrameSummary]) -> list[traceback.Fram
     return [frame for frame in own if not frame.filename.startswith(_LIBRARY)] or own
 
 
-def defined_at(function: Any) -> Place | None:
+def defined_at(function: Any, values: Mapping[str, float] | None = None) -> Place | None:
     """Line on which a function of the user is defined; None for one of Python, of calib or of an installed package.
 
-    Objects that call a function which they hold as ``function`` count as that function.
+    Objects that call a function which they hold as ``function`` count as that function; those with a method
+    ``function_at`` as the function that they call at these values.
     """
     code, name = None, ""
     for _ in range(_HEAD_LINES):
-        inner = _wrapped(function)
+        inner = _wrapped(function, values)
         if inner is None:
             break
         function = inner
@@ -86,10 +89,12 @@ def defined_at(function: Any) -> Place | None:
     return Place.in_lines(code.co_filename, lines, code.co_firstlineno)
 
 
-def _wrapped(function: Any) -> Any:
+def _wrapped(function: Any, values: Mapping[str, float] | None) -> Any:
     """The function that another one calls; None where it is the innermost."""
     if isinstance(function, functools.partial):
         return function.func
+    if values is not None and hasattr(function, "function_at"):
+        return function.function_at(values)
     for name in ("__wrapped__", "__func__", "function"):
         inner = getattr(function, name, None)
         if callable(inner):
@@ -109,7 +114,9 @@ def _place_of_syntax(fault: SyntaxError) -> Place:
 
 
 def _is_own(file: str) -> bool:
-    return not file.startswith(("<", *_NOT_THE_USERS)) and not set(_INSTALLED) & set(Path(file).parts)
+    if file.startswith("<"):
+        return file.startswith(_CELL)
+    return not file.startswith(_NOT_THE_USERS) and not set(_INSTALLED) & set(Path(file).parts)
 
 
 def _lines(file: str) -> Sequence[str]:

@@ -1,4 +1,4 @@
-"""Bars on the error stream that show how far a command is; where it is no terminal, a line now and then."""
+"""How far a computation is: a bar on the error stream, a line below a notebook's cell, or lines now and then."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
 from calib.stage import Progress as Told
+from calib.stage import unheard
 from calib.terminal import ERR
 
 SPARSE = 10.0
 """Seconds between two lines where the error stream is no terminal; the first comes after that time."""
+OFTEN = 0.2
+"""Seconds between two changes of the line below a notebook's cell."""
 _BAR = 24
 """Columns of a bar."""
 _STEADY = 3.0
@@ -25,12 +30,46 @@ _STEADY = 3.0
 def bars(verb: str) -> Iterator[Told]:
     """One bar for the present stage of a command, with the time left where the whole is known."""
     if not ERR.is_terminal:
-        yield _Lines(verb)
+        yield _Lines(verb, ERR.print, SPARSE)
         return
-    words = TextColumn("{task.description}", table_column=Column(ratio=1, overflow="fold"))
+    words = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, overflow="fold"))
     columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
     with Progress(*columns, console=ERR, transient=True, expand=True) as bar:
         yield _Bars(bar, verb)
+
+
+@contextmanager
+def in_python(verb: str, wanted: bool = True) -> Iterator[Told]:
+    """As `bars` for a call from Python, if wanted: on a terminal or below a notebook's cell; nothing elsewhere."""
+    if wanted and ERR.is_jupyter:
+        cell = _Cell()
+        try:
+            yield _Lines(verb, cell, OFTEN)
+        finally:
+            cell.clear()
+    elif wanted and ERR.is_terminal:
+        with bars(verb) as told:
+            yield told
+    else:
+        yield unheard
+
+
+class _Cell:
+    """A line below a notebook's cell, replaced by the next one."""
+
+    def __init__(self) -> None:
+        self.shown: Any = None
+
+    def __call__(self, words: str) -> None:
+        line = {"text/plain": words}
+        if self.shown is None:
+            self.shown = import_module("IPython.display").display(line, raw=True, display_id=True)
+        else:
+            self.shown.update(line, raw=True)
+
+    def clear(self) -> None:
+        if self.shown is not None:
+            self("")
 
 
 class _Pace:
@@ -71,16 +110,18 @@ class _Bars:
 
 
 class _Lines:
-    """The present stage in sparse lines, without control characters."""
+    """The present stage in lines without control characters, at most one in ``every`` seconds."""
 
-    def __init__(self, verb: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self.pace, self.clock, self.told = _Pace(verb, clock), clock, clock()
+    def __init__(
+        self, verb: str, write: Callable[[str], None], every: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.pace, self.write, self.every, self.clock, self.told = _Pace(verb, clock), write, every, clock, clock()
 
     def __call__(self, stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
         self.pace.tell(stage, done, total, best)
-        if self.clock() - self.told >= SPARSE:
+        if self.clock() - self.told >= self.every:
             self.told = self.clock()
-            ERR.print(self.pace.words + (f", {self.pace.left} left" if self.pace.left else ""))
+            self.write(self.pace.words + (f", {self.pace.left} left" if self.pace.left else ""))
 
 
 def in_words(verb: str, stage: str, done: float, total: float, best: float) -> str:

@@ -6,6 +6,7 @@ import difflib
 import os
 import re
 import tomllib
+from codecs import BOM_UTF8
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -156,8 +157,8 @@ _WITH_PATHS = ("measurement", "adopted")
 
 def _layer(file: Path) -> Layer:
     try:
-        text = file.read_bytes().decode("utf-8")
-    except FileNotFoundError:
+        text = file.read_bytes().removeprefix(BOM_UTF8).decode("utf-8")  # some editors of Windows write one
+    except (FileNotFoundError, NotADirectoryError):
         raise InputError(
             "there is no such study file",
             place=file,
@@ -239,6 +240,8 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
         and (known_kind := kind.partition("_")[0]) in _EXPECTED
     ):
         expected, remedy = _EXPECTED[known_kind]
+        beside = [e for e in fault.errors() if e["type"] == "literal_error" and e["loc"][:-1] == first["loc"][:-1]]
+        expected = " or ".join([expected, *(e["ctx"]["expected"] for e in beside)])
         return InputError(f"{label} must be {expected}, not {given}", place=place, remedy=remedy)
     return InputError(f"{label} = {given} is not allowed: {words[:1].lower() + words[1:]}", place=place)
 

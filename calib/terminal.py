@@ -15,6 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from calib.answer import LABEL
 from calib.errors import InputError
 from calib.excerpt import WIDEST, excerpt
 from calib.version import __version__
@@ -23,12 +24,10 @@ WIDTH = 120
 """Columns of tables that do not go to a terminal, unless the environment variable ``COLUMNS`` tells another number."""
 NARROWEST = 40
 """Columns below which a line is not wrapped further."""
-LABEL = 10
-"""Columns of the labels in front of an answer."""
 
 _FREE = sys.stdout.isatty() or "COLUMNS" in os.environ
-_out = Console(highlight=False, markup=False, soft_wrap=True, width=None if _FREE else WIDTH)
-ERR = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+_out = Console(highlight=False, markup=False, emoji=False, soft_wrap=True, width=None if _FREE else WIDTH)
+ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
 
 _PLAIN = str.maketrans({"\u2212": "-", "\u2013": "-", "\u2014": "-", "\u2192": "->", "\u00d7": "x", "\u2026": "..."})
 """For streams whose code page has no such characters."""
@@ -137,8 +136,8 @@ def count(number: int, thing: str) -> str:
 
 
 def number(value: float, digits: int) -> str:
-    """A number with the given number of decimals; empty for NaN."""
-    return "" if math.isnan(value) else f"{value:.{digits}f}"
+    """A number with the given number of decimals, never -0; empty for NaN."""
+    return "" if math.isnan(value) else f"{value:z.{digits}f}"
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[str] = ()) -> None:

@@ -110,4 +110,4 @@ def _unwritten(results: Any, *given: Any) -> Page:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures are drawn and no report is written, which take longest of all in a test of something else."""
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-    monkeypatch.setattr("calib.front.study.write_report", _unwritten)
+    monkeypatch.setattr("calib.front.drawn.write_report", _unwritten)

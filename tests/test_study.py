@@ -106,6 +106,12 @@ BAD = [
         "E, m_top, K_base",
     ),
     ("empty selection", ('selection = ["E", "m_top", "K_base"]', "selection = []"), "no parameter is selected", ""),
+    (
+        "selection neither a list nor the words for it",
+        ('selection = ["E", "m_top", "K_base"]', 'selection = "sensitivity"'),
+        "a list or 'from sensitivity'",
+        "'sensitivity'",
+    ),
     ("missing file", ('files = ["modes.csv"]', 'files = ["mudes.csv"]'), "no file 'mudes.csv'", "relative"),
     ("missing section key", ("title = ", "# title = "), "'title' is missing", "add it"),
     ("too few modes", ("mode_count = 6", "mode_count = 2"), "mode_count is 2", "4 modes were measured"),
@@ -157,6 +163,8 @@ def test_complaints_name_the_line(example):
 
 def test_a_missing_study_is_refused(tmp_path):
     assert "no such study file" in complaint(tmp_path)
+    (tmp_path / "model.py").write_text("")
+    assert "no such study file" in complaint(tmp_path / "model.py")
 
 
 def test_a_failing_model_is_the_users_own_fault(example):

@@ -14,12 +14,13 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.answers import UNTRIED, of_fit
+from calib.analyses.calibration_tables import tables_of
 from calib.analyses.case import CaseFinder, CaseFound
 from calib.analyses.compare import ComparisonResult, before_and_after, compare, write_comparison, write_model_modes
 from calib.analyses.contradiction import contradictions, every_response
 from calib.analyses.every_mode import all_stages, every_mode
 from calib.analyses.failures import reasons_sentence, stored_reasons
-from calib.analyses.fit_statistics import EQUAL, FitStatistics
+from calib.analyses.fit_statistics import EQUAL
 from calib.analyses.places import Workers
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.recorded import recorded
@@ -33,7 +34,7 @@ from calib.answer import Answer
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.standard_deviations import known_std
 from calib.errors import EvaluationError, InputError
-from calib.inference.cases import Agreement, Case, CaseResult, agreement, convergence_table, parameters_table
+from calib.inference.cases import Agreement, Case, agreement, convergence_table
 from calib.inference.verdicts import identified_sentence
 from calib.ledger import Ledger
 from calib.missing.suspect import sentence as suspect_sentence
@@ -324,56 +325,6 @@ def _worsened(case: CaseFound) -> str:
         f"their own sum of squares from {before['total']:.4g} to {after['total']:.4g}. The search's values are in "
         "parameters.csv; refine = false reports them."
     )
-
-
-def tables_of(
-    space: ParameterSpace,
-    found: Sequence[tuple[CaseResult, FitStatistics]],
-    best: FitStatistics,
-    searched: Sequence[CaseResult] = (),
-) -> dict[str, pd.DataFrame]:
-    """Tables on the parameters and their identifiability after some cases, by file name."""
-    parameters = _parameters(space, found, searched)
-    spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
-    return {
-        "parameters": parameters,
-        "verdicts": _without_whole(best.verdicts(space, spread), space),
-        "suspects_calibrated": best.suspects,
-        "posterior_correlation": best.identification.correlation.rename_axis("parameter").reset_index(),
-        "confounded": best.identification.confounded,
-        "unseen_directions": best.identification.directions,
-        "predictions": best.predictions.assign(std_from=best.rests_on),
-    }
-
-
-def _parameters(
-    space: ParameterSpace, found: Sequence[tuple[CaseResult, FitStatistics]], searched: Sequence[CaseResult]
-) -> pd.DataFrame:
-    """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
-
-    ``spread`` and ``stable`` are those of the genetic searches before least squares, or of the fits where nothing was
-    searched; ``search_value`` is given where least squares followed a search.
-    """
-    table = parameters_table([result for result, _ in found], space)
-    table["search_value"] = np.nan
-    if searched:
-        raw = parameters_table(searched, space)
-        table["spread"], table["stable"] = raw["spread"], raw["stable"]
-        if any(statistics.fit is not None for _, statistics in found):
-            table["search_value"] = raw["value"]
-    each = [statistics.verdicts(space, {}).assign(case=result.name) for result, statistics in found]
-    known = _without_whole(pd.concat(each), space)
-    columns = ["case", "parameter", "std", "identified", "std_from"]
-    table = table.merge(known[columns], on=columns[:2], how="left")
-    order = ["value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable", "std", "identified"]
-    return table[["case", "parameter", *order, "search_value", "std_from"]]
-
-
-def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
-    """The table with the standard deviations of integer parameters blanked: only whole steps are meaningful."""
-    whole = table["parameter"].isin([p.name for p in space.free if p.integer])
-    std = [column for column in ("std", "std_of_range") if column in table]
-    return table.assign(**{column: table[column].mask(whole) for column in std})
 
 
 def expected_misfit(study: Study, answer: ComparisonResult) -> float:

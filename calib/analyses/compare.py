@@ -129,7 +129,7 @@ def comparison_at(study: Study, values: Mapping[str, float]) -> ComparisonResult
 def _undrawn(study: Study) -> tuple[str, ...]:
     """A note where no node or sensor has a location, so that modes cannot be drawn."""
     problem = study.problem
-    if isinstance(problem, FunctionProblem) or geometry_tables(problem.model):
+    if isinstance(problem, FunctionProblem) or problem.model.mesh.placed.any():
         return ()
     return ("No location of the model's nodes or sensors is known: its modes are not drawn.",)
 

@@ -6,7 +6,8 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from types import TracebackType
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from calib.effect import Effect
 from calib.errors import InputError
@@ -15,6 +16,13 @@ from calib.space import ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
 
 F = TypeVar("F", FunctionModel, ModalFunctionModel)
+
+
+class _Raised(NamedTuple):
+    """An exception of a function, with the traceback of its first call."""
+
+    fault: Exception
+    trace: TracebackType | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +49,11 @@ class Kept:
             try:
                 self._found[key] = self.function(dict(values))
             except Exception as fault:
-                self._found[key] = fault
-        if isinstance(self._found[key], Exception):
-            raise self._found[key]
-        return copy.deepcopy(self._found[key])
+                self._found[key] = _Raised(fault, fault.__traceback__)
+        found = self._found[key]
+        if isinstance(found, _Raised):
+            raise found.fault.with_traceback(found.trace)  # else its traceback would grow by every call
+        return copy.deepcopy(found)
 
 
 def kept(model: F) -> F:
@@ -107,6 +116,11 @@ class FunctionVariants(Generic[F]):
             self._built[key] = kept(extend_function(self._base, [self._by_name[name] for name in key]))
         return self._built[key]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All effects and local perturbations."""
+        return tuple(self._by_name)
+
     @cached_property
     def _base(self) -> F:
         return kept(self.model)
@@ -119,8 +133,28 @@ class FunctionVariants(Generic[F]):
     def _common(self) -> F:
         further = tuple(p for e in self._by_name.values() for p in e.parameters)
         space = ParameterSpace(self.model.space.parameters + further, self.model.space.constraints)
-        return replace(self.model, space=space, function=self._evaluate)
+        return replace(self.model, space=space, function=_Chosen(self))
 
-    def _evaluate(self, values: Mapping[str, float]) -> Any:
-        model = self.built([name for name in self._by_name if values.get(name, 0.0) != 0])
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """The function of all parameters: effects of magnitude 0 are left out.
+
+    Attributes
+    ----------
+    variants : FunctionVariants
+    """
+
+    variants: FunctionVariants[Any]
+
+    def _model(self, values: Mapping[str, float]) -> Any:
+        return self.variants.built([name for name in self.variants.names if values.get(name, 0.0) != 0])
+
+    def function_at(self, values: Mapping[str, float]) -> Callable[..., Any]:
+        """The function that is called at these values; see `calib.own_code.defined_at`."""
+        function: Callable[..., Any] = self._model(values).function
+        return function
+
+    def __call__(self, values: Mapping[str, float]) -> Any:
+        model = self._model(values)
         return model.function({name: float(values[name]) for name in model.space.names})

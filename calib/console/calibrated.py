@@ -12,6 +12,7 @@ from calib.analyses.calibrate import Calibration
 from calib.analyses.joint_calibration import Fitted, JointCalibration
 from calib.console.compared import held_out, more_on_pairs, pairs
 from calib.console.told import Entry, Rows, Warned, Words
+from calib.missing.local import unit_words
 from calib.study_file import StudyFile
 from calib.terminal import count, number
 
@@ -88,7 +89,7 @@ def _parameters(result: Calibration) -> Iterator[Rows]:
     for r in result.verdicts.to_dict("records"):
         spread = "" if pd.isna(r["spread"]) else f"{100 * r['spread']:.0f} %"
         std = "–" if r["parameter"] in best.statistics.whole else "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
-        unit = "" if r["unit"] == "-" else f" {r['unit']}"
+        unit = unit_words(r["unit"])
         why = [_WHY[reason] for reason in r["not_identified"].split(", ") if reason]
         why += [_WHY["limit"]] if r["on_bound"] and _WHY["limit"] not in why else []
         known = "" if pd.isna(r["identified"]) else "yes" if r["identified"] else "no"

@@ -9,6 +9,7 @@ from calib.analyses.compare import ComparisonResult
 from calib.analyses.record import assumptions_table, check_repeats
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.console.told import Entry, Rows, Warned, When, Words
+from calib.missing.local import unit_words
 from calib.results import Results
 from calib.study import Study
 from calib.study_file import StudyFile
@@ -44,8 +45,7 @@ def entries(study: Study, result: ComparisonResult, folder: Results) -> list[Ent
             Words(f"\nAssumed, not published or measured ({count(len(assumed), 'item')}; the reasons are in {where}):")
         )
     for row in assumed.to_dict("records"):
-        unit = "" if row["unit"] == "-" else f" {row['unit']}"
-        out.append(Words(f"  {row['item']}: {row['value']}{unit}"))
+        out.append(Words(f"  {row['item']}: {row['value']}{unit_words(row['unit'])}"))
     return out
 
 

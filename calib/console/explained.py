@@ -13,7 +13,8 @@ from calib.analyses.versions import Versions
 from calib.console.calibrated import ERRORS, errors_row, suspects
 from calib.console.compared import held_out
 from calib.console.told import Entry, Rows, Warned, Words
-from calib.missing.verdict import rounded
+from calib.missing.local import unit_words
+from calib.missing.recommendation import rounded
 from calib.results import Results
 from calib.study_file import StudyFile
 from calib.terminal import count, number
@@ -55,7 +56,7 @@ def entries(study: StudyFile, result: ExplanationResult, followed: bool = False)
 
 
 def _effect(r: Mapping[Any, Any]) -> tuple[str, ...]:
-    unit = "" if r["unit"] == "-" else f" {r['unit']}"
+    unit = unit_words(r["unit"])
     interval = f"{r['magnitude']:.3g} [{r['magnitude_low']:.3g}, {r['magnitude_high']:.3g}]{unit}"
     least = f"{rounded(r['magnitude_min'])}{unit}" if math.isfinite(r["magnitude_min"]) else ""
     least = ", ".join([*([least] if least else []), *([] if r["visible"] else ["not visible"])])

@@ -110,9 +110,8 @@ class Told:
 
 def tell_answer(answer: Answer, place: Path | None) -> None:
     """Print an answer in four lines."""
-    labelled("Found", answer.found)
-    labelled("How sure", answer.sure)
-    labelled("Next", answer.then)
+    for label, text in answer.labelled.items():
+        labelled(label, text)
     if place is not None:
         labelled("Report" if place.suffix == ".html" else "Results", str(place))
 

@@ -14,11 +14,10 @@ from calib.structure.places import ModelPlace
 
 def geometry_tables(model: ModalModel) -> dict[str, pd.DataFrame]:
     """Return ``mesh_points``, ``mesh_elements`` and ``model_places`` of a model; none without coordinates."""
-    points = points_table(model.mesh)
-    if points.empty:
+    if not model.mesh.placed.any():
         return {}
     return {
-        "mesh_points": points,
+        "mesh_points": points_table(model.mesh),
         "mesh_elements": elements_table(model.mesh),
         "model_places": places_table(model.places),
     }
@@ -26,7 +25,7 @@ def geometry_tables(model: ModalModel) -> dict[str, pd.DataFrame]:
 
 def points_table(mesh: Mesh) -> pd.DataFrame:
     """Return the points of a mesh with known coordinates, numbered from 0 among all: columns ``point, x, y, z`` (m)."""
-    return pd.DataFrame(mesh.points, columns=["x", "y", "z"]).rename_axis("point").reset_index()[_placed(mesh)]
+    return pd.DataFrame(mesh.points, columns=["x", "y", "z"]).rename_axis("point").reset_index()[mesh.placed]
 
 
 def elements_table(mesh: Mesh) -> pd.DataFrame:
@@ -42,13 +41,8 @@ def elements_table(mesh: Mesh) -> pd.DataFrame:
     faces = pd.DataFrame(mesh.faces, columns=["a", "b", "c", "d"]).astype("Int64")
     faces.insert(0, "group", list(mesh.face_groups))
     table = pd.concat([lines, faces], ignore_index=True).reindex(columns=["group", "a", "b", "c", "d"])
-    lost = np.flatnonzero(~_placed(mesh))
+    lost = np.flatnonzero(~mesh.placed)
     return table[~table[["a", "b", "c", "d"]].isin(lost).any(axis=1)].reset_index(drop=True) if len(lost) else table
-
-
-def _placed(mesh: Mesh) -> np.ndarray:
-    """Which points have coordinates, (n_nodes,), bool."""
-    return np.isfinite(mesh.points).all(axis=1)
 
 
 def places_table(places: Iterable[ModelPlace]) -> pd.DataFrame:

@@ -402,22 +402,24 @@ class FunctionProblem:
         EvaluationError
             When a target is missing from the result or a response is not a finite number.
         """
-        result = self.function(self.space.complete(values))
+        given = self.space.complete(values)
+        result = self.function(given)
+
+        def wrong(words: str) -> EvaluationError:
+            return EvaluationError(words, at=defined_at(self.function, given))
+
         if not hasattr(result, "keys"):
-            words = f"the function gave {type(result).__name__}, not responses by name"
-            raise EvaluationError(words, at=defined_at(self.function))
+            raise wrong(f"the function gave {type(result).__name__}, not responses by name")
         missing = [name for name in self.targets if name not in result]
         if missing:
-            given = ", ".join(result) or "nothing"
-            words = f"the function gave no {', '.join(missing)} (it gave {given})"
-            raise EvaluationError(words, at=defined_at(self.function))
+            returned = ", ".join(result) or "nothing"
+            raise wrong(f"the function gave no {', '.join(missing)} (it gave {returned})")
         out = {}
         for name, value in result.items():
             try:
                 out[name] = float(value)
             except (TypeError, ValueError) as fault:
-                words = f"the response {name!r} is {value!r}, not a number"
-                raise EvaluationError(words, at=defined_at(self.function)) from fault
+                raise wrong(f"the response {name!r} is {value!r}, not a number") from fault
             if not math.isfinite(out[name]):
-                raise EvaluationError(f"the response {name!r} is {out[name]}", at=defined_at(self.function))
+                raise wrong(f"the response {name!r} is {out[name]}")
         return out

@@ -31,8 +31,8 @@ from calib.front.test import ModalTest, Model, ResponseTest, Test, under
 from calib.function import FunctionModel
 from calib.given import integer, objects
 from calib.loading import require_distinct
+from calib.progress import in_python
 from calib.settings import ExplainSettings, ReductionSettings
-from calib.stage import unheard
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis
 from calib.structure.modal_function import ModalFunctionModel
@@ -78,6 +78,14 @@ class Explained(Shown, Generic[P]):
         return {model: tuple(e for e in own if e.name in credible) for model, own in self.effects.items()}
 
     @property
+    def lines(self) -> Mapping[str, str]:
+        """What is missing, how sure that is, where to look and what to measure next, and where the evidence is."""
+        count = len(self.explanation.notes)
+        notes = f" with {count} note{'s' * (count != 1)}" if count else ""
+        rest = f".sentences{notes}, .table, .errors; all in .explanation"
+        return {**self.explanation.answer.labelled, "Evidence": rest}
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict with its evidence, then notes."""
         return (*self.explanation.sentences, *self.explanation.notes)
@@ -106,7 +114,7 @@ class Explained(Shown, Generic[P]):
         return f"Explained({self.verdict}{''.join(f', {e.name}' for e in self.named)})"
 
 
-def explained(problem: P, effects: Effects, seed: int) -> Explained[P]:
+def explained(problem: P, effects: Effects, seed: int, progress: bool) -> Explained[P]:
     """See `calib.front.problem.Problem.explain`."""
     library, seed = library_of(problem, effects), integer(seed, 0, "seed")
     known = [(model, library.get(model.name, ())) for model, _ in problem.by_model]
@@ -114,9 +122,10 @@ def explained(problem: P, effects: Effects, seed: int) -> Explained[P]:
         require_distinct(own, model, "effects")
     require_usable(known, "effects")
     started = time.perf_counter()
-    adapter = together(_adapters(problem, library, seed))
-    found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain")
-    return Explained(problem, library, answered(adapter, found, unheard, started))
+    with in_python("explain", progress) as told:
+        adapter = together(_adapters(problem, library, seed))
+        found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain", told)
+        return Explained(problem, library, answered(adapter, found, told, started))
 
 
 def library_of(problem: PosedProblem, effects: Effects) -> Library:

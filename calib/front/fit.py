@@ -83,9 +83,9 @@ class Fit(Shown, Generic[P]):
         """Models against tests at the fitted values."""
         return self.problem.compare(self.values)
 
-    def explain(self, effects: Effects = (), *, seed: int = 1) -> Explained[P]:
+    def explain(self, effects: Effects = (), *, seed: int = 1, progress: bool = True) -> Explained[P]:
         """See `calib.Problem.explain`."""
-        return explained(self.problem, effects, seed)
+        return explained(self.problem, effects, seed, progress)
 
     def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
         """Draw one figure of the fit.

@@ -14,6 +14,7 @@ from calib.analyses.joint_calibration import Fitted
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.analyses.versions import Versions
 from calib.missing.explanation import Explanation
+from calib.progress import in_python
 from calib.report.html.write import Page
 from calib.results import Results
 from calib.stage import Progress, unheard
@@ -69,3 +70,18 @@ class Listener:
 
     def drawn(self, study: StudyFile, figures: Sequence[Path], outdated: Mapping[str, str], page: Page | None) -> None:
         """Figures, and the report where there is one, were made."""
+
+
+class Showing(Listener):
+    """Shows how far an analysis is, on a terminal or below a notebook's cell; nothing else."""
+
+    def __init__(self) -> None:
+        self._verb = "report"  # which begins no analysis
+
+    def begins(self, study: StudyFile, verb: str) -> None:
+        """Keeps the name of the analysis."""
+        self._verb = verb
+
+    def progress(self) -> AbstractContextManager[Progress]:
+        """See `calib.progress.in_python`."""
+        return in_python(self._verb)

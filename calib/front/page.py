@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from calib.analyses.answers import of_fit
-from calib.analyses.calibrate import tables_of
+from calib.analyses.calibration_tables import tables_of
 from calib.analyses.compare import ComparisonResult, before_and_after, comparison_of, write_comparison
 from calib.analyses.record import assumptions_of, made_with, sensors_table
 from calib.errors import InputError

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,7 +12,8 @@ from typing import Any
 from calib.analyses.compare import comparison_of
 from calib.analyses.fit_statistics import Terms, fitted, statistics_at
 from calib.analyses.uncertainty import in_words
-from calib.errors import InputError
+from calib.errors import EvaluationError, InputError
+from calib.excerpt import excerpt
 from calib.executor import Injected
 from calib.front.explained import Explained, Library, explained, library_of
 from calib.front.fit import Fit
@@ -29,8 +31,10 @@ from calib.inference.genetic import GeneticSettings
 from calib.joint import JointProblem
 from calib.problem import Counts
 from calib.problem import Problem as Posed
+from calib.progress import in_python
 from calib.sampling import sample
 from calib.space import ParameterSpace
+from calib.stage import Progress
 from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
@@ -181,11 +185,13 @@ class Problem:
             Where a model cannot be solved.
         """
         complete = self._complete({} if values is None else values)
-        return Compared(
-            {test.name: comparison_of(test.problem(model), own(model, test, complete)) for model, test in self.pairs}
-        )
+        with _told("compare", False):
+            found = {t.name: comparison_of(t.problem(model), own(model, t, complete)) for model, t in self.pairs}
+        return Compared(found)
 
-    def calibrate(self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1) -> Fit[Problem]:
+    def calibrate(
+        self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1, progress: bool = True
+    ) -> Fit[Problem]:
         """Fit by weighted least squares with the priors, and assess which parameters the data determine.
 
         Parameters
@@ -196,6 +202,8 @@ class Problem:
             Number of starting points: the nominal values, then Latin hypercube points.
         seed : int
             Seed of these points.
+        progress : bool
+            Whether a terminal or a notebook shows how far it is.
 
         Raises
         ------
@@ -209,7 +217,8 @@ class Problem:
         space = problem.space
         sampled = sample(space, starts - 1, seed).points if starts > 1 else ()
         points = [space.values, *(space.complete(point) for point in sampled)]
-        return Fit(problem, fitted(problem.posed, problem.terms, points, REFITS))
+        with _told("calibrate", progress) as told:
+            return Fit(problem, fitted(problem.posed, problem.terms, points, REFITS, told=told))
 
     def search(
         self,
@@ -220,6 +229,7 @@ class Problem:
         generations: int = 250,
         seed: int = 1,
         executor: Executor | Injected | None = None,
+        progress: bool = True,
     ) -> Fit[Problem]:
         """Fit by genetic searches from several seeds, followed by least squares.
 
@@ -244,6 +254,8 @@ class Problem:
         executor : concurrent.futures.Executor or calib.executor.Injected, optional
             Evaluates the points of a generation; this process by default. Threads suit models that are solved outside
             Python; other processes must be able to import the model's functions. The caller shuts it down.
+        progress : bool
+            As in `calibrate`.
 
         Raises
         ------
@@ -279,8 +291,9 @@ class Problem:
         cases, seed = integer(cases, 1, "cases"), integer(seed, 0, "seed")
         settings = GeneticSettings(integer(population, 4, "population"), integer(generations, 1, "generations"))
         problem = self._of(parameters)
-        found = searched(problem, range(seed, seed + cases), settings, executor)
-        return Fit(problem, refined(problem, found), found)
+        with _told("search", progress) as told:
+            found = searched(problem, range(seed, seed + cases), settings, executor, told)
+            return Fit(problem, refined(problem, found, told), found)
 
     def sensitivity(
         self,
@@ -289,6 +302,7 @@ class Problem:
         samples: int = 500,
         seed: int = 1,
         executor: Executor | Injected | None = None,
+        progress: bool = True,
     ) -> Assessed:
         """Global sensitivity: a Latin hypercube within the limits, rank correlations, variance shares, a selection.
 
@@ -302,6 +316,8 @@ class Problem:
             Seed of the points.
         executor : concurrent.futures.Executor or calib.executor.Injected, optional
             As in `search`.
+        progress : bool
+            As in `calibrate`.
 
         Raises
         ------
@@ -327,11 +343,13 @@ class Problem:
         0.9
         """
         samples, seed = integer(samples, 3, "samples"), integer(seed, 0, "seed")
-        return assessed(self._of(parameters), samples, seed, executor)
+        with _told("sensitivity", progress) as told:
+            return assessed(self._of(parameters), samples, seed, executor, told)
 
     def judge(self, values: Mapping[str, float]) -> Fit[Problem]:
         """Fit statistics at given values, without fitting."""
-        return Fit(self, statistics_at(self.posed, self.terms, self._complete(values)))
+        with _told("judge", False):
+            return Fit(self, statistics_at(self.posed, self.terms, self._complete(values)))
 
     def _of(self, parameters: Sequence[str]) -> Problem:
         """The problem with only the named parameters free; itself without any names."""
@@ -340,7 +358,7 @@ class Problem:
     def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
         return self.space.complete(values_of(values, "values"))
 
-    def explain(self, effects: Effects = (), *, seed: int = 1) -> Explained[Problem]:
+    def explain(self, effects: Effects = (), *, seed: int = 1, progress: bool = True) -> Explained[Problem]:
         """Find which effects the models lack: calibrate, test, refit with promising effects, test the remaining misfit.
 
         Without effects it reports whether anything is missing, and which local perturbation fits best. All tests are
@@ -353,15 +371,29 @@ class Problem:
             one effect.
         seed : int
             Seed of the samples behind probabilities and the recommended measurement.
+        progress : bool
+            As in `calibrate`.
 
         Raises
         ------
         InputError
             Where too little was measured to name any effect.
         """
-        return explained(self, effects, seed)
+        return explained(self, effects, seed, progress)
 
     @property
     def terms(self) -> Terms:
         """Inputs of the fit statistics besides the rows."""
         return Terms(assumed=in_words(a for _, test in self.pairs for a in test.assumed))
+
+
+@contextmanager
+def _told(verb: str, progress: bool) -> Iterator[Progress]:
+    """How far an analysis is; a failure of the user's code shows its line."""
+    try:
+        with in_python(verb, progress) as told:
+            yield told
+    except EvaluationError as fault:
+        if fault.at is not None:
+            fault.add_note("\n".join(excerpt(fault.at)))
+        raise

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import pandas as pd
 
@@ -27,6 +28,7 @@ from calib.inference.genetic import GeneticSettings
 from calib.ledger import Ledger
 from calib.sampling import sample
 from calib.space import ParameterSpace
+from calib.stage import Progress, named
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,11 @@ class Searched:
 
 
 def searched(
-    problem: PosedProblem, seeds: Sequence[int], settings: GeneticSettings, executor: Executor | Injected | None
+    problem: PosedProblem,
+    seeds: Sequence[int],
+    settings: GeneticSettings,
+    executor: Executor | Injected | None,
+    told: Progress,
 ) -> Searched:
     """One case per seed, each from its own Latin hypercube; see `calib.front.problem.Problem.search`."""
     space, responses = problem.space, Responses.of(problem)
@@ -90,13 +96,14 @@ def searched(
         for k, seed in enumerate(seeds, start=1):
             initial = sample(space, settings.population, seed).points
             case = Case(f"C{k}", seed)
-            found.append(run_case(case, space, objective, settings, evaluator, ledger, fingerprint, initial))
+            step = partial(named(told, case.name), "genetic search")
+            found.append(run_case(case, space, objective, settings, evaluator, ledger, fingerprint, initial, step))
         why = reasons_sentence(space, *stored_reasons(ledger, [fingerprint]))
     return Searched(space, tuple(found), why)
 
 
-def refined(problem: PosedProblem, search: Searched) -> FitStatistics:
+def refined(problem: PosedProblem, search: Searched, told: Progress) -> FitStatistics:
     """Least squares from the end of each case; from the nominal values where the data clearly prefer that solution."""
     starts = [case.values for case in search.best]
-    nominal = ended(problem.posed, [problem.space.values], REFINE_REFITS)
-    return fitted(problem.posed, problem.terms, starts, REFINE_REFITS, shared=Shared(nominal, known=None))
+    nominal = ended(problem.posed, [problem.space.values], REFINE_REFITS, told)
+    return fitted(problem.posed, problem.terms, starts, REFINE_REFITS, shared=Shared(nominal, known=None), told=told)

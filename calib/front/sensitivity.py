@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from calib.front.posed import PosedProblem
 from calib.front.responses import Responses
 from calib.front.shown import Shown
 from calib.sampling import sample
+from calib.stage import Progress
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,13 +79,18 @@ class Assessed(Shown):
         return f"Assessed({len(self.table)} parameters, {len(self.selected)} selected; {self.answer.samples} samples)"
 
 
-def assessed(problem: PosedProblem, samples: int, seed: int, executor: Executor | Injected | None) -> Assessed:
+def assessed(
+    problem: PosedProblem, samples: int, seed: int, executor: Executor | Injected | None, told: Progress
+) -> Assessed:
     """See `calib.front.problem.Problem.sensitivity`."""
     space, responses = problem.space, Responses.of(problem)
     sampled = sample(space, samples, seed)
     with responses.evaluator(executor) as evaluator:
-        outcomes = evaluator.evaluate([space.complete(point) for point in sampled.points])
+        done = itertools.count(1)
+        points = [space.complete(point) for point in sampled.points]
+        outcomes = evaluator.evaluate(points, lambda outcome: told("sampling", next(done), len(points)))
     if all(o.status != "ok" for o in outcomes):
-        why = reasons_sentence(space, reasons(outcomes), len(outcomes))
-        raise EvaluationError(f"the model cannot be evaluated within its limits: {why}")
+        found = reasons(outcomes)
+        words = f"the model cannot be evaluated within its limits: {reasons_sentence(space, found, len(outcomes))}"
+        raise EvaluationError(words, at=found[0].first.at)
     return Assessed(measured(space, sampled, outcomes, responses.measured))

@@ -11,11 +11,12 @@ from typing import Any
 import pandas as pd
 
 from calib.analyses import compare
+from calib.answer import LABEL
 from calib.joint import said, stacked
 
 
 class Shown:
-    """A result that prints as sentences and a table, in a notebook too."""
+    """A result that prints as its answer in four lines, else as sentences and a table; in a notebook with its table."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -27,12 +28,20 @@ class Shown:
         """Table shown below the sentences."""
         raise NotImplementedError
 
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """The answer by the labels of its lines, the last of which tells where the rest is; empty without an answer."""
+        return {}
+
     def __str__(self) -> str:
+        if self.lines:
+            return "\n".join(f"{label}:".ljust(LABEL) + text for label, text in self.lines.items())
         words = "\n".join(self.sentences)
         return f"{words}\n\n{self.table.to_string(index=False, float_format='%.4g')}"
 
     def _repr_html_(self) -> str:
-        words = "".join(f"<p>{escape(sentence)}</p>" for sentence in self.sentences)
+        answer = "".join(f"<p><b>{label}:</b> {escape(text)}</p>" for label, text in self.lines.items())
+        words = answer or "".join(f"<p>{escape(sentence)}</p>" for sentence in self.sentences)
         return words + str(self.table.to_html(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
 
 
@@ -76,13 +85,18 @@ class AnalysisResult(Shown):
     folder : Path
         Folder of all tables and figures.
     of : object
-        The full result, such as a `calib.analyses.calibrate.Calibration`.
+        The full result, such as a `calib.analyses.calibrate.Calibration`; of several tests by themselves by test.
     """
 
     words: tuple[str, ...]
     rows: pd.DataFrame
     folder: Path
     of: Any
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """As the command prints them."""
+        return {} if isinstance(self.of, Mapping) else {**self.of.answer.labelled, "Results": str(self.folder)}
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -19,28 +19,24 @@ from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.isolation import isolated
 from calib.analyses.joint_calibration import Fitted, calibrate_jointly
 from calib.analyses.reduction import fingerprints
-from calib.analyses.stale import stale_answers
 from calib.analyses.stored import modes_kept
 from calib.analyses.versions import write_versions
 from calib.errors import InputError
 from calib.executor import Injected
-from calib.front.listener import Listener
+from calib.front.drawn import draw, draw_anew
+from calib.front.listener import Listener, Showing
 from calib.front.problem import Problem
 from calib.front.shown import AnalysisResult, Compared
 from calib.front.test import test_of
 from calib.given import path as path_of
 from calib.joint import said, stacked
 from calib.missing.explanation import Explanation
-from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
-from calib.report.html.write import write_report
-from calib.report.shown import Shown
-from calib.report.style import FORMATS, Format
+from calib.report.style import Format
 from calib.results import RESULTS, Results
 from calib.several import AnyStudy, JointStudy, load
 from calib.study import Study as Loaded
 from calib.study_file import StudyFile, shell_argument
-from calib.written import is_own
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,13 +88,16 @@ class Study:
         *,
         workers: int | None = None,
         quick: bool = False,
+        progress: bool = True,
         listener: Listener | None = None,
     ) -> Study:
         """Read a study with everything it names; InputError for anything wrong in it.
 
-        If it adopts values of another study that is not calibrated yet, that one is calibrated first.
+        If it adopts values of another study that is not calibrated yet, that one is calibrated first. A terminal or a
+        notebook shows how far its analyses are, unless ``progress`` is false or a listener receives it.
         """
-        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, listener or Listener())
+        told = listener or (Showing() if progress else Listener())
+        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, told)
         assert study.loaded is not None
         return study
 
@@ -277,7 +276,7 @@ class Study:
         if not parts:
             remedy = f"run the study first: calib run {shell_argument(self.path)}"
             raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
-        self._draw_anew(study, formats)
+        draw_anew(study, self.results, self.listener, formats)
         return self.results / parts[0].name / REPORT
 
     # -- steps ---------------------------------------------------------------------------------------------------------
@@ -377,7 +376,7 @@ class Study:
 
     def draw(self, folder: Results | None = None, report: bool = False) -> None:
         """Draw the figures of all tables; the report is written on request, and where an older one exists."""
-        self._draw(self.loaded, self.folder if folder is None else folder, report)
+        draw(self.loaded, self.folder if folder is None else folder, self.results, self.listener, report)
 
     def _draw_tests(
         self, case: str | None = None, method: calibration.Method | None = None, report: bool = False
@@ -387,42 +386,6 @@ class Study:
             study.draw(places.results_of(study.one, self.results, self.quick, case, method), report)
         if isinstance(self.loaded, JointStudy):
             self.draw(places.results_of(self.loaded, self.results, self.quick, case, method))
-
-    def _draw_anew(self, study: StudyFile, formats: Sequence[Format]) -> None:
-        """Redraw every figure and report of a study, and of the extended studies among its results."""
-        for part in study.parts:
-            folders = places.answers_of(part, self.results)
-            if Results(self.results / part.name) in folders:  # versions compare full results only
-                self.listener.versions(write_versions(part, self.results))
-            for folder in folders:
-                self._draw(part, folder, True, formats)
-        together = places.answers_of(study, self.results)
-        if study.settings.several:
-            for folder in together:
-                self._draw(study, folder, False, formats)
-        written = [file for folder in together if (file := extension.found_among(study, folder.path))]
-        for file in written[:1]:  # the extended study of a quick run has its results in the same place
-            self._draw_anew(StudyFile.read(file), formats)
-
-    def _draw(self, study: StudyFile, folder: Results, report: bool, formats: Sequence[Format] = ("png",)) -> None:
-        title, synthetic = study.settings.title, study.synthetic
-        with_report = report or folder.has(REPORT)
-        stale = stale_answers(study, folder, None if self.results == RESULTS else self.results)
-        try:
-            shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
-            with self.listener.progress() as step:
-                written = write_report(shown, step) if with_report else None
-                figures = shown.figures.save(formats, step)
-        except OSError as fault:
-            raise InputError(
-                f"a figure or the report cannot be written ({fault.strerror})",
-                place=folder.path,
-                remedy="free some space and draw again with 'calib report', or choose another --results",
-            ) from None
-        if stale.files:
-            old = [file for kind in FORMATS for file in folder.path.glob(f"*.{kind}")]
-            folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
-        self.listener.drawn(study, figures, stale.sentences, written)
 
 
 def _taking_over(file: Path, taken: staged.Found, before: Loaded | None) -> AnyStudy:

@@ -127,7 +127,7 @@ def fit_mixed(
             if walk.exhausted:
                 exhausted.append(k)
     if not ends:
-        raise again(fault, f"the fit cannot start anywhere: {fault}")
+        raise again(fault)
     table = pd.DataFrame(rows, columns=["start", *whole, "misfit", "converged"])
     return MixedResult(min(ends, key=lambda r: r.misfit), tuple(ends), table, tuple(exhausted))
 

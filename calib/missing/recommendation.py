@@ -147,17 +147,22 @@ def recommend(design: ExperimentalDesign) -> pd.DataFrame:
 
 
 def _in_words(bayes_factor: BayesFactor, pair: tuple[str, str]) -> str:
-    spread = f"{_as_ratio(bayes_factor.low)} to {_as_ratio(bayes_factor.high)}"
+    spread = f"{as_ratio(bayes_factor.low)} to {as_ratio(bayes_factor.high)}"
     right = f"beyond 20:1 with a chance of {100 * bayes_factor.chance:.0f} %"
-    return f"odds of {_as_ratio(bayes_factor.mean)} for the true one of {pair[0]} and {pair[1]} ({spread}), {right}"
+    return f"odds of {as_ratio(bayes_factor.mean)} for the true one of {pair[0]} and {pair[1]} ({spread}), {right}"
 
 
-def _as_ratio(ln_bayes: float) -> str:
+def as_ratio(ln_bayes: float) -> str:
     """A log Bayes factor as a ratio, such as 150:1, or 1:3 against."""
     if abs(ln_bayes) >= math.log(1e4):
         return "over 10,000:1" if ln_bayes > 0 else "under 1:10,000"
-    size = f"{float(f'{math.exp(abs(ln_bayes)):.2g}'):g}"
+    size = rounded(math.exp(abs(ln_bayes)))
     return f"{size}:1" if ln_bayes >= 0 else f"1:{size}"
+
+
+def rounded(value: float) -> str:
+    """Two significant digits without an exponent where that reads better."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 @dataclass(frozen=True)

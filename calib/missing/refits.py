@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -125,9 +126,9 @@ class Refits:
         )
 
     def tell(self, stage: str) -> None:
-        """Tell the present step, with the part of the budget that is used."""
-        used = max(self.allowance.used, 0)
-        self.progress(stage, used, max(self.allowance.most, used))
+        """Tell the present step, with the part of the budget that is used, where there is one."""
+        used, most = max(self.allowance.used, 0), self.allowance.most
+        self.progress(stage, used, max(most, used) if math.isfinite(most) else 0)
 
     def _step(self, share: float) -> None:
         self.tell("")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ from calib.effect import Effect
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE, interval_words, local_perturbation, unit_words
-from calib.missing.recommendation import Recommendation
+from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
 from calib.missing.worst_misfit import p_words, where, worst_repeats
@@ -118,11 +117,6 @@ def verdict(
     return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, *support))))
 
 
-def rounded(value: float) -> str:
-    """Two significant digits without an exponent where that reads better."""
-    return f"{float(f'{value:.2g}'):g}"
-
-
 # -- parts of sentences ------------------------------------------------------------------------------------------------
 
 
@@ -203,8 +197,9 @@ def _nothing(found: Explanation, effects: pd.DataFrame) -> _Words:
     sure = f"The data are as expected of a complete model: {_family(found)}."
     if found.groups and not effects["visible"].astype(bool).any():
         blind = "The base model fits, but these data cannot show any effect of the library at a plausible magnitude."
-        return _Words(blind, sure)
-    return _Words("The model fits: no missing effect is detectable in these data.", sure)
+        return _Words(blind, sure, "Measure more before you conclude that nothing is missing.")
+    fits = "The model fits: no missing effect is detectable in these data."
+    return _Words(fits, sure, "Nothing calls for a change of the model.")
 
 
 def _noise(found: Explanation, effects: pd.DataFrame) -> _Words:
@@ -246,10 +241,10 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> _Words:
         explaining.append((found.ln_bayes(found.datum), found.datum.told))
         check = f"Or measure the {found.datum.what} again."
     explaining.sort(key=lambda one: -one[0])
-    bayes_factor = math.exp(explaining[0][0] - explaining[1][0])
+    ln_bayes = explaining[0][0] - explaining[1][0]
     named = "; or ".join(words for _, words in explaining)
     # Only a wrong measurement may be far ahead; an effect that far ahead would be named.
-    if bayes_factor > math.exp(RULES.credible):
+    if ln_bayes > RULES.credible:
         first = "A wrong measurement explains the misfit best"
     elif len(explaining) > len(rows):
         first = "Model or measurement is wrong, and these data cannot tell which"
@@ -257,7 +252,7 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> _Words:
         first = "The model lacks something, and these data cannot tell which"
     return _Words(
         f"{first}: {named}.",
-        f"The odds of the first against the second are {rounded(bayes_factor)}:1. {_without(found)} {_with(found)}",
+        f"The odds of the first against the second are {as_ratio(ln_bayes)}. {_without(found)} {_with(found)}",
         f"{_look_for(credible, ' Or: ')} {check}".strip(),
         (_as_it_is(credible),),
     )
@@ -294,7 +289,7 @@ def _rest(found: Explanation) -> str:
     """Local perturbation that fits a systematic misfit best, in words."""
     perturbation = found.perturbation
     if perturbation is None:
-        return ""
+        return "Give a library with further effects."
     better = bool(found.groups) and (found.chosen is None or perturbation.ln_evidence > found.chosen.ln_evidence)
     words = "it fits better than every listed effect" if better else "it would help most"
     size = local_perturbation(perturbation).told

@@ -34,6 +34,11 @@ class Mesh:
     faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), dtype=int))
     face_groups: tuple[str, ...] = ()
 
+    @property
+    def placed(self) -> np.ndarray:
+        """Which points have coordinates, (n_nodes,), bool."""
+        return np.isfinite(self.points).all(axis=1)
+
 
 @dataclass(frozen=True)
 class DofMap:

@@ -174,7 +174,7 @@ class ModalFunctionModel:
             try:
                 found.append(modes_of(result, self.sensors, self.n_modes, self.damped))
             except EvaluationError as fault:
-                raise EvaluationError(*fault.args, at=defined_at(self.function)) from None
+                raise EvaluationError(*fault.args, at=defined_at(self.function, point)) from None
             return {}
 
         answered(ask, values)

@@ -128,3 +128,14 @@ def test_what_was_found_is_told_even_if_a_later_step_fails(guyed, monkeypatch, c
     assert cli.execute(["run", "mast", "--workers", "1"]) == 1
     out = capsys.readouterr().out
     assert "A mast that may lack something: compare" in out and out.count("Found:") == 1
+
+
+def test_a_number_that_rounds_to_zero_has_no_sign():
+    assert [terminal.number(value, 1) for value in (-0.04, 0.04, -0.06, float("nan"))] == ["0.0", "0.0", "-0.1", ""]
+
+
+def test_colons_make_no_pictures(capsys):
+    terminal.say("sensors 1:x:2 and [b]")
+    terminal.complain("study:m:")
+    out, err = capsys.readouterr()
+    assert out == "sensors 1:x:2 and [b]\n" and err == "calib: study:m:\n"

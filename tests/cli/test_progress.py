@@ -28,7 +28,7 @@ def lines(monkeypatch):
     """Sparse lines by a clock of our own, and what they have written."""
     stream, clock = io.StringIO(), Clock()
     monkeypatch.setattr(progress, "ERR", Console(file=stream, width=80, soft_wrap=True))
-    return progress._Lines("calibrate", clock), clock, stream
+    return progress._Lines("calibrate", progress.ERR.print, progress.SPARSE, clock), clock, stream
 
 
 def test_lines_are_sparse_and_without_control_characters(lines):
@@ -136,3 +136,12 @@ def test_a_part_tells_its_stages_under_its_name():
     tell("least squares", 0.5, 1)
     tell("", 0.6, 1)
     assert told == ["GB1, least squares", ""]
+
+
+def test_a_name_in_brackets_is_shown_as_it_is(monkeypatch):
+    """Names of effects, tests and cases are the user's own, and no markup."""
+    stream, stage = io.StringIO(), "fitting a spring [kN/m] [x] [/b]"
+    monkeypatch.setattr(progress, "ERR", Console(file=stream, force_terminal=True, width=100))
+    with progress.bars("explain") as tell:
+        tell(stage, 1, 4)
+    assert f"explain: {stage} 1/4" in stream.getvalue()

@@ -43,7 +43,7 @@ def lacking(write_study, asked, edit, tmp_path_factory):
     folder = tmp_path_factory.mktemp("lacking")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-        patch.setattr("calib.front.study.write_report", _unwritten)
+        patch.setattr("calib.front.drawn.write_report", _unwritten)
         return folder, quick(folder, write_study, asked, edit, {"guy": 12000.0})
 
 

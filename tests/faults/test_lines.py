@@ -119,6 +119,23 @@ def test_a_study_in_another_encoding(tmp_path, mistakes):
     assert at is not None and at.line == 3 and at.text[at.column - 1] == "\ufffd" and "ümlaut" in at.text
 
 
+def test_a_study_with_a_byte_order_mark(tmp_path, mistakes):
+    """As some editors of Windows write it, with their line ends."""
+    folder = example(tmp_path / "mast")
+    file = folder / "study.toml"
+
+    def as_on_windows() -> None:
+        file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes().replace(b"\n", b"\r\n"))
+
+    sound = file.read_bytes()
+    as_on_windows()
+    assert calib.Study.load(folder).loaded.settings.title.startswith("Example")
+    file.write_bytes(b"title = 3\n" + sound.replace(b"title", b"# title", 1))
+    as_on_windows()
+    at = mistakes.refused(folder).at
+    assert (at.line, at.text, at.column, at.length) == (1, "title = 3", 9, 1)
+
+
 def test_a_key_of_the_study_below(tmp_path, mistakes):
     example(tmp_path / "mast")
     expected = mistakes.put(tmp_path / "mast/study.toml", ("limits = [0.3, 5.0]", "limits = ⟦[5.0, 0.3]⟧"))

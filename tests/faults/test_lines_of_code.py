@@ -85,10 +85,11 @@ def test_a_mistake_in_the_use_of_shipped_elements(tmp_path, mistakes):
     mistakes.check(mistakes.refused(tmp_path / "mast").at, expected)
 
 
-def test_a_cell_of_a_notebook(tmp_path):
+@pytest.mark.parametrize("name", ["/tmp/ipykernel_7/1234567.py", "<ipython-input-3-0a1b2c3d>"])
+def test_a_cell_of_a_notebook(name, monkeypatch):
     """Its source stands in no file."""
-    name, source = str(tmp_path / "cell_1.py"), "def half(x):\n    return x / 0\n"
-    linecache.cache[name] = (len(source), None, source.splitlines(keepends=True), name)
+    source = "def half(x):\n    return x / 0\n"
+    monkeypatch.setitem(linecache.cache, name, (len(source), None, source.splitlines(keepends=True), name))
     names = {}
     exec(compile(source, name, "exec"), names)
     with pytest.raises(ZeroDivisionError) as caught:
@@ -250,6 +251,8 @@ def test_mistakes_in_an_effect(plain, changes, act, mistakes):
         ("return lambda values: {'y1': ⟦values['gone']⟧}", True),
         ("return lambda values: {'y1': ⟦values['gone']⟧}", False),
         pytest.param("def ⟦bent⟧(values):\n        return {'y1': 0.0}\n    return bent", True, marks=pytest.mark.slow),
+        ("def ⟦bent⟧(values):\n        return {'y1': 0.0}\n    return bent", False),
+        ("def ⟦bent⟧(values):\n        return 3.0\n    return bent", False),
         ("return lambda values: {name: 2 * y for name, y in model.function(values).items()}", True),
         ("return lambda values: {name: 2 * y for name, y in model.function(values).items()}", False),
     ],

@@ -2,9 +2,11 @@
 
 import doctest
 import importlib
+import re
 import subprocess
 import sys
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +191,14 @@ def test_results_print_their_table_with_every_number(rig):
     fit = rig.judge({})
     assert all(name in str(fit) for name in fit.parameters.index)
     assert "<table" in fit._repr_html_() and "\n" not in repr(fit) + repr(rig) + repr(found)
+
+
+def test_an_explanation_prints_its_answer_in_four_lines(explained):
+    answer, lines = explained.explanation.answer, str(explained).split("\n")
+    assert [line[10:] for line in lines[:3]] == [answer.found, answer.sure, answer.then] and len(lines) == 4
+    assert all(hasattr(explained, name) for name in re.findall(r"\.(\w+)", lines[3]))
+    html = explained._repr_html_()
+    assert escape(answer.found) in html and "<table" in html
 
 
 @pytest.mark.parametrize(

@@ -295,7 +295,7 @@ def test_failed_starts_are_survived_unless_all_fail():
     found = fit_mixed(Half(), STATIONS, [{"a": 8.0}, {"a": 3.0}])
     assert found.best.values["a"] == 6.0 and len(found.by_start) == 1
     assert math.isinf(found.combinations.loc[0, "misfit"])
-    with pytest.raises(EvaluationError, match="cannot start anywhere: the fit cannot start: too far"):
+    with pytest.raises(EvaluationError, match=r"^the fit cannot start: too far$"):
         fit_mixed(Half(), STATIONS, [{"a": 8.0}])
 
 

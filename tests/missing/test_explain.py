@@ -1,5 +1,6 @@
 """The decision, on toys whose truth is known."""
 
+import math
 from collections import Counter
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import pytest
 
 from calib.errors import InputError
 from calib.missing.explain import Settings, explain
+from calib.missing.refits import DEFAULT
 
 pytestmark = pytest.mark.usefixtures("fewer_draws")
 
@@ -188,6 +190,15 @@ def test_progress_is_reported(toy):
     messages = []
     explain(toy().drawn(np.random.default_rng(7), {"E1": 1.5}), progress=lambda stage, *more: messages.append(stage))
     assert messages[0] == "calibrating the base model" and "fitting E1" in messages
+
+
+@pytest.mark.parametrize("budget", [DEFAULT.budget, math.inf])
+def test_progress_has_a_whole_where_the_budget_has(toy, budget):
+    told = []
+    data = toy().drawn(np.random.default_rng(7), {"E1": 1.5})
+    explain(data, Settings(budget=budget), lambda stage, done=0, total=0, best=0: told.append((done, total)))
+    assert max(done for done, _ in told) > 0
+    assert all(done <= total == budget if math.isfinite(budget) else total == 0 for done, total in told)
 
 
 def test_too_few_data_are_refused(toy):

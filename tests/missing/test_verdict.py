@@ -251,6 +251,14 @@ def test_a_magnitude_without_a_unit_has_none(toy):
     assert f"{sized(row.to_dict() | {'name': 'E1'})}." in text and "(95 %" in text
 
 
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_answer_tells_what_was_found_how_sure_and_what_to_do(cases, verdict):
+    """Also without a recommended measurement, and where no local perturbation was fitted."""
+    found = replace(cases[verdict], perturbation=None)
+    answer = verdict_of(found, effects_table(found, {}, {}), errors()).answer
+    assert all(words.endswith(".") for words in (answer.found, answer.sure, answer.then))
+
+
 def test_indistinguishable_effects_are_all_named_with_their_bayes_factor(cases):
     found = cases["indistinguishable"]
     table = effects_table(found, {}, {})

@@ -4,11 +4,14 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calib.missing.evidence import ln_wrong
 from calib.missing.explain import Settings, explain
 from calib.missing.rules import RULES
+from calib.missing.tables import effects_table
+from calib.missing.verdict import verdict
 
 PLACE = ("M3", "frequency")
 
@@ -45,6 +48,13 @@ def test_a_wrong_datum_is_not_named_an_effect(toy, share):
         z2 = f.suspects.set_index("what").loc[f.datum.what, "chi2"]
         ln_bayes = f.datum.ln_evidence - f.base.ln_evidence
         assert ln_bayes == pytest.approx(0.5 * (z2 - 1 - np.log(z2)), abs=0.01)
+
+
+def test_the_odds_of_a_datum_that_is_far_off_are_bounded(toy):
+    found = explain(spoilt(beside(toy(), 0.3), np.random.default_rng(1), 60.0))
+    assert found.verdict == "indistinguishable" and found.datum.ln_evidence - found.chosen.ln_evidence > 60
+    answer = verdict(found, effects_table(found, {}, {}), pd.DataFrame(columns=["group", "stage"])).answer
+    assert found.datum.what in answer.found and " over 10,000:1." in answer.sure
 
 
 def test_a_wrong_datum_is_fitted_although_the_budget_is_used_up(toy):

@@ -81,7 +81,7 @@ def run(folder, *analyses):
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()):
         patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
         patch.setattr("calib.front.study.isolated", lambda study: study)
-        patch.setattr("calib.front.study.write_report", _unwritten)
+        patch.setattr("calib.front.drawn.write_report", _unwritten)
         for analysis, *more in analyses:
             assert cli.execute([analysis, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
     return folder.parent / "results" / folder.name

@@ -1,0 +1,83 @@
+"""Figures and reports of a study, from its stored results; no code of the study is run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from calib.analyses import places
+from calib.analyses.extend import found_among
+from calib.analyses.stale import stale_answers
+from calib.analyses.versions import write_versions
+from calib.errors import InputError
+from calib.front.listener import Listener
+from calib.report.html.study_results import StudyResults
+from calib.report.html.write import NAME as REPORT
+from calib.report.html.write import write_report
+from calib.report.shown import Shown
+from calib.report.style import FORMATS, Format
+from calib.results import RESULTS, Results
+from calib.study_file import StudyFile
+from calib.written import is_own
+
+
+def draw(
+    study: StudyFile,
+    folder: Results,
+    root: Path,
+    listener: Listener,
+    report: bool = False,
+    formats: Sequence[Format] = ("png",),
+) -> None:
+    """Draw the figures of all tables in a folder; the report is written on request, and where an older one exists.
+
+    Parameters
+    ----------
+    study : StudyFile
+    folder : Results
+    root : Path
+        Parent of the study's results.
+    listener : Listener
+    report : bool
+    formats : sequence of {"png", "svg", "pdf"}
+        Formats of the figures beside the report.
+
+    Raises
+    ------
+    InputError
+        Where a file cannot be written.
+    """
+    title, synthetic = study.settings.title, study.synthetic
+    stale = stale_answers(study, folder, None if root == RESULTS else root)
+    try:
+        shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
+        with listener.progress() as step:
+            written = write_report(shown, step) if report or folder.has(REPORT) else None
+            figures = shown.figures.save(formats, step)
+    except OSError as fault:
+        raise InputError(
+            f"a figure or the report cannot be written ({fault.strerror})",
+            place=folder.path,
+            remedy="free some space and draw again with 'calib report', or choose another --results",
+        ) from None
+    if stale.files:
+        old = [file for kind in FORMATS for file in folder.path.glob(f"*.{kind}")]
+        folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
+    listener.drawn(study, figures, stale.sentences, written)
+
+
+def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format]) -> None:
+    """Redraw every figure and report of a study, and of the extended studies among its results; see `draw`."""
+    for part in study.parts:
+        folders = places.answers_of(part, root)
+        if Results(root / part.name) in folders:  # versions compare full results only
+            listener.versions(write_versions(part, root))
+        for folder in folders:
+            draw(part, folder, root, listener, True, formats)
+    together = places.answers_of(study, root)
+    if study.settings.several:
+        for folder in together:
+            draw(study, folder, root, listener, False, formats)
+    written = [file for folder in together if (file := found_among(study, folder.path))]
+    for file in written[:1]:  # the extended study of a quick run has its results in the same place
+        draw_anew(StudyFile.read(file), root, listener, formats)
