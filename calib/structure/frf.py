@@ -126,7 +126,8 @@ def _solution(dynamic: Matrix, scale: np.ndarray, loads: np.ndarray, freq: float
     """Solution of the system scaled by ``scale`` on both sides, (n_dof, n_loads)."""
     try:
         if sp.issparse(dynamic):
-            scaled = dynamic.multiply(scale[:, None]).multiply(scale)
+            sparse: Matrix = dynamic
+            scaled = sparse.multiply(scale[:, None]).multiply(scale)
             factor = spla.splu(sp.csc_matrix(scaled), permc_spec="MMD_AT_PLUS_A")
             pivots, found = np.abs(factor.U.diagonal()), factor.solve(loads)
         else:
