@@ -13,6 +13,7 @@ import numpy as np
 import pyuff
 
 from calib.errors import InputError
+from calib.measurement.csv_format import VALUE_LIMIT
 from calib.measurement.frf import AXIS, NO_PHASE, FRFRepeat, Quantity
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.uff_blocks import first_line, read_blocks
@@ -81,7 +82,7 @@ def read_uff_frfs(path: Path, quantity: Quantity | None = None) -> FRFRepeat:
         if key in functions:
             raise InputError("this function is there twice", place=where, remedy="export each once, one file a repeat")
         values = np.asarray(data["data"], dtype=complex)
-        if not np.isfinite(values).all():
+        if not np.all(np.abs(values) <= VALUE_LIMIT):  # NaN fails the comparison too
             raise InputError("it holds values that are not finite", place=where, remedy="export it again")
         if not values.any():
             raise InputError("it is zero on every line: a dead channel", place=where, remedy="leave it out")
