@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import minimize
 
 from calib.errors import InputError
 from calib.measurement.modal import Sensor
@@ -19,8 +19,8 @@ UNITS: Mapping[str, str] = {"receptance": "m/N", "mobility": "m/(N s)", "acceler
 AXIS = 1e-6
 """Largest difference of two frequencies of one line, relative."""
 
-_ROUNDS = 10
-"""Of the iteration for the two parts of the noise."""
+_RANGE = 30.0
+"""Of the logarithms of the two parts of the noise, about the mean variance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +110,8 @@ def combined(repeats: Sequence[FRFRepeat], averages: int | None = None, syntheti
     """Mean of repeats, with its standard deviation from their scatter, or from the coherence of a single one.
 
     The scatter of a function over two or more repeats is smoothed over its lines as ``sqrt((a |H|)^2 + b^2)``, a share
-    of the value and a floor, both fitted to the variance of all lines: a single line has too few repeats. With the
-    coherence and the number of averages n of a single repeat the standard deviation is
+    of the value and a floor, both of largest likelihood for the variances of all lines: a single line has too few
+    repeats. With the coherence and the number of averages n of a single repeat the standard deviation is
     ``|H| sqrt((1 - gamma^2)/(2 n gamma^2))`` (Bendat and Piersol 2010, section 9.2.2).
 
     Parameters
@@ -180,13 +180,20 @@ def scatter(every: np.ndarray) -> np.ndarray:
     mean = every.mean(axis=0)
     variance = np.sum(np.abs(every - mean) ** 2, axis=0) / (2 * (len(every) - 1))
     parts = np.column_stack([np.abs(mean) ** 2, np.ones(len(mean))])
-    scale = np.maximum(parts.max(axis=0), 1e-300)
-    smooth = np.full(len(mean), variance.mean())
-    for _ in range(_ROUNDS):  # the variance of a variance is in proportion to its square
-        weight = 1 / np.maximum(smooth, 1e-300 + 1e-12 * smooth.max())
-        found, _ = nnls(parts / scale * weight[:, None], variance * weight)
-        smooth = parts / scale @ found
-    return np.asarray(np.sqrt(smooth))
+    level = float(np.mean(variance))
+    if not level > 0:
+        return np.zeros(len(mean))
+    start = np.log(0.5 * level / np.maximum(parts.mean(axis=0), 1e-300))
+
+    def unlikely(logs: np.ndarray) -> tuple[float, np.ndarray]:
+        """Minus the log likelihood of variances that are chi-square distributed, and its gradient."""
+        each = parts * np.exp(logs)
+        smooth = each.sum(axis=1)
+        ratio = variance / smooth
+        return float(np.mean(np.log(smooth) + ratio)), ((1 - ratio) / smooth) @ each / len(mean)
+
+    found = minimize(unlikely, start, jac=True, method="L-BFGS-B", bounds=[(s - _RANGE, s + _RANGE) for s in start])
+    return np.asarray(np.sqrt(parts @ np.exp(found.x)))
 
 
 def _name(sensor: tuple[int, str]) -> str:

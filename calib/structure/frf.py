@@ -17,6 +17,7 @@ import scipy.sparse.linalg as spla
 
 from calib.errors import EvaluationError
 from calib.structure.derivatives import DifferentiableModel, Matrix
+from calib.structure.solve import DENSE_LIMIT
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
 
@@ -110,7 +111,7 @@ def _solved(
     matrices: tuple[Matrix, Matrix, Matrix], freq: np.ndarray, *rows: np.ndarray
 ) -> Iterator[tuple[np.ndarray, ...]]:
     """``Z^-1 r^T`` of each set of rows r, (n_dof, n_rows), line by line."""
-    stiffness, damping, mass = matrices
+    stiffness, damping, mass = (_dense(matrix) if matrix.shape[0] <= DENSE_LIMIT else matrix for matrix in matrices)
     loads = np.vstack(rows).T.astype(complex)
     ends = np.cumsum([len(r) for r in rows])[:-1]
     diagonal = np.abs(stiffness.diagonal())
@@ -120,6 +121,10 @@ def _solved(
         dynamic = stiffness + 1j * omega * damping - omega**2 * mass
         solution = scale[:, None] * _solution(dynamic, scale, scale[:, None] * loads, line)
         yield tuple(np.split(solution, ends, axis=1))
+
+
+def _dense(matrix: Matrix) -> np.ndarray:
+    return matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix)
 
 
 def _solution(dynamic: Matrix, scale: np.ndarray, loads: np.ndarray, freq: float) -> np.ndarray:
@@ -133,8 +138,10 @@ def _solution(dynamic: Matrix, scale: np.ndarray, loads: np.ndarray, freq: float
         else:
             lu, order = la.lu_factor(scale[:, None] * dynamic * scale)
             pivots, found = np.abs(lu.diagonal()), la.lu_solve((lu, order), loads)
-    except (RuntimeError, ValueError, la.LinAlgError) as fault:
+    except ValueError as fault:  # entries that are not finite
         raise EvaluationError(f"the dynamic stiffness at {freq:.6g} Hz cannot be factorised ({fault})") from fault
+    except RuntimeError:  # exactly singular
+        pivots = np.zeros(1)
     if not pivots.min() > _SINGULAR * pivots.max():
         raise EvaluationError(
             f"the dynamic stiffness is singular at {freq:.6g} Hz, which is a resonance without damping: "
