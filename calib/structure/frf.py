@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-import scipy.linalg as la
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
+from scipy.linalg import lapack
 
 from calib.errors import EvaluationError
 from calib.structure.derivatives import DifferentiableModel, Matrix
@@ -124,27 +124,36 @@ def _solved(
 
 
 def _dense(matrix: Matrix) -> np.ndarray:
-    return matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix)
+    return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
 
 
 def _solution(dynamic: Matrix, scale: np.ndarray, loads: np.ndarray, freq: float) -> np.ndarray:
     """Solution of the system scaled by ``scale`` on both sides, (n_dof, n_loads)."""
-    try:
-        if sp.issparse(dynamic):
-            sparse: Matrix = dynamic
-            scaled = sparse.multiply(scale[:, None]).multiply(scale)
+    scaled = (
+        dynamic.multiply(scale[:, None]).multiply(scale) if _is_sparse(dynamic) else scale[:, None] * dynamic * scale
+    )
+    if not np.all(np.isfinite(scaled.data if _is_sparse(scaled) else scaled)):
+        raise EvaluationError(f"the dynamic stiffness at {freq:.6g} Hz holds entries that are not finite")
+    if _is_sparse(scaled):
+        try:
             factor = spla.splu(sp.csc_matrix(scaled), permc_spec="MMD_AT_PLUS_A")
-            pivots, found = np.abs(factor.U.diagonal()), factor.solve(loads)
-        else:
-            lu, order = la.lu_factor(scale[:, None] * dynamic * scale)
-            pivots, found = np.abs(lu.diagonal()), la.lu_solve((lu, order), loads)
-    except ValueError as fault:  # entries that are not finite
-        raise EvaluationError(f"the dynamic stiffness at {freq:.6g} Hz cannot be factorised ({fault})") from fault
-    except RuntimeError:  # exactly singular
-        pivots = np.zeros(1)
+        except RuntimeError:
+            raise _resonance(freq) from None
+        pivots, found = np.abs(factor.U.diagonal()), factor.solve(loads)
+    else:
+        lu, order, _ = lapack.zgetrf(scaled)
+        pivots, found = np.abs(lu.diagonal()), lapack.zgetrs(lu, order, loads)[0]
     if not pivots.min() > _SINGULAR * pivots.max():
-        raise EvaluationError(
-            f"the dynamic stiffness is singular at {freq:.6g} Hz, which is a resonance without damping: "
-            "leave the line out, or give the model damping"
-        )
+        raise _resonance(freq)
     return np.asarray(found)
+
+
+def _is_sparse(matrix: Matrix) -> bool:
+    return bool(sp.issparse(matrix))
+
+
+def _resonance(freq: float) -> EvaluationError:
+    return EvaluationError(
+        f"the dynamic stiffness is singular at {freq:.6g} Hz, which is a resonance without damping: "
+        "leave the line out, or give the model damping"
+    )
