@@ -25,6 +25,8 @@ MODAL = (2, 3, 7)
 _LINE_END = re.compile(rb"\r\n|\r|\n")
 _BINARY_HEAD = re.compile(rb" {4}58b[ \d]{12}([ \d]{11}\d)([ \d]{11}\d).*")
 """After byte order and kind of number: the number of text lines, and of bytes, that follow."""
+_VALUE_BYTES = {2: (4, 1), 4: (8, 1), 5: (4, 2), 6: (8, 2)}
+"""Bytes of a number, and numbers of a value, by the ordinate data type of record 7."""
 _CLOSING = re.compile(rb"(?:\r\n|\r|\n)?( {4}-1[ ]*(?:\r|\n|\Z))")
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
 _ID_LINES = {55: range(5), 164: (0,), 2414: (1, *range(3, 8))}
@@ -122,24 +124,37 @@ class _Lines:
         return line
 
     def pass_binary(self, head: bytes) -> None:
-        """Skip the bytes that a header line of dataset 58b announces, if a '-1' line follows them."""
+        """Skip the bytes that a header of dataset 58b announces, if a '-1' line follows them.
+
+        Some writers, pyuff 2.5 among them, count the bytes of the real parts alone: where the count in the first line
+        leads to no '-1' line, that of the values in record 7 is tried.
+        """
         found = _BINARY_HEAD.fullmatch(head)
         if found is None:
             return
-        at, number = self._at, self.number
+        at, number, texts = self._at, self.number, []
         for _ in range(min(int(found.group(1)), 100)):
             if self.ended:
                 break
-            self.take()
+            texts.append(self.take())
         begin = self._at
-        self._at += int(found.group(2))
-        # some writers end the bytes by a line end of its own
-        behind = _CLOSING.match(self._data, min(self._at, len(self._data)))
-        if behind is None:
-            self._at, self.number = at, number
-            return
-        self._at = behind.start(1)
-        self.number += len(self._data[begin : self._at].splitlines())
+        for count in (int(found.group(2)), *_bytes_of_values(texts)):
+            # some writers end the bytes by a line end of its own
+            behind = _CLOSING.match(self._data, min(begin + count, len(self._data)))
+            if behind is not None:
+                self._at = behind.start(1)
+                self.number += len(self._data[begin : self._at].splitlines())
+                return
+        self._at, self.number = at, number
+
+
+def _bytes_of_values(texts: Sequence[bytes]) -> list[int]:
+    """Bytes of the values of a dataset 58b by its record 7, as one number; none where that cannot be read."""
+    entries = texts[6].split() if len(texts) > 6 else []
+    if len(entries) < 3 or not all(entry.isdigit() for entry in entries[:3]) or int(entries[0]) not in _VALUE_BYTES:
+        return []
+    size, parts = _VALUE_BYTES[int(entries[0])]
+    return [int(entries[1]) * size * (parts if int(entries[2]) else parts + 1)]
 
 
 def _block(path: Path, start: int, lines: Sequence[bytes]) -> Block:

@@ -1,0 +1,258 @@
+"""Whitened residual of measured and model FRFs, with analytic derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.degrees_of_freedom import KNOWN
+from calib.errors import InputError
+from calib.fingerprint import digest_of
+from calib.mac import mac
+from calib.measurement.frf import MeasuredFRFs
+from calib.outcome import answered
+from calib.space import ParameterSpace
+from calib.structure.frf import frf, frf_derivatives
+from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
+
+UNKNOWN_STD = 0.02
+"""Assumed standard deviation of real and imaginary part each, relative to the modulus, where none is known."""
+
+_DEFINITION = "FRF residual 1"
+"""Part of the fingerprint; increment it whenever the same FRFs would give another residual or derivative."""
+
+
+class FRFRow(NamedTuple):
+    """What one entry of the residual compares.
+
+    Attributes
+    ----------
+    mode : str
+        Empty.
+    kind : str
+        ``frf``.
+    sensor : str
+        Response over reference, such as ``12z/3z``.
+    part : str
+        ``re`` or ``im``.
+    freq : float
+        Line, Hz.
+    """
+
+    mode: str
+    kind: str
+    sensor: str
+    part: str
+    freq: float
+
+
+@dataclass(frozen=True, eq=False)
+class FRFProblem:
+    """A model with matrices and measured FRFs of it.
+
+    Attributes
+    ----------
+    model : StructuralModel or ReducedModel
+    measured : MeasuredFRFs
+
+    Raises
+    ------
+    InputError
+        For a sensor or a reference that the model cannot place.
+    """
+
+    model: StructuralModel | ReducedModel
+    measured: MeasuredFRFs
+    _responses: np.ndarray = field(init=False, repr=False)
+    _references: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_responses", self.model.sensor_rows(self.measured.responses))
+        object.__setattr__(self, "_references", self.model.sensor_rows(self.measured.references))
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the model."""
+        return self.model.space
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash that changes whenever the FRFs at the same values could."""
+        m = self.measured
+        content = (m.quantity, [s.name for s in m.responses], [s.name for s in m.references])
+        arrays = (m.freq, self._responses, self._references)
+        return digest_of(_DEFINITION, self.model.fingerprint, content, *(a.tobytes() for a in arrays))[:16]
+
+    def functions(self, values: Mapping[str, float]) -> np.ndarray:
+        """FRFs at named values, (n_freq, n_responses, n_references), complex; EvaluationError where it has none."""
+        return frf(
+            self.model, values, self.measured.freq, self._responses, self._references, self.measured.quantity
+        )  # fmt: skip
+
+    def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Their derivatives, (n_params, n_freq, n_responses, n_references), complex."""
+        return frf_derivatives(
+            self.model, values, self.measured.freq, self._responses, self._references, names, self.measured.quantity
+        )[1]
+
+
+@dataclass(frozen=True, eq=False)
+class FRFResidual:
+    """Whitened differences between measured and model FRFs.
+
+    Rows are (measured - model)/std of the real and of the imaginary part of every measured entry, response by response,
+    then line by line.
+
+    Attributes
+    ----------
+    problem : FRFProblem
+
+    Raises
+    ------
+    InputError
+        When nothing was measured, or a standard deviation is zero.
+    """
+
+    problem: FRFProblem
+    _known: np.ndarray = field(init=False, repr=False)
+    _std: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        measured = self.problem.measured
+        known = np.isfinite(measured.values)
+        std = np.where(np.isfinite(measured.std), measured.std, UNKNOWN_STD * np.abs(measured.values))
+        if not known.any():
+            raise InputError("no FRF was measured", place=measured.source or "FRFs", remedy="give at least one")
+        if not np.all(std[known] > 0):
+            k, i, j = (int(index[0]) for index in np.nonzero(known & ~(std > 0)))
+            raise InputError(
+                f"the standard deviation of {measured.responses[i].name} over {measured.references[j].name} "
+                f"at {measured.freq[k]:.6g} Hz is not positive",
+                place=measured.source or "FRFs",
+                remedy="give repeats that differ, or a claimed accuracy",
+            )
+        object.__setattr__(self, "_known", known)
+        object.__setattr__(self, "_std", std)
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the model."""
+        return self.problem.space
+
+    @cached_property
+    def rows(self) -> tuple[FRFRow, ...]:
+        """Labels of the rows, length n_rows."""
+        measured = self.problem.measured
+        return tuple(
+            FRFRow("", "frf", f"{response.name}/{reference.name}", part, float(measured.freq[k]))
+            for part in ("re", "im")
+            for i, response in enumerate(measured.responses)
+            for j, reference in enumerate(measured.references)
+            for k in np.flatnonzero(self._known[:, i, j])
+        )
+
+    def _stacked(self, functions: np.ndarray) -> np.ndarray:
+        """Entries (..., n_freq, n_responses, n_references) as real rows (..., n_rows), in the order of `rows`."""
+        turned = np.moveaxis(functions, -3, -1)[..., np.moveaxis(self._known, 0, -1)]
+        return np.concatenate([turned.real, turned.imag], axis=-1)
+
+    @cached_property
+    def _row_std(self) -> np.ndarray:
+        return self._stacked(self._std * (1 + 1j))
+
+    @property
+    def relative_std(self) -> np.ndarray:
+        """Standard deviation of every row over the modulus of its FRF, (n_rows,)."""
+        size = self._stacked(np.abs(self.problem.measured.values) * (1 + 1j))
+        return np.divide(self._row_std, size, out=np.full(len(size), np.inf), where=size > 0)
+
+    @property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """Empty: no FRF has a fitted factor."""
+        return {}
+
+    @property
+    def std_dof(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the standard deviations: those of all repeats, less two parts of each function."""
+        measured = self.problem.measured
+        if measured.n_repeats < 2:
+            return {"frf": np.inf}
+        functions = int(self._known.any(axis=0).sum())
+        return {"frf": min(2.0 * (measured.n_repeats - 1) * int(self._known.sum()) - 2 * functions, KNOWN)}
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash that changes whenever the residual or its derivatives at the same values could."""
+        arrays = (self.problem.measured.values, self._std)
+        return digest_of(_DEFINITION, self.problem.fingerprint, *(a.tobytes() for a in arrays))[:16]
+
+    @property
+    def told_by_responses(self) -> bool:
+        """The solution cannot be restored from its responses."""
+        return False
+
+    def with_model(self, model: StructuralModel | ReducedModel, added: int | None = None) -> FRFResidual:
+        """The same measured FRFs with another model; ``added`` concerns modes and is ignored."""
+        return replace(self, problem=replace(self.problem, model=model))
+
+    def solve(self, values: Mapping[str, float]) -> np.ndarray:
+        """FRFs at named values, (n_freq, n_responses, n_references); EvaluationError where it has none."""
+        found: dict[str, np.ndarray] = {}
+
+        def ask(point: Mapping[str, float]) -> dict[str, float]:
+            found["functions"] = self.problem.functions(point)
+            return {}
+
+        answered(ask, values)
+        return found["functions"]
+
+    def responses(self, solution: np.ndarray) -> dict[str, float]:
+        """Assurance of every function over its lines (FRAC), by ``frac RESPONSE/REFERENCE``."""
+        measured = self.problem.measured
+        out = {}
+        for i, response in enumerate(measured.responses):
+            for j, reference in enumerate(measured.references):
+                known = self._known[:, i, j]
+                if known.any():
+                    pair = mac(measured.values[known, i, j][:, None], solution[known, i, j][:, None])
+                    out[f"frac {response.name}/{reference.name}"] = float(pair[0, 0])
+        return out
+
+    def restored(self, responses: Mapping[str, float]) -> None:
+        """None: see `told_by_responses`."""
+        return
+
+    def unpaired(self, solution: np.ndarray) -> frozenset[str]:
+        """Empty: FRFs are matched by their places."""
+        return frozenset()
+
+    def of(self, solution: np.ndarray) -> np.ndarray:
+        """Whitened residual of FRFs already computed, (n_rows,)."""
+        return np.asarray(self._stacked(self.problem.measured.values - solution) / self._row_std)
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Whitened residual at named values, (n_rows,); EvaluationError where the model has no FRFs."""
+        return self.of(self.solve(values))
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Its derivatives per unit of each parameter, (n_rows, n_params); of an integer parameter zero."""
+        return self.slope(values, names, self.solve)
+
+    def slope(
+        self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], np.ndarray]
+    ) -> np.ndarray:
+        """The Jacobian, which needs no solution of another point."""
+        if not names:
+            return np.zeros((len(self._row_std), 0))
+        return np.asarray(-self._stacked(self.problem.slopes(values, names)).T / self._row_std[:, None])
+
+    def frequencies(
+        self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], np.ndarray]
+    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+        """Empty: no modes are solved; see `ModalResidual.frequencies`."""
+        return (), np.zeros(0), np.zeros((0, len(names)))

@@ -1,0 +1,400 @@
+"""Model updating from FRFs by cross-model cross-FRF equations (Li and Hong 2012), with reduction to measured places.
+
+With the dynamic stiffness ``Z(omega) = K + i omega C + i D - omega^2 M`` of the model, reduced to the measured degrees
+of freedom as ``Z_s = T^T Z T``, and the measured receptance H* at omega*_j, every residual is
+
+    R_j = W_i [I_Q - Z_s(omega*_j) H*_j],   W_i = H_s(omega_i)^T,
+
+which vanishes for the right model whatever the frequency omega_i: the left factor W_i weights equations and adds none
+(at most n_masters x n_references x n_lines of them are independent). The residual is linear in the changes of K, D, C
+and M but for the change of T. Both iterations of the article solve
+
+    A (theta_{k+1} - theta_k) = R(theta_k)   by least squares,
+
+and differ in one place, the point at which A and W are evaluated. The proposed iteration keeps them at the initial
+model, which is a chord (frozen Jacobian) iteration; the article's term G_k is the difference of R(theta_k) from
+R(theta_0) - A theta_k. The traditional one evaluates them at every step. Without noise both have the same limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+
+from calib.errors import EvaluationError, InputError
+
+Kind = Literal["stiffness", "mass", "structural", "viscous"]
+Weighting = Literal["none", "block", "white"]
+Iteration = Literal["proposed", "traditional", "traditional_total"]
+Reduce = Callable[[sp.csc_array, sp.csc_array], np.ndarray]
+"""Transformation T (n_dof, n_masters) of a stiffness and a mass matrix (n_dof, n_dof)."""
+
+RESONANT = 1e-5
+"""Relative distance of an evaluation frequency from a resonance below which its receptance is rounding error."""
+
+_RANK = 1e-10
+"""Smallest singular value over the largest, columns scaled, below which changes are not determined."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """One unknown: the factor theta by which a matrix is added to the model.
+
+    Attributes
+    ----------
+    name : str
+    kind : {"stiffness", "mass", "structural", "viscous"}
+        The matrix of the dynamic stiffness it adds to.
+    matrix : csc_array (n_dof, n_dof)
+        Of linked elements their sum. With the nominal contribution, theta is the relative change; for ``structural``
+        damping with a stiffness matrix it is the loss factor times the updated stiffness over the nominal one.
+    """
+
+    name: str
+    kind: Kind
+    matrix: sp.csc_array
+
+
+@dataclass(frozen=True, eq=False)
+class InitialModel:
+    """The model to update.
+
+    Attributes
+    ----------
+    stiffness, mass : csc_array (n_dof, n_dof)
+        Symmetric; SI.
+    changes : tuple of Change
+    masters : ndarray (n_masters,), int
+        Degrees of freedom at which the receptance was measured.
+    reduce : callable, optional
+        `Reduce`; None where every degree of freedom is a master.
+    viscous, structural : csc_array (n_dof, n_dof), optional
+        C and D of the initial model.
+    """
+
+    stiffness: sp.csc_array
+    mass: sp.csc_array
+    changes: tuple[Change, ...]
+    masters: np.ndarray
+    reduce: Reduce | None = None
+    viscous: sp.csc_array | None = None
+    structural: sp.csc_array | None = None
+
+    def __post_init__(self) -> None:
+        if self.reduce is None and len(self.masters) != self.stiffness.shape[0]:
+            raise InputError(
+                f"{len(self.masters)} of {self.stiffness.shape[0]} degrees of freedom are measured",
+                place="cross-model equations",
+                remedy="give a reduction to these",
+            )
+        if not self.changes:
+            raise InputError("nothing may change", place="cross-model equations", remedy="name a parameter")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredReceptance:
+    """Receptance at the masters.
+
+    Attributes
+    ----------
+    freq : ndarray (n_lines,)
+        Hz.
+    receptance : ndarray (n_lines, n_masters, n_references)
+        m/N (complex where damped), all masters of each reference.
+    references : ndarray (n_references,), int
+        Index of each among the masters.
+    """
+
+    freq: np.ndarray
+    receptance: np.ndarray
+    references: np.ndarray
+
+    def __post_init__(self) -> None:
+        shape = (len(self.freq), np.shape(self.receptance)[1], len(self.references))
+        if np.shape(self.receptance) != shape or not np.all(np.isfinite(self.receptance)):
+            raise InputError(
+                f"the receptance has shape {np.shape(self.receptance)} or entries that are not finite",
+                place="cross-model equations",
+                remedy=f"give finite ones of shape {shape}: lines, masters, references",
+            )
+
+
+@dataclass(frozen=True)
+class CmcfSettings:
+    """Settings of the iteration.
+
+    Attributes
+    ----------
+    orders : int
+        Model frequencies at which the left factors are evaluated.
+    offset : float
+        Relative distance of these from the model's resonances; never 0 without damping.
+    weighting : {"white", "block", "none"}
+        Of the equations of lines i and j. ``white`` divides by the standard deviation that multiplicative noise of H*
+        gives them, ``|W_i Z_s(omega*_j)| |H*_j|``; ``block`` by ``|W_i| |H*_j|``, which lets noise shrink the changes.
+    iteration : {"proposed", "traditional", "traditional_total"}
+        ``traditional`` takes the updated model as the next base; ``traditional_total`` the initial one with the
+        transformation of the updated one.
+    steps : int
+        At most.
+    tolerance : float
+        It stops when no frequency changes by more, relative.
+    """
+
+    orders: int = 8
+    offset: float = 0.02
+    weighting: Weighting = "white"
+    iteration: Iteration = "proposed"
+    steps: int = 15
+    tolerance: float = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class CmcfResult:
+    """The iterates.
+
+    Attributes
+    ----------
+    names : tuple of str
+    changes : ndarray (n_steps + 1, n_changes)
+        theta after each step, from 0.
+    freq : ndarray (n_steps + 1, orders)
+        Natural frequencies of the reduced updated model, Hz.
+    converged : bool
+    builds : int
+        How often the matrix A of the equations was built.
+    """
+
+    names: tuple[str, ...]
+    changes: np.ndarray
+    freq: np.ndarray
+    converged: bool
+    builds: int
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Each change at the end."""
+        return {name: float(v) for name, v in zip(self.names, self.changes[-1], strict=True)}
+
+
+def cmcf(model: InitialModel, measured: MeasuredReceptance, settings: CmcfSettings = CmcfSettings()) -> CmcfResult:
+    """Changes of the model with which it has the measured receptance.
+
+    Raises
+    ------
+    InputError
+        When there are fewer equations than unknowns, or the equations do not determine some changes.
+    EvaluationError
+        When a dynamic stiffness is inverted too close to a resonance, or a stiffness or mass would not stay positive.
+    """
+    n_changes = len(model.changes)
+    independent = measured.receptance.size * (2 if np.iscomplexobj(measured.receptance) else 1)
+    if independent < n_changes:
+        raise InputError(
+            f"{independent} independent equations do not determine {n_changes} changes",
+            place="cross-model equations",
+            remedy="measure at more places or lines, or free fewer parameters",
+        )
+    theta, path = np.zeros(n_changes), [np.zeros(n_changes)]
+    reduced = Reduced.of(model, theta)
+    freq = [reduced.freq(settings.orders)]
+    equations, builds, converged = Equations.at(reduced, measured, settings), 1, False
+    for step in range(settings.steps):
+        if step and settings.iteration != "proposed":
+            base = reduced if settings.iteration == "traditional" else reduced.with_changes(np.zeros(n_changes))
+            equations, builds = Equations.at(base, measured, settings), builds + 1
+        theta = theta + equations.solve(reduced.imbalance(measured))
+        require_positive(model.changes, theta)
+        reduced = Reduced.of(model, theta)
+        path.append(theta)
+        freq.append(reduced.freq(settings.orders))
+        if np.max(np.abs(freq[-1] / freq[-2] - 1)) < settings.tolerance:
+            converged = True
+            break
+    return CmcfResult(tuple(c.name for c in model.changes), np.array(path), np.array(freq), converged, builds)
+
+
+def require_positive(changes: Sequence[Change], theta: np.ndarray) -> None:
+    """EvaluationError when a stiffness or mass factor 1 + theta is not positive, so that the model makes no sense."""
+    for change, value in zip(changes, theta, strict=True):
+        if change.kind in ("stiffness", "mass") and not 1 + value > 0:
+            raise EvaluationError(
+                f"the factor of {change.name} becomes {1 + value:.3g}: the FRFs do not determine it, or do not fit"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """The model with changes theta, reduced by a transformation.
+
+    Attributes
+    ----------
+    theta : ndarray (n_changes,)
+    stiffness, mass, structural, viscous : ndarray (n_masters, n_masters)
+        Of the initial model.
+    blocks : ndarray (n_changes, n_masters, n_masters)
+        Matrices of the changes.
+    kinds : tuple of str
+    """
+
+    theta: np.ndarray
+    stiffness: np.ndarray
+    mass: np.ndarray
+    structural: np.ndarray
+    viscous: np.ndarray
+    blocks: np.ndarray
+    kinds: tuple[Kind, ...]
+
+    @staticmethod
+    def of(model: InitialModel, theta: np.ndarray) -> Reduced:
+        """The model at theta, reduced there."""
+        n = len(model.masters)
+        if model.reduce is None:
+            transformation = np.eye(n)[:, model.masters]
+        else:
+            changed = {"stiffness": model.stiffness, "mass": model.mass}
+            for change, value in zip(model.changes, theta, strict=True):
+                if change.kind in changed:
+                    changed[change.kind] = changed[change.kind] + value * change.matrix
+            transformation = model.reduce(sp.csc_array(changed["stiffness"]), sp.csc_array(changed["mass"]))
+
+        def small(matrix: sp.csc_array | None) -> np.ndarray:
+            return np.zeros((n, n)) if matrix is None else np.asarray(transformation.T @ (matrix @ transformation))
+
+        return Reduced(
+            theta, small(model.stiffness), small(model.mass), small(model.structural), small(model.viscous),
+            np.array([small(c.matrix) for c in model.changes]), tuple(c.kind for c in model.changes),
+        )  # fmt: skip
+
+    def with_changes(self, theta: np.ndarray) -> Reduced:
+        """Other changes with the same transformation."""
+        return replace(self, theta=theta)
+
+    def total(self, kind: Kind) -> np.ndarray:
+        """K, M, D or C with the changes, (n_masters, n_masters)."""
+        own: np.ndarray = getattr(self, kind)
+        chosen = np.array([k == kind for k in self.kinds])
+        return np.asarray(own + np.tensordot(self.theta[chosen], self.blocks[chosen], axes=1))
+
+    def freq(self, orders: int) -> np.ndarray:
+        """Lowest undamped natural frequencies, Hz."""
+        try:
+            eigenvalues = la.eigh(self.total("stiffness"), self.total("mass"), eigvals_only=True)[:orders]
+        except la.LinAlgError as fault:
+            raise EvaluationError("the mass of the updated model is not positive") from fault
+        return np.asarray(np.sqrt(np.maximum(eigenvalues, 0.0)) / (2 * np.pi))
+
+    def dynamic(self, freq: np.ndarray) -> np.ndarray:
+        """Dynamic stiffness at frequencies in Hz, (n_freq, n_masters, n_masters), real without damping."""
+        omega = 2 * np.pi * np.asarray(freq)[:, None, None]
+        real = self.total("stiffness") - omega**2 * self.total("mass")
+        damping = omega * self.total("viscous") + self.total("structural")
+        return real + 1j * damping if np.any(damping) else real
+
+    def slopes(self, freq: np.ndarray) -> np.ndarray:
+        """Derivatives of the dynamic stiffness, (n_freq, n_changes, n_masters, n_masters)."""
+        omega = 2 * np.pi * np.asarray(freq)[:, None]
+        factor = {
+            "stiffness": 1.0 + 0 * omega,
+            "mass": -(omega**2),
+            "structural": 1j + 0 * omega,
+            "viscous": 1j * omega,
+        }
+        each = np.hstack([factor[kind] for kind in self.kinds])
+        return np.asarray(each[:, :, None, None] * self.blocks)
+
+    def imbalance(self, measured: MeasuredReceptance) -> np.ndarray:
+        """``I_Q - Z_s H*``, (n_lines, n_masters, n_references): zero where model and measurement agree."""
+        return np.asarray(
+            np.eye(len(self.stiffness))[:, measured.references] - self.dynamic(measured.freq) @ measured.receptance
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Left factors and the least-squares solution of the equations, at one model.
+
+    Attributes
+    ----------
+    left : ndarray (orders, n_masters, n_masters)
+        W.
+    weight : ndarray (orders, n_lines)
+    inverse : ndarray (n_changes, n_rows)
+        Pseudo-inverse of A; rows are real.
+    """
+
+    left: np.ndarray
+    weight: np.ndarray
+    inverse: np.ndarray
+
+    @staticmethod
+    def at(base: Reduced, measured: MeasuredReceptance, settings: CmcfSettings) -> Equations:
+        """The equations whose A and W belong to a model; see `cmcf`."""
+        left = _left_factors(base, settings)
+        weight = _weights(left, base, measured, settings.weighting)
+        right = base.slopes(measured.freq) @ measured.receptance[:, None]  # (lines, changes, masters, references)
+        rows = np.einsum("ipm,jnmq,ij->nijpq", left, right, weight, optimize=True)
+        return Equations(left, weight, _pseudo_inverse(_real(rows.reshape(len(base.kinds), -1)).T, base))
+
+    def solve(self, imbalance: np.ndarray) -> np.ndarray:
+        """Change of theta that removes an imbalance (n_lines, n_masters, n_references)."""
+        rows = np.einsum("ipm,jmq,ij->ijpq", self.left, imbalance, self.weight, optimize=True).reshape(1, -1)
+        stacked = _real(rows, self.inverse.shape[1] > rows.size)[0]
+        return np.asarray(self.inverse @ stacked)
+
+
+def _left_factors(base: Reduced, settings: CmcfSettings) -> np.ndarray:
+    """``H_s(omega_i)^T`` of the undamped model near its resonances, (orders, n_masters, n_masters)."""
+    own = base.freq(len(base.stiffness))
+    at = own[: settings.orders] * (1 + settings.offset)
+    omega = 2 * np.pi * at[:, None, None]
+    dynamic = base.total("stiffness") - omega**2 * base.total("mass")
+    nearest = np.min(np.abs(at[:, None] - own) / np.maximum(own, 1e-300), axis=1)
+    for freq, gap in zip(at, nearest, strict=True):
+        if gap < RESONANT:
+            raise EvaluationError(
+                f"the model's receptance at {freq:.6g} Hz is taken {gap:.1e} from a resonance, where it is rounding "
+                "error; choose another offset, such as 0.02"
+            )
+    return np.asarray(np.linalg.inv(dynamic).transpose(0, 2, 1))
+
+
+def _weights(left: np.ndarray, base: Reduced, measured: MeasuredReceptance, weighting: Weighting) -> np.ndarray:
+    """Weight of the equations of each left factor and line, (orders, n_lines)."""
+    size = np.linalg.norm(measured.receptance, axis=(1, 2))
+    if weighting == "none":
+        return np.ones((len(left), len(size)))
+    if weighting == "block":
+        return np.asarray(1 / (np.linalg.norm(left, axis=(1, 2))[:, None] * size))
+    spread = np.linalg.norm(left[:, None] @ base.dynamic(measured.freq), axis=(2, 3))
+    return np.asarray(1 / (spread * size))
+
+
+def _real(rows: np.ndarray, both: bool = False) -> np.ndarray:
+    """Real rows (n, m), or real and imaginary parts side by side (n, 2 m) where they are complex or ``both``."""
+    return np.hstack([rows.real, rows.imag]) if both or np.iscomplexobj(rows) else rows
+
+
+def _pseudo_inverse(matrix: np.ndarray, base: Reduced) -> np.ndarray:
+    """Pseudo-inverse of A (n_rows, n_changes), columns scaled; InputError when it has not full rank."""
+    scale = np.linalg.norm(matrix, axis=0)
+    if not np.all(scale > 0):
+        raise InputError(
+            f"{np.count_nonzero(scale == 0)} of the changes move no measured place",
+            place="cross-model equations",
+            remedy="free fewer parameters or measure elsewhere",
+        )
+    left, values, right = la.svd(matrix / scale, full_matrices=False)
+    rank = int(np.count_nonzero(values > _RANK * values[0]))
+    if rank < len(scale):
+        raise InputError(
+            f"the equations determine {rank} of {len(scale)} changes",
+            place="cross-model equations",
+            remedy="free fewer parameters, or measure more lines or places",
+        )
+    return np.asarray((right.T / values) @ left.T / scale[:, None])

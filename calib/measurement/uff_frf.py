@@ -1,0 +1,169 @@
+"""Frequency response functions from universal files: datasets 58, ASCII or binary, with the units of 164."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyuff
+
+from calib.errors import InputError
+from calib.measurement.csv_format import VALUE_LIMIT
+from calib.measurement.frf import AXIS, NO_PHASE, FRFRepeat, Quantity
+from calib.measurement.modal import DIRECTIONS
+from calib.measurement.uff_blocks import first_line, read_blocks
+
+_FRF, _COHERENCE = 4, 6
+_MOTIONS: Mapping[int, Quantity] = {8: "receptance", 11: "mobility", 12: "accelerance"}
+"""Quantity by the data type of the numerator."""
+_FORCES = (13,)
+_GRAVITY = 9.80665
+_COMPLEX = (5, 6)
+
+Key = tuple[tuple[int, str], tuple[int, str]]
+
+
+def read_uff_frfs(path: Path, quantity: Quantity | None = None) -> FRFRepeat:
+    """Read one repeat from a universal file.
+
+    Every dataset 58 with a frequency response function counts; coherences are kept beside them, other functions are
+    noted. A sensor mounted against its axis (negative direction) reverses the sign. Lengths and forces are those of
+    dataset 164, accelerations in g are converted; a line at 0 Hz is dropped where the motion is no displacement.
+
+    Parameters
+    ----------
+    path : Path
+    quantity : {"receptance", "mobility", "accelerance"}, optional
+        Where the file does not say; a contradiction is refused.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, without such functions, with amplitudes alone, a function twice, or lines that
+        differ between functions.
+    """
+    read_blocks(path)  # a truncated file would lose its last functions without a word
+    sets = _sets(path)
+    length, force, notes = _units(path, sets)
+    functions: dict[Key, np.ndarray] = {}
+    coherence: dict[Key, np.ndarray] = {}
+    axis: np.ndarray | None = None
+    found: Quantity | None = None
+    others = 0
+    for data in sets:
+        if data["type"] != 58:
+            continue
+        if data["func_type"] not in (_FRF, _COHERENCE):
+            others += 1
+            continue
+        where = f"{path}, response {data['rsp_node']}, direction {data['rsp_dir']}"
+        key, sign = _key(where, data)
+        freq = np.asarray(data["x"], dtype=float)
+        if axis is None:
+            axis = freq
+        if freq.shape != axis.shape or not np.allclose(freq, axis, rtol=AXIS, atol=AXIS * float(np.abs(axis).max())):
+            raise InputError(
+                "its lines are not those of the first function", place=where, remedy="export all on common frequencies"
+            )
+        if data["func_type"] == _COHERENCE:
+            coherence[key] = np.asarray(np.real(data["data"]), dtype=float)
+            continue
+        if int(data["ord_data_type"]) not in _COMPLEX:
+            raise InputError("its values are real", place=where, remedy=NO_PHASE)
+        own = _quantity(where, data, quantity)
+        if found not in (None, own):
+            raise InputError(f"it is {own}, others are {found}", place=where, remedy="export one quantity")
+        found = own
+        if key in functions:
+            raise InputError("this function is there twice", place=where, remedy="export each once, one file a repeat")
+        values = np.asarray(data["data"], dtype=complex)
+        if not np.all(np.abs(values) <= VALUE_LIMIT):  # NaN fails the comparison too
+            raise InputError("it holds values that are not finite", place=where, remedy="export it again")
+        if not values.any():
+            raise InputError("it is zero on every line: a dead channel", place=where, remedy="leave it out")
+        functions[key] = sign * values * _factor(data, key, length, force)
+    if axis is None or found is None or not functions:
+        raise InputError(
+            "it holds no frequency response function (dataset 58 of function type 4)", place=path,
+            remedy="export the FRFs as complex dataset 58",
+        )  # fmt: skip
+    if others:
+        notes.append(f"{path}: {others} functions skipped that are neither FRFs nor coherences")
+    kept = axis > 0 if found != "receptance" else axis >= 0
+    return FRFRepeat(
+        str(path), axis[kept], found, {key: values[kept] for key, values in functions.items()},
+        {key: values[kept] for key, values in coherence.items()}, tuple(notes),
+    )  # fmt: skip
+
+
+def _sets(path: Path) -> list[dict[str, Any]]:
+    quiet = io.StringIO()
+    # pyuff signals damage by exceptions of any kind, so nothing narrower can be caught here
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
+            warnings.simplefilter("ignore")
+            reader = pyuff.UFF(str(path))
+            used = [k for k, kind in enumerate(reader.get_set_types()) if int(kind) in (58, 164)]
+            return [dict(reader.read_sets(k)) for k in used]
+    except Exception as fault:
+        raise InputError(
+            f"its functions cannot be read ({first_line(fault)})", place=path, remedy="export it again"
+        ) from None
+
+
+def _units(path: Path, sets: list[dict[str, Any]]) -> tuple[float, float, list[str]]:
+    """Length and force units of the file per metre and newton."""
+    given = {(float(data["length"]), float(data["force"])) for data in sets if data["type"] == 164}
+    if len(given) > 1:
+        raise InputError("two datasets 164 state different units", place=path, remedy="keep one of them")
+    if not given:
+        return 1.0, 1.0, [f"{path}: no units (dataset 164): metres and newtons assumed"]
+    ((length, force),) = given
+    if not (0 < length < np.inf and 0 < force < np.inf):
+        raise InputError(f"its units are {length:g} and {force:g}", place=path, remedy="correct dataset 164")
+    return length, force, []
+
+
+def _key(where: str, data: Mapping[str, Any]) -> tuple[Key, float]:
+    """Response and reference, and the sign of their directions."""
+    sign, ends = 1.0, []
+    for side, what in (("rsp", "response"), ("ref", "reference")):
+        code = int(data[f"{side}_dir"])
+        if not 1 <= abs(code) <= 6:
+            raise InputError(
+                f"the direction of its {what} is {code}", place=where, remedy="give 1 to 6, negative against the axis"
+            )
+        sign *= np.sign(code)
+        ends.append((int(data[f"{side}_node"]), DIRECTIONS[abs(code) - 1]))
+    return (ends[0], ends[1]), float(sign)
+
+
+def _quantity(where: str, data: Mapping[str, Any], stated: Quantity | None) -> Quantity:
+    own = _MOTIONS.get(int(data["ordinate_spec_data_type"]))
+    under = int(data["orddenom_spec_data_type"])
+    if under not in (0, *_FORCES):
+        raise InputError(
+            f"its denominator is of data type {under}, no force (13)", place=where, remedy="export motion over force"
+        )
+    if own is None and stated is None:
+        raise InputError(
+            f"its ordinate is of data type {int(data['ordinate_spec_data_type'])}, which is neither displacement (8), "
+            "velocity (11) nor acceleration (12)",
+            place=where, remedy="state the quantity",
+        )  # fmt: skip
+    if own is not None and stated not in (None, own):
+        raise InputError(f"it says that it is {own}, not {stated}", place=where, remedy="correct one of them")
+    return own or stated or "receptance"
+
+
+def _factor(data: Mapping[str, Any], key: Key, length: float, force: float) -> float:
+    """From the units of the file to SI."""
+    (_, moved), (_, driven) = key
+    in_g = str(data.get("ordinate_axis_units_lab", "")).strip().lower().split("/")[0] in ("g", "gn")
+    translation = 1.0 if moved.startswith("r") else (_GRAVITY if in_g else 1.0 / length)
+    return translation * (force * length if driven.startswith("r") else force)

@@ -1,0 +1,159 @@
+"""Frequency response functions of a model with matrices, and their derivatives, by direct solution at every line.
+
+With ``Z(omega) = K + i omega C - omega^2 M`` the receptance between responses R and forces F (rows over the degrees of
+freedom) is ``H = R Z^-1 F^T``, and since Z is symmetric ``dH = -(Z^-1 R^T)^T dZ (Z^-1 F^T)``: no line needs a second
+factorisation. Mobility and accelerance are the receptance times ``i omega`` and ``-omega^2``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+from scipy.linalg import lapack
+
+from calib.errors import EvaluationError
+from calib.structure.derivatives import DifferentiableModel, Matrix
+from calib.structure.solve import DENSE_LIMIT
+
+Quantity = Literal["receptance", "mobility", "accelerance"]
+
+_ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
+
+_SINGULAR = 1e-12
+"""Smallest pivot over the largest, of the matrix scaled to a unit diagonal of K, below which a line is a resonance."""
+
+
+def motion_factor(quantity: Quantity, freq: np.ndarray) -> np.ndarray:
+    """``(i omega)^n`` that turns a receptance into another quantity, (n_freq,), complex; frequencies in Hz."""
+    return np.asarray((2j * np.pi * np.asarray(freq, dtype=float)) ** _ORDER[quantity])
+
+
+def frf(
+    model: DifferentiableModel,
+    values: Mapping[str, float],
+    freq: np.ndarray,
+    responses: np.ndarray,
+    references: np.ndarray,
+    quantity: Quantity = "receptance",
+) -> np.ndarray:
+    """Frequency response functions at named values.
+
+    Parameters
+    ----------
+    model : DifferentiableModel
+        Full-order or reduced.
+    values : mapping
+        Each in its parameter's unit; missing ones are nominal.
+    freq : ndarray (n_freq,)
+        Hz.
+    responses, references : ndarray (n_responses, n_dof), (n_references, n_dof)
+        Motions at the response sensors and at the places of the forces, as `StructuralModel.sensor_rows` gives them.
+    quantity : {"receptance", "mobility", "accelerance"}
+        In m/N, m/s/N or m/s^2/N; rotations and moments accordingly.
+
+    Returns
+    -------
+    ndarray (n_freq, n_responses, n_references), complex
+
+    Raises
+    ------
+    EvaluationError
+        When the matrices are not finite, or a line lies on a resonance without damping.
+    """
+    found = [responses @ x for (x,) in _solved(model.matrices(values), freq, references)]
+    return np.array(found).reshape(len(freq), len(responses), len(references)) * _per_line(quantity, freq)
+
+
+def frf_derivatives(
+    model: DifferentiableModel,
+    values: Mapping[str, float],
+    freq: np.ndarray,
+    responses: np.ndarray,
+    references: np.ndarray,
+    names: Sequence[str],
+    quantity: Quantity = "receptance",
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequency response functions as in `frf`, and their derivatives per unit of each named parameter.
+
+    Returns
+    -------
+    functions : ndarray (n_freq, n_responses, n_references), complex
+    derivatives : ndarray (n_params, n_freq, n_responses, n_references), complex
+        Of an integer parameter zero.
+
+    Raises
+    ------
+    EvaluationError
+        As `frf`.
+    """
+    slopes = [model.matrix_derivatives(values, name) for name in names]
+    functions = np.empty((len(freq), len(responses), len(references)), dtype=complex)
+    derivatives = np.empty((len(names), *functions.shape), dtype=complex)
+    for k, (forced, felt) in enumerate(_solved(model.matrices(values), freq, references, responses)):
+        omega = 2 * np.pi * freq[k]
+        functions[k] = responses @ forced
+        for p, (dk, dc, dm) in enumerate(slopes):
+            changed = dk @ forced + 1j * omega * (dc @ forced) - omega**2 * (dm @ forced)
+            derivatives[p, k] = -felt.T @ changed
+    factor = _per_line(quantity, freq)
+    return functions * factor, derivatives * factor
+
+
+def _per_line(quantity: Quantity, freq: np.ndarray) -> np.ndarray:
+    return motion_factor(quantity, freq)[:, None, None]
+
+
+def _solved(
+    matrices: tuple[Matrix, Matrix, Matrix], freq: np.ndarray, *rows: np.ndarray
+) -> Iterator[tuple[np.ndarray, ...]]:
+    """``Z^-1 r^T`` of each set of rows r, (n_dof, n_rows), line by line."""
+    stiffness, damping, mass = (_dense(matrix) if matrix.shape[0] <= DENSE_LIMIT else matrix for matrix in matrices)
+    loads = np.vstack(rows).T.astype(complex)
+    ends = np.cumsum([len(r) for r in rows])[:-1]
+    diagonal = np.abs(stiffness.diagonal())
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    for line in np.asarray(freq, dtype=float):
+        omega = 2 * np.pi * line
+        dynamic = stiffness + 1j * omega * damping - omega**2 * mass
+        solution = scale[:, None] * _solution(dynamic, scale, scale[:, None] * loads, line)
+        yield tuple(np.split(solution, ends, axis=1))
+
+
+def _dense(matrix: Matrix) -> np.ndarray:
+    return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+
+
+def _solution(dynamic: Matrix, scale: np.ndarray, loads: np.ndarray, freq: float) -> np.ndarray:
+    """Solution of the system scaled by ``scale`` on both sides, (n_dof, n_loads)."""
+    scaled = (
+        dynamic.multiply(scale[:, None]).multiply(scale) if _is_sparse(dynamic) else scale[:, None] * dynamic * scale
+    )
+    if not np.all(np.isfinite(scaled.data if _is_sparse(scaled) else scaled)):
+        raise EvaluationError(f"the dynamic stiffness at {freq:.6g} Hz holds entries that are not finite")
+    if _is_sparse(scaled):
+        try:
+            factor = spla.splu(sp.csc_matrix(scaled), permc_spec="MMD_AT_PLUS_A")
+        except RuntimeError:
+            raise _resonance(freq) from None
+        pivots, found = np.abs(factor.U.diagonal()), factor.solve(loads)
+    else:
+        lu, order, _ = lapack.zgetrf(scaled)
+        pivots, found = np.abs(lu.diagonal()), lapack.zgetrs(lu, order, loads)[0]
+    if not pivots.min() > _SINGULAR * pivots.max():
+        raise _resonance(freq)
+    return np.asarray(found)
+
+
+def _is_sparse(matrix: Matrix) -> bool:
+    return bool(sp.issparse(matrix))
+
+
+def _resonance(freq: float) -> EvaluationError:
+    return EvaluationError(
+        f"the dynamic stiffness is singular at {freq:.6g} Hz, which is a resonance without damping: "
+        "leave the line out, or give the model damping"
+    )

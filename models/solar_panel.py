@@ -1,0 +1,209 @@
+"""A solar array of two panels on beams, clamped at the yoke: the example of Li and Hong (2012), reconstructed.
+
+The article gives 31 nodes, 90 degrees of freedom, 16 plates, 4 beams, the moduli, the plates' thickness, the beams'
+area and the twelve master nodes. Its geometry, densities and Poisson's ratios are lost and assumed here; so is the
+rigid connection of plates and beams, since hinged beams would leave mechanisms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.sparse as sp
+
+from calib.errors import InputError
+from calib.space import Parameter, ParameterSpace
+from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
+from calib.structure.geometry import DofMap, Mesh, NodeLocator
+from calib.structure.model import Assumption, Part, StructuralModel
+from models.fem import beam, thin_plate
+from models.fem.nodes import NodeTable, assemble
+from models.fem.section import Section
+
+SOURCE = "Li and Hong 2012"
+LENGTH, WIDTH = 0.8, 0.4
+"""Of a panel, m (assumed)."""
+GAP, YOKE = 0.4, 0.4
+"""Between the panels, and from the second one to the clamp, m (assumed)."""
+THICKNESS = 6e-3
+PLATE_POISSON, PLATE_DENSITY = 0.30, 8000.0
+SIDE = 10e-3
+"""Of the beams' square section, m: the area of 1 cm^2 is published."""
+BEAM = Section(
+    area=SIDE**2, i_y=SIDE**4 / 12, i_z=SIDE**4 / 12, torsion=0.1406 * SIDE**4, young_modulus=1.0, poisson_ratio=0.33,
+    density=2700.0, shear_coefficient=math.inf,
+)  # fmt: skip
+E_PLATE, E_BEAM = 193.0, 70.0
+"""GPa."""
+MASTERS = (1, 3, 7, 9, 13, 15, 16, 18, 22, 24, 28, 30)
+"""Nodes whose deflections are measured."""
+BEAMS = {17: (13, 16), 18: (15, 18), 19: (28, 31), 20: (30, 31)}
+"""Their nodes; node 31 is the clamp."""
+GROUPS = ("E_panel_1", "E_panel_2", "E_beam_17", "E_beam_18", "E_beam_19", "E_beam_20")
+ROWS = 5
+"""Of nodes along a panel; three nodes in each row."""
+_FREE = (2, 3, 4)
+"""Deflection and the two rotations that bend: motions in the panels' plane are constrained, as in the article."""
+
+_ASSUMED = (
+    Assumption("panels", f"{LENGTH:g} x {WIDTH:g}", "m", "dimensions are lost"),
+    Assumption("gap and yoke", f"{GAP:g} and {YOKE:g}", "m", "dimensions are lost"),
+    Assumption("plates", "8000", "kg/m3", "density of the steel is lost; Poisson's ratio 0.30 as well"),
+    Assumption("beams", "2700", "kg/m3", "density of the aluminium is lost; Poisson's ratio 0.33 as well"),
+    Assumption("beams", "10 x 10", "mm", "only the area of 1 cm2 is published"),
+    Assumption("connections", "rigid", "-", "hinges would leave mechanisms"),
+)
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A plate or beam of the article, with its elements.
+
+    Attributes
+    ----------
+    name, group : str
+        Its number in the article, and the parameter that is its Young's modulus.
+    nodes : ndarray (n, 4) or (n, 2), int
+        Of each element.
+    stiffness, mass : ndarray (n, 6 m, 6 m)
+        Element matrices over all motions of their m nodes, for a Young's modulus of 1 Pa.
+    """
+
+    name: str
+    group: str
+    nodes: np.ndarray
+    stiffness: np.ndarray
+    mass: np.ndarray
+
+
+def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE) -> StructuralModel:
+    """The array, with the Young's moduli of its two panels and four beams as parameters.
+
+    Parameters
+    ----------
+    density : int
+        Elements along each side of a plate and along each beam; 1 is the article's mesh.
+    gap, yoke : float
+        m.
+
+    Raises
+    ------
+    InputError
+        When the density is below 1 or a length is not positive.
+    """
+    if density < 1 or not (gap > 0 and yoke > 0):
+        raise InputError(
+            f"the density is {density}, the gap {gap:g} m and the yoke {yoke:g} m",
+            place="solar panel",
+            remedy="give a density of 1 or more and positive lengths",
+        )
+    table = NodeTable()
+    clamp = [table.number("array", place) for place in _places(gap, yoke)][-1]
+    pieces = [*_plates(table, density), *_beams(table, density)]
+    points = np.array(table.points)
+    node = np.repeat(np.delete(np.arange(len(points)), clamp), len(_FREE))
+    direction = np.tile(_FREE, len(points) - 1)
+    expansion = sp.csr_array(
+        (np.ones(len(node)), (6 * node + direction, np.arange(len(node)))), shape=(6 * len(points), len(node))
+    )
+
+    def free(own: _Piece, blocks: np.ndarray) -> sp.csr_array:
+        return sp.csr_array(expansion.T @ assemble(own.nodes, blocks, 6 * len(points)) @ expansion)
+
+    stiff = {piece.name: free(piece, piece.stiffness) for piece in pieces}
+    heavy = {piece.name: free(piece, piece.mass) for piece in pieces}
+    parts = []
+    for piece in pieces:
+        x, y, z = points[np.unique(piece.nodes)].mean(axis=0)
+        parts.append(Part(piece.name, "stiffness", stiff[piece.name], parameter(piece.group), (x, y, z)))
+        parts.append(Part(piece.name, "mass", heavy[piece.name], Monomial(), (x, y, z)))
+    own = {group: [piece for piece in pieces if piece.group == group] for group in GROUPS}
+    lines = [(piece.group, line) for piece in pieces for line in _edges(piece.nodes)]
+    faces = [(piece.group, face) for piece in pieces for face in piece.nodes if len(face) == 4]
+    return StructuralModel(
+        name="solar panel",
+        space=ParameterSpace(tuple(_modulus(group) for group in GROUPS)),
+        stiffness=AffineMatrix(
+            len(node), tuple(Term(g, _sum(stiff[p.name] for p in own[g]), parameter(g)) for g in GROUPS)
+        ),
+        damping=AffineMatrix(len(node), ()),
+        mass=AffineMatrix(len(node), (Term("mass", _sum(heavy.values())),)),
+        mesh=Mesh(
+            points,
+            np.array([line for _, line in lines]),
+            tuple(group for group, _ in lines),
+            np.array([face for _, face in faces]),
+            tuple(group for group, _ in faces),
+        ),
+        dofs=DofMap(expansion, node, direction),
+        clusters={
+            "front_panel": np.flatnonzero(points[node, 0] < LENGTH + gap / 2),
+            "rear_panel": np.flatnonzero(points[node, 0] > LENGTH + gap / 2),
+        },
+        locator=NodeLocator(points, expansion),
+        assumptions=_ASSUMED,
+        sensor_tolerance=0.02,
+        parts=tuple(parts),
+        labels=tuple(range(1, len(points) + 1)),
+    )
+
+
+def _places(gap: float, yoke: float) -> list[np.ndarray]:
+    """Of the article's 31 nodes: rows of three along either panel, and the clamp on the centre line."""
+    along = np.linspace(0.0, LENGTH, ROWS)
+    rows = [*along, *(along + LENGTH + gap)]
+    out = [np.array([x, y, 0.0]) for x in rows for y in (-WIDTH / 2, 0.0, WIDTH / 2)]
+    return [*out, np.array([rows[-1] + yoke, 0.0, 0.0])]
+
+
+def _plates(table: NodeTable, density: int) -> Iterator[_Piece]:
+    """Plates 1 to 8 of the first panel and 9 to 16 of the second."""
+    motions = (6 * np.arange(4)[:, None] + _FREE).ravel()
+    for panel in range(2):
+        for k in range(8):
+            row, column = divmod(k, 2)
+            first = table.points[3 * (ROWS * panel + row) + column]
+            a, b = LENGTH / (ROWS - 1) / density, WIDTH / 2 / density
+            nodes = []
+            for i, j in np.ndindex(density, density):
+                corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+                nodes.append([table.number("array", first + np.array([p * a, q * b, 0.0])) for p, q in corners])
+            blocks = np.zeros((2, 24, 24))
+            blocks[0][np.ix_(motions, motions)] = thin_plate.stiffness(a, b, THICKNESS, PLATE_POISSON)
+            blocks[1][np.ix_(motions, motions)] = thin_plate.mass(a, b, PLATE_DENSITY * THICKNESS)
+            stiffness, mass = (np.repeat(block[None], density**2, axis=0) for block in blocks)
+            yield _Piece(f"plate {8 * panel + k + 1}", GROUPS[panel], np.array(nodes), stiffness, mass)
+
+
+def _beams(table: NodeTable, density: int) -> Iterator[_Piece]:
+    for number, (first, last) in BEAMS.items():
+        start, end = table.points[first - 1], table.points[last - 1]
+        chain = [table.number("array", start + t * (end - start)) for t in np.linspace(0.0, 1.0, density + 1)]
+        points = np.array([table.points[k] for k in chain])
+        length, rotation = beam.axes(points[:-1], points[1:], np.tile([0.0, 0.0, 1.0], (density, 1)))
+        arms = np.zeros((density, 2, 3))
+        stiffness, mass = (beam.to_global(make(BEAM, length), rotation, arms) for make in (beam.stiffness, beam.mass))
+        yield _Piece(f"beam {number}", f"E_beam_{number}", np.column_stack([chain[:-1], chain[1:]]), stiffness, mass)
+
+
+def _edges(nodes: np.ndarray) -> list[tuple[int, int]]:
+    """Lines of beams, or of the edges of plates, as pairs of node indices."""
+    closed = np.column_stack([nodes, nodes[:, 0]]) if nodes.shape[1] > 2 else nodes
+    return [(int(a), int(b)) for chain in closed for a, b in pairwise(chain)]
+
+
+def _sum(matrices: Iterable[sp.csr_array]) -> sp.csr_array:
+    first, *others = matrices
+    return sp.csr_array(sum(others, first))
+
+
+def _modulus(name: str) -> Parameter:
+    nominal = E_PLATE if name.startswith("E_panel") else E_BEAM
+    return Parameter(
+        name, nominal, 0.5 * nominal, 2.0 * nominal, "GPa", source=SOURCE, assumed="limits",
+        description=f"Young's modulus of {name[2:].replace('_', ' ')}",
+    )  # fmt: skip

@@ -1,0 +1,176 @@
+"""The whitened residual of FRFs: rows, derivatives, a fit with right standard deviations, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.correlation.frf_residual import UNKNOWN_STD, FRFProblem, FRFResidual
+from calib.errors import EvaluationError, InputError
+from calib.inference.gauss_newton import Prior, fit
+from calib.measurement.frf import FRFRepeat, combined
+from calib.measurement.modal import Sensor
+from calib.problem import Problem
+from calib.space import Parameter
+from calib.structure.model import StructuralModel
+
+N = 4
+FREQ = np.linspace(2.0, 40.0, 60)
+TRUE = {"k": 1.2e4, "c": 12.0, "m": 2.3}
+NODES = {"responses": (1, 3, 4), "references": (1, 4)}
+
+
+@pytest.fixture(scope="module")
+def chain():
+    """Masses in a row; the lowest spring, a damper and the last mass are parameters."""
+    links = np.zeros((N, N, N))
+    for i in range(N):
+        b = np.eye(N)[i] - (np.eye(N)[i - 1] if i else 0)
+        links[i] = np.outer(b, b)
+    return StructuralModel.from_matrices(
+        {"k": links[0], "rest": 2e4 * links[1:].sum(axis=0)},
+        {"m": np.diag(np.eye(N)[-1]), "own": np.eye(N)},
+        {"c": links[1], "rest": 5.0 * links[2:].sum(axis=0)},
+        dofs=pd.DataFrame({"node": range(1, N + 1), "direction": "x"}),
+        parameters=[
+            Parameter("k", 1e4, 5e3, 2e4, "N/m"),
+            Parameter("c", 8.0, 1.0, 50.0, "Ns/m"),
+            Parameter("m", 2.0, 1.0, 5.0, "kg"),
+        ],
+    )
+
+
+def truth(values):
+    """Accelerances of the chain by hand, (n_freq, 3, 2)."""
+    k = np.diag([values["k"] + 2e4, 4e4, 4e4, 2e4]) - 2e4 * (np.eye(N, k=1) + np.eye(N, k=-1))
+    c = (
+        np.diag([values["c"], values["c"] + 5, 10, 5])
+        - np.diag([values["c"], 5, 5], 1)
+        - np.diag([values["c"], 5, 5], -1)
+    )
+    m = np.diag([1.0, 1.0, 1.0, 1.0 + values["m"]])
+    omega = 2 * np.pi * FREQ
+    whole = np.array([-(w**2) * np.linalg.inv(k + 1j * w * c - w**2 * m) for w in omega])
+    return whole[:, [0, 2, 3]][:, :, [0, 3]]
+
+
+def measured(seed=None, repeats=4, share=0.01, floor=2e-3):
+    """Repeats of a test with noise in proportion to the FRF and a floor; without noise for no seed."""
+    true, found = truth(TRUE), []
+    rng = np.random.default_rng(seed)
+    for k in range(repeats):
+        std = 0.0 if seed is None else np.sqrt((share * np.abs(true)) ** 2 + floor**2)
+        values = true + std * (rng.standard_normal(true.shape) + 1j * rng.standard_normal(true.shape))
+        pairs = {
+            ((r, "x"), (q, "x")): values[:, i, j]
+            for i, r in enumerate(NODES["responses"]) for j, q in enumerate(NODES["references"])
+        }  # fmt: skip
+        found.append(FRFRepeat(f"repeat {k}", FREQ, "accelerance", pairs))
+    return combined(found)
+
+
+@pytest.fixture(scope="module")
+def residual(chain):
+    return FRFResidual(FRFProblem(chain, measured(1)))
+
+
+def test_rows_are_labelled_and_stacked_alike(residual):
+    rows, data = residual.rows, residual.problem.measured
+    assert len(rows) == 2 * 60 * 6 == len(residual.residual(TRUE))
+    expected = [
+        (getattr(data.values[int(np.argmin(np.abs(FREQ - r.freq))), i, j], "real" if r.part == "re" else "imag"))
+        for r in rows
+        for i, j in [(NODES["responses"].index(int(r.sensor[0])), NODES["references"].index(int(r.sensor[3])))]
+    ]
+    zero = residual.of(np.zeros_like(data.values)) * residual._row_std
+    np.testing.assert_allclose(zero, expected, rtol=1e-12)
+    assert {r.kind for r in rows} == {"frf"} and {r.mode for r in rows} == {""}
+    assert rows[0].sensor == "1x/1x" and rows[0].freq == FREQ[0]
+
+
+def test_derivatives_are_those_of_differences(residual):
+    names = ("k", "c", "m")
+    exact = residual.jacobian(TRUE, names)
+    for p, name in enumerate(names):
+        step = 1e-5 * TRUE[name]
+        up, down = (residual.residual({**TRUE, name: TRUE[name] + s * step}) for s in (1, -1))
+        np.testing.assert_allclose(
+            exact[:, p], (up - down) / (2 * step), rtol=1e-5, atol=1e-7 * np.abs(exact[:, p]).max()
+        )
+    assert residual.jacobian(TRUE, ()).shape == (720, 0)
+
+
+def test_at_the_truth_it_is_standard_normal():
+    chi = []
+    for seed in range(30):
+        data = measured(seed)
+        own = np.stack([(data.values - truth(TRUE)).real, (data.values - truth(TRUE)).imag]) / data.std
+        chi.append(np.mean(own**2))
+    assert 0.97 < np.mean(chi) < 1.06
+
+
+def test_a_fit_finds_the_truth_within_its_standard_deviations(chain):
+    pulls = []
+    for seed in range(12):
+        problem = Problem(FRFResidual(FRFProblem(chain, measured(seed))), chain.space)
+        found = fit(problem, chain.space, prior=Prior.none())
+        slope = problem.jacobian(found.values, ("k", "c", "m"))
+        std = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)))
+        pulls.append([(found.values[n] - TRUE[n]) / s for n, s in zip(TRUE, std, strict=True)])
+        assert std[0] < 50 and 0.7 < found.misfit / 720 < 1.35
+    assert np.all(np.abs(pulls) < 4) and 0.6 < np.std(pulls) < 1.4
+
+
+def test_assurances_are_one_at_the_truth_and_less_elsewhere(chain):
+    residual = FRFResidual(FRFProblem(chain, replace(measured(), std=np.full((60, 3, 2), 1e-3))))
+    right = residual.responses(residual.solve(TRUE))
+    assert set(right) == {f"frac {r}x/{q}x" for r in (1, 3, 4) for q in (1, 4)}
+    np.testing.assert_allclose(list(right.values()), 1.0, rtol=1e-9)
+    assert max(residual.responses(residual.solve({})).values()) < 0.99
+    np.testing.assert_allclose(residual.residual(TRUE), 0.0, atol=1e-9)
+
+
+def test_entries_that_were_not_measured_have_no_row(chain):
+    data = measured(1)
+    values = data.values.copy()
+    values[:, 1, 0] = np.nan
+    residual = FRFResidual(FRFProblem(chain, replace(data, values=values)))
+    assert len(residual.rows) == len(residual.residual(TRUE)) == 2 * 60 * 5
+    assert "3x/1x" not in {row.sensor for row in residual.rows} and len(residual.responses(residual.solve(TRUE))) == 5
+    assert residual.std_dof["frf"] == 2 * 3 * 300 - 10
+
+
+def test_without_repeats_a_share_of_the_modulus_is_assumed(chain):
+    residual = FRFResidual(FRFProblem(chain, measured(1, repeats=1)))
+    np.testing.assert_allclose(residual.relative_std, UNKNOWN_STD, rtol=1e-12)
+    assert residual.std_dof["frf"] == np.inf
+
+
+def test_fingerprints_tell_measurements_and_models_apart(chain):
+    first = FRFResidual(FRFProblem(chain, measured(1)))
+    assert first.fingerprint == FRFResidual(FRFProblem(chain, measured(1))).fingerprint
+    assert first.fingerprint != FRFResidual(FRFProblem(chain, measured(2))).fingerprint
+    other = FRFProblem(chain, replace(measured(1), quantity="mobility"))
+    assert first.problem.fingerprint != other.fingerprint
+    assert first.problem.fingerprint == FRFProblem(chain, measured(2)).fingerprint  # the same FRFs of the model
+
+
+def test_what_cannot_be_weighted_or_placed_is_refused(chain):
+    data = measured(1)
+    with pytest.raises(InputError, match="1x over 1x at 2 Hz is not positive"):
+        FRFResidual(FRFProblem(chain, replace(data, std=0 * data.std)))
+    with pytest.raises(InputError, match="no FRF was measured"):
+        FRFResidual(FRFProblem(chain, replace(data, values=np.full_like(data.values, np.nan))))
+    with pytest.raises(InputError, match="9x"):
+        FRFProblem(chain, replace(data, references=(Sensor(9, "x"), Sensor(4, "x"))))
+    undamped = StructuralModel.from_matrices(
+        [[1.0]], [[1.0]], dofs=pd.DataFrame({"node": [1], "direction": "x"})
+    )  # fmt: skip
+    line = np.array([1 / (2 * np.pi), 1.0])
+    ones = np.ones((2, 1, 1))
+    one = replace(
+        data, freq=line, responses=(Sensor(1, "x"),), references=(Sensor(1, "x"),), values=ones + 0j, std=ones
+    )
+    with pytest.raises(EvaluationError, match="without damping"):
+        FRFResidual(FRFProblem(undamped, one)).solve({})

@@ -1,0 +1,136 @@
+"""Frequency response functions: closed forms, superposition of modes, reciprocity, derivatives, and resonances."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.linalg as la
+
+from calib.errors import EvaluationError
+from calib.space import Parameter
+from calib.structure.frf import frf, frf_derivatives, motion_factor
+from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
+from calib.structure.training import train_basis
+from models.railway import bogie_on_rig
+from models.solar_panel import solar_panel
+
+
+def chain(n=4, damping=True):
+    """Masses in a row, the first on the ground; stiffness, damping and a mass are parameters."""
+    links = np.zeros((n, n, n))
+    for i in range(n):
+        b = np.eye(n)[i] - (np.eye(n)[i - 1] if i else 0)
+        links[i] = np.outer(b, b)
+    last = np.diag(np.eye(n)[-1])
+    space = [
+        Parameter("k", 1e4, 1e3, 1e5, "N/m"),
+        Parameter("c", 8.0, 1.0, 50.0, "Ns/m"),
+        Parameter("m", 2.0, 1.0, 5.0, "kg"),
+    ]
+    return StructuralModel.from_matrices(
+        {"k": links[0], "rest": 2e4 * links[1:].sum(axis=0)},
+        {"m": last, "own": np.eye(n)},
+        {"c": links[1], "rest": 3.0 * links[2:].sum(axis=0)} if damping else None,
+        dofs=pd.DataFrame({"node": range(1, n + 1), "direction": "x"}),
+        parameters=space if damping else [p for p in space if p.name != "c"],
+    )
+
+
+FREQ = np.array([0.0, 3.0, 9.7, 22.0, 40.0])
+
+
+def test_one_mass_is_the_closed_form():
+    model = StructuralModel.from_matrices(
+        [[3e3]], [[2.0]], [[5.0]], dofs=pd.DataFrame({"node": [1], "direction": ["z"]})
+    )
+    omega = 2 * np.pi * FREQ
+    closed = 1 / (3e3 + 5j * omega - 2 * omega**2)
+    for quantity, order in (("receptance", 0), ("mobility", 1), ("accelerance", 2)):
+        found = frf(model, {}, FREQ, np.eye(1), np.eye(1), quantity)[:, 0, 0]
+        np.testing.assert_allclose(found, closed * (1j * omega) ** order, rtol=1e-13)
+    far = frf(model, {}, np.array([1e5]), np.eye(1), np.eye(1), "accelerance")
+    np.testing.assert_allclose(far, 1 / 2.0, rtol=1e-5)  # the mass line
+    np.testing.assert_array_equal(motion_factor("mobility", [0.0]), [0.0])
+
+
+def test_it_is_the_sum_over_all_modes_in_state_space():
+    model = chain()
+    k, c, m = (matrix.toarray() for matrix in model.matrices({}))
+    n = len(k)
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [-la.solve(m, k), -la.solve(m, c)]])
+    values, right = la.eig(a)
+    left = la.inv(right)
+    force = np.vstack([np.zeros((n, n)), la.inv(m)])
+    omega = 2 * np.pi * FREQ
+    summed = [right[:n] @ np.diag(1 / (1j * w - values)) @ left @ force for w in omega]
+    np.testing.assert_allclose(frf(model, {}, FREQ, np.eye(n), np.eye(n)), summed, rtol=1e-10, atol=1e-16)
+
+
+def test_responses_and_references_may_be_exchanged_and_combined():
+    model, rng = chain(), np.random.default_rng(1)
+    responses, references = rng.standard_normal((3, 4)), rng.standard_normal((2, 4))
+    found = frf(model, {}, FREQ, responses, references)
+    assert found.shape == (5, 3, 2)
+    np.testing.assert_allclose(frf(model, {}, FREQ, references, responses), found.transpose(0, 2, 1), rtol=1e-11)
+    whole = frf(model, {}, FREQ, np.eye(4), np.eye(4))
+    np.testing.assert_allclose(found, responses @ whole @ references.T, rtol=1e-11)
+
+
+@pytest.mark.parametrize("quantity", ["receptance", "accelerance"])
+def test_derivatives_are_those_of_differences(quantity):
+    model, names = chain(), ("k", "c", "m")
+    responses, references = np.eye(4)[:3], np.eye(4)[[3]]
+    values = {"k": 1.2e4, "c": 6.0, "m": 2.5}
+    functions, slopes = frf_derivatives(model, values, FREQ, responses, references, names, quantity)
+    np.testing.assert_array_equal(functions, frf(model, values, FREQ, responses, references, quantity))
+    for name, slope in zip(names, slopes, strict=True):
+        step = 1e-5 * values[name]
+        ends = [
+            frf(model, {**values, name: values[name] + s * step}, FREQ, responses, references, quantity)
+            for s in (1, -1)
+        ]
+        np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * step), rtol=1e-6, atol=1e-9 * np.abs(slope).max())
+
+
+def test_a_resonance_without_damping_is_told_and_its_neighbourhood_is_not():
+    model = chain(damping=False)
+    resonance = model.modes({}, 2).natural_freq[1]
+    with pytest.raises(EvaluationError, match="without damping"):
+        frf(model, {}, np.array([resonance]), np.eye(4), np.eye(4))
+    near = frf(model, {}, resonance * np.array([1 - 1e-6, 1 + 1e-6]), np.eye(4), np.eye(4))
+    assert np.all(np.isfinite(near)) and np.all(near[0, 0, 0] * near[1, 0, 0] < 0)  # the sign changes across it
+
+
+def test_a_free_structure_has_no_static_receptance():
+    model = StructuralModel.from_matrices(
+        [[1e3, -1e3], [-1e3, 1e3]], np.eye(2), dofs=pd.DataFrame({"node": [1, 2], "direction": "x"})
+    )
+    with pytest.raises(EvaluationError, match="0 Hz"):
+        frf(model, {}, np.array([0.0]), np.eye(2), np.eye(2))
+    assert frf(model, {}, np.array([0.1]), np.eye(2), np.eye(2))[0, 0, 0].real < 0  # it moves against the force
+
+
+def test_sparse_and_dense_matrices_agree_on_the_array():
+    model = solar_panel()
+    k, _, m = model.matrices({})
+    here = np.flatnonzero(model.dofs.direction == 2)[[0, 20, 29]]
+    rows = np.eye(90)[here]
+    freq = np.array([0.1, 2.0, 11.0, 55.0])
+    dense = [la.inv(k.toarray() - (2 * np.pi * f) ** 2 * m.toarray())[np.ix_(here, here)] for f in freq]
+    np.testing.assert_allclose(frf(model, {}, freq, rows, rows), dense, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_on_a_reduced_basis_the_bogie_has_nearly_the_same_functions():
+    model = bogie_on_rig()
+    space = model.space.keep(["K_primary", "m_crossbar"])
+    reduced = ReducedModel(model, train_basis(model, space, 12, seed=1))
+    rows = np.zeros((2, model.n_dof))
+    rows[[0, 1], np.flatnonzero(model.dofs.direction == 1)[[10, 60]]] = 1.0
+    freq = np.linspace(2.0, 40.0, 25)
+    small = rows @ reduced.basis.vectors
+    values = {"K_primary": 600.0}
+    exact = frf_derivatives(model, values, freq, rows, rows, ("K_primary",))
+    near = frf_derivatives(reduced, values, freq, small, small, ("K_primary",))
+    for full, own in zip(exact, near, strict=True):
+        assert np.abs(own - full).max() < 0.02 * np.abs(full).max()
