@@ -20,14 +20,14 @@ from calib.report.explanation import blank
 from calib.report.numbers import chance, fixed, significant, with_unit
 from calib.report.style import (
     AFTER,
-    BEFORE,
     BLACK,
-    GREEN,
     GREY,
+    ORANGE,
     PURPLE,
     REST,
     SKY,
     VERMILLION,
+    WITH,
     added,
     legend_above,
     matrix_height,
@@ -47,7 +47,7 @@ _UNNAMED = "responses"
 _WORDS = {"freq": "frequency"}
 _MOST = 16.0
 """Upper end of the colour scale of -log10 p."""
-_COLOURS = (BEFORE, AFTER, GREEN, PURPLE, SKY)
+_COLOURS = (AFTER, WITH, PURPLE, ORANGE, SKY)
 
 
 def draw_where_it_fails(
@@ -110,8 +110,7 @@ def draw_where_it_fails(
     ax.set_xticks(range(len(kinds)), kinds)
     ax.set_yticks(range(len(modes)), [str(mode) for mode in modes])
     separate_cells(ax, len(modes), len(kinds))
-    words = "base model, calibrated" if stage == "base" else added(stage, name)
-    ax.set_title(words.replace(": ", ":\n"), color=GREY if is_attempt else BLACK)
+    ax.set_title(added(stage, name).replace(": ", ":\n"), color=GREY if is_attempt else BLACK)
     if is_attempt:
         for text in ax.texts:
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8})
@@ -186,7 +185,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         y = np.arange(len(names)) + (k - (len(models) - 1) / 2) * step
         shift = rows["standardised"].to_numpy(dtype=float)
         is_attempt = attempt and model != "base"
-        label = "base model" if model == "base" else added("attempt" if is_attempt else "explained", model)
+        label = added("base" if model == "base" else "attempt" if is_attempt else "explained", model)
         looks: dict[str, Any] = (
             {"color": GREY, "markerfacecolor": "white"} if is_attempt else {"color": _COLOURS[k % len(_COLOURS)]}
         )

@@ -6,12 +6,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from calib.report.style import AFTER, ATTEMPT, BEFORE, BLACK, added, legend_above, own_axes, plain
+from calib.report.style import AFTER, ATTEMPT, BEFORE, BLACK, WITH, added, legend_above, own_axes, plain
 from calib.report.svg import hover
 
 _LOOKS = {
     "before": {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"},
     "after": {"facecolor": AFTER},
+    "added": {"facecolor": WITH, "hatch": "....", "edgecolor": "white"},
     "attempt": ATTEMPT,
 }
 _MOST_UPRIGHT = 6
@@ -54,14 +55,12 @@ def draw_response_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: s
     name : str
         The effects in the extended model, for the legend.
     """
-    looks = {"base": "before", "explained": "after", "attempt": "attempt"}
+    looks = {"base": "after", "explained": "added", "attempt": "attempt"}
     bars = {
-        "base model, calibrated" if stage == "base" else added(stage, name): (
-            look, table[table["stage"] == stage].set_index("response")["residual"]
-        )
+        added(stage, name): (look, table[table["stage"] == stage].set_index("response")["residual"])
         for stage, look in looks.items()
         if (table["stage"] == stage).any()
-    }  # fmt: skip
+    }
     return _bars(bars, "residual (standard deviations)", ax)
 
 

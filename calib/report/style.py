@@ -34,7 +34,8 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILLION, PURPLE = (
 )
 """Palette that colour-blind readers can tell apart (Okabe and Ito, 2008)."""
 
-BEFORE, AFTER, MEASURED = ORANGE, BLUE, VERMILLION
+BEFORE, AFTER, WITH, MEASURED = ORANGE, BLUE, GREEN, VERMILLION
+"""Colours of the model at its nominal values, calibrated, and calibrated with added effects; of the measurement."""
 CASES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, BLACK, YELLOW)
 GREY, REST = "#767676", "#BDBDBD"
 ATTEMPT: dict[str, Any] = {"facecolor": "#D0D0D0", "hatch": "xxxx", "edgecolor": "white"}
@@ -107,11 +108,27 @@ def legend_above(ax: Axes, handles: list[Artist] | None = None) -> None:
     ax.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=columns)
 
 
+def stage_words(stage: str, effects: str = "") -> str:
+    """Describe the model of a stage: ``before`` or ``after`` its calibration, or ``added``, calibrated with effects.
+
+    Where effects were added, the words tell the calibration without them from that with them.
+    """
+    if not effects:
+        return f"{stage} calibration"
+    return {
+        "before": "nominal values",
+        "after": f"calibrated without {effects}",
+        "added": f"calibrated with {effects}",
+    }[stage]
+
+
 def added(stage: str, name: str = "") -> str:
-    """Describe a model by the effects added to the base model, where known, and the stage of the explanation."""
+    """Describe a fit of an explanation: ``base``, or by the effects added to the base model, where known."""
+    if stage == "base":
+        return "base model, calibrated"
     if stage == "attempt":
         return f"with {name}: best attempt, not believed" if name else "with the best attempt, not believed"
-    return f"with {name}" if name else "with the missing effect"
+    return f"with {name or 'the missing effect'}, calibrated"
 
 
 def plain(value: float) -> str:

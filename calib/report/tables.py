@@ -48,7 +48,7 @@ KEYS = {
     "why_places": ("effect", "perturbation"),
 }
 """Columns that identify a row, by the name of the table without its stage."""
-STAGES = ("_initial", "_before", "_after")
+STAGES = ("_initial", "_before", "_after", "_added")
 
 
 def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:

@@ -31,7 +31,7 @@ from calib.report.scene import (
     plot_lines,
     show_axes,
 )
-from calib.report.style import AFTER, BEFORE, BLACK, DENSE, GREY, REST, WIDTH, legend_above, own_axes
+from calib.report.style import AFTER, BLACK, DENSE, GREY, REST, WIDTH, WITH, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 
 SHAPE, PRIOR = "shape", "prior"
@@ -154,7 +154,7 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     reach = 1.12 * float(np.max(np.abs([*x, *y]), initial=1.0))
     ax.plot([-reach, reach], [-reach, reach], color=BLACK, linewidth=0.9, linestyle="--", gid="equal", zorder=2)
     for gid, some in (("re", ~imaginary), ("im", imaginary)):
-        colour = GREY if attempt else AFTER
+        colour = GREY if attempt else WITH
         face = colour if gid == "re" else "white"
         ax.plot(x[some], y[some], "o", color=colour, markerfacecolor=face, markersize=3.6, alpha=0.8, gid=gid,
                 zorder=3, rasterized=len(x) > DENSE)  # fmt: skip
@@ -272,12 +272,12 @@ def why_figure(
 _PANEL = 2.5
 """Height in inches of the panels of an effect."""
 _CORRELATION, _TICKS = Normalize(-1.0, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
-_RESIDUAL: dict[str, Any] = {"facecolor": BEFORE, "alpha": 0.55}
+_RESIDUAL: dict[str, Any] = {"facecolor": AFTER, "alpha": 0.4}
 _LEFT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLACK, "markersize": 4.0}
 
 
 def _signature(attempt: bool) -> dict[str, Any]:
-    return {"facecolor": GREY if attempt else AFTER}
+    return {"facecolor": GREY if attempt else WITH}
 
 
 def _handles(attempt: bool) -> list[Artist]:

@@ -278,8 +278,8 @@ def test_an_attempt_is_never_drawn_as_the_missing_effect(folder, saved, stage, l
     for name, found in texts.items():
         assert (attempt in found) == (stage == "attempt"), name
         assert not any("missing effect" in t for t in found)
-    assert ("after: with arb" in texts["errors_before_after"]) == (stage == "explained")
-    assert ("with arb" in texts["where_it_fails_sigma"]) == (stage == "explained")
+    assert ("with arb, calibrated" in texts["errors_before_after"]) == (stage == "explained")
+    assert ("with arb, calibrated" in texts["where_it_fails_sigma"]) == (stage == "explained")
 
 
 def test_an_empty_cell_written_as_nan_is_empty(folder, saved, effects):

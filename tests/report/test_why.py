@@ -4,7 +4,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from calib.report.figures import Figures
-from calib.report.style import AFTER, GREY
+from calib.report.style import GREY, WITH
 from calib.report.why import draw_alike, draw_bars, draw_shapes, most_alike, place_words, share, why_figure
 
 REST = np.array([[[0.0, 0.0, -1.0], [4.0, 0.0, -1.0]], [[4.0, 0.0, -1.0], [4.0, 1.0, 1.0]]])
@@ -142,7 +142,7 @@ def test_scalar_responses_are_bars_of_one_panel(scalar):
 
 def test_an_attempt_is_grey(table):
     rows = of(table, "arb", "frequency")
-    for attempt, colour in ((False, AFTER), (True, GREY)):
+    for attempt, colour in ((False, WITH), (True, GREY)):
         assert {to_hex(bar.get_facecolor()) for bar in bars(draw_bars(rows, attempt=attempt), "signature")} == {
             colour.lower()
         }

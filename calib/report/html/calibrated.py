@@ -147,14 +147,14 @@ def _convergence(results: StudyResults) -> list[Picture]:
 
 
 def _after(results: StudyResults, best: str) -> list[Block]:
+    words = results.in_words("after")
     if results.scalar:
-        return [Words(f"The model after calibration, case {best}:"), *scalar_blocks(results, "after")]
-    after, before = results.compared("after"), results.compared("before")
-    if after is None:
+        return [Words(f"The model {words}, case {best}:"), *scalar_blocks(results, "after")]
+    stages = {s: table for s in results.stages if (table := results.compared(s)) is not None}
+    if "after" not in stages:
         return []
-    stages = {"after": after} if before is None else {"before": before, "after": after}
     return [
-        mode_table(after, f"The model after calibration (case {best})"),
+        mode_table(stages["after"], f"The model {words} (case {best})"),
         *error_picture(results, stages),
         *mac_picture(results, "after"),
         *shapes_picture(results, "after"),

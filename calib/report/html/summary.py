@@ -91,9 +91,9 @@ def _calibrated(results: StudyResults) -> list[tuple[str, str]]:
         return out if pd.isna(mac) else [*out, ("mean MAC, nothing fitted", fixed(mac, 3))]
     label = "mean error" if results.scalar else "mean frequency error"
     errors = [figures[f"mean_freq_error_{stage}"] for stage in ("before", "after")]
-    added = results.added if results.added_names else {}
+    added = results.added if results.added_effects else {}
     errors += [added["mean_freq_error"]] if added else []
-    more = f", with {' + '.join(results.added_names)}" if added else ""
+    more = f", with {results.added_effects}" if added else ""
     floor = figures.get("noise_freq_error")
     allowed = "" if floor is None else f" (noise allows {percent(floor)} %)"
     out = [(f"{label}, calibrated{more}", " → ".join(f"{percent(error)} %" for error in errors) + allowed)]
