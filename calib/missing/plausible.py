@@ -49,9 +49,10 @@ def _pulls(
 def implausible(fit: LinearisedFit, added: Sequence[Effect]) -> str:
     """Why a fitted model is implausible, in words; empty when it is plausible."""
     reasons = []
-    for name, *_, score, _, pulled in _pulls(fit, added):
+    for name, _, nominal, value, prior_sd, score, _, pulled in _pulls(fit, added):
         if pulled:
-            reasons.append(f"{name} had to move {score:+.1f} prior standard deviations")
+            moved = f"{name} had to move {(value - nominal) / prior_sd:+.1f} prior standard deviations"
+            reasons.append(f"{moved}, {abs(score):.1f} times what noise explains")
     for effect in added:
         p = effect.magnitude
         for limit in (p.upper, p.lower) if effect.signed else (p.upper,):

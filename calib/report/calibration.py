@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 from calib.report.numbers import significant, with_unit
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
 from calib.report.svg import hover
+from calib.space import AT_LIMIT
 
 _BESIDE_VALUES = 38.0
 """Offset in points from the Axes of words beside the values of the bars."""
@@ -38,8 +39,8 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     -------
     Axes
         One group of horizontal bars per parameter, lengths in percent of the range between the limits, and the value
-        beside each bar; a dark line separates neighbours of different units. A triangle marks a value at a limit; a
-        parameter on which the searches disagree is hatched and labelled.
+        beside each bar; a dark line separates neighbours of different units. A triangle marks a bar that ends at a
+        limit; a parameter on which the searches disagree is hatched and labelled.
     """
     cases = list(dict.fromkeys(table["case"]))
     names = list(dict.fromkeys(table["parameter"]))
@@ -49,6 +50,7 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     unstable = {
         name: any(flag is False for flag in _flags(table[table["parameter"] == name], "stable")) for name in names
     }
+    any_bound = False
     for k, case in enumerate(cases):
         rows = table[table["case"] == case].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(cases) - 1) / 2) * height
@@ -63,16 +65,12 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
                 bar.set_hatch("/////")
                 bar.set_edgecolor("white")
         _write_bar_values(ax, rows, y)
-        bound = np.array([flag is True for flag in _flags(rows, "on_bound")])
-        ax.plot(
-            np.clip(lengths[bound], 0.0, 100.0) + 1.6,
-            y[bound],
-            linestyle="none",
-            marker="<",
-            markersize=4.5,
-            color="black",
-            gid=f"on_bound {case}",
-        )
+        bound = _at_limit(rows)
+        any_bound = any_bound or bool(bound.any())
+        for marker, side in (("<", lengths <= 50.0), (">", lengths > 50.0)):
+            at = bound & side
+            ends = np.clip(lengths[at], 0.0, 100.0) + 1.6
+            ax.plot(ends, y[at], marker, color="black", markersize=4.5, gid=f"on_bound {case} {marker}")
     ax.set_yticks(range(len(names)), [str(n) for n in names])
     ax.set_ylim(len(names) - 0.45, -0.55)
     ax.set_xlim(0.0, 104.0)
@@ -89,8 +87,7 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
             spread = table.loc[table["parameter"] == name, "spread"].max()
             text = "not stable" if math.isnan(spread) else f"not stable, spread {100.0 * spread:.0f} %"
             _beside(ax, row, text, VERMILLION, _BESIDE_VALUES)
-    bound_anywhere = any(flag is True for flag in _flags(table, "on_bound"))
-    _legend(ax, cases, best_case, any(unstable.values()), bound_anywhere)
+    _legend(ax, cases, best_case, any(unstable.values()), any_bound)
     return ax
 
 
@@ -110,6 +107,16 @@ def searched(table: pd.DataFrame) -> pd.Series[float]:
         return table["ratio"].astype(float)
     span = table["upper"].astype(float) - table["lower"].astype(float)
     return ((table["search_value"].astype(float) - table["lower"].astype(float)) / span).fillna(table["ratio"])
+
+
+def _at_limit(rows: pd.DataFrame) -> np.ndarray:
+    """Whether what the bar shows is at a limit: the end of the search, or without one the final value."""
+    final = np.array([flag is True for flag in _flags(rows, "on_bound")])
+    if "search_value" not in rows:
+        return final
+    ends = searched(rows).to_numpy(dtype=float)
+    found = (ends < AT_LIMIT) | (ends > 1.0 - AT_LIMIT)
+    return np.where(rows["search_value"].notna(), found, final)
 
 
 def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:
@@ -140,7 +147,9 @@ def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: boo
     if any_unstable:
         handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="/////", label="not stable: cases disagree"))
     if any_bound:
-        handles.append(Line2D([], [], linestyle="none", marker="<", color="black", markersize=4.5, label="at a limit"))
+        handles.append(
+            Line2D([], [], linestyle="none", marker=">", color="black", markersize=4.5, label="ends at a limit")
+        )
     legend_above(ax, handles)
 
 

@@ -215,7 +215,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     reach = 1.12 * float(size[np.isfinite(size)].max())
     ax.set(ylim=(len(names) - 0.4, -0.6), xlim=(-reach, reach))
     ax.grid(axis="x")
-    ax.set_xlabel("pull: standardised shift from the nominal value (–)")
+    ax.set_xlabel("pull: shift from the nominal value over its standard deviation\nin a correctly specified model (–)")
     words = " → ".join(["nominal", *("base" if model == "base" else f"with {model}" for model in models)])
     words = textwrap.fill(words, 40, break_long_words=False)
     ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=GREY)

@@ -131,7 +131,7 @@ def _parameter_picture(results: StudyResults, table: pd.DataFrame, best: str) ->
     ends = "Ends of the searches, before least squares: where cases disagree, the data do not determine the parameter."
     return [
         *results.picture("parameters", caption, f"Dots. Positions in case {best}: {positions}. {note}"),
-        *results.picture("searches", ends, f"Bars, {counted(table['case'].nunique(), 'case')}. {note}"),
+        *results.picture("searches", ends, f"Bars, {counted(table['case'].nunique(), 'case')}."),
     ]
 
 
@@ -196,7 +196,7 @@ def _directions(results: StudyResults) -> list[Block]:
         return []
     rows = tuple((str(r["words"]), yes(r["seen"])) for r in table.to_dict("records"))
     caption = "Combinations of parameters, the least determined by the data first"
-    return [Table(caption, ("combination", "seen"), rows, (1,))]
+    return [Table(caption, ("combination", "determined"), rows, (1,))]
 
 
 def _predictions(results: StudyResults) -> list[Block]:

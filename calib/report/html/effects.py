@@ -17,7 +17,11 @@ NUMBERS = (
     "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "model_probability", "held_out_gain",
 )  # fmt: skip
 TERMS = (
-    ("z", "score of an effect, standard normal for a correctly specified model; not corrected for multiple testing"),
+    (
+        "z",
+        "score of an effect, standard normal for a correctly specified model, not corrected for multiple "
+        "testing; negative where the data ask for a negative magnitude",
+    ),
     ("ln Bayes", "ln Bayes factor of the effect against the base model; a linear estimate where it was not refitted"),
     ("γ", "unabsorbed fraction: part of the effect's signature that the parameters cannot absorb"),
     ("smallest visible", "smallest magnitude at which these data would show the effect"),
@@ -173,7 +177,12 @@ def _local_perturbations(results: StudyResults) -> list[Block]:
     )
     first = ", ".join(f"{r[0]} {r[2]}" for r in rows[:3])
     caption = f"Local perturbations with the largest scores, of {len(table)}: places to inspect, not causes"
-    note = f"Scores of local perturbations at their locations: places to inspect, not causes. {AXES_NOTE}"
+    limit = float(table["limit"].iloc[0])
+    note = (
+        "Scores of local perturbations at their locations: places to inspect, not causes. "
+        f"{int((table['score'].abs() > limit).sum())} of {len(table)} exceed ±{fixed(limit, 1)}, the limit for noise "
+        f"alone. {AXES_NOTE}"
+    )
     alt = f"Scores of {counted(len(table), 'local perturbation')}. The largest: {first}."
     return [
         *results.picture("perturbation_map", note, alt),

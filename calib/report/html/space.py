@@ -18,7 +18,7 @@ from calib.report.numbers import counted, fixed, flag
 from calib.report.scene import PLACE, motion_scale, plot_coordinates, view_directions
 from calib.report.shapes import measured_motions
 from calib.report.style import BLACK, BLUE, MEASURED, REST, SKY, VERMILLION
-from calib.report.where import NOISE_LEVEL, misfit_tips, noise_limit, sensor_rms
+from calib.report.where import misfit_tips, sensor_rms
 
 AXES_NOTE = "x runs along, y up, z across."
 _FINEST = 32767
@@ -279,12 +279,12 @@ def _perturbations(results: StudyResults) -> tuple[dict[str, Any], np.ndarray] |
     if table is None or placed is None or placed.empty:
         return None
     score = placed["score"].to_numpy(dtype=float)
-    limit, chance = noise_limit(table["score"]), f"{100 * NOISE_LEVEL:.0f} %"
+    limit = float(table["limit"].iloc[0])
     beyond = np.abs(score) > limit
     names = [f"{r['perturbation']}: z {fixed(r['score'], 1, sign=True)}" for r in placed.to_dict("records")]
     words = (
-        f"{beyond.sum()} of {len(placed)} scores exceed {fixed(limit, 2)}, which noise alone does anywhere with a "
-        f"probability of at most {chance}; places to inspect, not causes"
+        f"{beyond.sum()} of {len(placed)} scores exceed {fixed(limit, 2)}, the limit for noise alone; places to "
+        "inspect, not causes"
     )
     colours = [VERMILLION if b else SKY for b in beyond]
     key = [(VERMILLION, f"|z| > {fixed(limit, 2)}"), (SKY, "smaller")]

@@ -178,7 +178,7 @@ class StudyResults:
     @cached_property
     def perturbations(self) -> pd.DataFrame | None:
         """``perturbations.csv`` of an explanation."""
-        return self.table("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed"])
+        return self.table("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed", "limit"])
 
     @property
     def noise_mac(self) -> float:

@@ -10,7 +10,7 @@ import pytest
 from calib.report.html.space import framed, packed, scene
 from calib.report.html.study_results import StudyResults
 from calib.report.scene import plot_coordinates, view_directions
-from calib.report.where import noise_limit, sensor_rms
+from calib.report.where import sensor_rms
 
 PLACE, MOTION = ["x", "y", "z"], ["u", "v", "w"]
 
@@ -120,7 +120,7 @@ def test_misfits_have_the_size_and_the_place_of_their_rms(everything, results):
 def test_scores_beyond_the_limit_have_the_colour_of_their_key(everything, results):
     table, shown = pd.read_csv(everything / "perturbations.csv"), layer(results, "perturbations")
     placed = table.dropna(subset=[*PLACE, "score"])
-    limit = noise_limit(table["score"])
+    (limit,) = set(table["limit"])
     beyond = {*placed.loc[placed["score"].abs() > limit, "perturbation"]}
     assert 0 < len(beyond) < len(placed)
     colour = shown["key"][0]["colour"]
@@ -129,14 +129,6 @@ def test_scores_beyond_the_limit_have_the_colour_of_their_key(everything, result
     at = dict(zip([n.split(": z ")[0] for n in shown["names"]], unpacked(shown["points"]), strict=True))
     for row in placed.to_dict("records"):
         np.testing.assert_allclose(at[row["perturbation"]], [row[axis] for axis in PLACE], atol=1e-3)
-
-
-def test_noise_alone_exceeds_the_limit_as_often_as_stated():
-    scores = np.random.default_rng(1).standard_normal((20000, 40))
-    exceeded = (np.abs(scores).max(axis=1) > noise_limit(pd.Series(scores[0]))).mean()
-    assert exceeded == pytest.approx(0.01, abs=0.0025)
-    known = pd.Series([*scores[0], np.nan])
-    assert noise_limit(known) == noise_limit(known.dropna()) < noise_limit(pd.Series(scores[:2].ravel()))
 
 
 @pytest.mark.parametrize(
