@@ -40,7 +40,7 @@ from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Altered, Hypotheses
-from calib.missing.pattern import pattern_table, place_table
+from calib.missing.pattern import parameter_table, pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
 from calib.missing.recommendation import Recommendation, recommend, recommendation
@@ -245,6 +245,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "accuracy": accuracy,
         "suspects_explained": found.suspects,
         "why": pattern_table(found, adapter.labels()),
+        "why_parameters": parameter_table(found),
         "why_places": place_table(found, adapter.places()),
         **adapter.tables(stages),
     }

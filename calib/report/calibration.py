@@ -15,7 +15,6 @@ from matplotlib.patches import Patch
 from calib.report.numbers import significant, with_unit
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
 from calib.report.svg import hover
-from calib.space import AT_LIMIT
 
 _BESIDE_VALUES = 38.0
 """Offset in points from the Axes of words beside the values of the bars."""
@@ -30,7 +29,8 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     table : DataFrame
         Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1),
         ``on_bound`` (bool), ``spread`` (of the ratio over the cases, NaN if unknown) and ``stable`` (bool, or None).
-        Optional: ``search_value`` (end of the search, before least squares), ``lower`` and ``upper``.
+        Optional: ``search_value`` (end of the search, before least squares) and ``search_on_bound``, ``lower``,
+        ``upper``.
     ax : Axes, optional
     best_case : str, optional
         The case that is reported, for the legend.
@@ -111,12 +111,10 @@ def searched(table: pd.DataFrame) -> pd.Series[float]:
 
 def _at_limit(rows: pd.DataFrame) -> np.ndarray:
     """Whether what the bar shows is at a limit: the end of the search, or without one the final value."""
-    final = np.array([flag is True for flag in _flags(rows, "on_bound")])
-    if "search_value" not in rows:
-        return final
-    ends = searched(rows).to_numpy(dtype=float)
-    found = (ends < AT_LIMIT) | (ends > 1.0 - AT_LIMIT)
-    return np.where(rows["search_value"].notna(), found, final)
+    ends = rows["on_bound"]
+    if "search_on_bound" in rows:
+        ends = rows["search_on_bound"].where(rows["search_on_bound"].notna(), ends)
+    return np.array([not pd.isna(flag) and bool(flag) for flag in ends])
 
 
 def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:

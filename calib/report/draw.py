@@ -162,8 +162,8 @@ def plan(folder: Folder) -> dict[str, Drawing]:
             ["case", "parameter", "unit"],
             ["value", "ratio", "spread"],
             complete=["ratio"],
-            flags=["on_bound", "stable", "identified"],
-            if_there=["lower", "upper", "std", "search_value"],
+            flags=["on_bound", "stable", "identified", "search_on_bound"],
+            if_there=["lower", "upper", "std", "search_value", "search_on_bound"],
         )
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
         space = folder / "parameter_space.csv"
@@ -304,12 +304,16 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
         "why", ["effects", "effect", "kind"], ["residual", "signature", "left"], blank=["mode", "sensor", "part"]
     )
     if why is not None:
+        fitted = read("why_parameters", ["effect", "parameter"], ["value"], blank=["description", "unit"])
+        acts = read("effect_places", ["effect"], PLACE, complete=PLACE)
         alike = read("why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
         add(
             "why_this_effect",
             "residual of the base model and signature of the effect",
-            lambda: why_figure(why, alike, rest, effects=effects, attempt=attempt),
-            "why", *([] if alike is None else ["why_places"]),
+            lambda: why_figure(
+                why, alike, rest, effects=effects, parameters=fitted, acts=acts, attempt=attempt
+            ),
+            *(name for name in ("why", "why_parameters", "why_places") if (folder / f"{name}.csv").exists()),
         )  # fmt: skip
     if effects is not None:
         add("ranked_effects", "evidence for each effect", lambda: ranked_effects_figure(effects), "effects")
@@ -322,7 +326,7 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
         add("errors_before_after", "errors before and after", lambda: _owner(draw_errors(errors, name=name)), "errors")
     both = read("added_errors", ["group", "stage"], ["rms", "expected", "p"])
     if both is not None:
-        caption = "errors before and after, both models calibrated"
+        caption = "errors without and with the added effects, both models calibrated"
         add("added_errors", caption, lambda: _owner(draw_errors(both, name=name)))
     versions = read("versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["effects"])
     if versions is not None:

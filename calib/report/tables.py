@@ -45,6 +45,7 @@ KEYS = {
     "versions": ("version", "group"),
     "where_it_fails": ("kind", "what"),
     "why": ("effect", "kind", "mode", "sensor", "part"),
+    "why_parameters": ("effects", "effect", "parameter"),
     "why_places": ("effect", "perturbation"),
 }
 """Columns that identify a row, by the name of the table without its stage."""

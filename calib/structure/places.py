@@ -95,9 +95,9 @@ def model_places(model: _Structure) -> tuple[ModelPlace, ...]:
             if any((parameter, kind) not in placed for parameter in parameters):
                 nodes = model.dofs.node[np.unique(matrix.indices)]
                 form = _form(model, kind, matrix)
-                found += [ModelPlace(name, form, kind, parameters, at) for at in _middles(model, nodes, matrix)]
+                found += [ModelPlace(name, form, kind, parameters, at) for at in middles(model, nodes, matrix)]
     held = np.diff(model.dofs.expansion.indptr).reshape(-1, 6)[:, :3].max(axis=1) == 0
-    return (*found, *(ModelPlace("support", "support", "", (), at) for at in _middles(model, np.flatnonzero(held))))
+    return (*found, *(ModelPlace("support", "support", "", (), at) for at in middles(model, np.flatnonzero(held))))
 
 
 def _scaling(model: _Structure, names: frozenset[str]) -> tuple[str, ...]:
@@ -130,7 +130,7 @@ def _form(model: _Structure, kind: str, matrix: sp.csr_array) -> Form:
     return "damper" if kind == "damping" else "spring"
 
 
-def _middles(
+def middles(
     model: _Structure, nodes: np.ndarray, matrix: sp.csr_array | None = None
 ) -> list[tuple[float, float, float]]:
     """Middle of each group of nodes that lines of the mesh, edges of faces or a matrix connect, in metres."""

@@ -67,6 +67,7 @@ def test_a_search_that_ended_at_a_limit_is_marked_wherever_least_squares_went(pa
     """The bar ends where the search did: at the lower limit it has no length, and only the mark is seen."""
     table = parameters.assign(lower=0.0, upper=10.0, on_bound=[False, True, False, False], stable=True)
     table["search_value"] = [0.0, 5.0, 10.0, np.nan]
+    table["search_on_bound"] = pd.Series([True, False, True, None], dtype=object)
     marks = {
         line.get_gid(): line.get_xdata().tolist()
         for line in draw_searches(table).lines
