@@ -76,12 +76,15 @@ class Picture:
         Text alternative for readers who cannot see the figure.
     tables : tuple of str
         The tables that it shows, without suffix; each is offered as a file.
+    folded : str
+        What is shown until the reader unfolds the figure; empty for one that is open.
     """
 
     name: str
     caption: str
     alt: str
     tables: tuple[str, ...]
+    folded: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,3 +147,17 @@ def test_a_group_of_data_that_one_stage_lacks_has_a_dash(folder, blocks):
     }
     (own,) = (row for label, row in rows.items() if "held-out sensors" in label)
     assert lost.sum() == 1 and own[3] == "–" and own[2] != "–"
+
+
+def test_one_matrix_of_the_sensitivity_is_open_and_the_others_tell_where_they_differ(everything, text, reader, blocks):
+    pictures = blocks(everything, Picture)
+    assert not pictures["partial"].folded
+    first = pd.read_csv(everything / "partial.csv").set_index("parameter").abs()
+    for name in ("sensitivity", "variance_share"):
+        table = pd.read_csv(everything / f"{name}.csv").set_index("parameter").abs()
+        apart = (table - first).abs().stack()
+        parameter, response = apart.idxmax()
+        told = f"{fixed(table.loc[parameter, response], 2)} instead of {fixed(first.loc[parameter, response], 2)}"
+        assert f"{parameter} on " in pictures[name].folded and pictures[name].folded.endswith(told)
+        inside = text[text.rindex("<details>", 0, text.index(f'<figure id="{name}"')) :]
+        assert inside.index(f'<figure id="{name}"') < inside.index("</details>")

@@ -167,10 +167,12 @@ def test_every_table_has_a_caption_heads_and_as_many_cells(everything, scalar, b
             assert all("nan" not in cell for row in table.rows for cell in row), caption
 
 
-def test_long_tables_are_folded_and_only_they(everything, read, blocks):
-    tables = blocks(everything, Table)
-    long = [c for c, t in tables.items() if len(t.rows) > LONGEST]
-    assert long and len(read.named("details")) == len(long)
+def test_long_tables_and_further_matrices_are_folded_and_only_they(everything, read, blocks):
+    tables, pictures = blocks(everything, Table), blocks(everything, Picture)
+    long = [c for c, t in tables.items() if len(t.rows) > LONGEST and not t.unfolded]
+    folded = [name for name, picture in pictures.items() if picture.folded]
+    assert long and folded == ["sensitivity", "variance_share"]
+    assert len(read.named("details")) == len(long) + len(folded)
 
 
 # -- escaping ----------------------------------------------------------------------------------------------------------
