@@ -35,7 +35,7 @@ from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.report.shown import Shown
-from calib.report.style import FORMATS, Format
+from calib.report.style import FORMATS, Format, Width
 from calib.results import RESULTS, Results
 from calib.several import AnyStudy, JointStudy, load
 from calib.study import Study as Loaded
@@ -264,20 +264,22 @@ class Study:
         self._draw_tests(report=True)
         return extended or self
 
-    def report(self, formats: Sequence[Format] = ("png",)) -> Path:
+    def report(self, formats: Sequence[Format] = ("png",), width: Width = "page") -> Path:
         """Write ``report.html`` from the stored results and redraw every figure; no code of the study is run.
 
         Parameters
         ----------
         formats : sequence of {"png", "svg", "pdf"}
-            Formats of the figures beside the report, each as wide as a page.
+            Formats of the figures beside the report.
+        width : {"page", "column"}
+            Width of these figures: 190 mm, or 90 mm where a figure is legible in a journal's column.
         """
         study = StudyFile.read(self.path)
         parts = [part for part in study.parts if places.answers_of(part, self.results)]
         if not parts:
             remedy = f"run the study first: calib run {shell_argument(self.path)}"
             raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
-        self._draw_anew(study, formats)
+        self._draw_anew(study, formats, width)
         return self.results / parts[0].name / REPORT
 
     # -- steps ---------------------------------------------------------------------------------------------------------
@@ -388,23 +390,30 @@ class Study:
         if isinstance(self.loaded, JointStudy):
             self.draw(places.results_of(self.loaded, self.results, self.quick, case, method))
 
-    def _draw_anew(self, study: StudyFile, formats: Sequence[Format]) -> None:
+    def _draw_anew(self, study: StudyFile, formats: Sequence[Format], width: Width) -> None:
         """Redraw every figure and report of a study, and of the extended studies among its results."""
         for part in study.parts:
             folders = places.answers_of(part, self.results)
             if Results(self.results / part.name) in folders:  # versions compare full results only
                 self.listener.versions(write_versions(part, self.results))
             for folder in folders:
-                self._draw(part, folder, True, formats)
+                self._draw(part, folder, True, formats, width)
         together = places.answers_of(study, self.results)
         if study.settings.several:
             for folder in together:
-                self._draw(study, folder, False, formats)
+                self._draw(study, folder, False, formats, width)
         written = [file for folder in together if (file := extension.found_among(study, folder.path))]
         for file in written[:1]:  # the extended study of a quick run has its results in the same place
-            self._draw_anew(StudyFile.read(file), formats)
+            self._draw_anew(StudyFile.read(file), formats, width)
 
-    def _draw(self, study: StudyFile, folder: Results, report: bool, formats: Sequence[Format] = ("png",)) -> None:
+    def _draw(
+        self,
+        study: StudyFile,
+        folder: Results,
+        report: bool,
+        formats: Sequence[Format] = ("png",),
+        width: Width = "page",
+    ) -> None:
         title, synthetic = study.settings.title, study.synthetic
         with_report = report or folder.has(REPORT)
         stale = stale_answers(study, folder, None if self.results == RESULTS else self.results)
@@ -412,7 +421,7 @@ class Study:
             shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
             with self.listener.progress() as step:
                 written = write_report(shown, step) if with_report else None
-                figures = shown.figures.save(formats, step)
+                figures = shown.figures.save(formats, step, width)
         except OSError as fault:
             raise InputError(
                 f"a figure or the report cannot be written ({fault.strerror})",
