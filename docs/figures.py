@@ -23,8 +23,8 @@ from calib.report.tables import read_table
 from calib.report.worst import draw_worst
 
 HERE = Path(__file__).resolve().parent
-COLOURS = 128
-"""Of a PNG: enough for every figure, and a third of its size."""
+COLOURS = 256
+"""Of a PNG: all that its palette takes."""
 
 
 TICKS = [m * 10**k for k in range(-3, 3) for m in (1, 2, 3, 5)]

@@ -181,7 +181,7 @@ def _sentence(
     if trade is not None:
         words.append(f"It trades most with {trade[0]} (correlation {trade[1]:.2f}).")
     if width is not None and width > RULES.stable:
-        words.append(f"The cases differ by {100 * width:.0f} % of its range.")
+        words.append(f"Its spread over the cases is {100 * width:.0f} % of its range.")
     return " ".join(words)
 
 
