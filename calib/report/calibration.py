@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from calib.report.numbers import significant, with_unit
+from calib.report.numbers import flag, short, significant, with_unit
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
 from calib.report.svg import hover
 
@@ -114,7 +114,7 @@ def _at_limit(rows: pd.DataFrame) -> np.ndarray:
     ends = rows["on_bound"]
     if "search_on_bound" in rows:
         ends = rows["search_on_bound"].where(rows["search_on_bound"].notna(), ends)
-    return np.array([not pd.isna(flag) and bool(flag) for flag in ends])
+    return np.array([flag(value) for value in ends])
 
 
 def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:
@@ -177,7 +177,7 @@ def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         best, mean = (finite.loc[rows.index, column].to_numpy() for column in ("best", "mean"))
         line_style = _LINE_STYLES[k // len(CASES) % len(_LINE_STYLES)]
         last = best[np.isfinite(best)]
-        label = f"{case} (ends at {last[-1]:.3g})" if len(last) else f"{case} (no feasible point)"
+        label = f"{case} (ends at {short(last[-1])})" if len(last) else f"{case} (no feasible point)"
         marker = "o" if len(best) == 1 else ""
         looks: dict[str, Any] = {"color": colour, "linewidth": 1.9, "marker": marker, "zorder": 3}
         (line,) = ax.plot(generation, best, line_style, label=label, **looks)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from calib.report.numbers import fixed, significant
+from calib.report.numbers import fixed, flag, short, significant
 from calib.report.style import (
     BLACK,
     BLUE,
@@ -99,7 +99,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         known = span[np.isfinite(span)]
         if len(known) > 1:
             ax.plot([known.min(), known.max()], [row, row], color=BLACK, linewidth=1.1, gid="prior", zorder=3)
-        words = f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
+        words = short(value) if math.isfinite(value) else "no value"
         # Beside its dot, but right of the threshold, which it would otherwise cover.
         end = max(0.0, *known) if len(known) else 0.0
         ax.annotate(
@@ -162,10 +162,10 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.axvline(1.0, color=BLACK, linewidth=1.0, gid="plausible")
     ax.axvspan(1.0, high * 2.5, color="#F2F2F2", zorder=0)
     seen = np.array(_flags(rows["visible"]))
-    for flag, face in ((True, BLACK), (False, "white")):
-        shown = known & (seen == flag)
-        edge = BLACK if flag else GREY
-        gid = "visible" if flag else "not visible"
+    for visible, face in ((True, BLACK), (False, "white")):
+        shown = known & (seen == visible)
+        edge = BLACK if visible else GREY
+        gid = "visible" if visible else "not visible"
         ax.plot(ratio[shown], at[shown], "o", color=edge, markerfacecolor=face, markersize=6, gid=gid, zorder=3)
     what = "smallest visible magnitude over the plausible one"
     words = [f"{n}: {what} {significant(r, 2)}" for n, r in zip(rows["name"], ratio, strict=True)]
@@ -272,8 +272,7 @@ def threshold(count: int) -> float:
 
 
 def _flags(column: pd.Series) -> list[bool]:
-    """Flags; unknown counts as no."""
-    return [not pd.isna(flag) and bool(flag) for flag in column]
+    return [flag(value) for value in column]
 
 
 def _looks(rows: pd.DataFrame) -> list[str]:

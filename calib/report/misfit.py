@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from typing import Any
 
@@ -17,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from calib.report.explanation import blank
-from calib.report.numbers import chance, fixed, significant, with_unit
+from calib.report.numbers import chance, fixed, flag, short, significant, with_unit
 from calib.report.style import (
     AFTER,
     BLACK,
@@ -94,7 +93,7 @@ def draw_where_it_fails(
     image = ax.imshow(unlikely, cmap="OrRd", norm=Normalize(0.0, _MOST), aspect="auto", gid="unlikely")
     is_attempt = stage == "attempt"
     for i, j in np.ndindex(ratio.shape):
-        words = f"{ratio[i, j]:.3g}" if math.isfinite(ratio[i, j]) else "–"
+        words = short(float(ratio[i, j]))
         colour = "white" if unlikely[i, j] > 0.6 * _MOST and not is_attempt else BLACK
         ax.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
     hover_cells(
@@ -197,7 +196,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
             f"{n}, {label}: {v}, shift {fixed(z, 1, sign=True)}" for n, v, z in zip(names, values, shift, strict=True)
         ]
         hover_points(ax, shift, y, told)
-        ringed = np.array([not pd.isna(flag) and bool(flag) for flag in rows["pulled"]])
+        ringed = np.array([flag(value) for value in rows["pulled"]])
         ax.plot(shift[ringed], y[ringed], gid=f"pulled {model}", zorder=4, **ring)
     limits = sorted(set(table["limit"].astype(float).dropna().round(3)))
     for limit in limits:
@@ -222,7 +221,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     if limits:
         label = "limit ± " + ", ".join(f"{limit:.2f}" for limit in limits)
         handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9, label=label))
-    if any(not pd.isna(flag) and bool(flag) for flag in table["pulled"]):
+    if any(map(flag, table["pulled"])):
         handles.append(Line2D([], [], label="pulled", **ring))
     legend_above(ax, handles)
     return ax

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.explanation import LEAST_BAYES_FACTOR, blank
-from calib.report.numbers import chance, fixed
+from calib.report.numbers import chance, fixed, short
 from calib.report.style import (
     AFTER,
     BLACK,
@@ -280,7 +280,7 @@ def _error_words(rms: float, p: float) -> str:
     if np.isnan(rms):
         return ""
     chance = "" if np.isnan(p) else "\np < 0.001" if p < 1e-3 else f"\np = {p:.2g}"
-    return f"{rms:.2f}{chance}" if rms < 10 else f"{rms:.3g}{chance}"
+    return f"{fixed(rms, 2) if rms < 10 else short(rms)}{chance}"
 
 
 def _kind_handles(rows: pd.DataFrame) -> list[Artist]:

@@ -37,15 +37,15 @@ def draw_worst(
     Returns
     -------
     Axes
-        A mark for each stage on a logarithmic axis, joined by a line; the dashed line at 1 is the average of a
-        correctly specified model.
+        A mark for each stage on a logarithmic axis, joined by a line, in the order of the first stage that has a
+        value; the dashed line at 1 is the average of a correctly specified model.
     """
     found = {
         stage: table.set_index([table["kind"] + " " + table["what"]])["in_std"].astype(float)
         for stage, table in (("before", before), ("after", after), ("added", added))
         if table is not None
     }
-    first = next(iter(found.values()), pd.Series(dtype=float)).dropna()
+    first = pd.concat(found, axis=1).bfill(axis=1).iloc[:, 0].dropna() if found else pd.Series(dtype=float)
     names = list(first.sort_values(ascending=False, kind="stable").index[:SHOWN])
     ax = own_axes(ax, 1.3 + 0.26 * max(len(names), 1))
     ax.set_xscale("log")

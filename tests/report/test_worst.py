@@ -27,6 +27,12 @@ def test_every_stage_has_its_dots_and_the_first_orders_them():
         assert found(ax)[told] == {f"frequency {r.what}": r.in_std for r in stage.itertuples()}
 
 
+def test_what_only_a_later_stage_compares_is_shown_too():
+    """A mode that is paired after the calibration alone may be the worst there."""
+    ax = draw_worst(table(A=2.0, B=np.nan), table(A=1.0, B=9.0, C=4.0))
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["frequency B", "frequency C", "frequency A"]
+
+
 def test_a_comparison_that_a_stage_lacks_is_still_joined_and_drawn():
     ax = draw_worst(table(A=2.0, B=30.0, C=np.nan), table(B=5.0))
     assert found(ax) == {

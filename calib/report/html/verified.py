@@ -9,6 +9,7 @@ import pandas as pd
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import chance, fixed, flag, percent, significant
+from calib.report.style import added
 from calib.report.verification import GROUPS
 
 TERMS = (
@@ -19,11 +20,6 @@ TERMS = (
     ),
     ("p", "probability that a correctly specified model has at least this error"),
 )
-STAGES = {
-    "before": "base model, calibrated",
-    "after": "with the missing effect, calibrated",
-    "attempt": "best attempt, not believed",
-}
 
 
 def errors(results: StudyResults) -> Section | None:
@@ -61,7 +57,7 @@ def _explained(results: StudyResults) -> list[Block]:
         return []
     name = " + ".join(results.explanation.get("chosen", []))
     what = f"before and after adding {name}" if name else "of the base model"
-    return [*_error_picture(results, "errors_before_after", table, what), _error_table(table, f"Errors {what}")]
+    return [*_error_picture(results, "errors_before_after", table, what), _error_table(table, f"Errors {what}", name)]
 
 
 def _error_picture(results: StudyResults, figure: str, table: pd.DataFrame, what: str) -> list[Picture]:
@@ -75,11 +71,12 @@ def _arrow(table: pd.DataFrame, group: str) -> str:
     return " → ".join(fixed(v, 2) for v in table[table["group"] == group]["rms"])
 
 
-def _error_table(table: pd.DataFrame, caption: str) -> Table:
+def _error_table(table: pd.DataFrame, caption: str, name: str = "") -> Table:
+    """Errors by group of data and model; ``name`` are the effects in the other model."""
     rows = tuple(
         (
             GROUPS.get(str(r["group"]), str(r["group"])),
-            STAGES.get(str(r.get("stage", "")), "calibrated model"),
+            added("base" if r.get("stage", "before") == "before" else str(r["stage"]), name),
             fixed(r["rows"], 0),
             fixed(r["rms"], 2),
             fixed(r["expected"], 2),
