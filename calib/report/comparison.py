@@ -284,7 +284,8 @@ def _bars(
             hover(bar, f"{mode}, {told[name]}: {words(height)}")
         if len(series) * len(values) <= _MOST_VALUES:
             texts = ["" if gone else _signed(h, number) for h, gone in zip(heights, missing, strict=True)]
-            ax.bar_label(bars, texts, fontsize=7 if len(values) < 3 else 6.5, padding=2)
+            room = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.3}  # over a line that crosses it
+            ax.bar_label(bars, texts, fontsize=7 if len(values) < 3 else 6.5, padding=2, bbox=room)
         for position in x[missing]:
             ax.annotate(
                 "not paired",

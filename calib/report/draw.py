@@ -93,7 +93,7 @@ def plan(folder: Folder) -> dict[str, Drawing]:
             add(
                 f"responses_{stage}",
                 f"errors of the responses, {stage_words(stage, effects)}",
-                lambda both=both: _owner(draw_responses(*both)),  # type: ignore[misc]
+                lambda both=both: _owner(draw_responses(*both, effects=effects)),  # type: ignore[misc]
                 f"comparison_{stage}",
             )
     for stage in _STAGES:

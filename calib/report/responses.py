@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from calib.report.style import AFTER, ATTEMPT, BEFORE, BLACK, WITH, added, legend_above, own_axes, plain
+from calib.report.style import AFTER, ATTEMPT, BEFORE, BLACK, WITH, added, legend_above, own_axes, plain, stage_words
 from calib.report.svg import hover
 
 _LOOKS = {
@@ -19,7 +19,9 @@ _MOST_UPRIGHT = 6
 """Responses whose names still stand level below the axis."""
 
 
-def draw_responses(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None) -> Axes:
+def draw_responses(
+    before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None, *, effects: str = ""
+) -> Axes:
     """Draw the error of every scalar response, before and after calibration.
 
     Parameters
@@ -28,6 +30,8 @@ def draw_responses(before: pd.DataFrame | None, after: pd.DataFrame | None = Non
         Columns ``response``, ``error`` (relative to the response) and ``error_in_std`` (NaN where no standard deviation
         is known).
     ax : Axes, optional
+    effects : str
+        Names of effects that were added after this calibration, for the legend.
 
     Returns
     -------
@@ -39,7 +43,8 @@ def draw_responses(before: pd.DataFrame | None, after: pd.DataFrame | None = Non
     column, factor = ("error_in_std", 1.0) if in_std else ("error", 100.0)
     label = "error (standard deviations)" if in_std else "error (%)"
     bars = {
-        f"{stage} calibration": (stage, factor * table.set_index("response")[column]) for stage, table in tables.items()
+        stage_words(stage, effects): (stage, factor * table.set_index("response")[column])
+        for stage, table in tables.items()
     }
     return _bars(bars, label, ax)
 
