@@ -187,6 +187,13 @@ class _Format(StrEnum):
     pdf = "pdf"
 
 
+class _Width(StrEnum):
+    """Width of a figure."""
+
+    page = "page"
+    column = "column"
+
+
 @app.command(short_help="Write report.html and figures from stored results.")
 def report(
     study: StudyPath,
@@ -195,6 +202,14 @@ def report(
         list[_Format],
         typer.Option("--format", help="Format of the figures beside the report; give it again for a further one."),
     ] = [_Format.png],  # noqa: B006
+    width: Annotated[
+        _Width,
+        typer.Option(
+            "--width",
+            help="Width of these figures: 190 mm, or 90 mm for a journal's column; one that is not legible in a column "
+            "stays as wide as a page.",
+        ),
+    ] = _Width.page,
     verbose: Verbose = False,
 ) -> None:
     """Write report.html, one file that opens anywhere, from the stored results, and redraw every figure.
@@ -202,7 +217,7 @@ def report(
     Nothing is computed, and no code of the study is run.
     """
     with _study("report", study, results, verbose, load=False) as known:
-        known.report(tuple(dict.fromkeys(one.value for one in formats)))
+        known.report(tuple(dict.fromkeys(one.value for one in formats)), width.value)
 
 
 @app.command(short_help="Run every analysis and write report.html.")

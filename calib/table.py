@@ -151,7 +151,7 @@ def read_table(
     unbounded : sequence of str
         Those of `numbers` that may be infinite.
     if_there : sequence of str
-        Further columns of numbers that a table may have.
+        Columns that a table may lack: those of `flags`, or further ones of numbers.
     blank : sequence of str
         Columns of words that may be empty, or missing altogether.
     others_are_numbers : bool
@@ -166,7 +166,7 @@ def read_table(
     InputError
         Naming the file, the line and the column.
     """
-    wanted = [*text, *numbers, *flags]
+    wanted = [column for column in (*text, *numbers, *flags) if column not in if_there]
     key = (unique,) if isinstance(unique, str) else tuple(unique)
     sheet = _read(path, [*wanted, *(column for column in key if column not in wanted)], comments=False, remedy=AGAIN)
     header = sheet.header

@@ -19,13 +19,13 @@ from matplotlib.ticker import NullLocator
 from PIL import Image
 
 from calib.report.figures import Figures
-from calib.report.style import DPI, add_heading, legend_above, style, take_dollars_literally
+from calib.report.style import DPI, add_heading, style, take_dollars_literally
 from calib.report.tables import read_table
 from calib.report.worst import draw_worst
 
 HERE = Path(__file__).resolve().parent
-COLOURS = 128
-"""Of a PNG: enough for every figure, and a third of its size."""
+COLOURS = 256
+"""Of a PNG: all that its palette takes."""
 TICKS = [m * 10**k for k in range(-3, 3) for m in (1, 2, 3, 5)]
 """Of a logarithmic axis that spans little more than a decade."""
 
@@ -100,16 +100,13 @@ def before_and_after(base: Path, extended: Path) -> Figure | None:
         return None
     record = _record(base)
     (effect,) = json.loads((base / "added.json").read_text("utf-8"))["effects"]
-    added = f"{effect['title'][:1].lower()}{effect['title'][1:]}, {effect['value']:.3g} {effect['unit']}"
+    added = f"a {effect['title'][:1].lower()}{effect['title'][1:]}, {effect['value']:.3g} {effect['unit']}"
     with style():
-        ax = draw_worst(*(read_table(file, ["kind", "what"], ["in_std"]) for file in files))
-        for stage, label in (("before", "calibrated"), ("after", f"calibrated with the named effect: {added}")):
-            (dots,) = (c for c in ax.collections if c.get_label() == f"{stage} calibration")
-            dots.set_label(label)
+        without, having = (read_table(file, ["kind", "what"], ["in_std"]) for file in files)
+        ax = draw_worst(None, without, added=having, effects=added)
         low, high = ax.get_xlim()
         ax.set_xticks([tick for tick in TICKS if low <= tick <= high])
         ax.xaxis.set_minor_locator(NullLocator())
-        legend_above(ax)
         add_heading(ax.figure, "The worst errors of the model, without and with what it lacks", record["synthetic"])
     return ax.figure
 

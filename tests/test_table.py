@@ -105,3 +105,10 @@ def test_the_index_and_the_header_are_guarded_too_and_numbers_are_not(tmp_path):
 def test_a_text_of_several_lines_stays_one_cell(tmp_path):
     path = Results(tmp_path).write_table("t", pd.DataFrame({"item": ["a"], "reason": ["one\r\ntwo\tthree"]}))
     assert read_table(path, ["item", "reason"])["reason"].tolist() == ["one two\tthree"]
+
+
+def test_a_flag_that_a_table_may_lack_is_read_as_a_flag(tmp_path):
+    found = read_table(write(tmp_path, "a,b\nx,True\ny,\n"), ["a"], flags=["b", "c"], if_there=["b", "c"])
+    assert list(found["b"]) == [True, None] and "c" not in found
+    with pytest.raises(InputError, match="maybe"):
+        read_table(write(tmp_path, "a,b\nx,maybe\n"), ["a"], flags=["b"], if_there=["b"])

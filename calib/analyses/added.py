@@ -45,7 +45,8 @@ class Added:
     errors : DataFrame
         ``added_errors.csv``: ``group, stage, rows, rms, expected, p, unpaired``, stages ``before`` and ``after``.
     parameters : DataFrame
-        ``added_parameters.csv``: ``parameter, unit, added, nominal, before, before_std, after, after_std``.
+        ``added_parameters.csv``: ``parameter, unit, added, nominal`` and, of the stages ``before`` and ``after``, the
+        value and its ``_std`` and ``_identified``.
     modes : DataFrame
         ``added_modes.csv``: ``mode, held_out, damped_freq_measured`` and ``damped_freq_, error_, mac_`` of the stages
         ``initial`` (nominal values), ``before`` (calibrated) and ``after`` (calibrated with the added effects).
@@ -121,7 +122,7 @@ def write_added(
     after : Calibration
         Of ``extended``.
     results : Results
-        Of ``study``; ``added.json`` and the ``added_*`` tables are written there.
+        Of ``study``; ``added.json``, the ``added_*`` tables and those of the comparison after are written there.
     quick : bool
         Whether both calibrations were quick runs.
     """
@@ -138,9 +139,13 @@ def write_added(
     results.write_table("added_parameters", parameters)
     if len(answer.modes):
         results.write_table("added_modes", answer.modes)
+    end = after.best.answer
+    results.write_table("comparison_added", end.table)
+    if end.comparison is not None:
+        results.write_table("where_it_fails_added", end.comparison.where_it_fails())
     given = extended.settings
     seeds = {**{case.name: case.seed for case in given.calibration.cases}, "reduction": given.reduction.seed}
-    reached = {"mean_freq_error": after.best.answer.mean_freq_error, "mean_mac": after.best.answer.mean_mac}
+    reached = {"mean_freq_error": end.mean_freq_error, "mean_mac": end.mean_mac}
     _written(answer, results, effects=magnitudes, study=str(extended.file.parent), quick=quick, **reached)
     write_record(study, results, "extend", seeds, (answer.sentence,), quick)
     return answer
@@ -161,15 +166,20 @@ def _errors(before: Calibration, after: Calibration) -> pd.DataFrame:
 def _parameters(study: Study, effects: Sequence[Effect], before: Calibration, after: Calibration) -> pd.DataFrame:
     """Fitted values without and with the added effects; NaN where a parameter was not fitted."""
     own = {name for effect in effects for name in effect.names}
-    found = [c.verdicts.set_index("parameter")[["value", "std"]].astype(float) for c in (before, after)]
-    table = found[1].rename(columns={"value": "after", "std": "after_std"})
-    table = table.join(found[0].rename(columns={"value": "before", "std": "before_std"}))
+    was, now = (
+        c.verdicts.set_index("parameter")[["value", "std", "identified"]]
+        .astype({"value": float, "std": float})
+        .rename(columns={"value": stage, "std": f"{stage}_std", "identified": f"{stage}_identified"})
+        for stage, c in (("before", before), ("after", after))
+    )
+    table = now.join(was)
     space = study.model.space
     table = table[[name in space for name in table.index]]
     table["unit"] = [space[name].unit for name in table.index]
     table["added"] = [name in own for name in table.index]
     table["nominal"] = [space[name].value for name in table.index]
-    columns = ["unit", "added", "nominal", "before", "before_std", "after", "after_std"]
+    stages = [f"{stage}{end}" for stage in ("before", "after") for end in ("", "_std", "_identified")]
+    columns = ["unit", "added", "nominal", *stages]
     return table[columns].reset_index()
 
 

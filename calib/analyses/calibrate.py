@@ -145,15 +145,22 @@ class Calibration:
     @property
     def case_sentences(self) -> tuple[str, ...]:
         """Whether the cases agree."""
-        out = [self.agreement.sentence]
-        if self.search_agreement is not None:
+        own, searched = self.agreement, self.search_agreement
+        out = [own.sentence]
+        if searched is not None:
             out = [
-                f"The searches alone: {self.search_agreement.sentence}",
-                f"After least squares, which also weighs the priors: {self.agreement.sentence}",
+                f"After least squares, which also weighs the priors, {_going_on(own.sentence)}",
+                f"In the searches alone, {_going_on(searched.sentence)}",
             ]
+        out += [own.remedy] if own.remedy else []
         if self.agreement.verdict == "several solutions":
             out.append("Identified therefore means locally, around the reported solution; the others fit equally well.")
         return tuple(out)
+
+
+def _going_on(sentence: str) -> str:
+    """A sentence behind the beginning of another."""
+    return f"{sentence[:1].lower()}{sentence[1:]}"
 
 
 def fingerprint(study: Study) -> str:

@@ -40,11 +40,12 @@ from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Altered, Hypotheses
-from calib.missing.pattern import pattern_table, place_table
+from calib.missing.pattern import parameter_table, pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
 from calib.missing.recommendation import Recommendation, recommend, recommendation
 from calib.missing.rules import RULES
+from calib.missing.score import noise_limit
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import (
     candidate_fits_table,
@@ -244,6 +245,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "accuracy": accuracy,
         "suspects_explained": found.suspects,
         "why": pattern_table(found, adapter.labels()),
+        "why_parameters": parameter_table(found),
         "why_places": place_table(found, adapter.places()),
         **adapter.tables(stages),
     }
@@ -341,4 +343,5 @@ def _perturbations(adapter: Adapter, found: Explanation) -> pd.DataFrame:
         kind, place, sensor = places[name]
         score = scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0)  # the other sign is not physical
         rows.append((name, kind, *place, sensor, score, scores.unabsorbed[k]))
-    return pd.DataFrame(rows, columns=["perturbation", "kind", "x", "y", "z", "sensor", "score", "unabsorbed"])
+    table = pd.DataFrame(rows, columns=["perturbation", "kind", "x", "y", "z", "sensor", "score", "unabsorbed"])
+    return table.assign(limit=noise_limit(table["score"].to_numpy(dtype=float)))

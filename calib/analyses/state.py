@@ -32,15 +32,17 @@ def _of_stages(*stages: str) -> tuple[str, ...]:
 
 GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
 """Files of `calib.correlation.mesh.geometry_tables`."""
-ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv")
+ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "comparison_added.csv",
+         "where_it_fails_added.csv")  # fmt: skip
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
 _CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "posterior_correlation", "confounded",
                "unseen_directions", "predictions", "convergence", "modes", "responses", "data_errors",
                "versions")  # fmt: skip
-_EXPLAINED = ("effects", "why", "why_places", "accuracy", "explained_fits", "suspects_explained", "perturbations",
-              "confounding", "pulls", "candidate_fits", "misfit_kinds", "sensor_misfit", "response_misfit", "unpaired",
-              "errors", "next_measurement", "discretisation", "versions")  # fmt: skip
+_EXPLAINED = ("effects", "why", "why_parameters", "why_places", "effect_places", "accuracy", "explained_fits",
+              "suspects_explained", "perturbations", "confounding", "pulls", "candidate_fits", "misfit_kinds",
+              "sensor_misfit", "response_misfit", "unpaired", "errors", "next_measurement", "discretisation",
+              "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {
     "compare": (*RECORDED, *GEOMETRY, *_of_stages("before"), "sensor_check.csv"),
     "sensitivity": (*RECORDED, *(f"{name}.csv" for name in _MEASURES)),

@@ -15,7 +15,7 @@ from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import write_report
 from calib.report.shown import Shown
-from calib.report.style import FORMATS, Format
+from calib.report.style import FORMATS, Format, Width
 from calib.results import RESULTS, Results
 from calib.study_file import StudyFile
 from calib.written import is_own
@@ -28,6 +28,7 @@ def draw(
     listener: Listener,
     report: bool = False,
     formats: Sequence[Format] = ("png",),
+    width: Width = "page",
 ) -> None:
     """Draw the figures of all tables in a folder; the report is written on request, and where an older one exists.
 
@@ -41,6 +42,8 @@ def draw(
     report : bool
     formats : sequence of {"png", "svg", "pdf"}
         Formats of the figures beside the report.
+    width : {"page", "column"}
+        Of these figures; see `calib.report.style.save`.
 
     Raises
     ------
@@ -53,7 +56,7 @@ def draw(
         shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
         with listener.progress() as step:
             written = write_report(shown, step) if report or folder.has(REPORT) else None
-            figures = shown.figures.save(formats, step)
+            figures = shown.figures.save(formats, step, width)
     except OSError as fault:
         raise InputError(
             f"a figure or the report cannot be written ({fault.strerror})",
@@ -66,18 +69,18 @@ def draw(
     listener.drawn(study, figures, stale.sentences, written)
 
 
-def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format]) -> None:
+def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:
     """Redraw every figure and report of a study, and of the extended studies among its results; see `draw`."""
     for part in study.parts:
         folders = places.answers_of(part, root)
         if Results(root / part.name) in folders:  # versions compare full results only
             listener.versions(write_versions(part, root))
         for folder in folders:
-            draw(part, folder, root, listener, True, formats)
+            draw(part, folder, root, listener, True, formats, width)
     together = places.answers_of(study, root)
     if study.settings.several:
         for folder in together:
-            draw(study, folder, root, listener, False, formats)
+            draw(study, folder, root, listener, False, formats, width)
     written = [file for folder in together if (file := found_among(study, folder.path))]
     for file in written[:1]:  # the extended study of a quick run has its results in the same place
-        draw_anew(StudyFile.read(file), root, listener, formats)
+        draw_anew(StudyFile.read(file), root, listener, formats, width)

@@ -79,7 +79,8 @@ class Searched:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Whether the cases agree, and why points failed."""
-        return (f"The searches alone: {self.agreement.sentence}", *([self.why_failed] if self.why_failed else []))
+        told = f"{self.agreement.sentence} {self.agreement.remedy}".strip()
+        return (told, *([self.why_failed] if self.why_failed else []))
 
 
 def searched(

@@ -32,7 +32,7 @@ from calib.given import path as path_of
 from calib.joint import said, stacked
 from calib.missing.explanation import Explanation
 from calib.report.html.write import NAME as REPORT
-from calib.report.style import Format
+from calib.report.style import Format, Width
 from calib.results import RESULTS, Results
 from calib.several import AnyStudy, JointStudy, load
 from calib.study import Study as Loaded
@@ -263,20 +263,22 @@ class Study:
         self._draw_tests(report=True)
         return extended or self
 
-    def report(self, formats: Sequence[Format] = ("png",)) -> Path:
+    def report(self, formats: Sequence[Format] = ("png",), width: Width = "page") -> Path:
         """Write ``report.html`` from the stored results and redraw every figure; no code of the study is run.
 
         Parameters
         ----------
         formats : sequence of {"png", "svg", "pdf"}
-            Formats of the figures beside the report, each as wide as a page.
+            Formats of the figures beside the report.
+        width : {"page", "column"}
+            Width of these figures: 190 mm, or 90 mm where a figure is legible in a journal's column.
         """
         study = StudyFile.read(self.path)
         parts = [part for part in study.parts if places.answers_of(part, self.results)]
         if not parts:
             remedy = f"run the study first: calib run {shell_argument(self.path)}"
             raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
-        draw_anew(study, self.results, self.listener, formats)
+        draw_anew(study, self.results, self.listener, formats, width)
         return self.results / parts[0].name / REPORT
 
     # -- steps ---------------------------------------------------------------------------------------------------------

@@ -284,6 +284,10 @@ def convergence_table(results: Sequence[CaseResult]) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=columns)
 
 
+_NAMED = 3
+"""Parameters that a sentence names as differing; the table has all."""
+
+
 # -- agreement ---------------------------------------------------------------------------------------------------------
 
 
@@ -308,6 +312,11 @@ class Agreement:
     worse: tuple[str, ...]
     differing: tuple[str, ...]
     sentence: str
+
+    @property
+    def remedy(self) -> str:
+        """What to do where a better solution may be left; empty otherwise."""
+        return "Give the search more generations or more cases." if self.verdict == "not settled" else ""
 
 
 def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float = 0.0) -> Agreement:
@@ -355,22 +364,24 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
         sentence = "Only one case was run, so whether its solution is unique was not tested."
     elif len(groups) > 1:
         verdict = "several solutions"
-        ways = "; ".join(f"{i}) {described(group)}" for i, group in enumerate(groups, start=1))
-        widths = ", ".join(f"{space.free_names[j]} by {100 * spread[j]:.0f} %" for j in apart)
+        ways = " and ".join(described(group) for group in groups)
+        widths = [f"{space.free_names[j]} by {100 * spread[j]:.0f} %" for j in apart]
+        more = f" and {len(widths) - _NAMED} more by at least {100 * RULES.stable:.0f} %" * (len(widths) > _NAMED)
         sentence = (
-            f"The solution is not unique: {len(groups)} sets of parameters fit equally well, {ways}. They differ, "
-            f"relative to the range, in {widths}; these data do not determine them.{left}"
+            f"The solution is not unique: {len(groups)} sets of parameters fit equally well, {ways}. These data do not "
+            f"determine what differs between them: {', '.join(widths[:_NAMED])}{more} of the range.{left}"
         )
     elif len(good) > 1:
         verdict = "one solution"
         sentence = (
-            f"The cases {described(good)} agree on one solution: no parameter differs by more than "
-            f"{100 * float(spread.max()):.1f} % of its range.{left}"
+            f"The cases {described(good)} agree on one solution: their parameters differ by "
+            f"{_at_most(float(spread.max()))} of the range.{left}"
         )
     else:
         verdict = "not settled"
-        sentence = (
-            f"Only {described(good)} reaches the lowest misfit.{left} The search is not settled: give it more "
-            "generations or more cases."
-        )
+        sentence = f"Only {described(good)} reaches the lowest misfit.{left}"
     return Agreement(verdict, solutions, worse, differing, sentence)
+
+
+def _at_most(share: float) -> str:
+    return "less than 0.1 %" if share < 0.001 else f"at most {100 * share:.1f} %"

@@ -296,9 +296,10 @@ def _directions(names: tuple[str, ...], scaled: np.ndarray) -> pd.DataFrame:
         part = vt[k] * np.sign(vt[k][np.argmax(np.abs(vt[k]))])
         order = np.argsort(-np.abs(part), kind="stable")
         named = [(names[j], part[j]) for n_th, j in enumerate(order) if n_th == 0 or abs(part[j]) >= RULES.takes_part]
-        signal, text = float(singular[k]), ", ".join(f"{name} {'up' if p > 0 else 'down'}" for name, p in named)
+        ways = ", ".join(f"{name} {'up' if p > 0 else 'down'}" for name, p in named)
+        signal, text = float(singular[k]), named[0][0] if len(named) == 1 else ways
         seen = signal >= RULES.seen
-        words = f"The data {'see' if seen else 'do not see'} {text}"
+        words = f"The data {'determine' if seen else 'hardly determine'} {text}"
         words += f": one prior standard deviation changes them by {signal:.2g} measurement standard deviations."
         share = signal**2 / (1 + signal**2)
         rows.append((len(rows) + 1, signal, share, seen, ", ".join(name for name, _ in named), words))

@@ -181,19 +181,15 @@ def _sentence(
     if trade is not None:
         words.append(f"It trades most with {trade[0]} (correlation {trade[1]:.2f}).")
     if width is not None and width > RULES.stable:
-        words.append(f"The cases differ by {100 * width:.0f} % of its range.")
+        words.append(f"Its spread over the cases is {100 * width:.0f} % of its range.")
     return " ".join(words)
 
 
-_UNSEEN = 0.05
-"""Data share below which the data count as not seeing a parameter."""
-
-
 def _reasons(why: Sequence[str], std: float, share: float, span: float, scale: str, wider: str) -> list[str]:
-    unseen = "the data do not see it"
+    given = "less than 1" if share < 0.01 else f"only {100 * share:.0f}"
     words = {
         "wide": f"standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its range{wider}",
-        "prior": unseen if share < _UNSEEN else f"the data give only {100 * share:.0f} % of the information on it",
+        "prior": f"the data give {given} % of the information on it",
         "limit": "a limit holds it",
     }
     return [words[reason] for reason in why]

@@ -13,6 +13,7 @@ MOST = 3
 """Indistinguishable effects whose patterns are given."""
 PRIOR = "prior"
 """Kind of the rows of the parameters' priors, which share in the projection."""
+PARAMETER_COLUMNS = ("effects", "effect", "parameter", "description", "unit", "value", "std")
 PLACE_COLUMNS = ("effect", "perturbation", "kind", "x", "y", "z", "correlation")
 
 
@@ -60,6 +61,26 @@ def pattern_table(found: Explanation, labels: pd.DataFrame) -> pd.DataFrame:
             parts.append(own)
     columns = ["effects", "effect", *labels.columns, "residual", "signature", "left"]
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
+
+
+def parameter_table(found: Explanation) -> pd.DataFrame:
+    """Fitted magnitude and nuisance parameters of each effect of `pattern_table`.
+
+    Returns
+    -------
+    DataFrame
+        `PARAMETER_COLUMNS`: description and unit are the library's, the standard deviation that of the fit; the
+        magnitude of an effect comes first.
+    """
+    rows: list[tuple[object, ...]] = []
+    for candidate_fit in explaining(found):
+        fit, together = candidate_fit.fit, " + ".join(candidate_fit.names)
+        std = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)).tolist(), strict=True))
+        for effect in candidate_fit.effects:
+            for p in effect.parameters:
+                value = fit.values[p.name]
+                rows.append((together, effect.name, p.name, p.description, p.unit, value, std.get(p.name, np.nan)))
+    return pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS))
 
 
 def place_table(found: Explanation, places: Mapping[str, tuple[str, tuple[float, float, float], str]]) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from calib.missing.rules import RULES
 
 WORTHWHILE = 1.2
 """Smallest factor on the expected score for which a measurement is recommended."""
+_MEASURED = "measured and held out so far"
 HELD_OUT = ", held-out so far"
 """End of the name of a measured mode that is held out for verification."""
 COLUMNS = (
@@ -212,26 +213,29 @@ def recommendation(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Se
         purpose = "To see more"
     if not advised:
         return None
-    told = [_with_what_is_new(own) for own in advised]
-    used = " A held-out mode that is used no longer verifies the result." if any(HELD_OUT in t for t in told) else ""
-    names = dict.fromkeys(str(own["measurement"].iloc[0]) for own in advised)
-    return Recommendation(f"{purpose}, measure next: {'; '.join(told)}. {AVERAGED}{used}", _in_short(purpose, names))
+    names = list(dict.fromkeys(str(own["measurement"].iloc[0]) for own in advised))
+    new = [name for name in names if not _is_held_out(name)]
+    held = [name.removesuffix(HELD_OUT) for name in names if _is_held_out(name)]
+    if not held:
+        told = "; ".join(str(own["words"].iloc[0]) for own in advised)
+        short = f"{purpose}, measure next: {'; or '.join(new)}."
+        return Recommendation(f"{purpose}, measure next: {told}. {AVERAGED}", short)
+    use = f"let the fit use {' or '.join(held)}, {_MEASURED}"
+    short = f"{purpose}, measure next: {'; or '.join([*new, use])}." if new else f"{purpose}, {use}."
+    told = "; ".join(map(_used_or_measured, advised))
+    used = "A held-out mode that is used no longer verifies the result."
+    return Recommendation(f"{purpose}, {told}. {AVERAGED} {used}", short)
 
 
-def _in_short(purpose: str, names: Iterable[str]) -> str:
-    """What to measure, best first, and which held-out modes are measured already."""
-    every = list(names)
-    new = [name for name in every if not name.endswith(HELD_OUT)]
-    held = [name.removesuffix(HELD_OUT) for name in every if name.endswith(HELD_OUT)]
-    use = f"let the fit use {' or '.join(held)}, measured and held out so far"
-    if not new:
-        return f"{purpose}, {use}."
-    return f"{purpose}, measure next: {'; or '.join(new)}{f'; or {use}' if held else ''}."
+def _is_held_out(measurement: str) -> bool:
+    return measurement.endswith(HELD_OUT)
 
 
-def _with_what_is_new(measurements: pd.DataFrame) -> str:
-    """Words of the best measurement; for a held-out mode, with those of the best new one."""
-    words, new = measurements["words"].astype(str), ~measurements["measurement"].astype(str).str.endswith(HELD_OUT)
-    if new.iloc[0] or not new.any():
-        return str(words.iloc[0])
-    return f"{words.iloc[0]} (new: {words[new].iloc[0]})"
+def _used_or_measured(measurements: pd.DataFrame) -> str:
+    """What to do for the best measurement; for a held-out mode, and for the best new one."""
+    words, held = measurements["words"].astype(str), measurements["measurement"].astype(str).map(_is_held_out)
+    further = f"measure {words[~held].iloc[0]}" if not held.all() else ""
+    if not held.iloc[0]:
+        return further
+    use = f"let the fit use {words.iloc[0].replace(HELD_OUT, f', {_MEASURED}', 1)}"
+    return f"{use}, or {further}" if further else use

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 import scipy.linalg as la
+from scipy.special import ndtri
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
@@ -15,6 +16,9 @@ from calib.missing.hypotheses import FitProblem
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.problem import Labelled
+
+NOISE_LEVEL = 0.01
+"""Family-wise probability at which `noise_limit` is exceeded by noise alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +183,19 @@ def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
         samples += factor * (_root(unit[index].T @ unit[index]) @ rng.standard_normal((unit.shape[1], RULES.draws)))
     largest = np.max(np.where(signed[:, None], np.abs(samples), samples), axis=0)
     return float((np.count_nonzero(largest >= found.magnitude[seen].max()) + 1) / (RULES.draws + 1))
+
+
+def noise_limit(scores: np.ndarray) -> float:
+    """Absolute score that noise alone exceeds anywhere with a probability of `NOISE_LEVEL`.
+
+    Standard normal scores, Bonferroni over those that are known; as they are correlated, the limit is on the safe side.
+
+    Parameters
+    ----------
+    scores : ndarray (n,)
+        NaN where the parameters absorb the candidate.
+    """
+    return float(-ndtri(NOISE_LEVEL / (2 * max(int(np.isfinite(scores).sum()), 1))))
 
 
 def _root(matrix: np.ndarray) -> np.ndarray:

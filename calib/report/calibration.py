@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from calib.report.numbers import significant, with_unit
+from calib.report.numbers import flag, short, significant, with_unit
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
 from calib.report.svg import hover
 
@@ -29,7 +29,8 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     table : DataFrame
         Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1),
         ``on_bound`` (bool), ``spread`` (of the ratio over the cases, NaN if unknown) and ``stable`` (bool, or None).
-        Optional: ``search_value`` (end of the search, before least squares), ``lower`` and ``upper``.
+        Optional: ``search_value`` (end of the search, before least squares) and ``search_on_bound``, ``lower``,
+        ``upper``.
     ax : Axes, optional
     best_case : str, optional
         The case that is reported, for the legend.
@@ -38,8 +39,8 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     -------
     Axes
         One group of horizontal bars per parameter, lengths in percent of the range between the limits, and the value
-        beside each bar; a dark line separates neighbours of different units. A triangle marks a value at a limit; a
-        parameter on which the searches disagree is hatched and labelled.
+        beside each bar; a dark line separates neighbours of different units. A triangle marks a bar that ends at a
+        limit; a parameter on which the searches disagree is hatched and labelled.
     """
     cases = list(dict.fromkeys(table["case"]))
     names = list(dict.fromkeys(table["parameter"]))
@@ -49,6 +50,7 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     unstable = {
         name: any(flag is False for flag in _flags(table[table["parameter"] == name], "stable")) for name in names
     }
+    any_bound = False
     for k, case in enumerate(cases):
         rows = table[table["case"] == case].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(cases) - 1) / 2) * height
@@ -63,16 +65,12 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
                 bar.set_hatch("/////")
                 bar.set_edgecolor("white")
         _write_bar_values(ax, rows, y)
-        bound = np.array([flag is True for flag in _flags(rows, "on_bound")])
-        ax.plot(
-            np.clip(lengths[bound], 0.0, 100.0) + 1.6,
-            y[bound],
-            linestyle="none",
-            marker="<",
-            markersize=4.5,
-            color="black",
-            gid=f"on_bound {case}",
-        )
+        bound = _at_limit(rows)
+        any_bound = any_bound or bool(bound.any())
+        for marker, side in (("<", lengths <= 50.0), (">", lengths > 50.0)):
+            at = bound & side
+            ends = np.clip(lengths[at], 0.0, 100.0) + 1.6
+            ax.plot(ends, y[at], marker, color="black", markersize=4.5, gid=f"on_bound {case} {marker}")
     ax.set_yticks(range(len(names)), [str(n) for n in names])
     ax.set_ylim(len(names) - 0.45, -0.55)
     ax.set_xlim(0.0, 104.0)
@@ -89,8 +87,7 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
             spread = table.loc[table["parameter"] == name, "spread"].max()
             text = "not stable" if math.isnan(spread) else f"not stable, spread {100.0 * spread:.0f} %"
             _beside(ax, row, text, VERMILLION, _BESIDE_VALUES)
-    bound_anywhere = any(flag is True for flag in _flags(table, "on_bound"))
-    _legend(ax, cases, best_case, any(unstable.values()), bound_anywhere)
+    _legend(ax, cases, best_case, any(unstable.values()), any_bound)
     return ax
 
 
@@ -110,6 +107,14 @@ def searched(table: pd.DataFrame) -> pd.Series[float]:
         return table["ratio"].astype(float)
     span = table["upper"].astype(float) - table["lower"].astype(float)
     return ((table["search_value"].astype(float) - table["lower"].astype(float)) / span).fillna(table["ratio"])
+
+
+def _at_limit(rows: pd.DataFrame) -> np.ndarray:
+    """Whether what the bar shows is at a limit: the end of the search, or without one the final value."""
+    ends = rows["on_bound"]
+    if "search_on_bound" in rows:
+        ends = rows["search_on_bound"].where(rows["search_on_bound"].notna(), ends)
+    return np.array([flag(value) for value in ends])
 
 
 def _flags(table: pd.DataFrame, column: str) -> list[bool | None]:
@@ -140,7 +145,9 @@ def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: boo
     if any_unstable:
         handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="/////", label="not stable: cases disagree"))
     if any_bound:
-        handles.append(Line2D([], [], linestyle="none", marker="<", color="black", markersize=4.5, label="at a limit"))
+        handles.append(
+            Line2D([], [], linestyle="none", marker=">", color="black", markersize=4.5, label="ends at a limit")
+        )
     legend_above(ax, handles)
 
 
@@ -170,7 +177,7 @@ def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         best, mean = (finite.loc[rows.index, column].to_numpy() for column in ("best", "mean"))
         line_style = _LINE_STYLES[k // len(CASES) % len(_LINE_STYLES)]
         last = best[np.isfinite(best)]
-        label = f"{case} (ends at {last[-1]:.3g})" if len(last) else f"{case} (no feasible point)"
+        label = f"{case} (ends at {short(last[-1])})" if len(last) else f"{case} (no feasible point)"
         marker = "o" if len(best) == 1 else ""
         looks: dict[str, Any] = {"color": colour, "linewidth": 1.9, "marker": marker, "zorder": 3}
         (line,) = ax.plot(generation, best, line_style, label=label, **looks)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,20 +18,28 @@ from calib.report.style import (
     BEFORE,
     BLACK,
     GREY,
+    WITH,
     legend_above,
     matrix_height,
     new_figure,
     own_axes,
     separate_cells,
+    stage_words,
 )
 from calib.report.svg import hover, hover_cells, hover_points
 
-_LOOKS = {"before": {"color": BEFORE, "hatch": "////", "edgecolor": "white"}, "after": {"color": AFTER}}
+_LOOKS: dict[str, dict[str, Any]] = {
+    "before": {"color": BEFORE, "hatch": "////", "edgecolor": "white"},
+    "after": {"color": AFTER},
+    "added": {"color": WITH, "hatch": "....", "edgecolor": "white"},
+}
 STILL = 0.1
 """Motion over the largest one of a mode, rms over the modes, below which a sensor hardly moves."""
 _MAX_SENSORS = 40
 _LABEL_ROOM = 105
 """Characters that fit side by side under the bars."""
+_MOST_VALUES = 24
+"""Bars that still have their values written above them."""
 
 
 def has_mac(*tables: pd.DataFrame | None) -> bool:
@@ -39,15 +48,23 @@ def has_mac(*tables: pd.DataFrame | None) -> bool:
 
 
 def draw_frequency_error(
-    before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None
+    before: pd.DataFrame | None,
+    after: pd.DataFrame | None = None,
+    ax: Axes | None = None,
+    *,
+    added: pd.DataFrame | None = None,
+    effects: str = "",
 ) -> Axes:
     """Draw the signed frequency error of every mode as bars, after Ribeiro et al. (2013), figure 9.
 
     Parameters
     ----------
-    before, after : DataFrame or None
-        Columns ``mode, natural_freq_measured`` (Hz) and ``freq_error`` (signed fraction, NaN for an unpaired mode).
+    before, after, added : DataFrame or None
+        Of the model before and after calibration, and calibrated with added effects. Columns ``mode,
+        natural_freq_measured`` (Hz) and ``freq_error`` (signed fraction, NaN for an unpaired mode).
     ax : Axes, optional
+    effects : str
+        Names of the added effects, for the legend.
 
     Returns
     -------
@@ -55,14 +72,15 @@ def draw_frequency_error(
         Bar heights in percent; the legend has the mean absolute error over the paired modes.
     """
     ax = own_axes(ax, 3.2)
-    series = _series(before, after)
-    values = {name: 100.0 * table["freq_error"] for name, table in series.items()}
+    series = _series({"before": before, "after": after, "added": added})
+    values = {stage: 100.0 * table["freq_error"] for stage, table in series.items()}
     labels = {
-        name: f"{name}: mean |error| {_mean(errors.abs(), '{:.2f} %')}{_paired(errors)}"
-        for name, errors in values.items()
+        stage: f"{stage_words(stage, effects)}: mean |error| {_mean(errors.abs(), '{:.2f} %')}{_paired(errors)}"
+        for stage, errors in values.items()
     }
     ax.axhline(0.0, color="black", linewidth=0.8)
-    _bars(ax, values, labels, "{:+.1f}", lambda value: f"{fixed(value, 2, sign=True)} %")
+    told = {stage: stage_words(stage, effects) for stage in values}
+    _bars(ax, values, labels, told, "{:+.1f}", lambda value: f"{fixed(value, 2, sign=True)} %")
     modes = next(iter(values.values())).index
     frequencies = pd.concat([t["natural_freq_measured"] for t in series.values()]).groupby(level=0, sort=False).first()
     names = [f"{mode}\n{frequencies[mode]:.2f} Hz" for mode in modes]
@@ -80,21 +98,30 @@ def draw_mac(
     ax: Axes | None = None,
     *,
     noise_mac: float = math.nan,
+    added: pd.DataFrame | None = None,
+    effects: str = "",
 ) -> Axes:
     """Draw the MAC of every mode with its model mode as bars, after Ribeiro et al. (2013), figure 9.
 
     Parameters
     ----------
-    before, after : DataFrame or None
-        Columns ``mode`` and ``mac`` (0 to 1, NaN for an unpaired mode).
+    before, after, added : DataFrame or None
+        As for `draw_frequency_error`; columns ``mode`` and ``mac`` (0 to 1, NaN for an unpaired mode).
     ax : Axes, optional
     noise_mac : float
         Mean MAC of a perfect model with this noise, drawn as a dashed line; NaN where unknown.
+    effects : str
+        Names of the added effects, for the legend.
     """
     ax = own_axes(ax, 2.6)
-    values = {name: table["mac"] for name, table in _series(before, after).items()}
-    labels = {name: f"{name}: mean MAC {_mean(mac, '{:.3f}')}{_paired(mac)}" for name, mac in values.items()}
-    _bars(ax, values, labels, "{:.2f}", lambda value: f"MAC {fixed(value, 3)}")
+    series = _series({"before": before, "after": after, "added": added})
+    values = {stage: table["mac"] for stage, table in series.items()}
+    labels = {
+        stage: f"{stage_words(stage, effects)}: mean MAC {_mean(mac, '{:.3f}')}{_paired(mac)}"
+        for stage, mac in values.items()
+    }
+    told = {stage: stage_words(stage, effects) for stage in values}
+    _bars(ax, values, labels, told, "{:.2f}", lambda value: f"MAC {fixed(value, 3)}")
     modes = next(iter(values.values())).index
     ax.set_xticks(range(len(modes)), list(modes))
     _crowded(ax, [str(mode) for mode in modes])
@@ -109,17 +136,24 @@ def draw_mac(
 
 
 def comparison_figure(
-    before: pd.DataFrame | None, after: pd.DataFrame | None = None, noise_mac: float = math.nan
+    before: pd.DataFrame | None,
+    after: pd.DataFrame | None = None,
+    noise_mac: float = math.nan,
+    *,
+    added: pd.DataFrame | None = None,
+    effects: str = "",
 ) -> Figure:
     """Draw frequency errors above MAC; without measured shapes there is no MAC panel."""
-    if not has_mac(before, after):
-        figure = new_figure(3.6)
-        draw_frequency_error(before, after, figure.add_subplot())
+    third: dict[str, Any] = {"added": added, "effects": effects}
+    more = 0.0 if added is None else 0.5  # for the legend, which names three models on as many lines
+    if not has_mac(before, after, added):
+        figure = new_figure(3.6 + more)
+        draw_frequency_error(before, after, figure.add_subplot(), **third)
         return figure
-    figure = new_figure(6.2)
+    figure = new_figure(6.2 + 2 * more)
     upper, lower = figure.subplots(2, 1, height_ratios=(1.25, 1.0))
-    draw_frequency_error(before, after, upper)
-    draw_mac(before, after, lower, noise_mac=noise_mac)
+    draw_frequency_error(before, after, upper, **third)
+    draw_mac(before, after, lower, noise_mac=noise_mac, **third)
     upper.text(-0.08, 1.06, "(a)", transform=upper.transAxes, fontweight="bold")
     lower.text(-0.08, 1.06, "(b)", transform=lower.transAxes, fontweight="bold")
     return figure
@@ -160,7 +194,9 @@ def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None) -> Axes:
+def draw_comac(
+    before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None, *, effects: str = ""
+) -> Axes:
     """Draw CoMAC of the sensors, sorted by the newest table, the worst first.
 
     Parameters
@@ -169,6 +205,8 @@ def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, a
         Columns ``sensor`` and ``comac`` (0 to 1, NaN for a sensor without a value); optional ``motion``, the amplitude
         of the sensor over the largest one of each mode (rms over the modes).
     ax : Axes, optional
+    effects : str
+        Names of effects that were added after this calibration, for the legend.
 
     Returns
     -------
@@ -177,7 +215,8 @@ def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, a
         sensor that hardly moves is grey, with its motion: its CoMAC is mostly noise.
     """
     ax = own_axes(ax, 3.6)
-    values = {name: t["comac"] for name, t in _series(before, after, key="sensor").items()}
+    series = _series({"before": before, "after": after}, key="sensor")
+    values = {stage: table["comac"] for stage, table in series.items()}
     newest = list(values.values())[-1]
     order = newest.sort_values(kind="stable", na_position="last").index
     shown = order[:_MAX_SENSORS]
@@ -195,14 +234,15 @@ def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, a
             markersize=5.5,
             markeredgewidth=1.4,
             color=colour,
-            label=f"{name}: mean CoMAC {_mean(values[name], '{:.3f}')}",
+            label=f"{stage_words(name, effects)}: mean CoMAC {_mean(values[name], '{:.3f}')}",
             **dots[name],  # type: ignore[arg-type]
         )
-        hover_points(ax, x, height, [f"{s}, {name}: {fixed(v, 3)}" for s, v in zip(shown, height, strict=True)])
+        told = stage_words(name, effects)
+        hover_points(ax, x, height, [f"{s}, {told}: {fixed(v, 3)}" for s, v in zip(shown, height, strict=True)])
     lowest = min((float(np.nanmin(h)) for h in heights.values() if np.isfinite(h).any()), default=0.0)
     ax.set_ylim(max(0.0, np.floor(10.0 * lowest - 0.5) / 10.0), 1.03)
     ax.set_xlim(-0.7, len(shown) - 0.3)
-    motion = list(_series(before, after, key="sensor").values())[-1].get("motion", pd.Series(dtype=float))
+    motion = list(series.values())[-1].get("motion", pd.Series(dtype=float))
     still = (motion.reindex(shown) < STILL).to_numpy()
     names = [f"{s} ({fixed(100 * motion[s], 0)} %)" if k else str(s) for s, k in zip(shown, still, strict=True)]
     ax.set_xticks(x, names, rotation=90 if len(shown) > 12 or still.any() else 0)
@@ -218,28 +258,34 @@ def draw_comac(before: pd.DataFrame | None, after: pd.DataFrame | None = None, a
     return ax
 
 
-def _series(before: pd.DataFrame | None, after: pd.DataFrame | None, key: str = "mode") -> dict[str, pd.DataFrame]:
-    """Tables by name on a common index: the rows of the first, then those of the second alone."""
-    given = {name: t.set_index(key) for name, t in (("before", before), ("after", after)) if t is not None}
+def _series(tables: Mapping[str, pd.DataFrame | None], key: str = "mode") -> dict[str, pd.DataFrame]:
+    """Those there are, by stage, on a common index: the rows of the first, then those that only others have."""
+    given = {stage: t.set_index(key) for stage, t in tables.items() if t is not None}
     index = list(dict.fromkeys(label for t in given.values() for label in t.index))
-    return {name: t.reindex(index) for name, t in given.items()}
+    return {stage: t.reindex(index) for stage, t in given.items()}
 
 
 def _bars(
-    ax: Axes, values: dict[str, pd.Series], labels: dict[str, str], number: str, words: Callable[[float], str]
+    ax: Axes,
+    values: dict[str, pd.Series],
+    labels: dict[str, str],
+    told: dict[str, str],
+    number: str,
+    words: Callable[[float], str],
 ) -> None:
-    """Draw grouped bars with their values, and ``words`` of each under the mouse; a missing value is labelled."""
+    """Draw grouped bars with their values, stage and ``words`` of each under the mouse; missing ones are labelled."""
     width = 0.8 / len(values)
     for k, (name, series) in enumerate(values.items()):
         x = np.arange(len(series)) + (k - (len(values) - 1) / 2) * width
         heights = series.to_numpy(dtype=float)
         missing = np.isnan(heights)
-        bars = ax.bar(x, heights, width * 0.94, label=labels[name], **_LOOKS[name])  # type: ignore[arg-type]
+        bars = ax.bar(x, heights, width * 0.94, label=labels[name], **_LOOKS[name])
         for bar, (mode, height) in zip(bars, series.items(), strict=True):
-            hover(bar, f"{mode}, {name}: {words(height)}")
-        if len(series) * len(values) <= 20:
+            hover(bar, f"{mode}, {told[name]}: {words(height)}")
+        if len(series) * len(values) <= _MOST_VALUES:
             texts = ["" if gone else _signed(h, number) for h, gone in zip(heights, missing, strict=True)]
-            ax.bar_label(bars, texts, fontsize=7, padding=2)
+            room = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.3}  # over a line that crosses it
+            ax.bar_label(bars, texts, fontsize=7 if len(values) < 3 else 6.5, padding=2, bbox=room)
         for position in x[missing]:
             ax.annotate(
                 "not paired",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from calib.report.calibration import draw_convergence, draw_searches
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.correlation import INDUCED, INPUTS, MOST_IN_MATRIX, POSTERIOR, STRONG, draw_correlation
 from calib.report.explanation import draw_confounding, ranked_effects_figure
-from calib.report.frequencies import draw_frequencies
+from calib.report.frequencies import draw_frequencies, stages_of_added
 from calib.report.mesh import read_mesh, rest_lines
 from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.model import face_groups, model_figure
@@ -30,6 +30,7 @@ from calib.report.scene import PLACE
 from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.shown import Folder
+from calib.report.style import stage_words
 from calib.report.tables import read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import perturbation_map_figure, sensor_misfit_figure
@@ -37,8 +38,8 @@ from calib.report.why import why_figure
 from calib.report.worst import draw_worst
 
 _STAGES = ("before", "after")
-_OF_MODEL = {"initial": "before any calibration", "before": "before calibration", "after": "after calibration"}
-"""Stages of a model and their names in captions; ``initial`` is before the calibration of an earlier study too."""
+_ADDED = "added"
+"""Stage of the model that is calibrated with added effects."""
 
 
 @dataclass(frozen=True)
@@ -76,39 +77,49 @@ def plan(folder: Folder) -> dict[str, Drawing]:
     def add(name: str, caption: str, draw: Callable[[], Figure], *tables: str) -> None:
         drawings[name] = Drawing(name, caption, draw, tables or (name,))
 
-    compared = {stage: _comparison(folder / f"comparison_{stage}.csv") for stage in _STAGES}
+    effects = added_effects(folder)
+    stages = (*_STAGES, *([_ADDED] if effects else []))
+    compared = {stage: _comparison(folder / f"comparison_{stage}.csv") for stage in stages}
     before, after, noise = compared["before"], compared["after"], _noise_mac(folder / "summary.json")
     if before is not None or after is not None:
         add(
-            "comparison", "model against measurement", lambda: comparison_figure(before, after, noise),
-            *_there(folder, "comparison"),
+            "comparison", "model against measurement",
+            lambda: comparison_figure(before, after, noise, added=compared.get(_ADDED), effects=effects),
+            *_there(folder, "comparison", stages),
         )  # fmt: skip
     for stage in _STAGES:
         if (errors := _scalar_comparison(folder / f"comparison_{stage}.csv")) is not None:
             both = (errors, None) if stage == "before" else (None, errors)
             add(
                 f"responses_{stage}",
-                f"errors of the responses {stage} calibration",
-                lambda both=both: _owner(draw_responses(*both)),  # type: ignore[misc]
+                f"errors of the responses, {stage_words(stage, effects)}",
+                lambda both=both: _owner(draw_responses(*both, effects=effects)),  # type: ignore[misc]
                 f"comparison_{stage}",
             )
     for stage in _STAGES:
         path = folder / f"mac_{stage}.csv"
         if path.exists():
             mac = read_table(path, ["mode"], others_are_numbers=True)
-            add(path.stem, f"MAC {stage} calibration", lambda mac=mac: _owner(draw_mac_matrix(mac)))  # type: ignore[misc]
+            words = stage_words(stage, effects)
+            add(path.stem, f"MAC, {words}", lambda mac=mac: _owner(draw_mac_matrix(mac)))  # type: ignore[misc]
     sensors = {stage: _comac(folder / f"comac_{stage}.csv") for stage in _STAGES}
     if any(table is not None for table in sensors.values()):
-        add("comac", "CoMAC of the sensors", lambda: _owner(draw_comac(sensors["before"], sensors["after"])),
-            *_there(folder, "comac"))  # fmt: skip
-    _plan_modes(folder, compared, add)
+        add("comac", "CoMAC of the sensors",
+            lambda: _owner(draw_comac(sensors["before"], sensors["after"], effects=effects)),
+            *_there(folder, "comac", _STAGES))  # fmt: skip
+    _plan_modes(folder, compared, effects, add)
     if (every := _every_mode(folder / "modes.csv")) is not None:
-        add("modes", "damped frequencies of all measured modes", lambda: _owner(draw_frequencies(every)))
-    worst = {stage: _failing(folder / f"where_it_fails_{stage}.csv") for stage in _STAGES}
-    if any(table is not None for table in worst.values()):
+        add("modes", "damped frequencies of all measured modes", lambda every=every: _owner(draw_frequencies(every)))  # type: ignore[misc]
+    if effects and (every := _every_mode(folder / "added_modes.csv")) is not None:
+        caption = f"damped frequencies of all measured modes, without and with {effects}"
+        looks = stages_of_added(effects)
+        add("added_modes", caption, lambda every=every: _owner(draw_frequencies(every, looks=looks)))  # type: ignore[misc]
+    worst = {stage: _failing(folder / f"where_it_fails_{stage}.csv") for stage in stages}
+    if any(worst[stage] is not None for stage in _STAGES):
         add(
-            "where_it_fails", "the worst comparisons", lambda: _owner(draw_worst(worst["before"], worst["after"])),
-            *_there(folder, "where_it_fails"),
+            "where_it_fails", "the worst comparisons",
+            lambda: _owner(draw_worst(worst["before"], worst["after"], added=worst.get(_ADDED), effects=effects)),
+            *_there(folder, "where_it_fails", stages),
         )  # fmt: skip
     path = folder / "sensitivity.csv"
     if path.exists():
@@ -151,8 +162,8 @@ def plan(folder: Folder) -> dict[str, Drawing]:
             ["case", "parameter", "unit"],
             ["value", "ratio", "spread"],
             complete=["ratio"],
-            flags=["on_bound", "stable", "identified"],
-            if_there=["lower", "upper", "std", "search_value"],
+            flags=["on_bound", "stable", "identified", "search_on_bound"],
+            if_there=["lower", "upper", "std", "search_value", "search_on_bound"],
         )
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
         space = folder / "parameter_space.csv"
@@ -179,7 +190,9 @@ def plan(folder: Folder) -> dict[str, Drawing]:
     return drawings
 
 
-def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: Callable[..., None]) -> None:
+def _plan_modes(
+    folder: Folder, compared: dict[str, pd.DataFrame | None], effects: str, add: Callable[..., None]
+) -> None:
     """Figures of the mesh: the model, its modes, and measured shapes over them."""
     mesh = read_mesh(folder)
     if mesh is None:
@@ -199,7 +212,8 @@ def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: C
                 "model_places", "springs, masses and supports of the model, and its parameters",
                 lambda: places_figure(mesh, marks), "model_places",
             )  # fmt: skip
-    for stage, words in _OF_MODEL.items():
+    for stage in ("initial", *_STAGES):  # the first is before the calibration of an earlier study too
+        words = "before any calibration" if stage == "initial" else stage_words(stage, effects)
         moved, listed = folder / f"deflection_{stage}.csv", folder / f"model_modes_{stage}.csv"
         if not moved.exists() or not listed.exists():
             continue
@@ -209,7 +223,7 @@ def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: C
         for page, some in pages(modes).items():
             add(
                 f"model_modes_{stage}{page}",
-                f"modes of the model {words}, damped frequency",
+                f"modes of the model, {words}: damped frequency",
                 lambda some=some, motion=motion: model_modes_figure(some, motion, mesh),
                 f"model_modes_{stage}",
             )
@@ -217,7 +231,7 @@ def _plan_modes(folder: Folder, compared: dict[str, pd.DataFrame | None], add: C
         if measured is not None:
             add(
                 f"mode_shapes_{stage}",
-                f"mode shapes {words}, measured/model",
+                f"mode shapes, {words}: measured/model",
                 lambda measured=measured, motion=motion, facts=compared[stage]: mode_shapes_figure(
                     measured, motion, mesh, facts
                 ),
@@ -268,7 +282,7 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
     sensors = read("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
     if rest is not None and sensors is not None and (sensors["stage"] == "base").any():
         add("sensor_misfit", "misfit at the sensors, base model", lambda: sensor_misfit_figure(sensors, rest))
-    perturbations = read("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed"])
+    perturbations = read("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed", "limit"])
     if rest is not None and perturbations is not None:
         add(
             "perturbation_map",
@@ -290,12 +304,16 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
         "why", ["effects", "effect", "kind"], ["residual", "signature", "left"], blank=["mode", "sensor", "part"]
     )
     if why is not None:
+        fitted = read("why_parameters", ["effect", "parameter"], ["value"], blank=["description", "unit"])
+        acts = read("effect_places", ["effect"], PLACE, complete=PLACE)
         alike = read("why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
         add(
             "why_this_effect",
             "residual of the base model and signature of the effect",
-            lambda: why_figure(why, alike, rest, effects=effects, attempt=attempt),
-            "why", *([] if alike is None else ["why_places"]),
+            lambda: why_figure(
+                why, alike, rest, effects=effects, parameters=fitted, acts=acts, attempt=attempt
+            ),
+            *(name for name in ("why", "why_parameters", "why_places") if (folder / f"{name}.csv").exists()),
         )  # fmt: skip
     if effects is not None:
         add("ranked_effects", "evidence for each effect", lambda: ranked_effects_figure(effects), "effects")
@@ -308,7 +326,7 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
         add("errors_before_after", "errors before and after", lambda: _owner(draw_errors(errors, name=name)), "errors")
     both = read("added_errors", ["group", "stage"], ["rms", "expected", "p"])
     if both is not None:
-        caption = "errors before and after, both models calibrated"
+        caption = "errors without and with the added effects, both models calibrated"
         add("added_errors", caption, lambda: _owner(draw_errors(both, name=name)))
     versions = read("versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["effects"])
     if versions is not None:
@@ -347,9 +365,9 @@ def of_scalar_responses(path: Path) -> bool:
         return False  # the reader of the whole table reports the fault
 
 
-def _there(folder: Folder, name: str) -> list[str]:
+def _there(folder: Folder, name: str, stages: Sequence[str]) -> list[str]:
     """Names of the tables of each stage."""
-    return [f"{name}_{stage}" for stage in _STAGES if (folder / f"{name}_{stage}.csv").exists()]
+    return [f"{name}_{stage}" for stage in stages if (folder / f"{name}_{stage}.csv").exists()]
 
 
 def _scalar_comparison(path: Path) -> pd.DataFrame | None:
@@ -368,6 +386,13 @@ def _failing(path: Path) -> pd.DataFrame | None:
 
 def _comac(path: Path) -> pd.DataFrame | None:
     return read_table(path, ["sensor"], ["comac"], if_there=["motion"]) if path.exists() else None
+
+
+def added_effects(folder: Folder) -> str:
+    """Names of the effects that were added after an explanation, joined by " + "; empty where there are none."""
+    path = folder / "added.json"
+    effects = read_json(path, {"effects": [{"name": str}]}).get("effects", []) if path.exists() else []
+    return " + ".join(str(effect["name"]) for effect in effects)
 
 
 def _noise_mac(path: Path) -> float:

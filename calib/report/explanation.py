@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from calib.report.numbers import fixed, significant
+from calib.report.numbers import fixed, flag, short, significant
 from calib.report.style import (
     BLACK,
     BLUE,
@@ -37,6 +37,10 @@ COLLINEAR = 0.9
 """Correlation above which two signatures count as collinear."""
 _WIDE = 60.0
 """Largest ln Bayes factor that is drawn on a linear axis."""
+_NOTE = (
+    "z: score of the effect; noise alone exceeds ±2 in 5 % of cases; negative: the data ask for a negative magnitude.\n"
+    "Right: an effect in the shaded range would be visible only beyond its plausible magnitude; arrow: at none."
+)
 _LOOKS: dict[str, dict[str, Any]] = {
     "credible set": {"facecolor": ORANGE},
     "refitted": {"facecolor": BLUE},
@@ -95,7 +99,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         known = span[np.isfinite(span)]
         if len(known) > 1:
             ax.plot([known.min(), known.max()], [row, row], color=BLACK, linewidth=1.1, gid="prior", zorder=3)
-        words = f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
+        words = short(value) if math.isfinite(value) else "no value"
         # Beside its dot, but right of the threshold, which it would otherwise cover.
         end = max(0.0, *known) if len(known) else 0.0
         ax.annotate(
@@ -158,10 +162,10 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.axvline(1.0, color=BLACK, linewidth=1.0, gid="plausible")
     ax.axvspan(1.0, high * 2.5, color="#F2F2F2", zorder=0)
     seen = np.array(_flags(rows["visible"]))
-    for flag, face in ((True, BLUE), (False, "white")):
-        shown = known & (seen == flag)
-        edge = BLUE if flag else GREY
-        gid = "visible" if flag else "not visible"
+    for visible, face in ((True, BLACK), (False, "white")):
+        shown = known & (seen == visible)
+        edge = BLACK if visible else GREY
+        gid = "visible" if visible else "not visible"
         ax.plot(ratio[shown], at[shown], "o", color=edge, markerfacecolor=face, markersize=6, gid=gid, zorder=3)
     what = "smallest visible magnitude over the plausible one"
     words = [f"{n}: {what} {significant(r, 2)}" for n, r in zip(rows["name"], ratio, strict=True)]
@@ -185,15 +189,19 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
 
 def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     """Draw `draw_ranked_effects` and `draw_visibility` side by side, one row per effect."""
-    figure = new_figure(_height(len(table)))
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(0.4, _height(len(table)) - 0.4))
+    handles = _handles(table) if len(table) else []
+    over_height = 0.2 * math.ceil(len(handles) / 2)
+    height = _height(len(table)) + 0.4
+    figure = new_figure(height + over_height)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(over_height or 0.1, height))
     over, left = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
     right = figure.add_subplot(grid[1, 1], sharey=left)
     draw_ranked_effects(table, left, legend=False)
     draw_visibility(table, right)
     right.tick_params(labelleft=False)
     over.set_axis_off()
-    over.legend(handles=_handles(table), loc="upper left", borderaxespad=0.0, ncols=3)
+    over.legend(handles=handles, loc="upper left", borderaxespad=0.0, ncols=2)
+    figure.supxlabel(_NOTE, x=0.02, ha="left", fontsize=8, color=GREY, linespacing=1.4)
     return figure
 
 
@@ -264,8 +272,7 @@ def threshold(count: int) -> float:
 
 
 def _flags(column: pd.Series) -> list[bool]:
-    """Flags; unknown counts as no."""
-    return [not pd.isna(flag) and bool(flag) for flag in column]
+    return [flag(value) for value in column]
 
 
 def _looks(rows: pd.DataFrame) -> list[str]:
@@ -286,6 +293,9 @@ def _handles(rows: pd.DataFrame) -> list[Artist]:
                markeredgecolor=look.get("edgecolor", look["facecolor"]))
         for name, look in _LOOKS.items() if name in there
     ]  # fmt: skip
+    if rows["implausible"].fillna("").astype(bool).any():
+        odd: dict[str, Any] = {"marker": "X", "color": BLUE, "markersize": 7.5}
+        handles.append(Line2D([], [], linestyle="none", label="fitted with implausible values", **odd))
     words = f"threshold ln {len(rows)} + {LEAST_BAYES_FACTOR:g} = {threshold(len(rows)):.1f}"
     handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=1.0, label=words))
     if rows[["ln_bayes_third", "ln_bayes_triple"]].notna().to_numpy().any():

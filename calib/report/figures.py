@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 
 from calib.errors import InputError
 from calib.report.draw import Drawing, plan
+from calib.report.legible import is_legible, wrap_labels
 from calib.report.shown import Shown
-from calib.report.style import Format, add_heading, save, style, take_dollars_literally
+from calib.report.style import COLUMN, Format, Width, add_heading, save, style, take_dollars_literally
 from calib.report.svg import svg_text
 from calib.stage import Progress, unheard
 
@@ -63,13 +64,17 @@ class Figures:
             take_dollars_literally(figure)
             return svg_text(figure, identifier or name)
 
-    def save(self, formats: Sequence[Format] = ("png",), progress: Progress = unheard) -> list[Path]:
+    def save(
+        self, formats: Sequence[Format] = ("png",), progress: Progress = unheard, width: Width = "page"
+    ) -> list[Path]:
         """Write every figure beside its tables, in every format; nothing is computed anew.
 
         Parameters
         ----------
         formats : sequence of str
             Of `calib.report.style.FORMATS`.
+        width : {"page", "column"}
+            Width of the figures; one that is not legible in a column is as wide as a page.
         progress : callable
             Called before every figure.
 
@@ -86,9 +91,23 @@ class Figures:
         written = []
         for number, (name, drawing) in enumerate(self.plan.items()):
             progress("drawing figures", number, len(self.plan))
+            narrow = self._narrow(drawing) if width == "column" else None
             with style():
-                figure = self._drawn.pop(name, None) or drawing.draw()
-                heading = f"{self.title}: {drawing.caption}" if self.title else drawing.caption
-                add_heading(figure, heading, self.synthetic)
+                figure = narrow or self._headed(self._page_wide(drawing), drawing.caption)
                 written += save(figure, self.folder.folder / name, formats)
         return written
+
+    def _page_wide(self, drawing: Drawing) -> Figure:
+        """The figure of the page where it is drawn already."""
+        return self._drawn.pop(drawing.name) if drawing.name in self._drawn else drawing.draw()
+
+    def _narrow(self, drawing: Drawing) -> Figure | None:
+        """The figure in a column; None where that is not legible."""
+        with style(COLUMN):
+            figure = self._headed(drawing.draw(), drawing.caption)
+            wrap_labels(figure)
+            return figure if figure.get_size_inches()[0] == COLUMN and is_legible(figure) else None
+
+    def _headed(self, figure: Figure, caption: str) -> Figure:
+        add_heading(figure, f"{self.title}: {caption}" if self.title else caption, self.synthetic)
+        return figure

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -11,17 +12,41 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from calib.report.numbers import fixed
-from calib.report.style import AFTER, BEFORE, BLACK, GREY, PURPLE, own_axes
+from calib.report.style import AFTER, BEFORE, BLACK, GREY, PURPLE, WITH, own_axes, stage_words
 from calib.report.svg import hover_points
 
-STAGES = {"initial": ("D", PURPLE), "before": ("s", BEFORE), "after": ("o", AFTER)}
-"""Marker and colour of each stage that a table may have."""
+
+class Look(NamedTuple):
+    """Marker and colour of a stage, its heading above the numbers, and its words in the legend."""
+
+    marker: str
+    colour: str
+    heading: str
+    words: str
+
+
+STAGES = {
+    "initial": Look("D", PURPLE, "initial", "before any calibration"),
+    "before": Look("s", BEFORE, "before", stage_words("before")),
+    "after": Look("o", AFTER, "after", stage_words("after")),
+}
+"""Stages of ``modes.csv``."""
+
+
+def stages_of_added(effects: str) -> dict[str, Look]:
+    """Stages of ``added_modes.csv``, where effects of these names were added."""
+    return {
+        "initial": Look("s", BEFORE, "nominal", stage_words("before", effects)),
+        "before": Look("o", AFTER, "without", stage_words("after", effects)),
+        "after": Look("D", WITH, "with", stage_words("added", effects)),
+    }
+
 
 _WIDE, _NARROW, _GAP = 42.0, 36.0, 12.0
 """Widths of a column of frequencies and of MAC, and the gap between the two, in points."""
 
 
-def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapping[str, Look] = STAGES) -> Axes:
     """Draw the error of every damped frequency at every stage, with frequencies and MAC written beside it.
 
     Parameters
@@ -31,6 +56,8 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         optionally ``initial``, ``damped_freq_`` (Hz), ``error_`` (signed fraction) and ``mac_``; NaN where a mode is
         not paired.
     ax : Axes, optional
+    looks : mapping from stage to Look
+        The stages that the table may have.
 
     Returns
     -------
@@ -39,28 +66,31 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     """
     count = len(table)
     ax = own_axes(ax, 0.27 * count + 1.3)
-    stages = [stage for stage in STAGES if f"error_{stage}" in table]
+    stages = [stage for stage in looks if f"error_{stage}" in table]
     errors = 100.0 * table[[f"error_{stage}" for stage in stages]].to_numpy(dtype=float)
     ax.axvline(0.0, color=BLACK, linewidth=0.8, zorder=1)
     for row, of_mode in enumerate(errors):
         ax.plot(of_mode, np.full(len(stages), row), color=GREY, linewidth=1.0, zorder=2)
     handles = []
     for stage, of_stage in zip(stages, errors.T, strict=True):
-        marker, colour = STAGES[stage]
-        looks: dict[str, Any] = {"linestyle": "none", "marker": marker, "color": colour, "markersize": 6}
-        ax.plot(of_stage, np.arange(count), gid=stage, zorder=3, **looks)
+        look = looks[stage]
+        dot: dict[str, Any] = {"linestyle": "none", "marker": look.marker, "color": look.colour, "markersize": 6}
+        ax.plot(of_stage, np.arange(count), gid=stage, zorder=3, **dot)
         told = zip(table["mode"], table[f"damped_freq_{stage}"], of_stage, strict=True)
-        words = [f"{mode}, {stage}: {fixed(freq, 3)} Hz, {fixed(error, 2, sign=True)} %" for mode, freq, error in told]
+        words = [
+            f"{mode}, {look.words}: {fixed(freq, 3)} Hz, {fixed(error, 2, sign=True)} %" for mode, freq, error in told
+        ]
         hover_points(ax, of_stage, np.arange(count), words)
-        handles.append(Line2D([], [], label=stage, **looks))  # no means: those are over the fitted modes alone
+        handles.append(Line2D([], [], label=look.words, **dot))  # no means: those are over the fitted modes alone
     held_out = table["held_out"].astype(bool).to_numpy()
     names = [f"{mode} (held out)" if held else str(mode) for mode, held in zip(table["mode"], held_out, strict=True)]
     ax.set_yticks(range(count), names)
     for label, held in zip(ax.get_yticklabels(), held_out, strict=True):
         label.set_color(GREY if held else BLACK)
-    edge = _columns(ax, table, "damped_freq", ["measured", *stages], "damped frequency (Hz)", _GAP, _WIDE)
+    heads = {stage: looks[stage].heading for stage in stages}
+    edge = _columns(ax, table, "damped_freq", {"measured": "measured"} | heads, "damped frequency (Hz)", _GAP, _WIDE)
     if table[[f"mac_{stage}" for stage in stages]].notna().to_numpy().any():
-        _columns(ax, table, "mac", stages, "MAC (–)", edge + _GAP, _NARROW)
+        _columns(ax, table, "mac", heads, "MAC (–)", edge + _GAP, _NARROW)
     for line in range(1, count):
         ax.axhline(line - 0.5, color="#E3E3E3", linewidth=0.6)
     ax.set_ylim(count - 0.5, -0.5)
@@ -74,14 +104,14 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
 
 
 def _columns(
-    ax: Axes, table: pd.DataFrame, kind: str, headings: list[str], title: str, start: float, width: float
+    ax: Axes, table: pd.DataFrame, kind: str, headings: dict[str, str], title: str, start: float, width: float
 ) -> float:  # fmt: skip
-    """Write columns of numbers under a title, starting so many points beside the Axes; return where they end."""
-    for k, heading in enumerate(headings):
+    """Write the columns of stages under their headings and a title, so many points beside the Axes; return the end."""
+    for k, (stage, heading) in enumerate(headings.items()):
         end = start + (k + 1) * width
         _beside(ax, -0.5, heading, (end, 3.0), color=GREY, va="bottom")
-        for row, value in enumerate(table[f"{kind}_{heading}"].astype(float)):
-            _beside(ax, row, "–" if math.isnan(value) else f"{value:.3f}", (end, 0.0), gid=f"{kind}_{heading}")
+        for row, value in enumerate(table[f"{kind}_{stage}"].astype(float)):
+            _beside(ax, row, "–" if math.isnan(value) else f"{value:.3f}", (end, 0.0), gid=f"{kind}_{stage}")
     end = start + len(headings) * width
     _beside(ax, -0.5, title, (end, 15.0), va="bottom")
     return end

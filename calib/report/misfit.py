@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from typing import Any
 
@@ -17,17 +16,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from calib.report.explanation import blank
-from calib.report.numbers import chance, fixed, significant, with_unit
+from calib.report.numbers import chance, fixed, flag, short, significant, with_unit
 from calib.report.style import (
     AFTER,
-    BEFORE,
     BLACK,
-    GREEN,
     GREY,
+    ORANGE,
     PURPLE,
     REST,
     SKY,
     VERMILLION,
+    WITH,
     added,
     legend_above,
     matrix_height,
@@ -47,7 +46,7 @@ _UNNAMED = "responses"
 _WORDS = {"freq": "frequency"}
 _MOST = 16.0
 """Upper end of the colour scale of -log10 p."""
-_COLOURS = (BEFORE, AFTER, GREEN, PURPLE, SKY)
+_COLOURS = (AFTER, WITH, PURPLE, ORANGE, SKY)
 
 
 def draw_where_it_fails(
@@ -94,7 +93,7 @@ def draw_where_it_fails(
     image = ax.imshow(unlikely, cmap="OrRd", norm=Normalize(0.0, _MOST), aspect="auto", gid="unlikely")
     is_attempt = stage == "attempt"
     for i, j in np.ndindex(ratio.shape):
-        words = f"{ratio[i, j]:.3g}" if math.isfinite(ratio[i, j]) else "–"
+        words = short(float(ratio[i, j]))
         colour = "white" if unlikely[i, j] > 0.6 * _MOST and not is_attempt else BLACK
         ax.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
     hover_cells(
@@ -110,8 +109,7 @@ def draw_where_it_fails(
     ax.set_xticks(range(len(kinds)), kinds)
     ax.set_yticks(range(len(modes)), [str(mode) for mode in modes])
     separate_cells(ax, len(modes), len(kinds))
-    words = "base model, calibrated" if stage == "base" else added(stage, name)
-    ax.set_title(words.replace(": ", ":\n"), color=GREY if is_attempt else BLACK)
+    ax.set_title(added(stage, name).replace(": ", ":\n"), color=GREY if is_attempt else BLACK)
     if is_attempt:
         for text in ax.texts:
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8})
@@ -186,7 +184,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         y = np.arange(len(names)) + (k - (len(models) - 1) / 2) * step
         shift = rows["standardised"].to_numpy(dtype=float)
         is_attempt = attempt and model != "base"
-        label = "base model" if model == "base" else added("attempt" if is_attempt else "explained", model)
+        label = added("base" if model == "base" else "attempt" if is_attempt else "explained", model)
         looks: dict[str, Any] = (
             {"color": GREY, "markerfacecolor": "white"} if is_attempt else {"color": _COLOURS[k % len(_COLOURS)]}
         )
@@ -198,7 +196,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
             f"{n}, {label}: {v}, shift {fixed(z, 1, sign=True)}" for n, v, z in zip(names, values, shift, strict=True)
         ]
         hover_points(ax, shift, y, told)
-        ringed = np.array([not pd.isna(flag) and bool(flag) for flag in rows["pulled"]])
+        ringed = np.array([flag(value) for value in rows["pulled"]])
         ax.plot(shift[ringed], y[ringed], gid=f"pulled {model}", zorder=4, **ring)
     limits = sorted(set(table["limit"].astype(float).dropna().round(3)))
     for limit in limits:
@@ -216,14 +214,14 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     reach = 1.12 * float(size[np.isfinite(size)].max())
     ax.set(ylim=(len(names) - 0.4, -0.6), xlim=(-reach, reach))
     ax.grid(axis="x")
-    ax.set_xlabel("pull: standardised shift from the nominal value (–)")
+    ax.set_xlabel("pull: shift from the nominal value over its standard deviation\nin a correctly specified model (–)")
     words = " → ".join(["nominal", *("base" if model == "base" else f"with {model}" for model in models)])
     words = textwrap.fill(words, 40, break_long_words=False)
     ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=GREY)
     if limits:
         label = "limit ± " + ", ".join(f"{limit:.2f}" for limit in limits)
         handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9, label=label))
-    if any(not pd.isna(flag) and bool(flag) for flag in table["pulled"]):
+    if any(map(flag, table["pulled"])):
         handles.append(Line2D([], [], label="pulled", **ring))
     legend_above(ax, handles)
     return ax

@@ -38,6 +38,12 @@ def significant(value: float, digits: int = 4) -> str:
     return f"{value:.{digits - 1}e}".replace("-", "−")
 
 
+def short(value: float) -> str:
+    """Format with three significant digits and without zeros at the end, for a number in a figure."""
+    words = significant(value, 3)
+    return f"{value:.3g}".replace("-", "−") if math.isfinite(value) and 1e-4 <= abs(value) < 1e3 else words
+
+
 def with_unit(value: float, unit: str, digits: int = 3) -> str:
     """Format a number with its unit, if it has one."""
     words = significant(value, digits)

@@ -6,19 +6,22 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from calib.report.style import AFTER, ATTEMPT, BEFORE, BLACK, added, legend_above, own_axes, plain
+from calib.report.style import AFTER, ATTEMPT, BEFORE, BLACK, WITH, added, legend_above, own_axes, plain, stage_words
 from calib.report.svg import hover
 
 _LOOKS = {
     "before": {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"},
     "after": {"facecolor": AFTER},
+    "added": {"facecolor": WITH, "hatch": "....", "edgecolor": "white"},
     "attempt": ATTEMPT,
 }
 _MOST_UPRIGHT = 6
 """Responses whose names still stand level below the axis."""
 
 
-def draw_responses(before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None) -> Axes:
+def draw_responses(
+    before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None, *, effects: str = ""
+) -> Axes:
     """Draw the error of every scalar response, before and after calibration.
 
     Parameters
@@ -27,6 +30,8 @@ def draw_responses(before: pd.DataFrame | None, after: pd.DataFrame | None = Non
         Columns ``response``, ``error`` (relative to the response) and ``error_in_std`` (NaN where no standard deviation
         is known).
     ax : Axes, optional
+    effects : str
+        Names of effects that were added after this calibration, for the legend.
 
     Returns
     -------
@@ -38,7 +43,8 @@ def draw_responses(before: pd.DataFrame | None, after: pd.DataFrame | None = Non
     column, factor = ("error_in_std", 1.0) if in_std else ("error", 100.0)
     label = "error (standard deviations)" if in_std else "error (%)"
     bars = {
-        f"{stage} calibration": (stage, factor * table.set_index("response")[column]) for stage, table in tables.items()
+        stage_words(stage, effects): (stage, factor * table.set_index("response")[column])
+        for stage, table in tables.items()
     }
     return _bars(bars, label, ax)
 
@@ -54,14 +60,12 @@ def draw_response_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: s
     name : str
         The effects in the extended model, for the legend.
     """
-    looks = {"base": "before", "explained": "after", "attempt": "attempt"}
+    looks = {"base": "after", "explained": "added", "attempt": "attempt"}
     bars = {
-        "base model, calibrated" if stage == "base" else added(stage, name): (
-            look, table[table["stage"] == stage].set_index("response")["residual"]
-        )
+        added(stage, name): (look, table[table["stage"] == stage].set_index("response")["residual"])
         for stage, look in looks.items()
         if (table["stage"] == stage).any()
-    }  # fmt: skip
+    }
     return _bars(bars, "residual (standard deviations)", ax)
 
 

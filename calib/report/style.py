@@ -7,6 +7,7 @@ import re
 import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -34,13 +35,19 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILLION, PURPLE = (
 )
 """Palette that colour-blind readers can tell apart (Okabe and Ito, 2008)."""
 
-BEFORE, AFTER, MEASURED = ORANGE, BLUE, VERMILLION
+BEFORE, AFTER, WITH, MEASURED = ORANGE, BLUE, GREEN, VERMILLION
+"""Colours of the model at its nominal values, calibrated, and calibrated with added effects; of the measurement."""
 CASES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, BLACK, YELLOW)
 GREY, REST = "#767676", "#BDBDBD"
 ATTEMPT: dict[str, Any] = {"facecolor": "#D0D0D0", "hatch": "xxxx", "edgecolor": "white"}
 """Look of an attempt that is not believed."""
 WIDTH = 190.0 / 25.4
 """Width of a figure in inches: 190 mm, that of a journal's page (two columns), so that text prints at its own size."""
+COLUMN = 90.0 / 25.4
+"""Width in inches of one of the two columns."""
+Width: TypeAlias = Literal["page", "column"]
+WIDTHS: dict[Width, float] = {"page": WIDTH, "column": COLUMN}
+_width: ContextVar[float] = ContextVar("width", default=WIDTH)
 DPI = 160
 Format: TypeAlias = Literal["svg", "png", "pdf"]
 FORMATS: tuple[Format, ...] = ("svg", "png", "pdf")
@@ -78,20 +85,38 @@ SETTINGS: Any = {
 }
 
 
+SMALLER: Any = {
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8.5,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7.5,
+}
+"""Sizes of text in a column."""
+
+
 @contextlib.contextmanager
-def style() -> Iterator[None]:
-    """Apply the settings of the figures on top of Matplotlib's defaults, not of the user's own file."""
+def style(width: float = WIDTH) -> Iterator[None]:
+    """Apply the settings of the figures on top of Matplotlib's defaults, not of the user's own file.
+
+    New figures have that width, in inches; those of the model in space are always as wide as a page.
+    """
+    before = _width.set(width)
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(SETTINGS)
+        matplotlib.rcParams.update(SETTINGS if width > COLUMN else SETTINGS | SMALLER)
         known = set(font_manager.get_font_names())
         matplotlib.rcParams["font.family"] = [SETTINGS["font.family"], *(f for f in FALLBACKS if f in known)]
-        yield
+        try:
+            yield
+        finally:
+            _width.reset(before)
 
 
-def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """Return an empty figure without a window, sizes in inches."""
-    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+def new_figure(height: float) -> Figure:
+    """Return an empty figure without a window of that height in inches, as wide as `style` says."""
+    return Figure(figsize=(_width.get(), height), dpi=DPI, layout="constrained")
 
 
 def own_axes(ax: Axes | None, height: float) -> Axes:
@@ -103,15 +128,32 @@ def legend_above(ax: Axes, handles: list[Artist] | None = None) -> None:
     """Put the legend above the Axes, left-aligned, in as many columns as its labels allow."""
     shown = ax.get_legend_handles_labels()[0] if handles is None else handles
     longest = max((len(str(h.get_label())) for h in shown), default=1)
-    columns = max(1, min(len(shown), int(105 / (longest + 9))))
+    room = 105 * _width.get() / WIDTH
+    columns = max(1, min(len(shown), int(room / (longest + 9))))
     ax.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=columns)
 
 
+def stage_words(stage: str, effects: str = "") -> str:
+    """Describe the model of a stage: ``before`` or ``after`` its calibration, or ``added``, calibrated with effects.
+
+    Where effects were added, the words tell the calibration without them from that with them.
+    """
+    if not effects:
+        return f"{stage} calibration"
+    return {
+        "before": "nominal values",
+        "after": f"calibrated without {effects}",
+        "added": f"calibrated with {effects}",
+    }[stage]
+
+
 def added(stage: str, name: str = "") -> str:
-    """Describe a model by the effects added to the base model, where known, and the stage of the explanation."""
+    """Describe a fit of an explanation: ``base``, or by the effects added to the base model, where known."""
+    if stage == "base":
+        return "base model, calibrated"
     if stage == "attempt":
         return f"with {name}: best attempt, not believed" if name else "with the best attempt, not believed"
-    return f"with {name}" if name else "with the missing effect"
+    return f"with {name or 'the missing effect'}, calibrated"
 
 
 def plain(value: float) -> str:

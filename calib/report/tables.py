@@ -45,10 +45,11 @@ KEYS = {
     "versions": ("version", "group"),
     "where_it_fails": ("kind", "what"),
     "why": ("effect", "kind", "mode", "sensor", "part"),
+    "why_parameters": ("effects", "effect", "parameter"),
     "why_places": ("effect", "perturbation"),
 }
 """Columns that identify a row, by the name of the table without its stage."""
-STAGES = ("_initial", "_before", "_after")
+STAGES = ("_initial", "_before", "_after", "_added")
 
 
 def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:

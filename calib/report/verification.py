@@ -14,10 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.explanation import LEAST_BAYES_FACTOR, blank
-from calib.report.numbers import chance, fixed
+from calib.report.numbers import chance, fixed, short
 from calib.report.style import (
     AFTER,
-    BEFORE,
     BLACK,
     CASES,
     GREEN,
@@ -26,6 +25,7 @@ from calib.report.style import (
     PURPLE,
     REST,
     SKY,
+    WITH,
     added,
     legend_above,
     new_figure,
@@ -41,8 +41,8 @@ GROUPS = {
     "held_out_responses": "held-out responses",
 }
 _STAGES: dict[str, dict[str, Any]] = {
-    "before": {"color": BEFORE, "marker": "s"},
-    "after": {"color": AFTER, "marker": "o"},
+    "before": {"color": AFTER, "marker": "o"},
+    "after": {"color": WITH, "marker": "D"},
     "attempt": {"color": GREY, "marker": "X"},
 }
 _KINDS = {
@@ -87,8 +87,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         x = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * width
         rms, expected, p = (rows[name].to_numpy(dtype=float) for name in ("rms", "expected", "p"))
         looks = _STAGES[stage]
-        label = "before: base model" if stage == "before" else added(stage, name)
-        label = f"after: {label}" if stage == "after" else label
+        label = added("base" if stage == "before" else stage, name)
         ends.append((x, rms))
         (dots,) = ax.plot(x, rms, linestyle="none", markersize=9, label=label, gid=stage, zorder=5, **looks)
         words = [
@@ -281,7 +280,7 @@ def _error_words(rms: float, p: float) -> str:
     if np.isnan(rms):
         return ""
     chance = "" if np.isnan(p) else "\np < 0.001" if p < 1e-3 else f"\np = {p:.2g}"
-    return f"{rms:.2f}{chance}" if rms < 10 else f"{rms:.3g}{chance}"
+    return f"{fixed(rms, 2) if rms < 10 else short(rms)}{chance}"
 
 
 def _kind_handles(rows: pd.DataFrame) -> list[Artist]:

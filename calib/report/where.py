@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
-from scipy.special import ndtri
 
+from calib.report.numbers import fixed
 from calib.report.scene import (
     FOOT,
     HEADING,
@@ -39,8 +39,6 @@ from calib.report.shapes import measured_motions
 from calib.report.style import BLUE, GREY, REST, VERMILLION, WIDTH
 
 PERTURBATION_KINDS = ("stiffness", "damping", "mass")
-NOISE_LEVEL = 0.01
-"""Family-wise probability at which `noise_limit` is exceeded by noise alone."""
 
 
 def sensor_rms(table: pd.DataFrame) -> pd.DataFrame:
@@ -259,14 +257,6 @@ def score_limit(table: pd.DataFrame) -> float:
     return float(np.nanmax(np.append(table["score"].abs().to_numpy(dtype=float), 5.0)))
 
 
-def noise_limit(scores: pd.Series) -> float:
-    """Return the absolute score that noise alone exceeds anywhere with a probability of `NOISE_LEVEL`.
-
-    Standard normal scores, Bonferroni over those that are known; as they are correlated, the limit is on the safe side.
-    """
-    return float(-ndtri(NOISE_LEVEL / (2 * max(int(scores.notna().sum()), 1))))
-
-
 def best_perturbations(table: pd.DataFrame, count: int = 3) -> pd.DataFrame:
     """Return the rows with the largest absolute ``score`` among those with coordinates."""
     placed = table[table[[*PLACE, "score"]].notna().all(axis=1)]
@@ -279,8 +269,8 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     Parameters
     ----------
     table : DataFrame
-        As for `draw_perturbations`, and a column ``unabsorbed`` (fraction of the signature that the parameters cannot
-        absorb).
+        As for `draw_perturbations`, and the columns ``unabsorbed`` (fraction of the signature that the parameters
+        cannot absorb) and ``limit`` (absolute score that noise alone rarely exceeds anywhere; one for all).
     rest : ndarray (n, 2, 3)
         Lines of the mesh, in metres.
     """
@@ -314,7 +304,8 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     height = float(figure.get_size_inches()[1])
     figure.text(4.5 / WIDTH, (FOOT + 0.02) / height, words, fontsize=8.5, va="bottom")
     colours = ScalarMappable(Normalize(-limit, limit), "RdBu_r")
-    colour_bar(figure, colours, "score z (–)")
+    noise = f"; noise alone: within ±{fixed(table['limit'].iloc[0], 1)}" if len(table) else ""
+    colour_bar(figure, colours, f"score z (–{noise})")
     return figure
 
 

@@ -28,10 +28,11 @@ from calib.report.scene import (
     new_axes,
     new_figure,
     number_points,
+    plot_coordinates,
     plot_lines,
     show_axes,
 )
-from calib.report.style import AFTER, BEFORE, BLACK, DENSE, GREY, REST, WIDTH, legend_above, own_axes
+from calib.report.style import AFTER, BLACK, DENSE, GREY, REST, WIDTH, WITH, YELLOW, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 
 SHAPE, PRIOR = "shape", "prior"
@@ -154,7 +155,7 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     reach = 1.12 * float(np.max(np.abs([*x, *y]), initial=1.0))
     ax.plot([-reach, reach], [-reach, reach], color=BLACK, linewidth=0.9, linestyle="--", gid="equal", zorder=2)
     for gid, some in (("re", ~imaginary), ("im", imaginary)):
-        colour = GREY if attempt else AFTER
+        colour = GREY if attempt else WITH
         face = colour if gid == "re" else "white"
         ax.plot(x[some], y[some], "o", color=colour, markerfacecolor=face, markersize=3.6, alpha=0.8, gid=gid,
                 zorder=3, rasterized=len(x) > DENSE)  # fmt: skip
@@ -172,8 +173,15 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     return ax
 
 
-def draw_alike(places: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None, *, effect: str) -> Axes3D:
-    """Draw where local perturbations change the data as the effect does.
+def draw_alike(
+    places: pd.DataFrame,
+    rest: np.ndarray,
+    ax: Axes3D | None = None,
+    *,
+    effect: str,
+    acts: pd.DataFrame | None = None,
+) -> Axes3D:
+    """Draw where local perturbations change the data as the effect does, and where it acts on the model.
 
     Parameters
     ----------
@@ -184,11 +192,14 @@ def draw_alike(places: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None,
     ax : Axes3D, optional
     effect : str
         The rows to draw.
+    acts : DataFrame, optional
+        Columns ``effect, x, y, z`` (m): where each effect acts.
 
     Returns
     -------
     Axes3D
         Circles with the gid ``correlation``, the largest at the back; the perturbation of `most_alike` is numbered.
+        Stars with the gid ``acts``.
     """
     ax = new_axes(ax)
     rows = _placed(places, effect)
@@ -196,7 +207,10 @@ def draw_alike(places: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None,
     place, best = rows[PLACE].to_numpy(dtype=float), most_alike(places, effect)
     plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
     draw_dots(ax, place, rows["correlation"].to_numpy(dtype=float), _CORRELATION, "RdBu_r", "correlation")
-    frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place]), "")
+    stars = _acting(acts, effect)
+    if len(stars):
+        ax.plot(*plot_coordinates(stars).T, linestyle="none", gid="acts", zorder=6, clip_on=False, **_STAR)
+    frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place, stars]), "")
     number_points(ax, place, {} if best is None else {list(rows.index).index(best.name): 1})
     return ax
 
@@ -216,6 +230,8 @@ def why_figure(
     rest: np.ndarray | None = None,
     *,
     effects: pd.DataFrame | None = None,
+    parameters: pd.DataFrame | None = None,
+    acts: pd.DataFrame | None = None,
     attempt: bool = False,
 ) -> Figure:
     """Draw for each effect the bars of `draw_bars` by kind, the dots of `draw_shapes`, and where it sits.
@@ -230,6 +246,10 @@ def why_figure(
         Lines of the mesh, in metres; without them nothing is drawn on the structure.
     effects : DataFrame, optional
         Columns ``name, title, unit, magnitude``, for the headings.
+    parameters : DataFrame, optional
+        Columns ``effect, parameter, description, unit, value``: of each effect its fitted parameters, for the headings.
+    acts : DataFrame, optional
+        As for `draw_alike`.
     attempt : bool
         Whether the effects are a rejected attempt.
     """
@@ -238,7 +258,8 @@ def why_figure(
     bars = table[~_of_shapes(table) & (table["kind"] != PRIOR)]
     if places is not None and (rest is None or all(_placed(places, name).empty for name in names)):
         places = None
-    headings = [_heading(table[table["effect"] == name], effects, places, attempt) for name in names]
+    stars = {name: _acting(acts if places is not None else None, name) for name in names}
+    headings = [_heading(table[table["effect"] == n], effects, parameters, places, stars[n], attempt) for n in names]
     top = 0.34 + _LINE * max(words.count("\n") + 1 for words in headings)
     below = max(0.5, 0.14 + 0.075 * max(map(len, _names(bars)), default=0))
     foot = FOOT if places is not None else 0.4
@@ -257,12 +278,14 @@ def why_figure(
             rows = own[_of_shapes(own)]
             draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(_explained(rows, SHAPE))
         if places is not None and rest is not None:
-            draw_alike(places, rest, figure.add_subplot(cells["structure"], projection="3d"), effect=name)
+            draw_alike(places, rest, figure.add_subplot(cells["structure"], projection="3d"), effect=name, acts=acts)
     height = float(figure.get_size_inches()[1])
     if places is not None:
         show_axes(figure)
         colour_bar(figure, ScalarMappable(_CORRELATION, "RdBu_r"), "ρ with local perturbations (–)", _TICKS)
     handles = [*(_handles(attempt) if len(bars) else []), *(_equal() if shapes else [])]
+    if any(map(len, stars.values())):
+        handles.append(Line2D([], [], linestyle="none", label="where it acts", **_STAR))
     looks: dict[str, Any] = {"ncols": 2 if places is not None else len(handles), "borderaxespad": 0.0}
     start = (1.05 if places is not None else 0.1) / WIDTH
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(start, 0.06 / height), **looks)
@@ -272,12 +295,13 @@ def why_figure(
 _PANEL = 2.5
 """Height in inches of the panels of an effect."""
 _CORRELATION, _TICKS = Normalize(-1.0, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
-_RESIDUAL: dict[str, Any] = {"facecolor": BEFORE, "alpha": 0.55}
+_RESIDUAL: dict[str, Any] = {"facecolor": AFTER, "alpha": 0.4}
+_STAR: dict[str, Any] = {"marker": "*", "color": YELLOW, "markersize": 13, "markeredgecolor": BLACK}
 _LEFT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLACK, "markersize": 4.0}
 
 
 def _signature(attempt: bool) -> dict[str, Any]:
-    return {"facecolor": GREY if attempt else AFTER}
+    return {"facecolor": GREY if attempt else WITH}
 
 
 def _handles(attempt: bool) -> list[Artist]:
@@ -306,8 +330,32 @@ def _explained(table: pd.DataFrame, kind: str) -> str:
     return f"{kind}: {percent(explained, 0)} % explained" if explained > 0 else f"{kind}: not explained"
 
 
-def _heading(own: pd.DataFrame, effects: pd.DataFrame | None, places: pd.DataFrame | None, attempt: bool) -> str:
-    """Effect with its magnitude, the share that it explains, and where it sits."""
+def _acting(acts: pd.DataFrame | None, effect: str) -> np.ndarray:
+    """Where an effect acts, (n, 3) in metres."""
+    return np.empty((0, 3)) if acts is None else acts.loc[acts["effect"] == effect, PLACE].to_numpy(dtype=float)
+
+
+def further_parameters(parameters: pd.DataFrame | None, effect: str) -> list[str]:
+    """What an effect has beside its magnitude, such as the natural frequency of a hung unit, as fitted."""
+    if parameters is None:
+        return []
+    rows = parameters[(parameters["effect"] == effect) & (parameters["parameter"] != effect)]
+    return [
+        f"{r['parameter']} = {with_unit(r['value'], str(r['unit']))}"
+        + (f": {about}" if (about := r["description"]) else "")
+        for r in rows.to_dict("records")
+    ]
+
+
+def _heading(
+    own: pd.DataFrame,
+    effects: pd.DataFrame | None,
+    parameters: pd.DataFrame | None,
+    places: pd.DataFrame | None,
+    stars: np.ndarray,
+    attempt: bool,
+) -> str:
+    """Effect with its magnitude and further parameters, the share that it explains, and where it acts."""
     name, together = str(own["effect"].iloc[0]), str(own["effects"].iloc[0])
     words = name
     if effects is not None and name in set(effects["name"]):
@@ -315,7 +363,12 @@ def _heading(own: pd.DataFrame, effects: pd.DataFrame | None, places: pd.DataFra
         words = f"{row['title']} ({name}), {with_unit(row['magnitude'], str(row['unit']))}"
     words += ": best attempt, not believed" if attempt else ""
     which = f"{together} explain" if together != name else "It explains"
-    told = [words, f"{which} {percent(share(own), 0)} % of the {squares(own)}, to first order."]
+    told = [words, *further_parameters(parameters, name)]
+    told.append(f"{which} {percent(share(own), 0)} % of the {squares(own)}, to first order.")
+    if len(stars):
+        at = " and ".join(f"({', '.join(fixed(x, 2) for x in place)})" for place in stars[:_NAMED].tolist())
+        more = f" and {len(stars) - _NAMED} more" if len(stars) > _NAMED else ""
+        told.append(f"In the library it acts at {at}{more} m, marked by a star.")
     if places is not None and (where := place_words(places, name)):
         told.append(
             f"Most alike among the local perturbations, marked 1: {where}"

@@ -95,10 +95,10 @@ def model_places(model: _Structure) -> tuple[ModelPlace, ...]:
             if any((parameter, kind) not in placed for parameter in parameters):
                 nodes = model.dofs.node[np.unique(matrix.indices)]
                 form = _form(model, kind, matrix)
-                found += [ModelPlace(name, form, kind, parameters, at) for at in _middles(model, nodes, matrix)]
+                found += [ModelPlace(name, form, kind, parameters, at) for at in middles(model, nodes, matrix)]
     translates = (np.diff(model.dofs.expansion.indptr).reshape(-1, 6)[:, :3] > 0).any(axis=1)
     held = ~translates & translates.any()  # a model of rotations alone holds nothing
-    return (*found, *(ModelPlace("support", "support", "", (), at) for at in _middles(model, np.flatnonzero(held))))
+    return (*found, *(ModelPlace("support", "support", "", (), at) for at in middles(model, np.flatnonzero(held))))
 
 
 def _scaling(model: _Structure, names: frozenset[str]) -> tuple[str, ...]:
@@ -131,7 +131,7 @@ def _form(model: _Structure, kind: str, matrix: sp.csr_array) -> Form:
     return "damper" if kind == "damping" else "spring"
 
 
-def _middles(
+def middles(
     model: _Structure, nodes: np.ndarray, matrix: sp.csr_array | None = None
 ) -> list[tuple[float, float, float]]:
     """Middle of each group of nodes that lines of the mesh, edges of faces or a matrix connect, in metres."""

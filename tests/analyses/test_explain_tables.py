@@ -11,6 +11,7 @@ import pytest
 from calib.analyses.explain import explain
 from calib.analyses.explanation_result import GROUPS
 from calib.inference.leave_one_out import leave_one_out
+from calib.missing.score import noise_limit
 from calib.missing.tables import EFFECT_COLUMNS
 from calib.results import Results
 from calib.study import Study
@@ -18,8 +19,9 @@ from calib.study import Study
 ROOT = Path(__file__).resolve().parents[2]
 ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired", "std_from"]
 COMMON = {"effects", "errors", "perturbations", "confounding", "pulls", "misfit_kinds", "candidate_fits",
-          "next_measurement", "accuracy", "explained_fits", "suspects_explained", "why", "why_places"}  # fmt: skip
-MODAL = COMMON | {"sensor_misfit", "unpaired", "mesh_points", "mesh_elements", "model_places"}
+          "next_measurement", "accuracy", "explained_fits", "suspects_explained", "why", "why_parameters",
+          "why_places"}  # fmt: skip
+MODAL = COMMON | {"sensor_misfit", "unpaired", "mesh_points", "mesh_elements", "model_places", "effect_places"}
 GROUND = {"measured", "assumptions", "parameter_space", "repeat_disagreements"}
 """Tables that every analysis writes."""
 OF_MODES = [group for group in GROUPS if group != "held_out_responses"]
@@ -163,7 +165,7 @@ def test_leave_one_out_gains_are_those_of_the_two_models(guyed):
 def test_local_perturbations_are_written_with_their_locations(guyed, chain):
     study, results, answer, _ = guyed
     table = saved(results, "perturbations")
-    assert list(table.columns) == ["perturbation", "kind", "x", "y", "z", "sensor", "score", "unabsorbed"]
+    assert list(table.columns) == ["perturbation", "kind", "x", "y", "z", "sensor", "score", "unabsorbed", "limit"]
     places = {s.name: s.point for s in study.measured.sensors}
     for row in table[table["sensor"].notna()].to_dict("records"):
         assert (row["x"], row["y"], row["z"]) == places[row["sensor"]] and row["sensor"] in row["perturbation"]
@@ -171,6 +173,7 @@ def test_local_perturbations_are_written_with_their_locations(guyed, chain):
     possible = np.where(scores.signed, scores.z, np.maximum(scores.z, 0))
     assert (possible != scores.z).any()  # a perturbation at a sensor that fits with the unphysical sign
     np.testing.assert_allclose(table["score"], possible, rtol=1e-8, atol=1e-9)
+    assert list(set(table["limit"])) == [pytest.approx(noise_limit(possible))]
     assert list(table["perturbation"]) == list(scores.owners) and {"2x", "4z"}.isdisjoint(table["sensor"].dropna())
     scalar = saved(chain[1], "perturbations")
     assert set(scalar.loc[scalar["kind"] == "response", "perturbation"]) == {

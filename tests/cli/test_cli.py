@@ -20,7 +20,7 @@ COMPARISON = [
 ]  # fmt: skip
 PARAMETERS = [
     "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable", "std",
-    "identified", "search_value", "std_from",
+    "identified", "search_value", "search_on_bound", "std_from",
 ]  # fmt: skip
 SUMMARY = {
     "study", "synthetic", "best_case", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before",

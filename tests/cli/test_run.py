@@ -79,6 +79,10 @@ def test_what_is_named_is_added_and_held_out_errors_fall(within):
     # Without the rope another parameter had to compensate for it.
     shift = (found["before"] - found["nominal"]).abs() > (found["after"] - found["nominal"]).abs()
     assert shift["E"] and shift["K_base"]
+    verdicts = pd.read_csv(OWN / "verdicts.csv").set_index("parameter")
+    assert list(found["after_identified"]) == list(verdicts["identified"].reindex(found.index))
+    for name in ("comparison", "where_it_fails"):  # of the extended study
+        assert (FOLDER / f"{name}_added.csv").read_bytes() == (OWN / f"{name}_after.csv").read_bytes()
     modes = pd.read_csv(FOLDER / "added_modes.csv").set_index("mode")
     assert modes["held_out"]["B3x"] and abs(modes["error_after"]["B1x"]) < abs(modes["error_before"]["B1x"])
 

@@ -80,4 +80,4 @@ def test_measurement_uncertainty_decides_what_fits_equally_well(search):
 def test_one_case_and_unsettled_cases(search):
     assert agreement([result("A")], search.space).verdict == "one case"
     found = agreement([result("A", 0.1), result("B", 0.3), result("C", 0.2)], search.space)
-    assert found.verdict == "not settled" and found.worse == ("C", "B") and "more generations" in found.sentence
+    assert found.verdict == "not settled" and found.worse == ("C", "B") and "more generations" in found.remedy

@@ -317,7 +317,7 @@ def test_verdicts_say_what_is_wrong():
     assert table.loc["spot", "identified"] is None
     assert table.loc["good", "sentence"] == "Identified, standard deviation 0.0999 MN/m (1.0 % of its range)."
     assert "Sits on its upper limit: widen it to 14 kg" in table.loc["top", "sentence"]
-    assert "The cases differ by 30 % of its range." in table.loc["top", "sentence"]
+    assert "Its spread over the cases is 30 % of its range." in table.loc["top", "sentence"]
     assert "the limit is physical" in table.loc["zero", "sentence"]
     assert "is confounded with low" in table.loc["zero", "sentence"]
     assert table.loc["place", "sentence"] == "Identified: its other values fit much worse."

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from calib.missing.explain import explain
-from calib.missing.pattern import PLACE_COLUMNS, PRIOR, explaining, pattern_table, place_table
+from calib.missing.pattern import PLACE_COLUMNS, PRIOR, explaining, parameter_table, pattern_table, place_table
 from calib.missing.tables import effects_table
 
 
@@ -127,3 +127,17 @@ def test_a_local_perturbation_that_the_parameters_absorb_has_no_place(one):
     found = replace(found, base_adequacy=replace(found.base_adequacy, perturbations=absorbed))
     table = place_table(found, {n: ("mass", (0.0, 0.0, 0.0), "") for n in local.owners})
     assert set(table["perturbation"]) == set(local.owners) - {"A3"}
+
+
+def test_fitted_parameters_are_those_of_the_fits_with_their_descriptions(one, two, tied, toy):
+    hung = found_in(toy(bump=True), {"hung": 8.0, "at": 5.0}, 3)
+    for _, found in (one, two, tied, hung):
+        table = parameter_table(found)
+        for fit in explaining(found):
+            own = table[table["effects"] == " + ".join(fit.names)]
+            assert list(own["parameter"]) == [p.name for effect in fit.effects for p in effect.parameters]
+            for row in own.itertuples():
+                k = fit.fit.names.index(row.parameter)
+                assert row.value == fit.fit.values[row.parameter]
+                assert row.std == pytest.approx(np.sqrt(fit.fit.covariance[k, k]))
+    assert set(table[table["effect"] == "hung"]["parameter"]) == {"hung", "at"}

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from calib.missing.linearised_fit import LinearisedFit
-from calib.missing.score import Scores, correlation, family_p, scores
+from calib.missing.score import NOISE_LEVEL, Scores, correlation, family_p, noise_limit, scores
 from calib.problem import Rows
 
 
@@ -216,3 +216,11 @@ def test_the_same_seed_gives_the_same_p_value(toy):
     first = family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=1)
     assert first == family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=1)
     assert first != family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=2)
+
+
+def test_noise_alone_exceeds_the_limit_as_often_as_stated():
+    scores = np.random.default_rng(1).standard_normal((20000, 40))
+    exceeded = (np.abs(scores).max(axis=1) > noise_limit(scores[0])).mean()
+    assert exceeded == pytest.approx(NOISE_LEVEL, abs=0.0025)
+    known = np.append(scores[0], np.nan)
+    assert noise_limit(known) == noise_limit(scores[0]) < noise_limit(scores[:2].ravel())

@@ -56,11 +56,26 @@ def test_cases_may_lack_parameters(parameters):
 def test_a_value_at_a_limit_has_a_marker_beside_its_bar(parameters):
     ax = draw_searches(parameters)
     marks = {line.get_gid(): line for line in ax.lines if (line.get_gid() or "").startswith("on_bound")}
-    assert len(marks["on_bound GB1"].get_xdata()) == 0
+    assert len(marks["on_bound GB1 >"].get_xdata()) == len(marks["on_bound GB2 <"].get_xdata()) == 0
     bar = ax.containers[1][1]
-    assert marks["on_bound GB2"].get_ydata() == pytest.approx([bar.get_y() + bar.get_height() / 2])
-    assert marks["on_bound GB2"].get_xdata()[0] > 100.0
-    assert "at a limit" in legend(ax)
+    assert marks["on_bound GB2 >"].get_ydata() == pytest.approx([bar.get_y() + bar.get_height() / 2])
+    assert marks["on_bound GB2 >"].get_xdata()[0] > 100.0
+    assert "ends at a limit" in legend(ax)
+
+
+def test_a_search_that_ended_at_a_limit_is_marked_wherever_least_squares_went(parameters):
+    """The bar ends where the search did: at the lower limit it has no length, and only the mark is seen."""
+    table = parameters.assign(lower=0.0, upper=10.0, on_bound=[False, True, False, False], stable=True)
+    table["search_value"] = [0.0, 5.0, 10.0, np.nan]
+    table["search_on_bound"] = pd.Series([True, False, True, None], dtype=object)
+    marks = {
+        line.get_gid(): line.get_xdata().tolist()
+        for line in draw_searches(table).lines
+        if (line.get_gid() or "").startswith("on_bound")
+    }
+    assert marks == {
+        "on_bound GB1 <": [1.6], "on_bound GB1 >": [], "on_bound GB2 <": [], "on_bound GB2 >": [101.6],
+    }  # fmt: skip
 
 
 def test_an_unstable_parameter_is_hatched_and_labelled(parameters):

@@ -24,7 +24,10 @@ def test_bars_are_the_errors_in_percent(before, after):
     np.testing.assert_allclose(heights(first), 100 * before["freq_error"])
     np.testing.assert_allclose(heights(second), 100 * after["freq_error"])
     assert [t.get_text() for t in ax.get_xticklabels()] == ["1BT\n6.95 Hz", "2BT\n10.83 Hz", "3BT\n13.20 Hz"]
-    assert legend(ax) == ["before: mean |error| 10.00 %, 2 of 3 paired", "after: mean |error| 1.00 %"]
+    assert legend(ax) == [
+        "before calibration: mean |error| 10.00 %, 2 of 3 paired",
+        "after calibration: mean |error| 1.00 %",
+    ]
 
 
 def test_an_unpaired_mode_is_marked_where_its_bar_would_stand(before, after):
@@ -49,11 +52,22 @@ def test_modes_are_matched_by_name_and_not_by_row(before, after):
     np.testing.assert_allclose(heights(ax.containers[1]), 100 * after["freq_error"])
 
 
+def test_with_added_effects_three_models_are_told_apart(before, after):
+    better = after.assign(freq_error=after["freq_error"] / 2, mac=0.99)
+    for draw, column, factor in ((draw_frequency_error, "freq_error", 100), (draw_mac, "mac", 1)):
+        ax = draw(before, after, added=better, effects="arb")
+        for bars, table in zip(ax.containers, (before, after, better), strict=True):
+            np.testing.assert_allclose(heights(bars), factor * table[column])
+        names = [words.split(":")[0] for words in legend(ax)]
+        assert names == ["nominal values", "calibrated without arb", "calibrated with arb"]
+        assert len({tuple(bars[0].get_facecolor()) for bars in ax.containers}) == 3
+
+
 def test_mac_bars(before, after):
     ax = draw_mac(before, after)
     np.testing.assert_allclose(heights(ax.containers[0]), before["mac"])
     np.testing.assert_allclose(heights(ax.containers[1]), after["mac"])
-    assert legend(ax) == ["before: mean MAC 0.740, 2 of 3 paired", "after: mean MAC 0.943"]
+    assert legend(ax) == ["before calibration: mean MAC 0.740, 2 of 3 paired", "after calibration: mean MAC 0.943"]
 
 
 def test_there_is_no_mac_panel_without_measured_shapes(before, after):
@@ -66,7 +80,7 @@ def test_there_is_no_mac_panel_without_measured_shapes(before, after):
 def test_all_modes_unpaired(before):
     ax = draw_frequency_error(before.assign(freq_error=np.nan))
     assert words(ax).count("not paired") == 3
-    assert legend(ax) == ["before: mean |error| unknown, 0 of 3 paired"]
+    assert legend(ax) == ["before calibration: mean |error| unknown, 0 of 3 paired"]
 
 
 def test_matrix_cells_hold_the_values(mac):
@@ -79,7 +93,7 @@ def test_matrix_cells_hold_the_values(mac):
 
 
 def dots(ax):
-    return {line.get_label().split(":")[0]: line.get_ydata() for line in ax.lines}
+    return {line.get_label().split(" ")[0]: line.get_ydata() for line in ax.lines}
 
 
 def test_comac_is_sorted_by_the_newest_table(comac):

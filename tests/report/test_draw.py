@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 
 from calib.errors import InputError
 from calib.report.figures import Figures
-from calib.report.style import NO_GLYPH, SYNTHETIC, add_heading, new_figure, save, style
+from calib.report.legible import is_legible
+from calib.report.style import COLUMN, NO_GLYPH, SYNTHETIC, WIDTH, add_heading, new_figure, save, style
 from calib.report.tables import read_table
 
 ALL = [
@@ -279,3 +280,11 @@ def test_missing_characters_are_noted_in_the_picture_and_powers_stay_powers(tmp_
         save(figure, tmp_path / "a.png")
     assert NO_GLYPH in all_words(figure)
     assert any("mathdefault" in t.get_text() and t.get_parse_math() for t in ax.get_yticklabels())
+
+
+def test_in_a_column_a_figure_that_is_not_legible_there_stays_as_wide_as_a_page(folder, saved):
+    Figures(folder, "Bogie", False).save(width="column")
+    widths = {name: float(figure.get_size_inches()[0]) for name, figure in saved.items()}
+    assert set(widths) == set(ALL) and set(widths.values()) == {COLUMN, WIDTH}
+    assert widths["convergence"] == COLUMN and widths["model"] == widths["mode_shapes_after"] == WIDTH
+    assert all(is_legible(figure) for name, figure in saved.items() if widths[name] == COLUMN)

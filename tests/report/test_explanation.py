@@ -86,6 +86,7 @@ def test_colours_and_legend_show_the_status_of_every_effect(effects):
         "refitted",
         "not refitted: linear estimate",
         "not visible with these data",
+        "fitted with implausible values",
         "threshold ln 5 + 3 = 4.6",
         "prior width ÷ 3 to × 3",
     ]
@@ -219,7 +220,7 @@ TABLES = {
     "mesh_points": "point,x,y,z\n1,0,0,0\n2,4,1,2\n",
     "mesh_elements": "group,a,b,c,d\nframe,1,2,,\n",
     "sensor_misfit": "stage,mode,sensor,node,direction,x,y,z,re,im\nbase,1BT,1y,1,y,0,0,0,1.5,nan\n",
-    "perturbations": "perturbation,kind,x,y,z,sensor,score,unabsorbed\nspring 1,stiffness,0,0,0,,-8,0.5\n",
+    "perturbations": "perturbation,kind,x,y,z,sensor,score,unabsorbed,limit\nspring 1,stiffness,0,0,0,,-8,0.5,2.6\n",
     "pulls": "model,parameter,unit,nominal,value,prior_sd,standardised,limit,pulled\nbase,K,,1,1.2,0.1,2.8,2.5,True\n",
     "confounding": "effect,arb\narb,1.0\n",
     "errors": "group,stage,rms,expected,p\nfit,before,4.4,1.0,0.0\nfit,after,0.9,1.0,\n",
@@ -278,8 +279,8 @@ def test_an_attempt_is_never_drawn_as_the_missing_effect(folder, saved, stage, l
     for name, found in texts.items():
         assert (attempt in found) == (stage == "attempt"), name
         assert not any("missing effect" in t for t in found)
-    assert ("after: with arb" in texts["errors_before_after"]) == (stage == "explained")
-    assert ("with arb" in texts["where_it_fails_sigma"]) == (stage == "explained")
+    assert ("with arb, calibrated" in texts["errors_before_after"]) == (stage == "explained")
+    assert ("with arb, calibrated" in texts["where_it_fails_sigma"]) == (stage == "explained")
 
 
 def test_an_empty_cell_written_as_nan_is_empty(folder, saved, effects):

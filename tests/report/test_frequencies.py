@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.report.frequencies import draw_frequencies
+from calib.report.frequencies import draw_frequencies, stages_of_added
 
 
 @pytest.mark.parametrize("stages", [("before", "after"), ("initial", "before", "after")])
@@ -32,4 +32,13 @@ def test_held_out_modes_are_labelled_and_enter_no_mean(modes):
     ax = draw_frequencies(modes)
     assert [t.get_text() for t in ax.get_yticklabels()] == ["1BT", "2BT (held out)", "3BT"]
     words = [t.get_text() for t in ax.get_legend().get_texts()]
-    assert words == ["before", "after"]
+    assert words == ["before calibration", "after calibration"]
+
+
+def test_stages_of_added_effects_are_told_apart(modes):
+    modes = modes.assign(error_initial=[-0.3, 0.2, 0.1], damped_freq_initial=[5.0, 13.0, 14.5], mac_initial=0.8)
+    ax = draw_frequencies(modes, looks=stages_of_added("arb"))
+    words = [t.get_text() for t in ax.get_legend().get_texts()]
+    assert words == ["nominal values", "calibrated without arb", "calibrated with arb"]
+    heads = [t.get_text() for t in ax.texts if t.xy[1] == -0.5]
+    assert heads[:4] == ["measured", "nominal", "without", "with"]

@@ -55,7 +55,7 @@ def test_the_explained_model_stands_beside_the_base_model(kinds):
     panels = [ax for ax in figure.axes if ax.images]
     assert [ax.get_title(loc="left") or ax.get_title() for ax in panels[:2]] == [
         "base model, calibrated",
-        "with the missing effect",
+        "with the missing effect, calibrated",
     ]
     words, colours = cells(panels[1], names=panels[0])
     assert words["2BT", "shape"] == "0.5" and colours["2BT", "shape"] == pytest.approx(2.0)
@@ -70,7 +70,7 @@ def test_an_attempt_is_labelled_and_hatched(kinds):
         return [p for p in ax.patches if p.get_hatch() and p.get_gid() == "attempt"]
 
     base, named = panels(kinds, name="arb")
-    assert named.get_title() == "with arb" and not hatched(base) and not hatched(named)
+    assert named.get_title() == "with arb, calibrated" and not hatched(base) and not hatched(named)
     attempted = kinds.replace({"stage": {"explained": "attempt"}})
     base, attempt = panels(attempted, name="arb")
     assert attempt.get_title() == "with arb:\nbest attempt, not believed"
@@ -137,9 +137,9 @@ def test_values_stand_beside_the_dots_with_their_unit(pulls):
 
 def test_the_legend_has_an_entry_for_what_is_drawn(pulls):
     words = [t.get_text() for t in draw_pulls(pulls).get_legend().get_texts()]
-    assert words == ["base model", "with arb + seats", "limit ± 2.50", "pulled"]
+    assert words == ["base model, calibrated", "with arb + seats, calibrated", "limit ± 2.50", "pulled"]
     calm = pulls[pulls["model"] != "base"].assign(limit=np.nan)
-    assert [t.get_text() for t in draw_pulls(calm).get_legend().get_texts()] == ["with arb + seats"]
+    assert [t.get_text() for t in draw_pulls(calm).get_legend().get_texts()] == ["with arb + seats, calibrated"]
 
 
 def test_the_dots_of_an_attempt_are_hollow_and_grey(pulls):
@@ -147,7 +147,7 @@ def test_the_dots_of_an_attempt_are_hollow_and_grey(pulls):
     looks = {x.get_gid(): (x.get_color(), x.get_markerfacecolor()) for x in ax.lines}
     assert looks["shift arb + seats"] == (GREY, "white") and GREY not in looks["shift base"]
     words = [t.get_text() for t in ax.get_legend().get_texts()]
-    assert words[:2] == ["base model", "with arb + seats: best attempt, not believed"]
+    assert words[:2] == ["base model, calibrated", "with arb + seats: best attempt, not believed"]
 
 
 def test_no_parameter(pulls):

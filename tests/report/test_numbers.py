@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from calib.report.numbers import chance, counted, fixed, flag, percent, significant, with_unit, yes
+from calib.report.numbers import chance, counted, fixed, flag, percent, short, significant, with_unit, yes
 
 
 @pytest.mark.parametrize(
@@ -49,3 +49,19 @@ def test_units_fractions_and_probabilities():
 def test_unknown_flags_are_no_and_are_shown_as_unknown():
     assert flag(True) and not flag(False) and not flag(None) and not flag(math.nan)
     assert (yes(True), yes(False), yes(None)) == ("yes", "no", "–")
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (0.25, "0.25"),
+        (204.46, "204"),
+        (-1.42, "−1.42"),
+        (1234.0, "1234"),
+        (45678.9, "45700"),
+        (math.nan, "–"),
+        (0, "0"),
+    ],
+)
+def test_a_number_in_a_figure_has_neither_zeros_at_its_end_nor_an_exponent(value, words):
+    assert short(value) == words

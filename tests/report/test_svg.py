@@ -19,7 +19,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 def figure():
     """A bar, a line with a clip path, markers and text, all with words under the mouse."""
     with style():
-        drawn = new_figure(2.0, 3.0)
+        drawn = new_figure(2.0)
         ax = drawn.add_subplot()
         (bar,) = ax.bar([0], [1], label="bar")
         hover(bar, ODD)

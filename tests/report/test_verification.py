@@ -65,10 +65,10 @@ def test_errors_that_differ_much_have_a_logarithmic_axis(errors):
 def test_an_attempt_is_no_explanation(errors):
     attempted = errors.replace({"stage": {"after": "attempt"}})
     after, attempt = draw_errors(errors, name="arb"), draw_errors(attempted, name="arb")
-    assert labels(after.get_legend().get_texts())[1] == "after: with arb"
+    assert labels(after.get_legend().get_texts())[1] == "with arb, calibrated"
     assert labels(attempt.get_legend().get_texts())[1] == "with arb: best attempt, not believed"
     assert labels(draw_errors(attempted).get_legend().get_texts())[1] == "with the best attempt, not believed"
-    assert labels(draw_errors(errors).get_legend().get_texts())[1] == "after: with the missing effect"
+    assert labels(draw_errors(errors).get_legend().get_texts())[1] == "with the missing effect, calibrated"
     shown, plain = dots(attempt, "attempt"), dots(after, "after")
     np.testing.assert_array_equal(shown.get_ydata(), [0.9, 1.0])
     assert shown.get_marker() != plain.get_marker() and shown.get_color() != plain.get_color()

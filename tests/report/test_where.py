@@ -49,7 +49,7 @@ def perturbations():
         ("mass 1", "mass", 2.0, 0.0, -1.0, "1y", 0.1, 1.0),
         ("mass 9", "mass", np.nan, np.nan, np.nan, "9y", 7.0, 1.0),
     ]
-    return pd.DataFrame(rows, columns="perturbation kind x y z sensor score unabsorbed".split())
+    return pd.DataFrame(rows, columns="perturbation kind x y z sensor score unabsorbed".split()).assign(limit=2.9)
 
 
 def drawn(ax, gid):

@@ -4,7 +4,8 @@ import pytest
 from matplotlib.colors import to_hex
 
 from calib.report.figures import Figures
-from calib.report.style import AFTER, GREY
+from calib.report.scene import plot_coordinates
+from calib.report.style import GREY, WITH
 from calib.report.why import draw_alike, draw_bars, draw_shapes, most_alike, place_words, share, why_figure
 
 REST = np.array([[[0.0, 0.0, -1.0], [4.0, 0.0, -1.0]], [[4.0, 0.0, -1.0], [4.0, 1.0, 1.0]]])
@@ -142,7 +143,7 @@ def test_scalar_responses_are_bars_of_one_panel(scalar):
 
 def test_an_attempt_is_grey(table):
     rows = of(table, "arb", "frequency")
-    for attempt, colour in ((False, AFTER), (True, GREY)):
+    for attempt, colour in ((False, WITH), (True, GREY)):
         assert {to_hex(bar.get_facecolor()) for bar in bars(draw_bars(rows, attempt=attempt), "signature")} == {
             colour.lower()
         }
@@ -157,3 +158,25 @@ def test_the_figure_of_the_folder_needs_rows(table, places, tmp_path):
     assert list(plan) == ["why_this_effect"] and set(plan["why_this_effect"].tables) == {"why", "why_places"}
     (file,) = Figures(tmp_path, "Car", True).save(["svg"])
     assert "B2, residual" in file.read_text("utf-8")
+
+
+def test_the_star_is_where_the_effect_acts(places):
+    acts = pd.DataFrame({"effect": ["arb", "seats"], "x": [1.0, 9.0], "y": [0.5, 9.0], "z": [0.25, 9.0]})
+    star = line(draw_alike(places, REST, effect="arb", acts=acts), "acts")
+    at = plot_coordinates(np.array([[1.0, 0.5, 0.25]]))[0]
+    np.testing.assert_array_equal([axis[0] for axis in star.get_data_3d()], at)
+    assert not [one for one in draw_alike(places, REST, effect="arb").lines if one.get_gid() == "acts"]
+
+
+def test_further_parameters_of_an_effect_stand_in_its_heading(table, places):
+    fitted = pd.DataFrame(
+        [("arb", "arb", "size", "kg", 3.0), ("arb", "arb_freq", "natural frequency of it", "Hz", 14.258)],
+        columns=["effect", "parameter", "description", "unit", "value"],
+    )
+    (heading,) = (
+        t.get_text()
+        for ax in why_figure(table[table["effect"] == "arb"], places, REST, parameters=fitted).axes
+        for t in ax.texts
+        if ax.get_label() == "heading"
+    )
+    assert "arb_freq = 14.3 Hz: natural frequency of it" in heading.split("\n")

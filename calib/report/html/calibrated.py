@@ -131,7 +131,7 @@ def _parameter_picture(results: StudyResults, table: pd.DataFrame, best: str) ->
     ends = "Ends of the searches, before least squares: where cases disagree, the data do not determine the parameter."
     return [
         *results.picture("parameters", caption, f"Dots. Positions in case {best}: {positions}. {note}"),
-        *results.picture("searches", ends, f"Bars, {counted(table['case'].nunique(), 'case')}. {note}"),
+        *results.picture("searches", ends, f"Bars, {counted(table['case'].nunique(), 'case')}."),
     ]
 
 
@@ -147,14 +147,14 @@ def _convergence(results: StudyResults) -> list[Picture]:
 
 
 def _after(results: StudyResults, best: str) -> list[Block]:
+    words = results.in_words("after")
     if results.scalar:
-        return [Words(f"The model after calibration, case {best}:"), *scalar_blocks(results, "after")]
-    after, before = results.compared("after"), results.compared("before")
-    if after is None:
+        return [Words(f"The model {words}, case {best}:"), *scalar_blocks(results, "after")]
+    stages = {s: table for s in results.stages if (table := results.compared(s)) is not None}
+    if "after" not in stages:
         return []
-    stages = {"after": after} if before is None else {"before": before, "after": after}
     return [
-        mode_table(after, f"The model after calibration (case {best})"),
+        mode_table(stages["after"], f"The model {words} (case {best})"),
         *error_picture(results, stages),
         *mac_picture(results, "after"),
         *shapes_picture(results, "after"),
@@ -196,7 +196,7 @@ def _directions(results: StudyResults) -> list[Block]:
         return []
     rows = tuple((str(r["words"]), yes(r["seen"])) for r in table.to_dict("records"))
     caption = "Combinations of parameters, the least determined by the data first"
-    return [Table(caption, ("combination", "seen"), rows, (1,))]
+    return [Table(caption, ("combination", "determined"), rows, (1,))]
 
 
 def _predictions(results: StudyResults) -> list[Block]:

@@ -71,17 +71,18 @@ def mode_table(table: pd.DataFrame, caption: str) -> Table:
 def error_picture(results: StudyResults, stages: Mapping[str, pd.DataFrame]) -> list[Picture]:
     """Frequency error and MAC of every mode, by stage."""
     shapes = any(table["mac"].notna().any() for table in stages.values())
-    summary = " ".join(_summary(stage, table, shapes) for stage, table in stages.items())
+    summary = " ".join(_summary(results.in_words(stage), table, shapes) for stage, table in stages.items())
     what = "Frequency errors, and MAC of the shapes." if shapes else "Frequency errors."
     return results.picture("comparison", f"{what} {summary}", f"Bars. {summary}")
 
 
-def _summary(stage: str, table: pd.DataFrame, shapes: bool) -> str:
+def _summary(words: str, table: pd.DataFrame, shapes: bool) -> str:
+    words = f"{words[:1].upper()}{words[1:]}"
     error = table["freq_error"].abs()
     if not error.notna().any():
-        return f"{stage.capitalize()} calibration no mode is paired."
+        return f"{words}: no mode is paired."
     worst = table.iloc[int(np.nanargmax(error))]
-    note = f"{stage.capitalize()} calibration: mean error {percent(error.mean())} %, "
+    note = f"{words}: mean error {percent(error.mean())} %, "
     note += f"largest {percent(worst['freq_error'], 2, sign=True)} % ({worst['mode']})"
     if shapes and table["mac"].notna().any():
         note += f"; mean MAC {fixed(table['mac'].mean(), 3)}"
@@ -97,7 +98,7 @@ def mac_picture(results: StudyResults, stage: str) -> list[Picture]:
     values = table.drop(columns="mode").to_numpy(dtype=float)
     best = np.nanmax(values, axis=1) if np.isfinite(values).any() else np.full(len(modes), np.nan)
     note = "; ".join(f"{m} {fixed(v, 2)}" for m, v in zip(modes, best, strict=True))
-    caption = f"MAC of measured with model modes, {stage} calibration. One dark cell per row is a clear pair."
+    caption = f"MAC of measured with model modes, {results.in_words(stage)}. One dark cell per row is a clear pair."
     alt = f"Matrix of MAC values. The largest of each measured mode: {note}."
     return results.picture(f"mac_{stage}", caption, alt)
 
@@ -124,9 +125,10 @@ def shapes_picture(results: StudyResults, stage: str) -> list[Picture]:
     """All measured mode shapes, the test beside the model; that of the latest stage alone."""
     if stage == "before" and results.has("shapes_after"):
         return []
-    caption = f"All mode shapes {stage} calibration: left the test, its sensors joined to their neighbours along the "
+    words = results.in_words(stage)
+    caption = f"All mode shapes, {words}: left the test, its sensors joined to their neighbours along the "
     caption += "mesh, right the model with the measured motion."
-    return results.picture(f"mode_shapes_{stage}", caption, f"Mode shapes {stage} calibration, measured and computed.")
+    return results.picture(f"mode_shapes_{stage}", caption, f"Mode shapes, {words}, measured and computed.")
 
 
 def comac_picture(results: StudyResults) -> list[Picture]:
@@ -143,7 +145,7 @@ def comac_picture(results: StudyResults) -> list[Picture]:
     newest = table["comac"].sort_values(kind="stable", na_position="last")
     still = set(table.index[table["motion"] < STILL]) if "motion" in table else set()
     worst = ", ".join(f"{s} {fixed(v, 3)}{' (hardly moves)' if s in still else ''}" for s, v in newest.head(3).items())
-    alt = f"Dots. The worst sensors {stage} calibration: {worst}; the mean is {fixed(newest.mean(), 3)}."
+    alt = f"Dots. The worst sensors, {results.in_words(stage)}: {worst}; the mean is {fixed(newest.mean(), 3)}."
     caption = "CoMAC of every sensor; low values show where the shapes disagree."
     caption += " At grey sensors, which hardly move, noise alone lowers it." if still else ""
     return results.picture("comac", caption, alt)
@@ -172,11 +174,10 @@ def scalar_blocks(results: StudyResults, stage: str) -> list[Block]:
     )
     size = table[column].abs()
     worst = f" The largest is that of {table['response'][int(size.argmax())]}." if size.notna().any() else ""
-    note = f"Mean absolute error {stage} calibration: {percent(table['error'].abs().mean())} %.{worst}"
+    words = results.in_words(stage)
+    note = f"Mean absolute error, {words}: {percent(table['error'].abs().mean())} %.{worst}"
     return [
         Words(note),
-        *results.picture(
-            f"responses_{stage}", f"Errors of all responses {unit}, {stage} calibration.", f"Bars. {note}"
-        ),
-        Table(f"Every response {stage} calibration", heads, rows),
+        *results.picture(f"responses_{stage}", f"Errors of all responses {unit}, {words}.", f"Bars. {note}"),
+        Table(f"Every response, {words}", heads, rows),
     ]

@@ -10,14 +10,18 @@ from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, significant, with_unit
-from calib.report.why import PRIOR, place_words, share, squares
+from calib.report.why import PRIOR, further_parameters, place_words, share, squares
 
 NUMBERS = (
     "z", "unabsorbed", "magnitude", "magnitude_low", "magnitude_high", "magnitude_min", "plausible", "largest",
     "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "model_probability", "held_out_gain",
 )  # fmt: skip
 TERMS = (
-    ("z", "score of an effect, standard normal for a correctly specified model; not corrected for multiple testing"),
+    (
+        "z",
+        "score of an effect, standard normal for a correctly specified model, not corrected for multiple "
+        "testing; negative where the data ask for a negative magnitude",
+    ),
     ("ln Bayes", "ln Bayes factor of the effect against the base model; a linear estimate where it was not refitted"),
     ("γ", "unabsorbed fraction: part of the effect's signature that the parameters cannot absorb"),
     ("smallest visible", "smallest magnitude at which these data would show the effect"),
@@ -76,14 +80,18 @@ def _why(results: StudyResults) -> list[Picture]:
         if {"none", together} <= misfit.keys() and (own["kind"] == PRIOR).any():  # the fits are of all rows
             words += f"; fitted, it falls from {significant(misfit['none'], 3)} to {significant(misfit[together], 3)}"
         told.append(words)
+    fitted = results.table("why_parameters", ["effect", "parameter"], ["value"], blank=["description", "unit"])
+    names = list(dict.fromkeys(table["effect"]))
+    told += [words for name in names for words in further_parameters(fitted, name)]
+    star = " The star is where the effect acts in the library's model." if results.has("effect_places") else ""
     caption = (
         "Residual of the calibrated base model, signature of the effect at its fitted magnitude, and what is left, in "
         "standard deviations σ, less what the parameters absorb. An effect that is there has the pattern of the "
-        f"residual. {'. '.join(told)}. {AXES_NOTE}"
+        f"residual. {'. '.join(told)}.{star} {AXES_NOTE}"
     )
     alike = results.table("why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
     if alike is not None:
-        told += [f"{n}: {words}" for n in dict.fromkeys(table["effect"]) if (words := place_words(alike, n))]
+        told += [f"{n}: {words}" for n in names if (words := place_words(alike, n))]
     return results.picture("why_this_effect", caption, f"Bars, dots and places. {'; '.join(told)}.")
 
 
@@ -173,7 +181,12 @@ def _local_perturbations(results: StudyResults) -> list[Block]:
     )
     first = ", ".join(f"{r[0]} {r[2]}" for r in rows[:3])
     caption = f"Local perturbations with the largest scores, of {len(table)}: places to inspect, not causes"
-    note = f"Scores of local perturbations at their locations: places to inspect, not causes. {AXES_NOTE}"
+    limit = float(table["limit"].iloc[0])
+    note = (
+        "Scores of local perturbations at their locations: places to inspect, not causes. "
+        f"{int((table['score'].abs() > limit).sum())} of {len(table)} exceed ±{fixed(limit, 1)}, the limit for noise "
+        f"alone. {AXES_NOTE}"
+    )
     alt = f"Scores of {counted(len(table), 'local perturbation')}. The largest: {first}."
     return [
         *results.picture("perturbation_map", note, alt),

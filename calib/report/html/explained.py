@@ -12,7 +12,7 @@ _OF_VERDICT = 2
 
 def pulls(results: StudyResults) -> Section | None:
     """Standardised shifts of the parameters, without and with the candidate effects."""
-    numbers = ["nominal", "value", "standardised", "limit"]
+    numbers = ["nominal", "value", "prior_sd", "standardised", "limit"]
     table = results.table(
         "pulls", ["model", "parameter"], numbers, flags=["pulled"], blank=["unit"], unbounded=["standardised"]
     )
@@ -26,25 +26,28 @@ def pulls(results: StudyResults) -> Section | None:
             str(r["model"]),
             with_unit(r["nominal"], str(r["unit"]), 4),
             with_unit(r["value"], str(r["unit"]), 4),
+            fixed((r["value"] - r["nominal"]) / r["prior_sd"], 2, sign=True),
             fixed(r["standardised"], 2, sign=True),
             yes(r["pulled"]),
         )
         for r in table.to_dict("records")
     )
     intro = (
-        "A parameter that is pulled far from its nominal value may compensate for missing physics. The shift is "
-        "standardised: for a correctly specified model it is standard normal. The dashed limits hold for all "
-        "parameters jointly."
+        "A parameter that is pulled far from its nominal value may compensate for missing physics. The pull is its "
+        "shift over the standard deviation that the shift has in a correctly specified model, so that there it is "
+        "standard normal; the dashed limits hold for all parameters jointly. A parameter that the data hardly "
+        "determine should stay at its nominal value: one that moves all the same is pulled strongly, by a misfit that "
+        "has its pattern."
     )
     caption = f"Shift of every parameter from its nominal value. {note}"
-    heads = ("parameter", "model", "nominal", "fitted", "standardised shift", "pulled")
+    heads = ("parameter", "model", "nominal", "fitted", "shift, prior std", "pull", "pulled")
     return Section(
         "pulled",
         "Parameter pulls",
         (
             Words(intro),
             *results.picture("pulls", caption, f"Dots. {note}"),
-            Table("Parameter pulls", heads, rows, (1, 5)),
+            Table("Parameter pulls", heads, rows, (1, 6)),
         ),
     )
 

@@ -6,7 +6,7 @@ import pandas as pd
 
 from calib.report.html.page import Block, Picture, Section, Table, Words
 from calib.report.html.space import AXES_NOTE
-from calib.report.html.study_results import STAGES, StudyResults
+from calib.report.html.study_results import StudyResults
 from calib.report.numbers import chance, counted, fixed, flag, significant
 from calib.report.where import sensor_rms
 
@@ -18,40 +18,51 @@ def section(results: StudyResults) -> Section | None:
 
 
 def _suspects(results: StudyResults) -> list[Block]:
-    """Suspect data, without any one of which all other data fit: of the calibration and of the explanation."""
-    blocks: list[Block] = []
-    for name, which in (("suspects_calibrated", "the calibrated model"), ("suspects_explained", "the base model")):
-        table = results.table(name, ["what"], ["rows", "chi2", "p", "p_fit_without"], flags=["explains"])
-        suspects = [] if table is None else table[table["explains"].map(flag)].to_dict("records")
-        rows = tuple(
-            (str(r["what"]), fixed(r["rows"], 0), *(significant(r[n], 3) for n in ("chi2", "p", "p_fit_without")))
-            for r in suspects
-        )
-        heads = ("excluded", "rows", "reduction of the sum of squares", "p", "p of the fit without it")
-        if rows:
-            caption = f"Suspect data: without any one of these {which} fits all other data, to first order"
-            blocks.append(Table(caption, heads, rows))
-    return blocks
+    """Suspect data, without any one of which all other data fit.
+
+    Calibration and explanation both fit the base model to the same data: a suspect of both is told once.
+    """
+    numbers = ["rows", "chi2", "p", "p_fit_without"]
+    tables = [
+        table[table["explains"].map(flag)]
+        for name in ("suspects_explained", "suspects_calibrated")
+        if (table := results.table(name, ["what"], numbers, flags=["explains"])) is not None
+    ]
+    suspects = pd.concat(tables).drop_duplicates("what") if tables else pd.DataFrame()
+    rows = tuple(
+        (str(r["what"]), fixed(r["rows"], 0), *(significant(r[n], 3) for n in numbers[1:]))
+        for r in suspects.to_dict("records")
+    )
+    heads = ("excluded", "rows", "reduction of the sum of squares", "p", "p of the fit without it")
+    caption = "Suspect data: without any one of these the calibrated base model fits all other data, to first order"
+    return [Table(caption, heads, rows)] if rows else []
 
 
 def _worst(results: StudyResults) -> list[Block]:
     columns = ["value", "in_std"]
     tables = {
         s: t
-        for s in STAGES
+        for s in results.stages
         if (t := results.table(f"where_it_fails_{s}", ["kind", "what", "verdict"], columns)) is not None
     }
     if not tables:
         return []
     sentences = [Words(words, "reported") for words in results.sentences("compare")[-1:]]
+    stages = {stage: results.in_words(stage) for stage in tables}
     newest = list(tables)[-1]
+    in_std = pd.concat({s: t.set_index(["kind", "what"])["in_std"] for s, t in tables.items()}, axis=1)
     rows = tuple(
-        (f"{r['kind']} {r['what']}", significant(r["value"], 3), fixed(r["in_std"], 1), str(r["verdict"]))
+        (
+            f"{r['kind']} {r['what']}",
+            *(fixed(in_std.loc[(r["kind"], r["what"]), stage], 1) for stage in stages),
+            significant(r["value"], 3),
+            str(r["verdict"]),
+        )
         for r in tables[newest].to_dict("records")
     )
-    heads = ("comparison", "value", "in standard deviations", "verdict")
-    caption = f"Every comparison {newest} calibration, worst first"
-    return [*sentences, *_worst_picture(results, tables), Table(caption, heads, rows, (3,))]
+    heads = ("comparison", *(f"{words}, σ" for words in stages.values()), "value", "verdict")
+    caption = f"Every comparison in standard deviations; value, verdict and order: {stages[newest]}"
+    return [*sentences, *_worst_picture(results, tables), Table(caption, heads, rows, (len(heads) - 1,))]
 
 
 def _worst_picture(results: StudyResults, tables: dict[str, pd.DataFrame]) -> list[Picture]:

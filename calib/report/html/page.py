@@ -34,7 +34,7 @@ class Terms:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of formatted cells; one of more than `LONGEST` rows is folded.
+    """A table of formatted cells; one of more than `LONGEST` rows is folded, unless it is to stay open.
 
     Attributes
     ----------
@@ -46,6 +46,8 @@ class Table:
         Columns of text, aligned left; the others hold numbers, aligned right. The first column is always text.
     grey : tuple of int
         Rows of effects that are not visible, in grey.
+    unfolded : bool
+        Whether it stays open however long it is.
     """
 
     caption: str
@@ -53,11 +55,12 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     left: tuple[int, ...] = ()
     grey: tuple[int, ...] = ()
+    unfolded: bool = False
 
     @property
     def folded(self) -> bool:
         """Whether only the caption is shown until the reader unfolds the table."""
-        return len(self.rows) > LONGEST
+        return len(self.rows) > LONGEST and not self.unfolded
 
 
 @dataclass(frozen=True)
@@ -73,12 +76,15 @@ class Picture:
         Text alternative for readers who cannot see the figure.
     tables : tuple of str
         The tables that it shows, without suffix; each is offered as a file.
+    folded : str
+        What is shown until the reader unfolds the figure; empty for one that is open.
     """
 
     name: str
     caption: str
     alt: str
     tables: tuple[str, ...]
+    folded: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from calib.report.numbers import counted, fixed, flag
 from calib.report.scene import PLACE, motion_scale, plot_coordinates, view_directions
 from calib.report.shapes import measured_motions
 from calib.report.style import BLACK, BLUE, MEASURED, REST, SKY, VERMILLION
-from calib.report.where import NOISE_LEVEL, misfit_tips, noise_limit, sensor_rms
+from calib.report.where import misfit_tips, sensor_rms
 
 AXES_NOTE = "x runs along, y up, z across."
 _FINEST = 32767
@@ -274,9 +274,9 @@ def _misfit(results: StudyResults, structure: _Structure) -> tuple[dict[str, Any
 def _perturbations(results: StudyResults) -> list[tuple[dict[str, Any], np.ndarray]]:
     """A layer for each kind: perturbations of stiffness and of mass are often at one place."""
     table = results.perturbations
-    if table is None:
+    if table is None or table.empty:
         return []
-    limit, largest = noise_limit(table["score"]), float(table["score"].abs().max()) or 1.0
+    limit, largest = float(table["limit"].iloc[0]), float(table["score"].abs().max()) or 1.0
     key = [(VERMILLION, f"|z| > {fixed(limit, 2)}"), (SKY, "smaller")]
     layers = []
     for kind, placed in table.dropna(subset=[*PLACE, "score"]).groupby("kind", sort=False):
@@ -284,8 +284,8 @@ def _perturbations(results: StudyResults) -> list[tuple[dict[str, Any], np.ndarr
         beyond = size > limit
         names = [f"{r['perturbation']}: z {fixed(r['score'], 1, sign=True)}" for r in placed.to_dict("records")]
         words = (
-            f"{beyond.sum()} of {len(placed)} scores exceed {fixed(limit, 2)}, which noise alone does anywhere, in any "
-            f"kind, with a probability of at most {100 * NOISE_LEVEL:.0f} %; places to inspect, not causes"
+            f"{beyond.sum()} of {len(placed)} scores exceed {fixed(limit, 2)}, the limit for noise alone in all kinds; "
+            "places to inspect, not causes"
         )
         colours = [VERMILLION if b else SKY for b in beyond]
         dots, title = placed[PLACE].to_numpy(dtype=float), f"Local perturbations of {kind}"

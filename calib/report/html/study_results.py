@@ -15,6 +15,7 @@ from calib.report.draw import of_scalar_responses
 from calib.report.figures import Figures
 from calib.report.html.page import Picture
 from calib.report.shown import Folder
+from calib.report.style import stage_words
 from calib.report.tables import read_table
 
 STAGES = ("before", "after")
@@ -101,9 +102,18 @@ class StudyResults:
         return [] if drawing is None else [Picture(name, caption, alt, drawing.tables)]
 
     @property
-    def added_names(self) -> tuple[str, ...]:
-        """Names of the effects that were added."""
-        return tuple(str(effect["name"]) for effect in self.added.get("effects", ()))
+    def added_effects(self) -> str:
+        """Names of the effects that were added, joined by " + "; empty where there are none."""
+        return " + ".join(str(effect["name"]) for effect in self.added.get("effects", ()))
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Stages of the model that was compared: before and after calibration, and with added effects."""
+        return (*STAGES, *(["added"] if self.added_effects else []))
+
+    def in_words(self, stage: str) -> str:
+        """What the model of a stage is; see `calib.report.style.stage_words`."""
+        return stage_words(stage, self.added_effects)
 
     def has(self, name: str) -> bool:
         """Whether the folder has a table of that name."""
@@ -147,7 +157,7 @@ class StudyResults:
         return self.has("response_misfit")
 
     def compared(self, stage: str) -> pd.DataFrame | None:
-        """``comparison_before.csv`` or ``comparison_after.csv`` of a modal study."""
+        """``comparison_before.csv``, ``comparison_after.csv`` or ``comparison_added.csv`` of a modal study."""
         numbers = [
             *("model_mode", "natural_freq_measured", "natural_freq_model", "freq_error", "damping_ratio_measured"),
             *("damping_ratio_model", "mac", "emac", "margin"),
@@ -168,7 +178,7 @@ class StudyResults:
     @cached_property
     def perturbations(self) -> pd.DataFrame | None:
         """``perturbations.csv`` of an explanation."""
-        return self.table("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed"])
+        return self.table("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed", "limit"])
 
     @property
     def noise_mac(self) -> float:

@@ -91,16 +91,16 @@ def _calibrated(results: StudyResults) -> list[tuple[str, str]]:
         return out if pd.isna(mac) else [*out, ("mean MAC, nothing fitted", fixed(mac, 3))]
     label = "mean error" if results.scalar else "mean frequency error"
     errors = [figures[f"mean_freq_error_{stage}"] for stage in ("before", "after")]
-    added = results.added if results.added_names else {}
+    added = results.added if results.added_effects else {}
     errors += [added["mean_freq_error"]] if added else []
-    more = f", with {' + '.join(results.added_names)}" if added else ""
+    more = f" → calibrated with {results.added_effects}" if added else ""
     floor = figures.get("noise_freq_error")
     allowed = "" if floor is None else f" (noise allows {percent(floor)} %)"
-    out = [(f"{label}, calibrated{more}", " → ".join(f"{percent(error)} %" for error in errors) + allowed)]
+    out = [(f"{label}, nominal → calibrated{more}", " → ".join(f"{percent(error)} %" for error in errors) + allowed)]
     if figures.get("mean_mac_after") is not None:
         noise = "" if figures.get("noise_mac") is None else f" (noise allows {fixed(figures['noise_mac'], 3)})"
         macs = [figures[f"mean_mac_{stage}"] for stage in ("before", "after")] + ([added["mean_mac"]] if added else [])
-        out.append((f"mean MAC, calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
+        out.append((f"mean MAC, nominal → calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
     verdicts = results.table("verdicts", ["parameter"], flags=["identified"])
     if verdicts is not None:
         known = verdicts["identified"].dropna()  # counted as in the sentences

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pandas as pd
 
 from calib.report.correlation import pairs
@@ -61,13 +64,34 @@ def _selection(results: StudyResults) -> list[Block]:
 
 
 def _matrix(results: StudyResults) -> list[Picture]:
-    out = []
+    """The matrix of the first measure; those of the others are folded, and say how far they differ from it."""
+    out: list[Picture] = []
+    first: tuple[str, pd.DataFrame] | None = None
     for name, label in _MATRICES:
         table = results.table(name, ["parameter"], others_are_numbers=True)
-        if table is not None:
-            alt = f"Matrix. {_strongest(table, label, [c for c in table.columns if c != 'parameter'])}"
-            out += results.picture(name, f"{label.capitalize()} of every parameter with every response.", alt)
+        if table is None:
+            continue
+        alt = f"Matrix. {_strongest(table, label, [c for c in table.columns if c != 'parameter'])}"
+        found = results.picture(name, f"{label.capitalize()} of every parameter with every response.", alt)
+        values = table.set_index("parameter")
+        if first is None:
+            first = label, values
+            out += found
+        else:
+            words = f"{label.capitalize()}: {_difference(values, *first)}"
+            out += [replace(picture, folded=words) for picture in found]
     return out
+
+
+def _difference(values: pd.DataFrame, label: str, of_first: pd.DataFrame) -> str:
+    """Where the absolute values of two measures differ most."""
+    one, other = values.reindex_like(of_first).abs().to_numpy(dtype=float), of_first.abs().to_numpy(dtype=float)
+    apart = np.abs(one - other)
+    if np.isnan(apart).all():
+        return f"nothing in common with the {label}"
+    at = divmod(int(np.nanargmax(apart)), apart.shape[1])
+    which = f"{of_first.index[at[0]]} on {_label(str(of_first.columns[at[1]]))}"
+    return f"differs most from the {label} for {which}, {fixed(one[at], 2)} instead of {fixed(other[at], 2)}"
 
 
 def _strongest(table: pd.DataFrame, label: str, responses: list[str]) -> str:

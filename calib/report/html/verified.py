@@ -1,4 +1,4 @@
-"""Section on errors in fitted, left-out and held-out data, and on the effects that were added."""
+"""Section on errors in fitted, left-out and held-out data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import pandas as pd
 
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import chance, fixed, flag, percent, significant, with_unit
+from calib.report.numbers import chance, fixed, flag, percent, significant
+from calib.report.style import added
 from calib.report.verification import GROUPS
 
 TERMS = (
@@ -19,17 +20,12 @@ TERMS = (
     ),
     ("p", "probability that a correctly specified model has at least this error"),
 )
-STAGES = {
-    "before": "base model",
-    "after": "with the missing effect",
-    "attempt": "best attempt, not believed",
-}
 
 
 def errors(results: StudyResults) -> Section | None:
     """Errors before and after by group of data, and over the versions of an extended model."""
     sentence = [Words(str(results.added["sentence"]).replace(" -> ", " → "), "verdict")] if results.added else []
-    if results.added_names:
+    if results.added_effects:
         title, blocks = "Prediction errors before and after adding the effects", _added(results)
     else:
         title, blocks = (
@@ -47,48 +43,12 @@ def errors(results: StudyResults) -> Section | None:
 
 
 def _added(results: StudyResults) -> list[Block]:
-    """Errors and parameters of the model with the added effects, calibrated again."""
-    name = " + ".join(results.added_names)
-    note = (
-        "Both models were calibrated in the same way; the verdict quotes magnitudes and errors of the explanation's "
-        f"own fits, by least squares alone. The extended study is in {results.added['study']}."
-    )
-    out: list[Block] = [Words(note)]
+    """Errors of the model with the added effects beside those of the model without."""
     table = results.table("added_errors", ["group", "stage"], ["rows", "rms", "expected", "p"])
-    if table is not None:
-        what = f"before and after adding {name}, both models calibrated"
-        out += [*_error_picture(results, "added_errors", table, what), _both_table(table, f"Errors {what}")]
-    labels = {"initial": "nothing fitted", "before": "calibrated", "after": "extended"}
-    caption = f"Every measured mode: nothing fitted, calibrated, and extended with {name} and calibrated again"
-    return [*out, *_added_parameters(results, name), *_mode_table(results, "added_modes", labels, caption)]
-
-
-def _added_parameters(results: StudyResults, name: str) -> list[Block]:
-    numbers = ["nominal", "before", "before_std", "after", "after_std"]
-    table = results.table("added_parameters", ["parameter"], numbers, flags=["added"], blank=["unit"])
     if table is None:
         return []
-    rows = tuple(
-        (
-            str(r["parameter"]),
-            "added" if flag(r["added"]) else "",
-            with_unit(r["nominal"], str(r["unit"]), 4),
-            *(significant(r[n], 4 if n in ("before", "after") else 2) for n in numbers[1:]),
-        )
-        for r in table.to_dict("records")
-    )
-    heads = ("parameter", "", "nominal", "without", "std", f"with {name}", "std")
-    moved = table[(table["after"] - table["before"]).abs() > 2 * table["before_std"]]
-    note = "; ".join(
-        f"{r['parameter']} {significant(r['before'])} → {with_unit(r['after'], str(r['unit']), 4)} "
-        f"(nominal {significant(r['nominal'])})"
-        for r in moved.to_dict("records")
-    )
-    words = f"Without {name}, other parameters compensated by more than two standard deviations: {note}."
-    return [
-        *([Words(words)] if note else []),
-        Table("Calibrated parameters without and with the added effects", heads, rows, (1,)),
-    ]
+    what = f"before and after adding {results.added_effects}, both models calibrated"
+    return [*_error_picture(results, "added_errors", table, what), _both_table(table, f"Errors {what}")]
 
 
 def _explained(results: StudyResults) -> list[Block]:
@@ -97,7 +57,7 @@ def _explained(results: StudyResults) -> list[Block]:
         return []
     name = " + ".join(results.explanation.get("chosen", []))
     what = f"before and after adding {name}" if name else "of the base model"
-    return [*_error_picture(results, "errors_before_after", table, what), _error_table(table, f"Errors {what}")]
+    return [*_error_picture(results, "errors_before_after", table, what), _error_table(table, f"Errors {what}", name)]
 
 
 def _error_picture(results: StudyResults, figure: str, table: pd.DataFrame, what: str) -> list[Picture]:
@@ -111,11 +71,12 @@ def _arrow(table: pd.DataFrame, group: str) -> str:
     return " → ".join(fixed(v, 2) for v in table[table["group"] == group]["rms"])
 
 
-def _error_table(table: pd.DataFrame, caption: str) -> Table:
+def _error_table(table: pd.DataFrame, caption: str, name: str = "") -> Table:
+    """Errors by group of data and model; ``name`` are the effects in the other model."""
     rows = tuple(
         (
             GROUPS.get(str(r["group"]), str(r["group"])),
-            STAGES.get(str(r.get("stage", "")), "calibrated model"),
+            added("base" if r.get("stage", "before") == "before" else str(r["stage"]), name),
             fixed(r["rows"], 0),
             fixed(r["rms"], 2),
             fixed(r["expected"], 2),
@@ -150,8 +111,9 @@ def _calibrated(results: StudyResults) -> list[Block]:
 
 
 def _modes(results: StudyResults) -> list[Block]:
-    caption = "Damped frequencies and MAC of every measured mode, before and after calibration"
-    table = _mode_table(results, "modes", {"initial": "initial", "before": "before", "after": "after"}, caption)
+    words = [results.in_words(stage) for stage in ("before", "after")]
+    caption = f"Damped frequencies and MAC of every measured mode, {' and '.join(words)}"
+    table = every_mode_table(results, "modes", {"initial": "initial", "before": "before", "after": "after"}, caption)
     note = "Initial: the model before the calibration of the earlier study."
     return [Words(note), *table] if table and "initial, Hz" in table[0].heads else [*table]
 
@@ -175,8 +137,8 @@ def _responses(results: StudyResults) -> list[Table]:
     return [Table("Every measured response, before and after calibration", heads, rows, (1,))]
 
 
-def _mode_table(results: StudyResults, name: str, labels: Mapping[str, str], caption: str) -> list[Table]:
-    """Every measured mode at each stage; ``labels`` names the stages."""
+def every_mode_table(results: StudyResults, name: str, labels: Mapping[str, str], caption: str) -> list[Table]:
+    """Damped frequency and MAC of every measured mode at each stage; ``labels`` names the stages."""
     kinds = ("damped_freq", "error", "mac")
     numbers = [f"{kind}_{stage}" for kind in kinds for stage in ("before", "after")]
     table = results.table(
@@ -196,7 +158,7 @@ def _mode_table(results: StudyResults, name: str, labels: Mapping[str, str], cap
         )
         for r in table.to_dict("records")
     )
-    heads = ["mode", "", "measured, Hz", *(f"{labels[stage]}, Hz" for stage in stages)]
+    heads = ["mode", "", "damped frequency measured, Hz", *(f"{labels[stage]}, Hz" for stage in stages)]
     heads += [*(f"error {labels[stage]}, %" for stage in stages), *(f"MAC {labels[stage]}" for stage in stages)]
     return [Table(caption, tuple(heads), rows, (1,))]
 

@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from calib.errors import InputError
 from calib.report.html import (
+    added,
     calibrated,
     compared,
     effects,
@@ -41,6 +42,7 @@ SECTIONS = (
     explained.pulls,
     effects.section,
     explained.verdict,
+    added.section,
     recommended.section,
     verified.errors,
     explained.candidate_fits,

@@ -10,7 +10,7 @@ import pytest
 from calib.report.html.space import framed, packed, scene
 from calib.report.html.study_results import StudyResults
 from calib.report.scene import plot_coordinates, view_directions
-from calib.report.where import noise_limit, sensor_rms
+from calib.report.where import sensor_rms
 
 PLACE, MOTION = ["x", "y", "z"], ["u", "v", "w"]
 PERTURBATIONS = ["perturbations of stiffness", "perturbations of mass"]
@@ -120,7 +120,7 @@ def test_misfits_have_the_size_and_the_place_of_their_rms(everything, results):
 
 def test_scores_beyond_the_limit_have_the_colour_of_their_key_in_a_layer_for_each_kind(everything, results):
     table = pd.read_csv(everything / "perturbations.csv")
-    limit, largest = noise_limit(table["score"]), table["score"].abs().max()
+    (limit,), largest = set(table["limit"]), table["score"].abs().max()
     by_kind = table.dropna(subset=[*PLACE, "score"]).groupby("kind")
     assert len(by_kind) > 1 and {*PERTURBATIONS} == {f"perturbations of {kind}" for kind, _ in by_kind}
     found = []
@@ -135,14 +135,6 @@ def test_scores_beyond_the_limit_have_the_colour_of_their_key_in_a_layer_for_eac
         np.testing.assert_allclose(unpacked(shown["points"]), rows[PLACE], atol=1e-3)
         np.testing.assert_allclose(shown["sizes"], 6.0 + 12.0 * rows["score"].abs() / largest, atol=0.051)
     assert 0 < sum(found) < len(found)
-
-
-def test_noise_alone_exceeds_the_limit_as_often_as_stated():
-    scores = np.random.default_rng(1).standard_normal((20000, 40))
-    exceeded = (np.abs(scores).max(axis=1) > noise_limit(pd.Series(scores[0]))).mean()
-    assert exceeded == pytest.approx(0.01, abs=0.0025)
-    known = pd.Series([*scores[0], np.nan])
-    assert noise_limit(known) == noise_limit(known.dropna()) < noise_limit(pd.Series(scores[:2].ravel()))
 
 
 @pytest.mark.parametrize(

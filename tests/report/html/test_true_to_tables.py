@@ -26,7 +26,7 @@ def test_measured_modes_are_those_of_the_table(everything, read, reader):
 @pytest.mark.parametrize("stage", ["before", "after"])
 def test_compared_modes_are_those_of_the_table(everything, read, stage, reader):
     table = pd.read_csv(everything / f"comparison_{stage}.csv")
-    caption = "Mode by mode before calibration" if stage == "before" else "The model after calibration (case A1)"
+    caption = "Mode by mode before calibration" if stage == "before" else "The model calibrated without guy (case A1)"
     head, *rows = read.tables[caption]
     assert [r[0] for r in rows] == list(table["mode"])
     for column, name, factor, tolerance in (
@@ -62,19 +62,28 @@ def test_effects_errors_and_candidate_fits_are_those_of_the_tables(everything, r
 
 def test_the_added_effect_is_reported_by_parameter_and_by_mode(everything, text, read, reader):
     found = pd.read_csv(everything / "added_parameters.csv").set_index("parameter")
-    head, *rows = read.tables["Calibrated parameters without and with the added effects"]
-    assert [r[0] for r in rows] == list(found.index) and head[3] == "without" and head[5] == "with guy"
+    head, *rows = read.tables["Parameters, calibrated without and with guy"]
+    assert [r[0] for r in rows] == list(found.index) and head[3] == "without" and head[6] == "with guy"
     for row in rows:
         assert (row[1] == "added") == found["added"][row[0]] == (row[0] == "guy") == (row[3] == "–")
-        assert reader.number(row[5]) == pytest.approx(found["after"][row[0]], rel=6e-4)
+        assert reader.number(row[6]) == pytest.approx(found["after"][row[0]], rel=6e-4)
+        assert (row[8] == "yes") == found["after_identified"][row[0]]
+    compared = pd.read_csv(everything / "comparison_added.csv").set_index("mode")
+    head, *rows = read.tables["Mode by mode, calibrated with guy"]
+    for row in rows:
+        assert reader.number(row[head.index("MAC")]) == pytest.approx(compared["mac"][row[0]], abs=0.00051)
+        assert reader.number(row[head.index("error, %")]) == pytest.approx(
+            100 * compared["freq_error"][row[0]], abs=0.00501
+        )
+    assert [r[0] for r in rows] == list(compared.index)
     moved = found[(found["after"] - found["before"]).abs() > 2 * found["before_std"]].index
     (words,) = [w for w in read.text.split("standard deviations: ") if w.startswith(f"{moved[0]} ")]
     words = words[: words.index("). ")]
     assert [w.split()[0] for w in words.split("; ")] == list(moved) and "guy" not in words
     modes = pd.read_csv(everything / "added_modes.csv")
-    ((head, *rows),) = (t for name, t in read.tables.items() if name.startswith("Every measured mode: nothing fitted"))
+    ((head, *rows),) = (t for name, t in read.tables.items() if name.startswith("Every measured mode, held-out"))
     assert [r[1] for r in rows] == ["held out" if held else "fitted" for held in modes["held_out"]]
-    for stage, words in (("initial", "nothing fitted"), ("before", "calibrated"), ("after", "extended")):
+    for stage, words in (("initial", "nominal"), ("before", "without guy"), ("after", "with guy")):
         cells = [reader.number(r[head.index(f"error {words}, %")]) for r in rows]
         np.testing.assert_allclose(cells, 100 * modes[f"error_{stage}"], atol=0.00501)
     top = " ".join(reader(text[: text.index("<section")]).text.split())
@@ -100,10 +109,11 @@ def test_figures_show_the_tables(everything, blocks):
     for name, picture in pictures.items():
         assert picture.tables and all((everything / f"{table}.csv").is_file() for table in picture.tables), name
     words = hovers(figures.svg("comparison"))
-    for stage in ("before", "after"):
+    told = {"before": "nominal values", "after": "calibrated without guy", "added": "calibrated with guy"}
+    for stage, model in told.items():
         for row in pd.read_csv(everything / f"comparison_{stage}.csv").to_dict("records"):
-            assert f"{row['mode']}, {stage}: {percent(row['freq_error'], 2, sign=True)} %" in words
-            assert f"{row['mode']}, {stage}: MAC {fixed(row['mac'], 3)}" in words
+            assert f"{row['mode']}, {model}: {percent(row['freq_error'], 2, sign=True)} %" in words
+            assert f"{row['mode']}, {model}: MAC {fixed(row['mac'], 3)}" in words
     mac, cells = pd.read_csv(everything / "mac_before.csv").set_index("mode"), hovers(figures.svg("mac_before"))
     assert set(cells) >= {f"{m}, model mode {c}: {fixed(mac.loc[m, c], 3)}" for m in mac.index for c in mac}
     drawn = hovers(figures.svg("added_errors"))
@@ -137,3 +147,17 @@ def test_a_group_of_data_that_one_stage_lacks_has_a_dash(folder, blocks):
     }
     (own,) = (row for label, row in rows.items() if "held-out sensors" in label)
     assert lost.sum() == 1 and own[3] == "–" and own[2] != "–"
+
+
+def test_one_matrix_of_the_sensitivity_is_open_and_the_others_tell_where_they_differ(everything, text, reader, blocks):
+    pictures = blocks(everything, Picture)
+    assert not pictures["partial"].folded
+    first = pd.read_csv(everything / "partial.csv").set_index("parameter").abs()
+    for name in ("sensitivity", "variance_share"):
+        table = pd.read_csv(everything / f"{name}.csv").set_index("parameter").abs()
+        apart = (table - first).abs().stack()
+        parameter, response = apart.idxmax()
+        told = f"{fixed(table.loc[parameter, response], 2)} instead of {fixed(first.loc[parameter, response], 2)}"
+        assert f"{parameter} on " in pictures[name].folded and pictures[name].folded.endswith(told)
+        inside = text[text.rindex("<details>", 0, text.index(f'<figure id="{name}"')) :]
+        assert inside.index(f'<figure id="{name}"') < inside.index("</details>")

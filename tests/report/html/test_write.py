@@ -15,8 +15,8 @@ from calib.report.html.write import page, sections, write_report
 
 TITLE = "A mast that may lack something"
 WHOLE = [
-    "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "next", "errors",
-    "candidate_fits", "assumptions", "versions",
+    "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "added", "next",
+    "errors", "candidate_fits", "assumptions", "versions",
 ]  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def test_scalar_responses_have_neither_modes_nor_shapes(scalar, reader):
     assert {"measured", "compared", "fails", "effects", "verdict", "errors"} <= set(names)
     assert not found.named("select") and "EMAC" not in found.text
     table = pd.read_csv(scalar / "comparison_before.csv")
-    rows = found.tables["Every response before calibration"][1:]
+    rows = found.tables["Every response, before calibration"][1:]
     assert [r[0] for r in rows] == list(table["response"])
     np.testing.assert_allclose([reader.number(r[3]) for r in rows], 100 * table["error"], atol=0.00501)
 
@@ -122,7 +122,7 @@ def test_until_something_is_added_the_errors_are_those_of_the_explanation(folder
     for file in folder.glob("added*"):
         file.unlink()
     *shown, last = sections(StudyResults(folder, TITLE, True))
-    assert [s.name for s in shown] == WHOLE and last.name == "not_run"
+    assert [s.name for s in shown] == [n for n in WHOLE if n != "added"] and last.name == "not_run"
     assert any("calib run mast" in words.text for words in last.blocks)
     errors = pd.read_csv(folder / "errors.csv")
     rows = blocks(folder, Table)["Errors before and after adding guy"].rows
@@ -177,10 +177,12 @@ def test_every_table_has_a_caption_heads_and_as_many_cells(everything, scalar, b
             assert all("nan" not in cell for row in table.rows for cell in row), caption
 
 
-def test_long_tables_are_folded_and_only_they(everything, read, blocks):
-    tables = blocks(everything, Table)
-    long = [c for c, t in tables.items() if len(t.rows) > LONGEST]
-    assert long and len(read.named("details")) == len(long)
+def test_long_tables_and_further_matrices_are_folded_and_only_they(everything, read, blocks):
+    tables, pictures = blocks(everything, Table), blocks(everything, Picture)
+    long = [c for c, t in tables.items() if len(t.rows) > LONGEST and not t.unfolded]
+    folded = [name for name, picture in pictures.items() if picture.folded]
+    assert long and folded == ["sensitivity", "variance_share"]
+    assert len(read.named("details")) == len(long) + len(folded)
 
 
 # -- escaping ----------------------------------------------------------------------------------------------------------

@@ -1,0 +1,48 @@
+import pytest
+
+from calib.report.legible import is_legible, wrap_labels
+from calib.report.style import COLUMN, WIDTH, new_figure, style
+
+
+def panel(width, draw):
+    with style(width):
+        figure = new_figure(2.5)
+        ax = figure.add_subplot()
+        draw(ax)
+        return figure
+
+
+@pytest.mark.parametrize(("width", "legible"), [(WIDTH, True), (COLUMN, False)])
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda ax: ax.set_xticks(range(9), [f"member {k}" for k in range(9)]),
+        lambda ax: [ax.text(k / 12, 0.5, "0.123") for k in range(12)],
+        lambda ax: ax.set_xlabel("a label that is too long for one of the two columns of a journal's page"),
+        lambda ax: ax.text(1.02, 0.5, "words beside the panel" * 3, transform=ax.transAxes),
+    ],
+    ids=["ticks", "values", "label", "beside"],
+)
+def test_what_a_page_has_room_for_and_a_column_has_not(width, legible, draw):
+    assert is_legible(panel(width, draw)) is legible
+
+
+def test_ticks_beyond_the_limits_are_not_drawn_and_need_no_room():
+    def draw(ax):
+        ax.set_xlim(0, 10)
+        ax.set_xticks([0, 5, 10, 40])
+
+    assert is_legible(panel(COLUMN, draw))
+
+
+def test_a_long_label_is_broken():
+    figure = panel(COLUMN, lambda ax: ax.set_xlabel("a label that is too long for one of the two columns\nof a page"))
+    wrap_labels(figure)
+    assert is_legible(figure) and figure.axes[0].get_xlabel().replace("\n", " ").endswith("columns of a page")
+
+
+def test_a_width_ends_with_its_context():
+    with style(COLUMN):
+        assert new_figure(1.0).get_size_inches()[0] == COLUMN
+    with style():
+        assert new_figure(1.0).get_size_inches()[0] == WIDTH
