@@ -281,7 +281,8 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
     rest = rest_lines(folder)
     sensors = read("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
     if rest is not None and sensors is not None and (sensors["stage"] == "base").any():
-        add("sensor_misfit", "misfit at the sensors, base model", lambda: sensor_misfit_figure(sensors, rest))
+        caption = "misfit at the sensors, calibrated base model"
+        add("sensor_misfit", caption, lambda: sensor_misfit_figure(sensors, rest))
     perturbations = read("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed", "limit"])
     if rest is not None and perturbations is not None:
         add(
