@@ -37,6 +37,16 @@ from calib.report.where import perturbation_map_figure, sensor_misfit_figure
 from calib.report.why import why_figure
 from calib.report.worst import draw_worst
 
+_MATRICES: dict[str, tuple[str, dict[str, Any]]] = {
+    "sensitivity": ("sensitivity of the responses", {}),
+    "partial": ("sensitivity, controlled for all other parameters", {"label": "partial rank correlation (–)"}),
+    # 0.1 is the root of 1 % of the variance; smaller shares stay blank.
+    "variance_share": (
+        "variance share of each parameter, beyond all others",
+        {"threshold": 0.1, "label": "square root of the variance share (–)", "signed": False},
+    ),
+}
+"""Matrices of the sensitivity, with their captions and looks."""
 _STAGES = ("before", "after")
 _ADDED = "added"
 """Stage of the model that is calibrated with added effects."""
@@ -121,25 +131,11 @@ def plan(folder: Folder) -> dict[str, Drawing]:
             lambda: _owner(draw_worst(worst["before"], worst["after"], added=worst.get(_ADDED), effects=effects)),
             *_there(folder, "where_it_fails", stages),
         )  # fmt: skip
-    path = folder / "sensitivity.csv"
-    if path.exists():
-        rank = read_table(path, ["parameter"], others_are_numbers=True)
-        add("sensitivity", "sensitivity of the responses", lambda: _owner(draw_sensitivity(rank)))
-    path = folder / "partial.csv"
-    if path.exists():
-        held = read_table(path, ["parameter"], others_are_numbers=True)
-        caption, label = "sensitivity, controlled for all other parameters", "partial rank correlation (–)"
-        add("partial", caption, lambda: _owner(draw_sensitivity(held, label=label)))
-    path = folder / "variance_share.csv"
-    if path.exists():
-        own = read_table(path, ["parameter"], others_are_numbers=True)
-        root = "square root of the variance share (–)"
-        # 0.1 is the root of 1 % of the variance; smaller shares stay blank.
-        add(
-            "variance_share",
-            "variance share of each parameter, beyond all others",
-            lambda: _owner(draw_sensitivity(own, None, 0.1, root, signed=False)),
-        )
+    for name, (caption, looks) in _MATRICES.items():
+        path = folder / f"{name}.csv"
+        if path.exists():
+            matrix = read_table(path, ["parameter"], others_are_numbers=True)
+            add(name, caption, lambda matrix=matrix, looks=looks: _owner(draw_sensitivity(matrix, **looks)))  # type: ignore[misc]
     path = folder / "input_correlation.csv"
     if path.exists():
         inputs = _square(path)
@@ -281,7 +277,8 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
     rest = rest_lines(folder)
     sensors = read("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
     if rest is not None and sensors is not None and (sensors["stage"] == "base").any():
-        add("sensor_misfit", "misfit at the sensors, base model", lambda: sensor_misfit_figure(sensors, rest))
+        caption = "misfit at the sensors, calibrated base model"
+        add("sensor_misfit", caption, lambda: sensor_misfit_figure(sensors, rest))
     perturbations = read("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed", "limit"])
     if rest is not None and perturbations is not None:
         add(

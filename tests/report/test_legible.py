@@ -46,3 +46,16 @@ def test_a_width_ends_with_its_context():
         assert new_figure(1.0).get_size_inches()[0] == COLUMN
     with style():
         assert new_figure(1.0).get_size_inches()[0] == WIDTH
+
+
+def test_characters_that_no_font_has_do_not_make_a_figure_illegible():
+    assert is_legible(panel(COLUMN, lambda ax: ax.set_xlabel("\U0001f701 \u1a01")))
+
+
+def test_panels_without_any_room_are_not_legible():
+    def draw(ax):
+        ax.set_yticks(
+            [0.0, 1.0], ["a name much longer than a column of a page is wide, whatever is left out of it"] * 2
+        )
+
+    assert not is_legible(panel(COLUMN, draw))

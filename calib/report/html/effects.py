@@ -102,6 +102,8 @@ def _effect_picture(results: StudyResults, table: pd.DataFrame) -> list[Picture]
         f"{fixed(threshold(len(table)), 1)}, dashed. Right: smallest visible magnitude; beyond the line at 1 only an "
         "implausibly large effect is visible."
     )
+    if table["implausible"].astype(bool).any():
+        caption += " A cross is a fit with implausible values; the remark in the table says which."
     return results.picture("ranked_effects", caption, f"Bars and dots. The strongest evidence: {best}.")
 
 

@@ -103,9 +103,17 @@ def _calibrated(results: StudyResults) -> list[tuple[str, str]]:
         out.append((f"mean MAC, nominal → calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
     verdicts = results.table("verdicts", ["parameter"], flags=["identified"])
     if verdicts is not None:
-        known = verdicts["identified"].dropna()  # counted as in the sentences
-        out.append(("parameters identified", f"{sum(map(flag, known))} of {len(known)}"))
+        counts = [_identified(verdicts["identified"])]
+        table = results.table("added_parameters", ["parameter"], flags=["after_identified"]) if added else None
+        counts += [] if table is None else [_identified(table["after_identified"])]
+        out.append(("parameters identified", " → ".join(counts)))
     return out
+
+
+def _identified(flags: pd.Series) -> str:
+    """How many are identified of those that were assessed, counted as in the sentences."""
+    known = flags.dropna()
+    return f"{sum(map(flag, known))} of {len(known)}"
 
 
 def _explained(results: StudyResults) -> list[tuple[str, str]]:

@@ -26,7 +26,9 @@ def test_identified_parameters_are_counted_once(everything, results):
     verdicts = pd.read_csv(everything / "verdicts.csv")
     sentences = json.loads((everything / "record.json").read_text())["analyses"]["calibrate"]["sentences"]
     counted = f"{verdicts['identified'].sum()} of {len(verdicts)}"
-    assert dict(summary(results).facts)["parameters identified"] == counted
+    extended = pd.read_csv(everything / "added_parameters.csv")["after_identified"].dropna()
+    after = f"{int(extended.sum())} of {len(extended)}"
+    assert dict(summary(results).facts)["parameters identified"] == f"{counted} → {after}"
     assert [s for s in sentences if "parameters are identified" in s] == [identified_sentence(verdicts)]
     assert identified_sentence(verdicts).startswith(counted)
 
