@@ -144,15 +144,12 @@ class Calibration:
     @property
     def case_sentences(self) -> tuple[str, ...]:
         """Whether the cases agree."""
-        out = [self.agreement.sentence]
-        if self.search_agreement is not None:
-            out = [
-                f"The searches alone: {self.search_agreement.sentence}",
-                f"After least squares, which also weighs the priors: {self.agreement.sentence}",
-            ]
-        if self.agreement.verdict == "several solutions":
-            out.append("Identified therefore means locally, around the reported solution; the others fit equally well.")
-        return tuple(out)
+        if self.search_agreement is None:
+            return (self.agreement.sentence,)
+        return (
+            f"The searches alone: {self.search_agreement.sentence}",
+            f"After least squares, which also weighs the priors: {self.agreement.sentence}",
+        )
 
 
 def fingerprint(study: Study) -> str:
@@ -206,7 +203,8 @@ def calibrate(
     notes = partial(notes_on, study, ledger, finder.home, finder.notes)
     options = options_of(only, method)
     ran = CalibrationRun(chosen, started, quick, options, notes, ledger.retried, study.search_space)
-    return keep(study, results, found, best_of([found]), before, ran)
+    agreed = agreement([case.result for case in found], ran.space, expected_misfit(study, before))
+    return keep(study, results, found, best_of([found]), before, ran, agreed)
 
 
 def options_of(only: str | None, method: str | None) -> tuple[str, ...]:
@@ -258,15 +256,19 @@ def keep(
     number: int,
     before: ComparisonResult,
     ran: CalibrationRun,
+    agreed: Agreement,
 ) -> Calibration:
-    """Assemble the calibration of a test from its cases, of which one is the best; writes its tables and summary."""
+    """Assemble the calibration of a test from its cases, of which one is the best; writes its tables and summary.
+
+    ``agreed`` tells whether the cases found one solution; of several tests, for all of them together.
+    """
     best, space = found[number], ran.space
     reported = [case.result for case in found]
     searched = [case.search for case in found if case.search is not None]
-    tables = tables_of(space, [(case.result, case.statistics) for case in found], best.statistics, searched)
-    level = expected_misfit(study, before)
-    verdict = agreement(reported, space, level)
-    raw = agreement(searched, space, level) if searched and study.settings.calibration.refine else None
+    fits = [(case.result, case.statistics) for case in found]
+    tables = tables_of(space, fits, best.statistics, searched, agreed.differing)
+    refined = bool(searched) and study.settings.calibration.refine
+    raw = agreement(searched, space, expected_misfit(study, before)) if refined else None
     begin_analysis(results, "calibrate")
     write_comparison(results, best.answer, "after")
     for name, table in tables.items():
@@ -291,7 +293,7 @@ def keep(
         if study.settings.held_out.responses:
             responses = every_response(study, study.model.space.values, values)
             results.write_table("responses", responses)
-    answer = Calibration(tuple(found), best, before, tables, verdict, raw, modes, errors, responses,
+    answer = Calibration(tuple(found), best, before, tables, agreed, raw, modes, errors, responses,
                          tuple(ran.notes()), ran.retried)  # fmt: skip
     summary = _summary(study, ran.method, found, best, before, time.perf_counter() - ran.started)
     summary["contradictions"] = list(answer.contradictions)
@@ -331,13 +333,17 @@ def tables_of(
     found: Sequence[tuple[CaseResult, FitStatistics]],
     best: FitStatistics,
     searched: Sequence[CaseResult] = (),
+    differing: Mapping[str, float] | None = None,
 ) -> dict[str, pd.DataFrame]:
-    """Tables on the parameters and their identifiability after some cases, by file name."""
-    parameters = _parameters(space, found, searched)
+    """Tables on the parameters and their identifiability after some cases, by file name.
+
+    ``differing`` are the parameters by which equally good solutions differ; see `Agreement`.
+    """
+    parameters = _parameters(space, found, searched, differing)
     spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
     return {
         "parameters": parameters,
-        "verdicts": _without_whole(best.verdicts(space, spread), space),
+        "verdicts": _without_whole(best.verdicts(space, spread, differing), space),
         "suspects_calibrated": best.suspects,
         "posterior_correlation": best.identification.correlation.rename_axis("parameter").reset_index(),
         "confounded": best.identification.confounded,
@@ -347,7 +353,10 @@ def tables_of(
 
 
 def _parameters(
-    space: ParameterSpace, found: Sequence[tuple[CaseResult, FitStatistics]], searched: Sequence[CaseResult]
+    space: ParameterSpace,
+    found: Sequence[tuple[CaseResult, FitStatistics]],
+    searched: Sequence[CaseResult],
+    differing: Mapping[str, float] | None,
 ) -> pd.DataFrame:
     """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
 
@@ -361,7 +370,7 @@ def _parameters(
         table["spread"], table["stable"] = raw["spread"], raw["stable"]
         if any(statistics.fit is not None for _, statistics in found):
             table["search_value"] = raw["value"]
-    each = [statistics.verdicts(space, {}).assign(case=result.name) for result, statistics in found]
+    each = [statistics.verdicts(space, {}, differing).assign(case=result.name) for result, statistics in found]
     known = _without_whole(pd.concat(each), space)
     columns = ["case", "parameter", "std", "identified", "std_from"]
     table = table.merge(known[columns], on=columns[:2], how="left")
