@@ -171,7 +171,7 @@ def chain_effects() -> tuple[Effect, ...]:
             "Friction in a guide, or a plate that moves air.", 20.0, "Ns/m", 0.5,
         ),
         _effect(
-            "soft_foundation", "The foundation gives way", "the compliance of the foundation",
+            "soft_foundation", "Compliance of the foundation", "the compliance of the foundation",
             "Spring 1 stands on rigid ground.", "Bolts of the base plate.", 100.0, "mm/kN", 5.0,
         ),
     )  # fmt: skip

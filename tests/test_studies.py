@@ -46,6 +46,8 @@ def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path,
     parameters = pd.read_csv(tmp_path / "four_storey_rig_wide/parameters.csv").set_index(["case", "parameter"])["value"]
     first = [parameters[case, "k1"] for case in met]
     assert max(first) - min(first) > 0.3  # equal frequencies from clearly different storeys
+    verdicts = pd.read_csv(tmp_path / "four_storey_rig_wide/verdicts.csv")
+    assert not verdicts["identified"].any() and set(verdicts["not_identified"]) == {"solutions"}
 
 
 def test_the_bogies_initial_error_is_near_that_of_the_case_study():

@@ -165,9 +165,9 @@ def _next(
     if agreement == "not settled":
         return "Give the search more generations or cases."
     bad = verdicts.loc[verdicts["identified"].notna() & ~verdicts["identified"].fillna(True).astype(bool), "parameter"]
-    if len(bad) or agreement == "several solutions":
-        which = f": {listed(bad.tolist())}" if len(bad) else ""
-        return f"Do not rely on single values that are not identified{which}; measure them apart, or leave them out."
+    if len(bad):
+        which = listed(bad.tolist())
+        return f"Do not rely on single values that are not identified: {which}; measure them apart, or leave them out."
     return "Use the model within the frequencies and limits that it was fitted in."
 
 

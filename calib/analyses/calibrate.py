@@ -153,8 +153,6 @@ class Calibration:
                 f"In the searches alone, {_going_on(searched.sentence)}",
             ]
         out += [own.remedy] if own.remedy else []
-        if self.agreement.verdict == "several solutions":
-            out.append("Identified therefore means locally, around the reported solution; the others fit equally well.")
         return tuple(out)
 
 
@@ -214,7 +212,8 @@ def calibrate(
     notes = partial(notes_on, study, ledger, finder.home, finder.notes)
     options = options_of(only, method)
     ran = CalibrationRun(chosen, started, quick, options, notes, ledger.retried, study.search_space)
-    return keep(study, results, found, best_of([found]), before, ran)
+    agreed = agreement([case.result for case in found], ran.space, expected_misfit(study, before))
+    return keep(study, results, found, best_of([found]), before, ran, agreed)
 
 
 def options_of(only: str | None, method: str | None) -> tuple[str, ...]:
@@ -266,15 +265,19 @@ def keep(
     number: int,
     before: ComparisonResult,
     ran: CalibrationRun,
+    agreed: Agreement,
 ) -> Calibration:
-    """Assemble the calibration of a test from its cases, of which one is the best; writes its tables and summary."""
+    """Assemble the calibration of a test from its cases, of which one is the best; writes its tables and summary.
+
+    ``agreed`` tells whether the cases found one solution; of several tests, for all of them together.
+    """
     best, space = found[number], ran.space
     reported = [case.result for case in found]
     searched = [case.search for case in found if case.search is not None]
-    tables = tables_of(space, [(case.result, case.statistics) for case in found], best.statistics, searched)
-    level = expected_misfit(study, before)
-    verdict = agreement(reported, space, level)
-    raw = agreement(searched, space, level) if searched and study.settings.calibration.refine else None
+    fits = [(case.result, case.statistics) for case in found]
+    tables = tables_of(space, fits, best.statistics, searched, agreed.differing)
+    refined = bool(searched) and study.settings.calibration.refine
+    raw = agreement(searched, space, expected_misfit(study, before)) if refined else None
     begin_analysis(results, "calibrate")
     write_comparison(results, best.answer, "after")
     for name, table in tables.items():
@@ -299,7 +302,7 @@ def keep(
         if study.settings.held_out.responses:
             responses = every_response(study, study.model.space.values, values)
             results.write_table("responses", responses)
-    answer = Calibration(tuple(found), best, before, tables, verdict, raw, modes, errors, responses,
+    answer = Calibration(tuple(found), best, before, tables, agreed, raw, modes, errors, responses,
                          tuple(ran.notes()), ran.retried)  # fmt: skip
     summary = _summary(study, ran.method, found, best, before, time.perf_counter() - ran.started)
     summary["contradictions"] = list(answer.contradictions)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -17,13 +17,17 @@ def tables_of(
     found: Sequence[tuple[CaseResult, FitStatistics]],
     best: FitStatistics,
     searched: Sequence[CaseResult] = (),
+    differing: Mapping[str, float] | None = None,
 ) -> dict[str, pd.DataFrame]:
-    """Tables on the parameters and their identifiability after some cases, by file name."""
-    parameters = _parameters(space, found, searched)
+    """Tables on the parameters and their identifiability after some cases, by file name.
+
+    ``differing`` are the parameters by which equally good solutions differ; see `calib.inference.cases.Agreement`.
+    """
+    parameters = _parameters(space, found, searched, differing)
     spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
     return {
         "parameters": parameters,
-        "verdicts": _without_whole(best.verdicts(space, spread), space),
+        "verdicts": _without_whole(best.verdicts(space, spread, differing), space),
         "suspects_calibrated": best.suspects,
         "posterior_correlation": best.identification.correlation.rename_axis("parameter").reset_index(),
         "confounded": best.identification.confounded,
@@ -33,7 +37,10 @@ def tables_of(
 
 
 def _parameters(
-    space: ParameterSpace, found: Sequence[tuple[CaseResult, FitStatistics]], searched: Sequence[CaseResult]
+    space: ParameterSpace,
+    found: Sequence[tuple[CaseResult, FitStatistics]],
+    searched: Sequence[CaseResult],
+    differing: Mapping[str, float] | None,
 ) -> pd.DataFrame:
     """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
 
@@ -47,7 +54,7 @@ def _parameters(
         table["spread"], table["stable"] = raw["spread"], raw["stable"]
         if any(statistics.fit is not None for _, statistics in found):
             table["search_value"], table["search_on_bound"] = raw["value"], raw["on_bound"]
-    each = [statistics.verdicts(space, {}).assign(case=result.name) for result, statistics in found]
+    each = [statistics.verdicts(space, {}, differing).assign(case=result.name) for result, statistics in found]
     known = _without_whole(pd.concat(each), space)
     columns = ["case", "parameter", "std", "identified", "std_from"]
     table = table.merge(known[columns], on=columns[:2], how="left")

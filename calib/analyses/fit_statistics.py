@@ -134,9 +134,13 @@ class FitStatistics:
     suspects: pd.DataFrame
     assumed: str
 
-    def verdicts(self, space: ParameterSpace, spread: Mapping[str, float]) -> pd.DataFrame:
+    def verdicts(
+        self, space: ParameterSpace, spread: Mapping[str, float], differing: Mapping[str, float] | None = None
+    ) -> pd.DataFrame:
         """One verdict per parameter; see `calib.inference.verdicts.parameter_verdicts`."""
-        table = parameter_verdicts(space, self.values, self.identification, spread, self.whole, self.fits, self.birge)
+        table = parameter_verdicts(
+            space, self.values, self.identification, spread, self.whole, self.fits, self.birge, differing
+        )
         more = " This rests on an assumed standard deviation." if self.assumed else ""
         words = table["sentence"].where(table["std"].isna(), table["sentence"] + more)
         return table.assign(std_from=self.rests_on, sentence=words)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeAlias
 
@@ -17,11 +17,12 @@ from calib.analyses.calibrate import (
     CalibrationRun,
     best_of,
     chosen_cases,
+    expected_misfit,
     keep,
     notes_on,
     options_of,
 )
-from calib.analyses.case import Starts, known_starts, least_squares, reduction_noted, reported
+from calib.analyses.case import CaseFound, Starts, known_starts, least_squares, reduction_noted, reported
 from calib.analyses.compare import before_and_after, compare
 from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
 from calib.analyses.record import begin_analysis, write_record
@@ -30,6 +31,7 @@ from calib.analyses.stored import confirmed
 from calib.answer import Answer
 from calib.errors import InputError
 from calib.forward import ForwardProblem
+from calib.inference.cases import CaseResult, agreement
 from calib.joint import JointProblem, of_test, stacked
 from calib.ledger import Ledger
 from calib.problem import Counts
@@ -133,15 +135,23 @@ def calibrate_jointly(
     progress(CHECKING)
     found = {s.test: [reported(s, *case) for case in fits] for s in behind_ledger.studies}
     answers, options, best = {}, options_of(only, method), best_of(list(found.values()))
+    levels = (expected_misfit(one, before[one.test]) for one in behind_ledger.studies)
+    agreed = agreement(summed(list(found.values())), study.search_space, sum(levels))
     for one in behind_ledger.studies:
         noted = partial(notes_on, one, ledger, homes[one.test], notes[one.test])
         ran = CalibrationRun("gauss-newton", started, quick, options, noted, ledger.retried, study.search_space)
-        answers[one.test] = keep(one, folders[one.test], found[one.test], best, before[one.test], ran)
+        answers[one.test] = keep(one, folders[one.test], found[one.test], best, before[one.test], ran, agreed)
     answer = JointCalibration(answers)
     _write(study, results, answer, time.perf_counter() - started)
     seeds = {c.name: c.seed for c in cases}
     write_record(study, results, "calibrate", seeds, answer.sentences, quick, options, answer.answer)
     return answer
+
+
+def summed(tests: Sequence[Sequence[CaseFound]]) -> list[CaseResult]:
+    """The cases with the misfits of all tests added up: together the tests discriminate where one does not."""
+    every = zip(*tests, strict=True)
+    return [replace(each[0].result, misfit=sum(one.result.misfit for one in each)) for each in every]
 
 
 def _write(study: JointStudy, results: Results, answer: JointCalibration, seconds: float) -> None:

@@ -18,8 +18,13 @@ from calib.terminal import count, number
 
 ERRORS = ("rows", "rms", "of a correctly specified model", "p")
 ERRORS_TITLE = "Errors in standard deviations:"
-_WHY = {"wide": "std too large", "prior": "rests on the prior", "limit": "on its limit"}
-"""Why a parameter is not identified; see `calib.inference.identify.faults`."""
+_WHY = {
+    "wide": "std too large",
+    "prior": "rests on the prior",
+    "limit": "on its limit",
+    "solutions": "differs between solutions",
+}
+"""Why a parameter is not identified; see `calib.inference.verdicts.parameter_verdicts`."""
 _COUNTS = ("asked", "solved", "reused", "infeasible", "failed")
 
 

@@ -351,14 +351,13 @@ class Study:
 
     def _add(self, before: Fitted, found: Explanation) -> Study | None:
         """The study extended by the named effects and calibrated; None when none is named."""
-        loaded = self.loaded
-        self.listener.begins(loaded, "extend")
-        named = added.to_add(found)
+        loaded, named = self.loaded, added.to_add(found)
         if named is None:
             self.listener.nothing_added(added.nothing_added(found))
             for study in self.tests:
                 added.write_nothing_added(study.one, found, study.folder, self.quick)
             return None
+        self.listener.begins(loaded, "extend")
         begin_at = {n: v for n, v in named.fit.values.items() if n in named.fit.fit_problem.space.free_names}
         written = extension.extend_among(loaded, named.names, self.folder.path, begin_at)
         self.listener.extended(written)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -302,15 +302,15 @@ class Agreement:
         Cases that fit as well as the best one, grouped by solution, best first.
     worse : tuple of str
         Cases that fit less well and therefore say nothing about uniqueness.
-    differing : tuple of str
-        Parameters by which the solutions differ.
+    differing : mapping from str to float
+        Parameters by which the solutions differ, and their largest differences over the range, largest first.
     sentence : str
     """
 
     verdict: Literal["one case", "one solution", "several solutions", "not settled"]
     solutions: tuple[tuple[str, ...], ...]
     worse: tuple[str, ...]
-    differing: tuple[str, ...]
+    differing: Mapping[str, float]
     sentence: str
 
     @property
@@ -349,7 +349,7 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
     solutions = tuple(tuple(results[k].name for k in group) for group in groups)
     spread = np.ptp(ratios[good], axis=0)
     apart = sorted(np.flatnonzero(spread > RULES.stable).tolist(), key=lambda j: -spread[j])
-    differing = tuple(space.free_names[j] for j in apart) if len(groups) > 1 else ()
+    differing = {space.free_names[j]: float(spread[j]) for j in apart} if len(groups) > 1 else {}
 
     def described(group: Sequence[int]) -> str:
         names = ", ".join(results[k].name for k in group)
@@ -365,7 +365,7 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
     elif len(groups) > 1:
         verdict = "several solutions"
         ways = " and ".join(described(group) for group in groups)
-        widths = [f"{space.free_names[j]} by {100 * spread[j]:.0f} %" for j in apart]
+        widths = [f"{name} by {100 * width:.0f} %" for name, width in differing.items()]
         more = f" and {len(widths) - _NAMED} more by at least {100 * RULES.stable:.0f} %" * (len(widths) > _NAMED)
         sentence = (
             f"The solution is not unique: {len(groups)} sets of parameters fit equally well, {ways}. These data do not "

@@ -282,7 +282,7 @@ def _confounded(found: Posterior, identified: np.ndarray, threshold: float) -> p
             way = "raising both" if r > 0 else "raising one and lowering the other"
             words = f"{one} and {other} are confounded: {way} hardly changes the data."
             if identified[a] and identified[b]:
-                words = f"{one} and {other} are strongly correlated ({r:.2f}), yet both are identified."
+                words = f"{one} and {other} are strongly correlated ({r:.2f}), yet both have small standard deviations."
             rows.append((one, other, r, words))
     rows.sort(key=lambda row: -abs(row[2]))
     return pd.DataFrame(rows, columns=["parameter_a", "parameter_b", "correlation", "words"])

@@ -51,6 +51,7 @@ def parameter_verdicts(
     whole: Mapping[str, float] | None = None,
     fits: bool | None = None,
     birge: float = 1.0,
+    differing: Mapping[str, float] | None = None,
 ) -> pd.DataFrame:
     """Verdict and sentence for every free parameter.
 
@@ -68,14 +69,18 @@ def parameter_verdicts(
         Whether the model fits within the measurement uncertainty; None where unknown.
     birge : float
         Factor by which the measurement uncertainty is scaled for the misfit; mentioned where it is not 1.
+    differing : mapping, optional
+        Parameters by which equally good solutions differ, and their largest differences over the range, see
+        `calib.inference.cases.Agreement`: none of them is identified, however small its standard deviation at one.
 
     Returns
     -------
     DataFrame
         ``parameter, value, unit, lower, upper, ratio, on_bound, suggested_limit, spread, stable, std, std_of_range,
         data_share, identified, not_identified, confounded_with, fits_within_std, sentence``; missing where unknown.
-        ``not_identified`` holds the reasons of `calib.inference.identify.faults`. A limit is suggested half a range
-        further out; a limit of 0 is physical and stays.
+        ``not_identified`` holds the reasons of `calib.inference.identify.faults`, and ``solutions`` for a parameter by
+        which equally good solutions differ. A limit is suggested half a range further out; a limit of 0 is physical
+        and stays.
     """
     known = zip(found.posterior.std.tolist(), found.posterior.data_share.tolist(), strict=True)
     stds = dict(zip(found.posterior.names, known, strict=True))
@@ -97,8 +102,12 @@ def parameter_verdicts(
         if not math.isnan(std):
             why = faults(p, std, share, values[p.name])
             identified = not why
+        # Correlations are those of the reported solution: they say nothing on the distance to another one.
         others = [] if identified else found.confounded_with(p.name)
         trade = None if identified or others or p.name not in stds else found.trades_with(p.name)
+        apart = (differing or {}).get(p.name)
+        if apart is not None:
+            why, identified = (*why, "solutions"), False
         stable = None if width is None else bool(width <= RULES.stable)
         rows.append(
             {
@@ -120,7 +129,7 @@ def parameter_verdicts(
                 "confounded_with": ", ".join(others),
                 "fits_within_std": fits,
                 "sentence": _sentence(
-                    p, side, limit, width, std, share, None if identified is None else why, birge, others, trade
+                    p, side, limit, width, std, share, None if identified is None else why, birge, others, trade, apart
                 ),
             }
         )
@@ -156,6 +165,7 @@ def _sentence(
     birge: float,
     others: Sequence[str],
     trade: tuple[str, float] | None,
+    apart: float | None,
 ) -> str:
     scale = "" if p.unit == "-" else f" {p.unit}"
     span = p.upper - p.lower
@@ -175,21 +185,24 @@ def _sentence(
     elif math.isinf(std):
         words.append("Not determined at all.")
     else:
-        words.append(f"Not identified: {'; '.join(_reasons(why, std, share, span, scale, wider))}.")
+        words.append(f"Not identified: {'; '.join(_reasons(why, std, share, span, scale, wider, apart))}.")
     if others:
         words.append(f"It is confounded with {', '.join(others)}.")
     if trade is not None:
         words.append(f"It trades most with {trade[0]} (correlation {trade[1]:.2f}).")
-    if width is not None and width > RULES.stable:
+    if apart is None and width is not None and width > RULES.stable:
         words.append(f"Its spread over the cases is {100 * width:.0f} % of its range.")
     return " ".join(words)
 
 
-def _reasons(why: Sequence[str], std: float, share: float, span: float, scale: str, wider: str) -> list[str]:
+def _reasons(
+    why: Sequence[str], std: float, share: float, span: float, scale: str, wider: str, apart: float | None
+) -> list[str]:
     given = "less than 1" if share < 0.01 else f"only {100 * share:.0f}"
     words = {
         "wide": f"standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its range{wider}",
         "prior": f"the data give {given} % of the information on it",
         "limit": "a limit holds it",
+        "solutions": f"solutions that fit equally well differ by {100 * (apart or 0.0):.0f} % of its range",
     }
     return [words[reason] for reason in why]

@@ -17,7 +17,7 @@ def rig_effects() -> tuple[Effect, ...]:
     return (
         Effect(
             name="actuator_flexibility",
-            title="Actuators and their frame give way",
+            title="Compliance of the actuators and their frame",
             phrase="the compliance of the actuators and their frame",
             lacks="The actuators hold the distribution blocks almost rigidly.",
             look_for="Motion of the actuators' frame, oil columns under pressure, clearances in their joints.",

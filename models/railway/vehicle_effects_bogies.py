@@ -21,7 +21,7 @@ def bogie_and_track_effects() -> tuple[Effect, ...]:
     return (
         Effect(
             name="track_compliance",
-            title="The track gives way",
+            title="Compliance of the track",
             phrase="the compliance of the track",
             lacks="The rails stand on rigid ground.",
             look_for="Soft rail pads, ballast, or a workshop floor that gives under the rails.",

@@ -232,3 +232,6 @@ def test_a_case_leaves_its_own_solution_only_where_the_data_prefer_another(study
         assert case.statistics.misfit == pytest.approx(0.0, abs=0.1)
     assert found.best.result.values["a"] == pytest.approx(1.0, abs=0.01)
     assert found.agreement.verdict == ("one solution" if discriminated else "several solutions")
+    reason = "" if discriminated else "solutions"
+    assert found.verdicts.loc[0, ["identified", "not_identified"]].tolist() == [discriminated, reason]
+    assert (found.parameters["identified"] == discriminated).all()

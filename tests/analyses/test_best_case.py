@@ -1,11 +1,16 @@
 """The case that a calibration reports: one for all tests."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
 from calib.analyses.calibrate import best_of
 from calib.analyses.fit_statistics import EQUAL
+from calib.analyses.joint_calibration import summed
+from calib.inference.cases import CaseResult, agreement
+from calib.problem import Counts
+from calib.space import Parameter, ParameterSpace
 
 
 def case(misfit, criterion, fitted=True):
@@ -28,3 +33,19 @@ def test_a_lower_sum_of_squares_outweighs_any_misfit():
 
 def test_searches_alone_are_compared_by_their_misfit():
     assert best_of([[case(3.0, 1.0, fitted=False), case(2.0, 9.0, fitted=False)]]) == 1
+
+
+def test_a_test_that_discriminates_makes_the_joint_solution_unique():
+    """The first test fits both values of the parameter equally well; the second only one."""
+    space = ParameterSpace((Parameter("a", 0.5, -3.0, 3.0),))
+
+    def ended(*misfits):
+        return [
+            SimpleNamespace(result=replace(CaseResult.fitted(f"C{k}", {"a": a}, Counts(), None, 0.0), misfit=misfit))
+            for k, (a, misfit) in enumerate(zip((1.0, -1.0, 1.0), misfits, strict=True))
+        ]
+
+    first, second = ended(1.0, 1.0, 1.0), ended(1.0, 9.0, 1.0)
+    assert agreement([case.result for case in first], space).differing == {"a": pytest.approx(1 / 3)}
+    both = agreement(summed([first, second]), space)
+    assert both.verdict == "one solution" and not both.differing and both.worse == ("C1",)

@@ -60,6 +60,11 @@ def tables(folder: Path) -> dict[str, bytes]:
     return {str(p): p.read_bytes() for p in sorted(folder.rglob("*.csv"))}
 
 
+def heads(out: str) -> list[str]:
+    """The analyses whose results an output holds, in its order."""
+    return [line.split(": ")[1].split("  ")[0] for line in out.splitlines() if line.endswith("[synthetic measurement]")]
+
+
 def test_what_is_named_is_added_and_held_out_errors_fall(within):
     study = Study.load(FOLDER / "mast_extended")
     assert study.settings.with_effects == ("guy",) and "guy" in study.search_space.free_names
@@ -88,11 +93,8 @@ def test_what_is_named_is_added_and_held_out_errors_fall(within):
 
 
 def test_the_output_is_in_order_with_its_numbers(within):
-    heads = [
-        line.split(": ")[1].split("  ")[0] for line in within.splitlines() if line.endswith("[synthetic measurement]")
-    ]
     verbs = ["run", "compare", "sensitivity", "calibrate", "explain", "extend", "calibrate", "before and after"]
-    assert heads == verbs
+    assert heads(within) == verbs
     end = within[within.index("before and after  [synthetic") :]
     added = json.loads((FOLDER / "added.json").read_text())
     assert added["sentence"] in end and "Both are quick runs" in end
@@ -190,6 +192,7 @@ def test_where_nothing_is_missing_the_run_reports_it_and_ends(here, write_study,
     out = quick(here, write_study, asked, edit, {})
     words = "These data show no missing effect, so nothing is added."
     assert words in out.splitlines() and "before and after" not in out
+    assert heads(out) == ["run", "compare", "sensitivity", "calibrate", "explain"]
     assert json.loads((FOLDER / "added.json").read_text())["sentence"] == words
     assert not list(FOLDER.glob("mast_extended*")) and not Path("results/mast_extended").exists()
     assert (FOLDER / "explanation.json").exists()

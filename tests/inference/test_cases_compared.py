@@ -57,14 +57,14 @@ def test_the_convergence_table():
 def test_cases_that_agree(search):
     found = agreement([result("A", 0.101), result("B", 0.100, k=2.2), result("C", 0.102)], search.space)
     assert found.verdict == "one solution" and found.solutions == (("B", "A", "C"),)
-    assert found.differing == () and found.worse == () and "6.7 %" in found.sentence
+    assert not found.differing and found.worse == () and "6.7 %" in found.sentence
 
 
 def test_several_solutions(search):
     cases = [result("A", 0.100), result("B", 0.103, k=3.5, m=0.7), result("C", 0.101, k=2.1), result("D", 0.5, m=0.0)]
     found = agreement(cases, search.space)
     assert found.verdict == "several solutions" and found.solutions == (("A", "C"), ("B",))
-    assert found.differing == ("k", "m") and found.worse == ("D",)
+    assert list(found.differing) == ["k", "m"] and found.worse == ("D",)
     for words in ("not unique", "2 sets", "A, C", "k by 50 %", "m by 20 %", "D (misfit 0.5)"):
         assert words in found.sentence
 

@@ -113,7 +113,7 @@ def test_identified_parameters_may_correlate():
     space = box("ab", prior_sd=3.0)
     found = identify(space, space.names, 1e4 * np.array([[1.0, 0.99], [1.0, 1.01]]))
     assert found.parameters["identified"].all()
-    assert "yet both are identified" in found.confounded.loc[0, "words"]
+    assert "yet both have small" in found.confounded.loc[0, "words"]
     assert not parameter_verdicts(space, space.values, found)["confounded_with"].any()
 
 
@@ -327,6 +327,26 @@ def test_verdicts_say_what_is_wrong():
     assert not parameter_verdicts(space, values, found, fits=False)["fits_within_std"].any()
     unknown = parameter_verdicts(space, values, found)
     assert unknown["fits_within_std"].isna().all() and isinstance(unknown, pd.DataFrame)
+
+
+def test_a_parameter_that_differs_between_equally_good_solutions_is_not_identified():
+    """However small its standard deviation is at one of them; an integer that was not assessed neither."""
+    space = ParameterSpace(
+        (*(Parameter(name, 5.0, 0.0, 10.0) for name in "abc"), Parameter("n", 5.0, 2.0, 8.0, integer=True))
+    )
+    found = identify(space, "abc", np.diag([100.0, 100.0, 1.0]))
+    values, differing = {"a": 4.0, "b": 4.0, "c": 4.0, "n": 5.0}, {"a": 0.5, "c": 0.3, "n": 0.4}
+    alone, table = (
+        parameter_verdicts(space, values, found, differing=given).set_index("parameter") for given in ({}, differing)
+    )
+    assert alone["identified"].to_dict() == {"a": True, "b": True, "c": False, "n": None}
+    assert table["identified"].to_dict() == {"a": False, "b": True, "c": False, "n": False}
+    assert table["not_identified"].to_dict() == {
+        "a": "solutions", "b": "", "c": f"{alone.loc['c', 'not_identified']}, solutions", "n": "solutions"
+    }  # fmt: skip
+    pd.testing.assert_series_equal(table["std"], alone["std"])
+    assert "50 %" in table.loc["a", "sentence"] and table.loc["b", "sentence"] == alone.loc["b", "sentence"]
+    assert identified_sentence(table.reset_index()) == "1 of 4 parameters are identified; not a, c, n."
 
 
 # -- the bogie ---------------------------------------------------------------------------------------------------------

@@ -18,12 +18,13 @@ TERMS = (
     ),
     (
         "std",
-        "posterior standard deviation of a parameter; where the model does not fit, with the measurement uncertainty "
-        "scaled up to the misfit",
+        "posterior standard deviation of a parameter around the reported solution; where the model does not fit, with "
+        "the measurement uncertainty scaled up to the misfit",
     ),
     (
         "identified",
-        "the data give at least half of the information, std is at most 2.5 % of the range, and no limit is active",
+        "the data give at least half of the information, std is at most 2.5 % of the range, no limit is active, and "
+        "solutions that fit equally well do not differ in it",
     ),
     ("spread", "largest difference of a parameter between the searches, before least squares, over its range"),
 )

@@ -34,7 +34,7 @@ def _suspects(results: StudyResults) -> list[Block]:
         for r in suspects.to_dict("records")
     )
     heads = ("excluded", "rows", "reduction of the sum of squares", "p", "p of the fit without it")
-    caption = "Suspect data: without any one of these the calibrated base model fits all other data, to first order"
+    caption = "Suspect data: without one of these the base model fits all others, to first order"
     return [Table(caption, heads, rows)] if rows else []
 
 
