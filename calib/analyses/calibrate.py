@@ -6,7 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, TypeAlias
 
@@ -213,6 +213,7 @@ def calibrate(
     options = options_of(only, method)
     ran = CalibrationRun(chosen, started, quick, options, notes, ledger.retried, study.search_space)
     agreed = agreement([case.result for case in found], ran.space, expected_misfit(study, before))
+    agreed = with_starts(agreed, found, ran.space)
     return keep(study, results, found, best_of([found]), before, ran, agreed)
 
 
@@ -311,6 +312,20 @@ def keep(
     seeds = {**cases, "reduction": study.settings.reduction.seed}
     write_record(study, results, "calibrate", seeds, answer.sentences, ran.quick, ran.options, answer.answer)
     return answer
+
+
+def with_starts(agreed: Agreement, cases: Sequence[CaseFound], space: ParameterSpace) -> Agreement:
+    """Agreement of the cases, or of the starts of the first case whose own starts already end in several solutions.
+
+    Cases that each report the best of the same solutions agree without the solution being unique.
+    """
+    if agreed.verdict == "several solutions":
+        return agreed
+    for case in cases:
+        within = case.statistics.agreement(space)
+        if within is not None and within.verdict == "several solutions":
+            return replace(within, sentence=f"Starts of case {case.name}: {within.sentence}")
+    return agreed
 
 
 def best_of(tests: Sequence[Sequence[CaseFound]]) -> int:

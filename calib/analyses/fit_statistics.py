@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypeAlias
 
@@ -19,6 +19,7 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.degrees_of_freedom import effective_dof
 from calib.errors import EvaluationError
 from calib.forward import ForwardProblem
+from calib.inference.cases import Agreement, CaseResult, agreement
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
@@ -112,6 +113,8 @@ class FitStatistics:
         ``mode, natural_freq, std, lower, upper``.
     fit : FitResult or None
         The least-squares fit that led here.
+    ends : tuple of FitResult
+        Fits from all starts, on the same problem; empty without fits.
     suspects : DataFrame
         Data without which the model fits, see `calib.missing.suspect.suspects`; empty without a converged fit.
     assumed : str
@@ -131,6 +134,7 @@ class FitStatistics:
     complete: bool
     predictions: pd.DataFrame
     fit: FitResult | None
+    ends: tuple[FitResult, ...]
     suspects: pd.DataFrame
     assumed: str
 
@@ -144,6 +148,15 @@ class FitStatistics:
         more = " This rests on an assumed standard deviation." if self.assumed else ""
         words = table["sentence"].where(table["std"].isna(), table["sentence"] + more)
         return table.assign(std_from=self.rests_on, sentence=words)
+
+    def agreement(self, space: ParameterSpace) -> Agreement | None:
+        """Whether the starts whose fits meet the data as well as this one agree; None for fewer than two of them."""
+        good = [
+            replace(CaseResult.fitted(f"start {k}", end.values, Counts(), pd.DataFrame(), 0.0), misfit=end.data_misfit)
+            for k, end in enumerate(self.ends, start=1)
+            if end.data_misfit <= self.misfit + EQUAL
+        ]
+        return agreement(good, space, level=self.misfit + EQUAL) if len(good) > 1 else None
 
     @property
     def figures(self) -> dict[str, object]:
@@ -257,9 +270,10 @@ def fitted(
     if shared is not None and shared.known is not None:
         found = found.joined(shared.known)
     if before is not None:
-        return _statistics(problem, terms, found.best.values, found.best, before.profiles, before.complete)
-    profiles = {p.name: found.profile(p.name) for p in space.free if p.integer}
-    return _statistics(problem, terms, found.best.values, found.best, profiles, found.complete)
+        profiles, complete = before.profiles, before.complete
+    else:
+        profiles, complete = {p.name: found.profile(p.name) for p in space.free if p.integer}, found.complete
+    return _statistics(problem, terms, found.best.values, found.best, profiles, complete, found.by_start)
 
 
 def refined(
@@ -296,6 +310,7 @@ def _statistics(
     fit: FitResult | None,
     profiles: Profiles,
     complete: bool,
+    ends: tuple[FitResult, ...] = (),
 ) -> FitStatistics:
     space, alpha, held_sd = problem.space, terms.alpha, terms.held_sd
     names = tuple(p.name for p in space.free if not p.integer)
@@ -321,7 +336,7 @@ def _statistics(
     return FitStatistics(
         values=values, misfit=misfit, prior_misfit=float(own @ own), dof=dof, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
-        predictions=predictions, fit=fit, suspects=suspected,
+        predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed,
     )  # fmt: skip
 

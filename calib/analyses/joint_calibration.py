@@ -21,6 +21,7 @@ from calib.analyses.calibrate import (
     keep,
     notes_on,
     options_of,
+    with_starts,
 )
 from calib.analyses.case import CaseFound, Starts, known_starts, least_squares, reduction_noted, reported
 from calib.analyses.compare import before_and_after, compare
@@ -137,6 +138,7 @@ def calibrate_jointly(
     answers, options, best = {}, options_of(only, method), best_of(list(found.values()))
     levels = (expected_misfit(one, before[one.test]) for one in behind_ledger.studies)
     agreed = agreement(summed(list(found.values())), study.search_space, sum(levels))
+    agreed = with_starts(agreed, next(iter(found.values())), study.search_space)
     for one in behind_ledger.studies:
         noted = partial(notes_on, one, ledger, homes[one.test], notes[one.test])
         ran = CalibrationRun("gauss-newton", started, quick, options, noted, ledger.retried, study.search_space)

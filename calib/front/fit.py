@@ -15,6 +15,7 @@ from calib.front.responses import own
 from calib.front.search import Searched
 from calib.front.shown import Compared, Shown
 from calib.given import path as path_of
+from calib.inference.cases import Agreement
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,12 +44,18 @@ class Fit(Shown, Generic[P]):
         return self.statistics.values
 
     @cached_property
+    def agreement(self) -> Agreement | None:
+        """Whether starts that fit equally well ended in one solution; None for fewer than two of them."""
+        return self.statistics.agreement(self.problem.space)
+
+    @cached_property
     def parameters(self) -> Any:
         """One row per fitted parameter: value, standard deviation, and whether the data determine it.
 
         Columns as in `calib.inference.verdicts.parameter_verdicts`; the index is the parameter.
         """
-        return self.statistics.verdicts(self.problem.space, {}).set_index("parameter")
+        differing = self.agreement.differing if self.agreement else {}
+        return self.statistics.verdicts(self.problem.space, {}, differing).set_index("parameter")
 
     @property
     def table(self) -> Any:
@@ -58,9 +65,10 @@ class Fit(Shown, Generic[P]):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Goodness of fit, identifiability of each parameter, and whether the searches agree."""
+        """Goodness of fit, identifiability of each parameter, and whether starts and searches agree."""
         each = (f"{name}: {sentence}" for name, sentence in self.parameters["sentence"].items())
-        return (self.statistics.sentence, *each, *(self.search.sentences if self.search else ()))
+        ends = [f"After least squares: {self.agreement.sentence}"] if self.agreement else []
+        return (self.statistics.sentence, *each, *ends, *(self.search.sentences if self.search else ()))
 
     def __repr__(self) -> str:
         known = int(self.parameters["identified"].fillna(False).astype(bool).sum())

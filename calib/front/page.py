@@ -123,7 +123,8 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
         **before_and_after(before, after),
         "noise_mac": after.noise_mac,
     })  # fmt: skip
-    answer = of_fit(fit.statistics, fit.statistics.verdicts(fit.problem.space, {}), {"": (before, after)})
+    agreed = fit.agreement.verdict if fit.agreement else "one case"
+    answer = of_fit(fit.statistics, fit.parameters.reset_index(), {"": (before, after)}, agreement=agreed)
     folder.write_json("record", {
         "notebook": True,
         "model": f"{model.name} ({test.pair(model).fingerprint})",
@@ -141,4 +142,5 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
 def _tables(fit: Solved) -> dict[str, pd.DataFrame]:
     """The tables of a fit, in the form of a study's."""
     result = CaseResult.fitted(CASE, fit.statistics.values, Counts(), pd.DataFrame(), 0.0)
-    return tables_of(fit.problem.space, [(result, fit.statistics)], fit.statistics)
+    differing = fit.agreement.differing if fit.agreement else {}
+    return tables_of(fit.problem.space, [(result, fit.statistics)], fit.statistics, differing=differing)

@@ -11,6 +11,7 @@ from calib.analyses.fit_statistics import FitStatistics, Terms
 from calib.effect import Effect
 from calib.front.shown import Compared
 from calib.front.test import Model, Test
+from calib.inference.cases import Agreement
 from calib.joint import JointProblem
 from calib.problem import Problem as Posed
 from calib.space import ParameterSpace
@@ -70,6 +71,16 @@ class Solved(Protocol):
     @property
     def statistics(self) -> FitStatistics:
         """Fit statistics and identifiability of the parameters."""
+        ...
+
+    @property
+    def agreement(self) -> Agreement | None:
+        """Whether starts that fit equally well ended in one solution; None for fewer than two of them."""
+        ...
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Verdicts on the fitted parameters; the index is the parameter."""
         ...
 
     @property

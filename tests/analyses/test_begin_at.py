@@ -233,5 +233,9 @@ def test_a_case_leaves_its_own_solution_only_where_the_data_prefer_another(study
     assert found.best.result.values["a"] == pytest.approx(1.0, abs=0.01)
     assert found.agreement.verdict == ("one solution" if discriminated else "several solutions")
     reason = "" if discriminated else "solutions"
+    starts = answer(Study.load(loaded.file), tmp_path, "gauss-newton")  # each case has both roots among its own starts
+    assert starts.agreement.verdict == found.agreement.verdict
+    assert {case.result.values["a"] > 0 for case in starts.cases} == {True}
+    assert starts.verdicts.loc[0, "identified"] == discriminated
     assert found.verdicts.loc[0, ["identified", "not_identified"]].tolist() == [discriminated, reason]
     assert (found.parameters["identified"] == discriminated).all()

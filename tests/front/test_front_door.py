@@ -66,6 +66,24 @@ def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
     assert fit.compare().table["freq_error"].abs().max() < 1e-3
 
 
+@pytest.mark.parametrize("discriminated", [False, True])
+def test_a_parameter_is_identified_where_starts_that_fit_equally_well_agree(discriminated, tmp_path):
+    """Both roots of ``y = 1`` fit; only an accurate z discriminates between them."""
+    space = calib.ParameterSpace((calib.Parameter("a", 0.5, -3.0, 3.0),))
+    model = calib.FunctionModel("square", space, lambda v: {"y": v["a"] ** 2, "z": 1 + 0.01 * v["a"]})
+    problem = calib.Problem(model, calib.ResponseTest({"y": (1.0, 0.01), "z": (1.01, 0.001 if discriminated else 0.1)}))
+    assert problem.calibrate().agreement is None  # one start says nothing
+    fit = problem.calibrate(starts=6)
+    assert {np.sign(end.values["a"]) for end in fit.statistics.ends} == {-1.0, 1.0}
+    assert fit.agreement.verdict == ("one solution" if discriminated else "several solutions")
+    assert fit.parameters.loc["a", "identified"] == discriminated
+    assert fit.parameters.loc["a", "not_identified"] == ("" if discriminated else "solutions")
+    fit.report(tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert f"{int(discriminated)} of 1 parameters are identified" in page
+    assert ("not unique" in page) != discriminated
+
+
 @pytest.mark.slow
 def test_a_function_is_explained_as_in_the_study(chain, explained, tmp_path):
     study = calib.Study.load(STUDIES / "five_mass_chain").loaded
