@@ -6,7 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypeAlias
 
@@ -14,13 +14,13 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.answers import UNTRIED, of_fit
+from calib.analyses.best_case import best_of, with_starts
 from calib.analyses.calibration_tables import tables_of
 from calib.analyses.case import CaseFinder, CaseFound
 from calib.analyses.compare import ComparisonResult, before_and_after, compare, write_comparison, write_model_modes
 from calib.analyses.contradiction import contradictions, every_response
 from calib.analyses.every_mode import all_stages, every_mode
 from calib.analyses.failures import reasons_sentence, stored_reasons
-from calib.analyses.fit_statistics import EQUAL
 from calib.analyses.places import Workers
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.recorded import recorded
@@ -312,33 +312,6 @@ def keep(
     seeds = {**cases, "reduction": study.settings.reduction.seed}
     write_record(study, results, "calibrate", seeds, answer.sentences, ran.quick, ran.options, answer.answer)
     return answer
-
-
-def with_starts(agreed: Agreement, cases: Sequence[CaseFound], space: ParameterSpace) -> Agreement:
-    """Agreement of the cases, or of the starts of the first case whose own starts already end in several solutions.
-
-    Cases that each report the best of the same solutions agree without the solution being unique.
-    """
-    if agreed.verdict == "several solutions":
-        return agreed
-    for case in cases:
-        within = case.statistics.agreement(space)
-        if within is not None and within.verdict == "several solutions":
-            return replace(within, sentence=f"Starts of case {case.name}: {within.sentence}")
-    return agreed
-
-
-def best_of(tests: Sequence[Sequence[CaseFound]]) -> int:
-    """Number of the case that is reported, see `Calibration.best`; of several tests the same for all.
-
-    ``tests`` holds the cases of each test. Their statistics are joint; their misfits add up.
-    """
-    every = [case.statistics for case in tests[0]]
-    equal = [k for k, statistics in enumerate(every) if statistics.fit is not None]
-    if equal:
-        lowest = min(every[k].criterion for k in equal)
-        equal = [k for k in equal if every[k].criterion <= lowest + EQUAL]
-    return min(equal or range(len(every)), key=lambda k: sum(cases[k].result.misfit for cases in tests))
 
 
 def _worsened(case: CaseFound) -> str:

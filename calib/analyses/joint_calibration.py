@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
 
 import pandas as pd
 
 from calib.analyses.answers import of_fit
+from calib.analyses.best_case import best_of, summed, with_starts
 from calib.analyses.calibrate import (
     CHECKING,
     Calibration,
     CalibrationRun,
-    best_of,
     chosen_cases,
     expected_misfit,
     keep,
     notes_on,
     options_of,
-    with_starts,
 )
-from calib.analyses.case import CaseFound, Starts, known_starts, least_squares, reduction_noted, reported
+from calib.analyses.case import Starts, known_starts, least_squares, reduction_noted, reported
 from calib.analyses.compare import before_and_after, compare
 from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
 from calib.analyses.record import begin_analysis, write_record
@@ -32,7 +31,7 @@ from calib.analyses.stored import confirmed
 from calib.answer import Answer
 from calib.errors import InputError
 from calib.forward import ForwardProblem
-from calib.inference.cases import CaseResult, agreement
+from calib.inference.cases import agreement
 from calib.joint import JointProblem, of_test, stacked
 from calib.ledger import Ledger
 from calib.problem import Counts
@@ -148,12 +147,6 @@ def calibrate_jointly(
     seeds = {c.name: c.seed for c in cases}
     write_record(study, results, "calibrate", seeds, answer.sentences, quick, options, answer.answer)
     return answer
-
-
-def summed(tests: Sequence[Sequence[CaseFound]]) -> list[CaseResult]:
-    """The cases with the misfits of all tests added up: together the tests discriminate where one does not."""
-    every = zip(*tests, strict=True)
-    return [replace(each[0].result, misfit=sum(one.result.misfit for one in each)) for each in every]
 
 
 def _write(study: JointStudy, results: Results, answer: JointCalibration, seconds: float) -> None:

@@ -5,9 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from calib.analyses.calibrate import best_of
+from calib.analyses.best_case import best_of, summed
 from calib.analyses.fit_statistics import EQUAL
-from calib.analyses.joint_calibration import summed
 from calib.inference.cases import CaseResult, agreement
 from calib.problem import Counts
 from calib.space import Parameter, ParameterSpace
