@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.answers import UNTRIED, of_fit
-from calib.analyses.best_case import best_of, with_starts
+from calib.analyses.best_case import agreement_sentences, best_of, with_starts
 from calib.analyses.calibration_tables import tables_of
 from calib.analyses.case import CaseFinder, CaseFound
 from calib.analyses.compare import ComparisonResult, before_and_after, compare, write_comparison, write_model_modes
@@ -145,20 +145,7 @@ class Calibration:
     @property
     def case_sentences(self) -> tuple[str, ...]:
         """Whether the cases agree."""
-        own, searched = self.agreement, self.search_agreement
-        out = [own.sentence]
-        if searched is not None:
-            out = [
-                f"After least squares, which also weighs the priors, {_going_on(own.sentence)}",
-                f"In the searches alone, {_going_on(searched.sentence)}",
-            ]
-        out += [own.remedy] if own.remedy else []
-        return tuple(out)
-
-
-def _going_on(sentence: str) -> str:
-    """A sentence behind the beginning of another."""
-    return f"{sentence[:1].lower()}{sentence[1:]}"
+        return agreement_sentences(self.agreement, self.search_agreement)
 
 
 def fingerprint(study: Study) -> str:

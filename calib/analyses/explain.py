@@ -221,7 +221,8 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
-    more = (suspect_sentence(found.suspects), accuracy_sentence(accuracy))
+    named = " and ".join(found.credible) if found.verdict == "effect" else ""
+    more = (suspect_sentence(found.suspects, named), accuracy_sentence(accuracy))
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
     words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")

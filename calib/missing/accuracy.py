@@ -16,6 +16,8 @@ from calib.problem import Labelled, Rows
 
 GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 """Accuracies tried, ascending, relative to each value; for shapes, to the largest entry."""
+SCATTER = 0.5
+"""Sum of squares over the degrees of freedom below which an accuracy contradicts the data, which scatter less."""
 COLUMNS = ("accuracy", "p_family", "p_fit", "misfit", "dof", "missing")
 
 
@@ -80,7 +82,8 @@ def sentence(table: pd.DataFrame) -> str:
         return ""
     at, basis = changing(table), "estimated on the linearised fit"
     if np.isnan(at):
-        at = float(table["accuracy"].max())
+        scatter = table["misfit"] >= SCATTER * table["dof"]  # data that scatter less are not that inaccurate
+        at = float(table.loc[scatter, "accuracy"].max()) if scatter.any() else float(table["accuracy"].min())
         return f"Even if every value were accurate to only {100 * at:g} %, something would be missing ({basis})."
     return f"If every value were accurate to only {100 * at:g} %, nothing would be detectable ({basis})."
 

@@ -10,6 +10,7 @@ import pandas as pd
 
 from calib.degrees_of_freedom import LEAST_DOF, chance, hat_root
 from calib.missing.goodness import Fit, Layout, goodness, overall
+from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
 from calib.problem import Label, Labelled
 
@@ -150,13 +151,22 @@ def suspects(
     return table.iloc[order].reset_index(drop=True)
 
 
-def sentence(table: pd.DataFrame) -> str:
-    """The datum without which everything fits, in words; empty where none alone explains the misfit."""
+def sentence(table: pd.DataFrame, named: str = "") -> str:
+    """The datum without which everything fits, in words; empty where none alone explains the misfit.
+
+    ``named`` is an effect that is named all the same: no wrong datum explains about as well as it does.
+    """
     explaining = table[table["explains"].astype(bool)]
     if explaining.empty:
         return ""
     first, more = explaining.iloc[0], explaining["what"].tolist()[1:4]
     others = f"; so it does without {' or without '.join(more)}" if more else ""
+    if named:
+        return (
+            f"Without {first['what']} the base model would fit too (p = {first['p_fit_without']:.2g}, to first order), "
+            f"but {named} explains the misfit better, by odds of more than {as_ratio(RULES.credible)}. Check the "
+            f"measurement of {first['what']} all the same."
+        )
     return (
         f"One measurement may be what does not fit: without {first['what']} everything does (p = "
         f"{first['p_fit_without']:.2g}, to first order; the chance of such a value in a correctly specified model is "

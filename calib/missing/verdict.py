@@ -140,7 +140,10 @@ def _with(found: Explanation, them: str = "it") -> str:
     """How well the data fit with the chosen effects, in words."""
     adequacy = found.chosen_adequacy
     assert adequacy is not None
-    words = f"With {them} no other stands out ({p_words(adequacy.p_family)}) and the fit has {p_words(adequacy.p_fit)}"
+    words = (
+        f"With {them} no other effect or local perturbation stands out ({p_words(adequacy.p_family)}) and the fit "
+        f"has {p_words(adequacy.p_fit)}"
+    )
     if adequacy.p_fit <= found.alpha:
         return (
             f"{words}, which is poor: the standard deviation may be larger than stated, or something more is missing."
@@ -182,7 +185,7 @@ def _look_for(effects: Sequence[Effect], joint: str = " ") -> str:
 
 
 def _as_it_is(effects: Sequence[Effect]) -> str:
-    return "As it is, the model says: " + " ".join(_ended(e.lacks) for e in effects)
+    return "The model assumes: " + " ".join(_ended(e.lacks) for e in effects)
 
 
 def _ended(words: str) -> str:

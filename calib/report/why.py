@@ -308,7 +308,7 @@ def _handles(attempt: bool) -> list[Artist]:
     return [
         Patch(label="residual (base model)", **_RESIDUAL),
         Patch(label="signature", **_signature(attempt)),
-        Line2D([], [], label="left", **_LEFT),
+        Line2D([], [], label="remaining", **_LEFT),
     ]
 
 

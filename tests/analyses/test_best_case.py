@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from calib.analyses.best_case import best_of, summed
+from calib.analyses.best_case import agreement_sentences, best_of, summed
 from calib.analyses.fit_statistics import EQUAL
 from calib.inference.cases import CaseResult, agreement
 from calib.problem import Counts
@@ -48,3 +48,21 @@ def test_a_test_that_discriminates_makes_the_joint_solution_unique():
     assert agreement([case.result for case in first], space).differing == {"a": pytest.approx(1 / 3)}
     both = agreement(summed([first, second]), space)
     assert both.verdict == "one solution" and not both.differing and both.worse == ("C1",)
+
+
+def agreed(*ends):
+    """Agreement of cases that end at these values of one parameter, with equal misfits."""
+    space = ParameterSpace((Parameter("a", 0.5, -3.0, 3.0),))
+    cases = [CaseResult.fitted(f"C{k}", {"a": a}, Counts(), None, 0.0) for k, a in enumerate(ends, start=1)]
+    return agreement([replace(case, misfit=1.0) for case in cases], space)
+
+
+def test_searches_that_least_squares_leads_to_one_solution_are_no_second_solution():
+    apart, one = agreed(-1.0, 1.0), agreed(0.5, 0.5)
+    first, second = agreement_sentences(one, apart)
+    assert "one solution" in first and "not unique" not in first + second
+    assert "2 places" in second and "33 % of the range" in second and "(a)" in second
+    assert "not unique" in " ".join(agreement_sentences(apart, apart))
+    assert agreement_sentences(one, None) == (one.sentence,)
+    lonely = agreed(0.5)
+    assert agreement_sentences(lonely, None) == (lonely.sentence, *([lonely.remedy] if lonely.remedy else []))

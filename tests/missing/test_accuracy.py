@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calib.missing.accuracy import less_accurate, sentence
@@ -28,3 +29,9 @@ def test_an_assumed_accuracy_counts_as_known_standard_deviation(toy):
 
     few, known = p_fit(4.0), p_fit(np.inf)
     assert known < few < 2 * known < 1e-4
+
+
+def test_an_accuracy_that_the_scatter_of_the_data_contradicts_is_not_stated():
+    table = pd.DataFrame({"accuracy": [0.01, 0.02, 0.05, 0.1], "misfit": [400.0, 200.0, 60.0, 20.0], "dof": 200.0})
+    assert "only 2 %, something would be missing" in sentence(table.assign(missing=True))
+    assert "only 10 %, nothing" in sentence(table.assign(missing=[True, True, True, False]))

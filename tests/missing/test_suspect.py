@@ -51,7 +51,9 @@ def test_one_bad_value_is_named_and_nothing_else(toy):
     assert table["what"][0] == "frequency of M2" and table["explains"][0]
     explaining = table[table["explains"]]
     assert set(explaining["what"]) <= {"frequency of M2", "mode M2"}  # the mode contains the value
-    assert "frequency of M2" in sentence(table)
+    assert "frequency of M2" in sentence(table) and "before the model" in sentence(table)
+    beside = sentence(table, "E1")  # an effect that is named all the same explains it better
+    assert "frequency of M2" in beside and "E1 explains the misfit better" in beside and "20:1" in beside
 
 
 def test_the_closed_form_is_a_fit_without_the_datum(toy):

@@ -218,7 +218,7 @@ def test_one_effect_is_named_with_magnitude_interval_and_where_to_look(cases):
     assert text.startswith(f"The model lacks a lack of E2, {magnitude}. ")
     probable = 100 * row["model_probability"]
     assert (f"more than {MOST:g} % probable" if probable > MOST else f"{probable:.0f} % probable") in text
-    assert "As it is, the model says: No E2." in text and "Look for: Look at E2." in text
+    assert "The model assumes: No E2." in text and "Look for: Look at E2." in text
     assert text.count("a lack of") == 1
     after = found.chosen_adequacy
     assert f"(p = {after.p_family:.2g})" in text and f"p = {after.p_fit:.2g}." in text and "poor" not in text

@@ -129,7 +129,7 @@ def _parameter_picture(results: StudyResults, table: pd.DataFrame, best: str) ->
     rows = table[table["case"] == best]
     positions = ", ".join(f"{n} {fixed(v, 2)}" for n, v in zip(rows["parameter"], rows["ratio"], strict=True))
     caption = f"Calibrated parameters between their limits: prior, value and 95 % interval of case {best}. {note}"
-    ends = "Ends of the searches, before least squares: where cases disagree, the data do not determine the parameter."
+    ends = "Ends of the searches, before least squares. Hatched: they differ by more than a tenth of the range."
     return [
         *results.picture("parameters", caption, f"Dots. Positions in case {best}: {positions}. {note}"),
         *results.picture("searches", ends, f"Bars, {counted(table['case'].nunique(), 'case')}."),

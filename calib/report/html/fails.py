@@ -83,7 +83,8 @@ def _kinds(results: StudyResults) -> list[Picture]:
     worst = ", ".join(f"{r['kind']} of {r['mode']} (p {chance(r['p'])})" for r in base.head(3).to_dict("records"))
     caption = (
         "Residuals after the fit. The cells hold χ² over its degrees of freedom ν, about 1 for a correctly specified "
-        "model; the darker a cell, the less noise alone explains it. A dash: too few degrees of freedom."
+        "model. Of one frequency, which the parameters follow, less than one degree of freedom is left. The darker a "
+        "cell, the less noise alone explains it. A dash: too few degrees of freedom."
     )
     alt = f"Matrix. The least likely misfits of the base model: {worst}."
     return results.picture("where_it_fails_sigma", caption, alt)

@@ -40,7 +40,7 @@ def _held_out(table: pd.DataFrame, name: str, thing: str) -> str:
 
 
 def _modes(results: StudyResults) -> list[Block] | None:
-    numbers = ["natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats"]
+    numbers = ["natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats", "freq_std_used"]
     table = results.table("measured", ["mode"], numbers, flags=["held_out"], unique="mode")
     if table is None:
         return None
@@ -49,7 +49,7 @@ def _modes(results: StudyResults) -> list[Block] | None:
             str(r["mode"]),
             fixed(r["natural_freq"], 3),
             fixed(r["freq_std"], 3),
-            percent(r["freq_std"] / r["natural_freq"]),
+            percent(r["freq_std_used"] / r["natural_freq"]),
             fixed(r["damped_freq"], 3),
             percent(r["damping_ratio"]),
             percent(r["damping_std"]),
@@ -62,10 +62,10 @@ def _modes(results: StudyResults) -> list[Block] | None:
         "mode",
         "natural frequency, Hz",
         "std, Hz",
-        "std, %",
+        "std used, %",
         "damped frequency, Hz",
         "damping ratio, %",
-        "std, %",
+        "std, points",
         "repeats",
         "",
     )
@@ -74,7 +74,11 @@ def _modes(results: StudyResults) -> list[Block] | None:
         ("natural frequency", "|λ| / 2π of the eigenvalue λ, the undamped frequency under proportional damping"),
         ("damped frequency", "Im λ / 2π, the frequency of free decay"),
         ("damping ratio", "fraction of critical damping"),
-        ("std", "standard deviation of the mean, the unit of the residuals below"),
+        ("std", "standard deviation of the mean, of the value's own repeats"),
+        (
+            "std used",
+            "the unit of the residuals below: pooled over the modes where repeats are few, with claimed accuracy",
+        ),
         ("repeats", "number of repeats of the frequency"),
     )
     return [Words(intro), *_notes(results), Table("Measured modes", heads, rows, (8,)), Terms(terms)]
