@@ -21,7 +21,7 @@ from calib.report.html.write import Page
 from calib.written import replacing
 
 # A busy machine makes any deadline fail; a submitted change must not fail by the luck of one draw.
-settings.register_profile("calib", deadline=None, max_examples=25, derandomize=bool(os.environ.get("CI")))
+settings.register_profile("calib", deadline=None, max_examples=20, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("calib")
 
 

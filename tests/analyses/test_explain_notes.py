@@ -45,6 +45,7 @@ def test_the_discretisation_error_is_noted_first(mast, edited, tmp_path):
     assert content["discretisation"] == pytest.approx(table["score"].abs().max()) and content["discretisation"] < 1
 
 
+@pytest.mark.slow
 def test_an_assumed_std_of_scalar_responses_is_noted(chain_folder, tmp_path):
     table = pd.read_csv(chain_folder / "measured.csv", comment="#")
     table.loc[table["response"] == "freq_1", "std"] = np.nan

@@ -269,6 +269,7 @@ def test_held_out_errors_include_the_uncertainty_of_the_parameters(linear):
         assert table.loc[group, "p"] == pytest.approx(stats.chi2.sf(e @ np.linalg.solve(c, e), len(e)))
 
 
+@pytest.mark.slow
 def test_held_out_errors_include_the_uncertainty_of_held_parameters():
     """Held parameters are sampled in every trial but held at their mean: errors have the covariance behind p."""
     rng = np.random.default_rng(6)

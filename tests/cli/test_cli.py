@@ -195,6 +195,7 @@ def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, unrend
     assert told.read_bytes() == first and str(told) in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_single_analysis_writes_no_report_but_updates_an_older_one(mast, drawn, monkeypatch):
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     told = Path("results/mast/report.html")

@@ -137,6 +137,7 @@ def test_one_effect_is_told_in_the_singular(guyed, capsys):
     assert "\n1 effect and " in out and not re.search(r"\b1 [a-z]+s (tested|fitted)", out)
 
 
+@pytest.mark.slow
 def test_what_is_not_known_is_left_empty(guyed, capsys):
     """The second guy rope is collinear with the first; it has no numbers of its own."""
     (guyed / "effects.py").write_text(

@@ -34,6 +34,7 @@ def test_the_extended_model_lacks_nothing_more_and_its_errors_fall(guyed, capsys
     assert values[name] == pytest.approx(first[name], rel=0.01)
 
 
+@pytest.mark.slow
 def test_report_says_which_versions_are_left_out(guyed, capsys):
     assert cli.execute(["extend", "mast", "guy", "--into", "mast_2"]) == 0
     assert cli.execute(["calibrate", "mast_2", "--workers", "1"]) == 0

@@ -120,6 +120,7 @@ def test_every_part_of_a_calibration_tells_how_far_it_is(guyed, undrawn, method)
     assert len(shares) > 3 and max(shares) > 0.5
 
 
+@pytest.mark.slow
 def test_an_explanation_tells_the_part_of_its_budget_and_of_its_samples(guyed, undrawn):
     listener = Recorder()
     Study.load("mast", workers=1, listener=listener).explain()

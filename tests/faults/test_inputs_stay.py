@@ -141,8 +141,7 @@ def test_inputs_among_the_results(sums, capsys):
     "name",
     [
         "measured.csv",
-        "report.html",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("record.json", "parameters.png")),
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("record.json", "parameters.png", "report.html")),
     ],
 )
 def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monkeypatch, name):

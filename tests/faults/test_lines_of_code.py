@@ -139,9 +139,8 @@ def test_the_line_comes_from_the_child_process_and_from_the_ledger(plain, kind, 
         mistakes.check(mistakes.refused(folder, compare).at, expected)
 
 
-@pytest.mark.parametrize(
-    "kind", ["exception", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("own refusal", "NaN"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["exception", "own refusal", "NaN"])
 def test_the_line_comes_from_worker_processes(plain, kind, mistakes):
     folder = plain("")
     expected = mistakes.put(folder / "model.py", ("\n\n\n\n", f"\n\n{EVALUATING[kind]}\n"))

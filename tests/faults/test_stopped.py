@@ -159,9 +159,8 @@ def answer(values):
 """
 
 
-@pytest.mark.parametrize(
-    ("sign", "workers"), [(signal.SIGINT, 1), pytest.param(signal.SIGKILL, 2, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("sign", "workers"), [(signal.SIGINT, 1), (signal.SIGKILL, 2)])
 def test_a_stop_loses_only_what_is_under_way(plain, runner, rows, undrawn, monkeypatch, sign, workers):
     """The function of one worker runs in a process of its own, too, which is ended in the same way."""
     plain(SLOWLY)

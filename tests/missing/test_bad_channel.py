@@ -26,6 +26,7 @@ def made(toy):
     return toy(modes=10, sensors=16)
 
 
+@pytest.mark.slow
 def test_a_bad_channel_is_no_understated_standard_deviation(made):
     rng, verdicts = np.random.default_rng(1), []
     for _ in range(8):

@@ -80,6 +80,7 @@ def test_each_response_drops_its_own_unknown_rows():
     assert partial(points, responses)["z"].isna().all()
 
 
+@pytest.mark.slow
 def test_floor_is_the_quantile_of_the_largest_spurious_entry():
     rng = np.random.default_rng(12)
     n, p, r, tries = 30, 8, 3, 500

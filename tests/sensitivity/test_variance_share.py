@@ -71,6 +71,7 @@ def test_inert_parameters_bound_to_an_active_one_are_not_found(draw, noise):
     assert min(active[n] for n in ("freq", "even", "valley", "steep")) >= (0.99 if noise == 0 else 0.85) * tables
 
 
+@pytest.mark.slow
 def test_floor_is_passed_by_chance_in_one_table_of_twenty():
     rng = np.random.default_rng(5)
     tries, n, passed, mean = 250, 80, 0, []

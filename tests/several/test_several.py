@@ -34,6 +34,7 @@ def edit(folder, old, new):
 # -- the whole run -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_run_names_what_is_missing_and_adds_it(frame):
     _, results = frame
     found = told(results / "frame/explanation.json")
@@ -44,6 +45,7 @@ def test_the_run_names_what_is_missing_and_adds_it(frame):
     assert told(results / "frame_extended/summary.json")["p_fit"] > 0.01 > told(results / "frame/summary.json")["p_fit"]
 
 
+@pytest.mark.slow
 def test_each_test_has_its_own_results_and_the_parameters_of_all(frame):
     _, results = frame
     tables = {t: pd.read_csv(results / f"frame.{t}/parameters.csv") for t in ("empty", "loaded")}
@@ -60,6 +62,7 @@ def test_each_test_has_its_own_results_and_the_parameters_of_all(frame):
         assert own["verdict"] == "effect"
 
 
+@pytest.mark.slow
 def test_the_pattern_of_the_effect_is_given_by_test(frame):
     _, results = frame
     for test, modes in (("empty", 6), ("loaded", 5)):
@@ -84,6 +87,7 @@ def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_report_draws_what_every_folder_holds(frame, tmp_path):
     study, results = shutil.copytree(frame[0], tmp_path / "frame"), shutil.copytree(frame[1], tmp_path / "results")
     shutil.rmtree(results / "frame/frame_extended")
@@ -95,6 +99,7 @@ def test_report_draws_what_every_folder_holds(frame, tmp_path):
     assert names[".empty"] == names[".loaded"] >= of_one | {"ranked_effects"}
 
 
+@pytest.mark.slow
 def test_errors_of_a_test_are_its_share_of_the_errors_of_all(frame):
     _, results = frame
     whole = pd.read_csv(results / "frame/errors.csv").set_index(["group", "stage"])
@@ -106,6 +111,7 @@ def test_errors_of_a_test_are_its_share_of_the_errors_of_all(frame):
         assert whole.loc[("fit", stage), "rms"] ** 2 * whole.loc[("fit", stage), "rows"] == pytest.approx(squares)
 
 
+@pytest.mark.slow
 def test_nothing_is_solved_twice_and_the_result_stays(frame, undrawn, tmp_path):
     study, results = frame
     again = shutil.copytree(results, tmp_path / "results")
@@ -116,6 +122,7 @@ def test_nothing_is_solved_twice_and_the_result_stays(frame, undrawn, tmp_path):
     assert max(counts) <= 2 and (again / "frame/parameters.csv").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_result_is_outdated_where_another_test_has_changed(frame, tmp_path):
     study, results = frame
     own = shutil.copytree(study, tmp_path / "frame")
@@ -133,6 +140,7 @@ def test_a_result_is_outdated_where_another_test_has_changed(frame, tmp_path):
     assert "calibrate" in stale_answers(StudyFile.read(own), Results(again / "frame")).sentences
 
 
+@pytest.mark.slow
 def test_the_problem_of_a_study_is_the_one_it_fits(frame):
     study, results = frame
     fit = calib.Study.load(study, results).problem.calibrate()
@@ -141,6 +149,7 @@ def test_the_problem_of_a_study_is_the_one_it_fits(frame):
     assert fit.parameters["std"]["k"] == pytest.approx(stored.loc["k", "std"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_record_of_all_tests_has_the_rows_of_each(frame):
     _, results = frame
     record = told(results / "frame/record.json")

@@ -285,6 +285,7 @@ def test_free_body_of_few_motions_is_as_precise_as_lapack():
         np.testing.assert_allclose(modes.natural_freq, truth, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_four_equal_axle_torsions_of_the_bogie_are_all_found():
     model = bogie_on_rig()
     stiffness, damping, mass = model.matrices({})

@@ -43,7 +43,7 @@ def test_every_effect_is_rebuilt():
 
 
 # The others are checked by hand (test_effects_alone.py) and against a finer mesh (test_effects.py) every time.
-QUICK = {"crossbar_mass", "brake_unit"}
+QUICK = {"crossbar_mass"}
 EACH = [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in EFFECTS]
 
 
