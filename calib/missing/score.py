@@ -180,7 +180,8 @@ def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
     for kind, index in (*blocks.items(), ("", np.arange(len(kinds), len(unit)))):
         dof = labelled.std_dof.get(kind, np.inf)
         factor = np.sqrt(dof / rng.chisquare(dof, RULES.draws)) if np.isfinite(dof) else np.ones(RULES.draws)
-        samples += factor * (_root(unit[index].T @ unit[index]) @ rng.standard_normal((unit.shape[1], RULES.draws)))
+        root = _root(unit[index])
+        samples += factor * (root @ rng.standard_normal((root.shape[1], RULES.draws)))
     largest = np.max(np.where(signed[:, None], np.abs(samples), samples), axis=0)
     return float((np.count_nonzero(largest >= found.magnitude[seen].max()) + 1) / (RULES.draws + 1))
 
@@ -198,10 +199,12 @@ def noise_limit(scores: np.ndarray) -> float:
     return float(-ndtri(NOISE_LEVEL / (2 * max(int(np.isfinite(scores).sum()), 1))))
 
 
-def _root(matrix: np.ndarray) -> np.ndarray:
-    """A square root of a positive semidefinite matrix."""
-    eigenvalues, vectors = la.eigh(matrix)
-    return vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+def _root(rows: np.ndarray) -> np.ndarray:
+    """A matrix R with ``R R^T = U^T U`` of rows U (n, m): (m, n), or (m, m) where that is smaller."""
+    if len(rows) <= rows.shape[1]:
+        return rows.T
+    eigenvalues, vectors = la.eigh(rows.T @ rows)
+    return np.asarray(vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))
 
 
 def correlation(found: Scores, columns: Sequence[int]) -> np.ndarray:
