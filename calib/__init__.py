@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from calib.errors import InputError as InputError
     from calib.front.explained import Explained as Explained
     from calib.front.fit import Fit as Fit
+    from calib.front.frf_test import FRFTest as FRFTest
     from calib.front.problem import Problem as Problem
     from calib.front.sensitivity import Assessed as Assessed
     from calib.front.shown import Compared as Compared
@@ -37,6 +38,7 @@ _PLACES = {
     "Effect": "effect",
     "EvaluationError": "errors",
     "Explained": "front.explained",
+    "FRFTest": "front.frf_test",
     "Fit": "front.fit",
     "FunctionModel": "function",
     "InputError": "errors",

@@ -5,7 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
+from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
+from calib.correlation.residual import ModalResidual
+from calib.correlation.response_residual import ResponseResidual
 from calib.errors import InputError
 from calib.function import FunctionModel
 from calib.loading import Model
@@ -17,8 +20,15 @@ from calib.structure.modal_model import ModalModel
 from calib.structure.model import StructuralModel
 from calib.study_file import StudyFile
 
-ForwardProblem = ModalProblem | FunctionProblem
+ForwardProblem = ModalProblem | FunctionProblem | FRFProblem
 Targets = Mapping[str, tuple[float, float | None]]
+
+
+def pair_of(problem: ForwardProblem) -> ModalResidual | ResponseResidual | FRFResidual:
+    """The whitened residual of a problem."""
+    if isinstance(problem, FRFProblem):
+        return FRFResidual(problem)
+    return ResponseResidual(problem) if isinstance(problem, FunctionProblem) else ModalResidual(problem)
 
 
 def measured_for(study: StudyFile, model: Model) -> tuple[MeasuredModes | None, MeasuredResponses | None]:

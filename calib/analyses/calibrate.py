@@ -31,6 +31,7 @@ from calib.analyses.uncertainty import accuracy_words
 from calib.analyses.user_function import ledger_keys_of_modes
 from calib.analyses.verify import errors_at
 from calib.answer import Answer
+from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.standard_deviations import known_std
 from calib.errors import EvaluationError, InputError
@@ -318,6 +319,8 @@ def expected_misfit(study: Study, answer: ComparisonResult) -> float:
     errors = float(np.nan_to_num(_noise_errors(study)).sum())
     if isinstance(study.problem, FunctionProblem):
         return errors
+    if isinstance(study.problem, FRFProblem):
+        return 0.0
     measured, total = study.problem.measured, settings.weight_freq * errors
     if measured.has_shapes and answer.comparison is not None:
         total += settings.weight_mac * float(np.nansum(1.0 - answer.comparison.noise_mac()))
@@ -337,6 +340,8 @@ def _noise_errors(study: Study) -> np.ndarray:
     if isinstance(study.problem, FunctionProblem):
         targets = study.problem.targets.values()
         return _MEAN_ABSOLUTE * np.array([std / abs(value) if std else np.nan for value, std in targets])
+    if isinstance(study.problem, FRFProblem):
+        return np.array([np.nan])
     return _MEAN_ABSOLUTE * known_std(study.problem.measured).freq
 
 

@@ -30,6 +30,7 @@ from calib.analyses.places import QUICK_GENERATIONS, QUICK_POPULATION, QUICK_STA
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.analyses.stored import confirm
 from calib.analyses.user_function import function_of, ledger_key
+from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.problem import FunctionProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.forward import ForwardProblem
@@ -109,6 +110,8 @@ def objective_for(problem: ForwardProblem, weight_freq: float = 1.0, weight_mac:
     """The same for a model against its measurement."""
     if isinstance(problem, FunctionProblem):
         return ResponseObjective({name: value for name, (value, _) in problem.targets.items()})
+    if isinstance(problem, FRFProblem):
+        return ResponseObjective(dict.fromkeys(problem.response_names, 1.0))
     measured = problem.measured
     return FrequencyMacObjective(
         modes=measured.names,

@@ -15,8 +15,10 @@ from calib.analyses.state import GEOMETRY
 from calib.analyses.uncertainty import std_notes
 from calib.answer import Answer
 from calib.correlation.compare import FAR_ERROR, Comparison
+from calib.correlation.frf_comparison import FRFComparison
+from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.mesh import geometry_tables
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.correlation.sensors import suspicious_sensors
 from calib.correlation.units import frequency_hint, response_hints
@@ -38,13 +40,15 @@ class ComparisonResult:
     table : DataFrame
         ``comparison_*.csv``.
     mean_freq_error : float
-        Mean absolute frequency error over the paired modes (of a scalar-response study: mean absolute relative error).
+        Mean absolute frequency error over the paired modes; of scalar responses and FRFs the mean relative error.
     mean_mac : float
-        Over the paired modes; NaN without shapes.
+        Over the paired modes; NaN without shapes. Of FRFs the mean FRAC.
     noise_mac : float
         Mean MAC that noise alone would allow a perfect model; NaN where unknown.
     comparison : Comparison or None
-        None for scalar responses.
+        Of modes.
+    frfs : FRFComparison or None
+        Of FRFs.
     sensor_findings : tuple of SensorFinding
         Suspicious sensors.
     chosen : mapping from str to int
@@ -60,6 +64,7 @@ class ComparisonResult:
     mean_mac: float
     noise_mac: float
     comparison: Comparison | None
+    frfs: FRFComparison | None = None
     sensor_findings: tuple[SensorFinding, ...] = ()
     chosen: Mapping[str, int] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
@@ -129,7 +134,7 @@ def comparison_at(study: Study, values: Mapping[str, float]) -> ComparisonResult
 def _undrawn(study: Study) -> tuple[str, ...]:
     """A note where no node or sensor has a location, so that modes cannot be drawn."""
     problem = study.problem
-    if isinstance(problem, FunctionProblem) or problem.model.mesh.placed.any():
+    if not isinstance(problem, ModalProblem) or problem.model.mesh.placed.any():
         return ()
     return ("No location of the model's nodes or sensors is known: its modes are not drawn.",)
 
@@ -143,6 +148,11 @@ def comparison_of(
     """
     if isinstance(problem, FunctionProblem):
         return _scalar_answer(problem, values, hints, std_notes)
+    if isinstance(problem, FRFProblem):
+        found = FRFResidual(problem).compared(values)
+        table = found.functions_table()
+        error, frac = _mean(table["error"]), _mean(table["frac"])
+        return ComparisonResult(table, error, frac, np.nan, None, found, (), {}, tuple(hints), tuple(std_notes))
     comparison = problem.compare(values)
     table = comparison.comparison_table()
     sensor_findings = suspicious_sensors(problem, comparison)
@@ -234,6 +244,9 @@ def before_and_after(before: ComparisonResult, after: ComparisonResult) -> dict[
 def write_comparison(results: Results, answer: ComparisonResult, stage: str) -> None:
     """Write every table of one comparison, named ``*_before`` or ``*_after``."""
     results.write_table(f"comparison_{stage}", answer.table)
+    if answer.frfs is not None:
+        results.write_table(f"frf_{stage}", answer.frfs.overlay_table())
+        results.write_table(f"frf_lines_{stage}", answer.frfs.lines_table())
     if answer.comparison is None:
         return
     results.write_table(f"where_it_fails_{stage}", answer.comparison.where_it_fails())

@@ -13,12 +13,9 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.uncertainty import assumed_words, in_one
-from calib.correlation.problem import FunctionProblem
-from calib.correlation.residual import ModalResidual
-from calib.correlation.response_residual import ResponseResidual
 from calib.degrees_of_freedom import effective_dof
 from calib.errors import EvaluationError
-from calib.forward import ForwardProblem
+from calib.forward import ForwardProblem, pair_of
 from calib.inference.cases import Agreement, CaseResult, agreement
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
@@ -53,8 +50,7 @@ def posed(
     ``problem`` replaces the study's own, for example a reduced one; ``counts`` counts every requested point.
     """
     given = study.problem if problem is None else problem
-    pair: Pair = ResponseResidual(given) if isinstance(given, FunctionProblem) else ModalResidual(given)
-    return Problem(pair, study.search_space.without(study.condition), ledger, counts=counts or Counts())
+    return Problem(pair_of(given), study.search_space.without(study.condition), ledger, counts=counts or Counts())
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from calib.analyses.user_function import function_of, numbered, with_function
-from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.problem import ModalProblem
 from calib.evaluate import Evaluator
+from calib.forward import ForwardProblem
 from calib.function import FunctionModel
 from calib.outcome import failure
 from calib.structure.model import StructuralModel
@@ -37,7 +38,7 @@ class ChildFunction:
         return outcome.responses
 
 
-def evaluator_of(problem: FunctionProblem | ModalProblem) -> Evaluator:
+def evaluator_of(problem: ForwardProblem) -> Evaluator:
     """Evaluator of the numbers of a problem's function, in its child process or in this one.
 
     For a model of matrices it evaluates responses.

@@ -14,6 +14,7 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
+from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.results import Results
 from calib.space import ParameterSpace
@@ -29,23 +30,25 @@ from calib.written import is_own
 
 
 def local_perturbations(
-    model: StructuralModel, measured: Sequence[MeasuredModes], values: Mapping[str, float], of: str = ""
+    model: StructuralModel,
+    measured: Sequence[MeasuredModes | MeasuredFRFs],
+    values: Mapping[str, float],
+    of: str = "",
 ) -> tuple[Perturbation, ...]:
     """Local perturbations of a model of matrices: of its parts, and at every sensor of its tests.
 
     Parameters
     ----------
     model : StructuralModel
-    measured : sequence of MeasuredModes
+    measured : sequence of MeasuredModes or MeasuredFRFs
         The fitted data of each test.
     values : mapping
         Reference values; see `calib.structure.perturbations.perturbations`.
     of : str
         Name of the model, where other models have perturbations of the same names.
     """
-    placed = {s.name: s for modes in measured for s in modes.sensors if s.point is not None}
-    lowest = min(float(modes.natural_freq.min()) for modes in measured)
-    return perturbations(model, list(placed.values()), values, lowest, of)
+    placed = {s.name: s for one in measured for s in one.sensors if s.point is not None}
+    return perturbations(model, list(placed.values()), values, min(one.lowest_freq for one in measured), of)
 
 
 def modal_hypotheses(

@@ -21,7 +21,6 @@ from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.recommendation import ExperimentalDesign
 from calib.stage import Progress, unheard
-from calib.structure.effect_places import effect_places
 from calib.structure.model import StructuralModel
 
 BASIS_ERROR = 0.05
@@ -126,20 +125,13 @@ class ModalAdapter(OneTest):
         ``effect_places`` where each effect of the library acts on the model, m.
         """
         return {
-            "effect_places": self._effect_places(),
+            "effect_places": self.effect_places(),
             "sensor_misfit": self._sensors(stages),
             "unpaired": pd.concat([self._unpaired(t).assign(stage=s) for s, t in stages.items()])[
                 ["stage", *UNPAIRED_COLUMNS]
             ],
             **geometry_tables(self.problem.model),
         }  # fmt: skip
-
-    def _effect_places(self) -> pd.DataFrame:
-        model = self.problem.model
-        rows: list[tuple[object, ...]] = []
-        if isinstance(model, StructuralModel):
-            rows = [(e.name, *place) for e in self.hypotheses.effects for place in effect_places(model, e)]
-        return pd.DataFrame(rows, columns=["effect", "x", "y", "z"])
 
     def _unpaired(self, candidate_fit: CandidateFit) -> pd.DataFrame:
         return unpaired_table(self.hypotheses.fit_problem(candidate_fit.names).at(candidate_fit.fit.values))

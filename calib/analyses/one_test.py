@@ -18,6 +18,8 @@ from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.refits import DEFAULT
 from calib.outcome import Outcome
 from calib.stage import Progress, unheard
+from calib.structure.effect_places import effect_places
+from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
 
 
@@ -73,6 +75,14 @@ class OneTest(ABC):
     @abstractmethod
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """Further tables by name."""
+
+    def effect_places(self) -> pd.DataFrame:
+        """Where each effect of the library acts on a model of matrices, m: ``effect, x, y, z``; empty for others."""
+        model = self.hypotheses.variants.model
+        rows: list[tuple[object, ...]] = []
+        if isinstance(model, StructuralModel):
+            rows = [(e.name, *place) for e in self.hypotheses.effects for place in effect_places(model, e)]
+        return pd.DataFrame(rows, columns=["effect", "x", "y", "z"])
 
     def failing(self) -> set[str]:
         """Effects that were nonzero at any point at which a function failed."""

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 from calib.analyses.isolation import evaluator_of
 from calib.analyses.user_function import Forward, function_of, ledger_key, outcome_of, with_function, with_library
-from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.problem import ModalProblem
 from calib.errors import EvaluationError
 from calib.evaluate import Arrived, BatchEvaluator
+from calib.forward import ForwardProblem
 from calib.ledger import Ledger
 from calib.outcome import Outcome, attempt, failure, key_of
 from calib.study import Study
@@ -73,21 +74,19 @@ def unrecorded(problem: Forward) -> Forward:
     return with_function(problem, function.asked) if isinstance(function, RecordedFunction) else problem
 
 
-def reevaluated_numbers(problem: FunctionProblem | ModalProblem, values: Mapping[str, float]) -> Outcome:
+def reevaluated_numbers(problem: ForwardProblem, values: Mapping[str, float]) -> Outcome:
     """Numbers of the function at one point (for matrices its responses), evaluated again even if stored."""
     return evaluator_of(unrecorded(problem)).evaluate([values])[0]
 
 
-def reevaluated(problem: FunctionProblem | ModalProblem, values: Mapping[str, float]) -> Outcome:
+def reevaluated(problem: ForwardProblem, values: Mapping[str, float]) -> Outcome:
     """One point, evaluated again even if stored; its duration excludes the start of a process."""
     if function_of(problem) is None:
         return attempt(problem.evaluate, values)
     return outcome_of(problem, reevaluated_numbers(problem, values))
 
 
-def traced(
-    problem: FunctionProblem | ModalProblem, values: Mapping[str, float], fault: EvaluationError
-) -> EvaluationError:
+def traced(problem: ForwardProblem, values: Mapping[str, float], fault: EvaluationError) -> EvaluationError:
     """A failure with the traceback of the user's code, which no ledger stores: the point is evaluated again."""
     if (
         not isinstance(function_of(problem), RecordedFunction)

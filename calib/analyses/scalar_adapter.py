@@ -1,4 +1,4 @@
-"""Adapter of a test of scalar responses to the explanation."""
+"""Adapters of a test of scalar responses and of a test of FRFs to the explanation."""
 
 from __future__ import annotations
 
@@ -10,42 +10,44 @@ import pandas as pd
 
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.one_test import OneTest
-from calib.analyses.verify import scalar_errors, scalar_std, whitened
+from calib.analyses.verify import group_errors, measuring, std_behind, whitened
+from calib.correlation.frf_residual import FRFResidual
+from calib.correlation.mesh import geometry_tables
 from calib.correlation.response_residual import ResponseResidual
 from calib.forward import Targets
+from calib.measurement.frf import MeasuredFRFs
 from calib.missing.explanation import CandidateFit
+from calib.problem import Pair
 
 
 @dataclass(frozen=True, eq=False)
 class ScalarAdapter(OneTest):
-    """Measured scalar responses against a function.
+    """Measured scalar responses against a function, or FRFs against a model with matrices.
 
     Attributes
     ----------
-    held_out : mapping from group to targets
-        Held-out responses.
+    held_out : mapping from group to targets or MeasuredFRFs
+        Held-out responses or FRFs.
     """
 
-    hypotheses: ModelHypotheses[ResponseResidual]
-    held_out: Mapping[str, Targets]
+    hypotheses: ModelHypotheses[ResponseResidual] | ModelHypotheses[FRFResidual]
+    held_out: Mapping[str, Targets] | Mapping[str, MeasuredFRFs]
 
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
-        """See `calib.analyses.verify.scalar_errors`."""
-        s, used = candidate_fit.fit, self.hypotheses.pair.problem
-        held_out = {group: self._whitened(own, candidate_fit, s.names, scale) for group, own in self.held_out.items()}
+        """See `calib.analyses.verify.group_errors`."""
+        s, used = candidate_fit.fit, self.hypotheses.pair
+        problem = self.hypotheses.fit_problem(candidate_fit.names).pair.problem
+
+        def at(pair: Pair, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+            residual, jacobian = whitened(pair, s.values, names, self.facts.held_sd)
+            return residual / scale, jacobian / scale
+
+        held_out = {group: at(measuring(problem, own), s.names) for group, own in self.held_out.items() if own}
         slope = -s.slope
         if self.facts.held_sd:  # held parameters are not fitted, so their columns are not in its slope
-            slope = np.hstack([slope, self._whitened(used.targets, candidate_fit, (), scale)[1]])
+            slope = np.hstack([slope, at(self.hypotheses.fit_problem(candidate_fit.names).pair, ())[1]])
         labels = [row.sensor for row in self.hypotheses.rows]
-        return scalar_errors(s.residual, slope, s.names, s.prior_sd, labels, held_out, scalar_std(used))
-
-    def _whitened(
-        self, targets: Targets, candidate_fit: CandidateFit, names: Sequence[str], scale: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """See `calib.analyses.verify.whitened`; for the model with the effects of the candidate fit."""
-        problem = self.hypotheses.fit_problem(candidate_fit.names).pair.problem
-        residual, jacobian = whitened(problem, targets, candidate_fit.fit.values, names, self.facts.held_sd)
-        return residual / scale, jacobian / scale
+        return group_errors(s.residual, slope, s.names, s.prior_sd, labels, held_out, std_behind(used))
 
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """``response_misfit``: whitened residual of every response by stage."""
@@ -55,3 +57,26 @@ class ScalarAdapter(OneTest):
             for row, e in zip(self.hypotheses.rows, candidate_fit.fit.residual, strict=True)
         ]
         return {"response_misfit": pd.DataFrame(rows, columns=["stage", "response", "residual"])}
+
+
+@dataclass(frozen=True, eq=False)
+class FRFAdapter(ScalarAdapter):
+    """Measured FRFs against a model with matrices."""
+
+    hypotheses: ModelHypotheses[FRFResidual]
+
+    def labels(self) -> pd.DataFrame:
+        """Labels of the rows of data; ``part`` is ``re`` or ``im``, ``freq`` the line in Hz."""
+        rows = self.hypotheses.pair.rows
+        return super().labels().assign(part=[row.part for row in rows], freq=[row.freq for row in rows])
+
+    def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
+        """``frf_misfit``: whitened residuals of every function and line by stage; where effects act; the mesh."""
+        labels = self.labels()[["sensor", "part", "freq"]].rename(columns={"sensor": "function"})
+        by_stage = [labels.assign(stage=s, residual=fit.fit.residual) for s, fit in stages.items()]
+        parts = pd.concat(by_stage).pivot(index=["stage", "function", "freq"], columns="part", values="residual")
+        return {
+            "frf_misfit": parts.reset_index()[["stage", "function", "freq", "re", "im"]],
+            "effect_places": self.effect_places(),
+            **geometry_tables(self.hypotheses.pair.problem.model),
+        }

@@ -19,6 +19,7 @@ from calib.analyses.recorded import recorded
 from calib.analyses.state import changed, made_from
 from calib.analyses.stored import confirmed
 from calib.answer import Answer
+from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.problem import FunctionProblem
 from calib.errors import InputError
 from calib.forward import ForwardProblem
@@ -320,8 +321,10 @@ def table_of(outcomes: Sequence[Outcome], names: Sequence[str]) -> pd.DataFrame:
 
 
 def sensitivity_responses(problem: ForwardProblem) -> list[str]:
-    """Responses of the sensitivity analysis: all scalar targets, or frequencies and MAC of the modes."""
+    """Responses of the sensitivity analysis: scalar targets, FRAC and amplitude of FRFs, frequency and MAC of modes."""
     if isinstance(problem, FunctionProblem):
         return list(problem.targets)
+    if isinstance(problem, FRFProblem):
+        return list(problem.response_names)
     kinds = ("natural_freq", "mac") if problem.measured.has_shapes else ("natural_freq",)
     return [f"{kind}_{mode}" for kind in kinds for mode in problem.measured.names]

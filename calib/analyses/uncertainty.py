@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 
+import numpy as np
+
+from calib.correlation.frf_residual import UNKNOWN_STD as UNKNOWN_FRF
 from calib.correlation.response_residual import UNKNOWN_STD
 from calib.correlation.standard_deviations import assumptions
 from calib.joint import said
+from calib.measurement.frf import MeasuredFRFs
 from calib.several import AnyStudy
 from calib.structure.model import Assumption
 from calib.study import Study
@@ -29,6 +33,14 @@ def assumed_responses(targets: Mapping[str, tuple[float, float | None]]) -> tupl
     reason = "no standard deviation and no accuracy is stated"
     listed = ", ".join(unknown) if len(unknown) <= _LISTED else f"{unknown[0]} and {len(unknown) - 1} more responses"
     return (Assumption(f"standard deviation of {listed}", value, "% of each", reason),)
+
+
+def assumed_frfs(frfs: MeasuredFRFs) -> tuple[Assumption, ...]:
+    """The same for FRFs."""
+    if not (np.isfinite(frfs.values) & ~np.isfinite(frfs.std)).any():
+        return ()
+    reason = "neither repeats nor coherence are given"
+    return (Assumption("standard deviation of FRFs", f"{100 * UNKNOWN_FRF:g}", "% of each modulus", reason),)
 
 
 def assumed_words(study: Study) -> str:

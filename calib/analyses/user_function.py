@@ -13,13 +13,14 @@ from typing import Any, TypeVar
 
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.fingerprint import digest_of
+from calib.forward import ForwardProblem
 from calib.measurement.modal import Sensor
 from calib.outcome import Outcome, attempt
 from calib.structure.modal_function import Memory, ModalFunctionModel
 from calib.structure.modal_result import modes_from
 
 Function = Callable[[Mapping[str, float]], Mapping[str, float]]
-Forward = TypeVar("Forward", bound=FunctionProblem | ModalProblem)
+Forward = TypeVar("Forward", bound=ForwardProblem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ def numbered(model: ModalFunctionModel, numbers: Function) -> ModalFunctionModel
     return replace(model, function=Numbered(numbers, model.sensors, model.damped), memory=Memory())
 
 
-def function_of(problem: FunctionProblem | ModalProblem) -> Function | None:
+def function_of(problem: ForwardProblem) -> Function | None:
     """The function that returns the numbers; None for a model of matrices, which runs no user code."""
     if isinstance(problem, FunctionProblem):
         return problem.function
@@ -62,11 +63,11 @@ def with_function(problem: Forward, function: Function) -> Forward:
     """The same problem with another function."""
     if isinstance(problem, FunctionProblem):
         return replace(problem, function=function)
-    assert isinstance(problem.model, ModalFunctionModel)
+    assert isinstance(problem, ModalProblem) and isinstance(problem.model, ModalFunctionModel)
     return replace(problem, model=numbered(problem.model, function))
 
 
-def ledger_key(problem: FunctionProblem | ModalProblem) -> str:
+def ledger_key(problem: ForwardProblem) -> str:
     """Fingerprint of the numbers in the ledger; that of modes does not depend on the measurement."""
     model = problem.model if isinstance(problem, ModalProblem) else None
     return model.fingerprint if isinstance(model, ModalFunctionModel) else problem.fingerprint
@@ -77,7 +78,7 @@ def with_library(fingerprint: str, library: str) -> str:
     return digest_of(fingerprint, library)[:16]
 
 
-def ledger_keys_of_modes(problem: FunctionProblem | ModalProblem, library: str) -> tuple[str, ...]:
+def ledger_keys_of_modes(problem: ForwardProblem, library: str) -> tuple[str, ...]:
     """All fingerprints of the numbers of a function of modes; empty for any other problem."""
     if isinstance(problem, FunctionProblem) or function_of(problem) is None:
         return ()
@@ -85,7 +86,7 @@ def ledger_keys_of_modes(problem: FunctionProblem | ModalProblem, library: str) 
     return own, with_library(own, library)
 
 
-def outcome_of(problem: FunctionProblem | ModalProblem, numbers: Outcome) -> Outcome:
+def outcome_of(problem: ForwardProblem, numbers: Outcome) -> Outcome:
     """Outcome of a problem from that of its function: its responses, or the failure."""
     if isinstance(problem, FunctionProblem) or function_of(problem) is None or numbers.status == "failed":
         return numbers

@@ -9,16 +9,17 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
+from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.held_out import group_table, held_out_errors
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
-from calib.correlation.response_residual import ResponseResidual
-from calib.correlation.responses import response_rows
 from calib.correlation.standard_deviations import Floors
 from calib.degrees_of_freedom import KNOWN, behind, chance, effective_dof
-from calib.forward import ForwardProblem, Targets
+from calib.forward import ForwardProblem, Targets, pair_of
 from calib.inference.identify import posterior, with_held
 from calib.inference.leave_one_out import leave_one_out
+from calib.measurement.frf import MeasuredFRFs
+from calib.problem import Pair
 from calib.space import ParameterSpace
 from calib.study import Study
 
@@ -38,21 +39,21 @@ def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
 def errors_of(
     problem: ForwardProblem,
     whole: ModalProblem | None,
-    unseen: Mapping[str, Targets],
+    unseen: Mapping[str, Targets] | Mapping[str, MeasuredFRFs],
     space: ParameterSpace,
     values: Mapping[str, float],
     held_sd: Mapping[str, float] = _NONE,
 ) -> pd.DataFrame:
-    """Errors by group of data: used, left out in turn, and held out; see `modal_errors` and `scalar_errors`.
+    """Errors by group of data: used, left out in turn, and held out; see `modal_errors` and `group_errors`.
 
     Parameters
     ----------
-    problem : ModalProblem or FunctionProblem
+    problem : ModalProblem, FunctionProblem or FRFProblem
         The problem with the fitted data.
     whole : ModalProblem or None
         The same model with all modes and sensors; None where nothing is held out.
-    unseen : mapping from group to targets
-        Held-out scalar responses.
+    unseen : mapping from group to targets or MeasuredFRFs
+        Held-out scalar responses or FRFs.
     space : ParameterSpace
         Free are the fitted parameters.
     values : mapping from str to float
@@ -65,10 +66,14 @@ def errors_of(
     if isinstance(problem, ModalProblem):
         dof = ModalResidual(problem).std_dof
         return modal_errors(problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd)
-    problem = replace(problem, space=space)
-    held_out = {group: whitened(problem, own, values, names, held_sd) for group, own in unseen.items()}
-    e, g = whitened(problem, problem.targets, values, names, held_sd)
-    return scalar_errors(e, g, names, prior_sd, list(problem.targets), held_out, scalar_std(problem))
+    if isinstance(problem, FunctionProblem):
+        problem = replace(problem, space=space)
+    held_out = {
+        group: whitened(measuring(problem, own), values, names, held_sd) for group, own in unseen.items() if own
+    }
+    pair = pair_of(problem)
+    e, g = whitened(pair, values, names, held_sd)
+    return group_errors(e, g, names, prior_sd, [row.sensor for row in pair.rows], held_out, std_behind(pair))
 
 
 def held_out_targets(study: Study) -> dict[str, Targets]:
@@ -76,29 +81,31 @@ def held_out_targets(study: Study) -> dict[str, Targets]:
     return {HELD_OUT_RESPONSES: {n: study.whole_targets[n] for n in study.settings.held_out.responses}}
 
 
+def measuring(problem: FunctionProblem | FRFProblem, own: Targets | MeasuredFRFs) -> Pair:
+    """The pair of a problem's model and other measured data of the same kind."""
+    if isinstance(own, MeasuredFRFs):
+        assert isinstance(problem, FRFProblem)
+        return pair_of(replace(problem, measured=own))
+    assert isinstance(problem, FunctionProblem)
+    return pair_of(replace(problem, targets=own))
+
+
 def whitened(
-    problem: FunctionProblem,
-    targets: Targets,
-    values: Mapping[str, float],
-    names: Sequence[str],
-    held_sd: Mapping[str, float] = _NONE,
+    pair: Pair, values: Mapping[str, float], names: Sequence[str], held_sd: Mapping[str, float] = _NONE
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened residual (n_targets,) of a function on some targets, and its derivative (n_targets, n_params + n_held).
+    """Whitened residual (n_rows,) of a pair, and its derivative (n_rows, n_params + n_held).
 
     The last columns are its changes by one standard deviation of each held parameter.
     """
-    if not targets:
-        return np.zeros(0), np.zeros((0, len(names) + len(held_sd)))
-    asked = ResponseResidual(replace(problem, targets=targets))
     unit = np.array([*np.ones(len(names)), *held_sd.values()])
-    return asked.residual(values), asked.jacobian(values, (*names, *held_sd)) * unit
+    return pair.of(pair.solve(values)), pair.slope(values, (*names, *held_sd), pair.solve) * unit
 
 
-def scalar_std(problem: FunctionProblem) -> float:
-    """Degrees of freedom behind the standard deviation of all responses of a function together."""
-    kinds = [row.kind for row in response_rows(problem.targets)]
-    counts = {kind: float(kinds.count(kind)) for kind in kinds}
-    return behind(counts, problem.std_dof)
+def std_behind(pair: Pair) -> float:
+    """Degrees of freedom behind the standard deviation of all rows together."""
+    kinds = [row.kind for row in pair.rows]
+    counts = {kind: float(kinds.count(kind)) for kind in dict.fromkeys(kinds)}
+    return behind(counts, pair.std_dof)
 
 
 def modal_errors(
@@ -180,7 +187,7 @@ def _scaled(table: pd.DataFrame, scale: float, std: float) -> pd.DataFrame:
     return table.assign(p=chance(table["chi2"].to_numpy(float), table["dof"].to_numpy(float), std))
 
 
-def scalar_errors(
+def group_errors(
     residual: np.ndarray,
     jacobian: np.ndarray,
     names: Sequence[str],
@@ -189,22 +196,22 @@ def scalar_errors(
     held_out: Mapping[str, tuple[np.ndarray, np.ndarray]],
     std: float = KNOWN,
 ) -> pd.DataFrame:
-    """The same for scalar responses, each of which is left out in turn.
+    """The same for scalar responses or FRFs, each of which is left out in turn.
 
     Parameters
     ----------
     residual : ndarray (n_rows,)
-        Whitened, of the used responses.
+        Whitened, of the used data.
     jacobian : ndarray (n_rows, n_params + n_held)
         Its derivative, and its changes by one standard deviation of each held parameter.
     names : sequence of str
     prior_sd : ndarray (n_params,)
     labels : sequence of str, length n_rows
-        Names of the responses.
+        Name of the response or FRF of every row.
     held_out : mapping from group to (residual, jacobian)
-        Whitened residuals of held-out responses with derivatives of the same columns; empty groups are left out.
+        Whitened residuals of held-out data with derivatives of the same columns; empty groups are left out.
     std : float
-        Degrees of freedom behind the standard deviations; see `scalar_std`.
+        Degrees of freedom behind the standard deviations; see `std_behind`.
     """
     jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
     known = with_held(posterior(names, jacobian, prior_sd), jacobian, held)
@@ -217,11 +224,18 @@ def scalar_errors(
     ]
     for group, (e, g) in held_out.items():
         if len(e):
-            covariance = np.eye(len(e)) + g @ known @ g.T
-            chi2 = float(e @ np.linalg.solve(covariance, e))
-            expected = float(np.sqrt(np.trace(covariance) / len(e)))
+            # Covariance I + U U^T, by Woodbury's identity: FRFs have thousands of rows and few parameters.
+            u = g @ _root(known)
+            chi2 = float(e @ e - (u.T @ e) @ np.linalg.solve(np.eye(u.shape[1]) + u.T @ u, u.T @ e))
+            expected = float(np.sqrt(1 + np.sum(u**2) / len(e)))
             rows.append((group, len(e), _rms(e), expected, float(chance(chi2, len(e), std)), 0))
     return pd.DataFrame(rows, columns=list(ERROR_COLUMNS))
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """R with ``R R^T`` the covariance, which may be singular."""
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
 
 
 def _rms(e: np.ndarray) -> float:

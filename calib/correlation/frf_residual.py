@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.correlation.frf_comparison import FRFComparison
 from calib.degrees_of_freedom import KNOWN
 from calib.errors import InputError
 from calib.fingerprint import digest_of
-from calib.mac import mac
 from calib.measurement.frf import MeasuredFRFs
 from calib.outcome import answered
 from calib.space import ParameterSpace
@@ -94,6 +94,30 @@ class FRFProblem:
             self.model, values, self.measured.freq, self._responses, self._references, self.measured.quantity
         )  # fmt: skip
 
+    @cached_property
+    def response_names(self) -> tuple[str, ...]:
+        """Names of the responses: ``frac RESPONSE/REFERENCE`` of every measured function, then ``amplitude ...``."""
+        measured = np.isfinite(self.measured.values).any(axis=0)
+        names = [
+            f"{response.name}/{reference.name}"
+            for j, reference in enumerate(self.measured.references)
+            for i, response in enumerate(self.measured.responses)
+            if measured[i, j]
+        ]
+        return tuple(f"{kind} {name}" for kind in ("frac", "amplitude") for name in names)
+
+    def responses(self, functions: np.ndarray) -> dict[str, float]:
+        """Responses of FRFs (n_freq, n_responses, n_references), each 1 for a right model.
+
+        See `calib.correlation.frf_comparison.FRFComparison.functions_table`.
+        """
+        table = FRFComparison(self.measured, functions, self.measured.std).functions_table()
+        return dict(zip(self.response_names, [*table["frac"], *table["amplitude"]], strict=True))
+
+    def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
+        """The responses at named values; EvaluationError where the model has no FRFs."""
+        return self.responses(self.functions(self.space.complete(values)))
+
     def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Their derivatives, (n_params, n_freq, n_responses, n_references), complex."""
         return frf_derivatives(
@@ -165,6 +189,10 @@ class FRFResidual:
     def _row_std(self) -> np.ndarray:
         return self._stacked(self._std * (1 + 1j))
 
+    def compared(self, values: Mapping[str, float]) -> FRFComparison:
+        """Measured and model FRFs at named values; EvaluationError where the model has none."""
+        return FRFComparison(self.problem.measured, self.solve(values), self._std)
+
     @property
     def relative_std(self) -> np.ndarray:
         """Standard deviation of every row over the modulus of its FRF, (n_rows,)."""
@@ -212,16 +240,8 @@ class FRFResidual:
         return found["functions"]
 
     def responses(self, solution: np.ndarray) -> dict[str, float]:
-        """Assurance of every function over its lines (FRAC), by ``frac RESPONSE/REFERENCE``."""
-        measured = self.problem.measured
-        out = {}
-        for i, response in enumerate(measured.responses):
-            for j, reference in enumerate(measured.references):
-                known = self._known[:, i, j]
-                if known.any():
-                    pair = mac(measured.values[known, i, j][:, None], solution[known, i, j][:, None])
-                    out[f"frac {response.name}/{reference.name}"] = float(pair[0, 0])
-        return out
+        """FRAC and amplitude ratio of every function; see `FRFProblem.responses`."""
+        return self.problem.responses(solution)
 
     def restored(self, responses: Mapping[str, float]) -> None:
         """None: see `told_by_responses`."""

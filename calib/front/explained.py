@@ -20,14 +20,15 @@ from calib.analyses.library import local_perturbations
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.reduction import WORTHWHILE_DOFS, Wanted
-from calib.analyses.scalar_adapter import ScalarAdapter
+from calib.analyses.scalar_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.uncertainty import in_words, notes_on
 from calib.correlation.problem import ModalProblem
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
+from calib.front.frf_test import FRFTest
 from calib.front.posed import Effects, P, PosedProblem
 from calib.front.shown import Shown
-from calib.front.test import ModalTest, Model, ResponseTest, Test, under
+from calib.front.test import Model, ResponseTest, Test, under
 from calib.function import FunctionModel
 from calib.given import integer, objects
 from calib.loading import require_distinct
@@ -149,7 +150,7 @@ def _adapters(problem: PosedProblem, effects: Library, seed: int) -> dict[str, A
         own, several = effects.get(model.name, ()), len(tests) > 1 or len(groups) > 1
         local: tuple[Perturbation, ...] = ()
         if isinstance(model, StructuralModel):
-            measured = [test.used for test in tests if isinstance(test, ModalTest)]
+            measured = [test.used for test in tests if not isinstance(test, ResponseTest)]
             local = local_perturbations(model, measured, model.space.values, model.name if len(groups) > 1 else "")
         out |= {test.name: _adapter(model, test, own, local, seed, several) for test in tests}
     return out
@@ -165,6 +166,10 @@ def _adapter(
         assert isinstance(held, FunctionModel)
         scalar, tested = function_hypotheses(held, test.pair(held), effects, space, name)
         return ScalarAdapter(scalar, tested, facts, test.unseen)
+    if isinstance(test, FRFTest):
+        assert isinstance(held, StructuralModel)
+        changed = Variants(held, effects, tuple(a.effect for a in local), None)
+        return FRFAdapter(ModelHypotheses(test.pair(held), changed, space), local, facts, test.unseen)
     pair, whole = test.pair(held), test.whole_problem(held)
     if isinstance(held, ModalFunctionModel):
         modal, tested = function_hypotheses(held, pair, effects, space, name)
@@ -177,10 +182,9 @@ def _adapter(
 
 
 def _facts(test: Test, seed: int) -> MeasurementFacts:
-    measured = test.modes if isinstance(test, ModalTest) else test.measured
     assumed, claimed = in_words(test.assumed), test.claimed
-    notes = (*notes_on(claimed, assumed), *check_repeats(measured))
-    table = disagreements_table(measured)
+    notes = (*notes_on(claimed, assumed), *check_repeats(test))
+    table = disagreements_table(test)
     return MeasurementFacts(assumed, claimed, notes, table, {}, seed, ExplainSettings().samples)
 
 

@@ -15,7 +15,7 @@ from calib.analyses.record import assumptions_of, made_with, sensors_table
 from calib.errors import InputError
 from calib.front.posed import Solved
 from calib.front.responses import own
-from calib.front.test import ModalTest, Model, ResponseTest, Test
+from calib.front.test import ModalTest, Model, Test
 from calib.inference.cases import CaseResult
 from calib.problem import Counts
 from calib.results import Results
@@ -63,7 +63,7 @@ def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     model, selected = chosen(fit, test)
     if name == "parameters":
         return draw_parameters(_tables(fit)["parameters"], ax, prior=fit.problem.space.frame())
-    if isinstance(selected, ResponseTest):
+    if not isinstance(selected, ModalTest):
         raise InputError("it has no modes", place=f"test {selected.name}", remedy="draw its parameters")
     if name != "frequency_errors" and not selected.used.has_shapes:
         raise InputError("no shapes were measured", place=f"test {selected.name}", remedy="draw the frequency errors")

@@ -22,7 +22,7 @@ from calib.front.responses import own
 from calib.front.search import refined, searched
 from calib.front.sensitivity import Assessed, assessed
 from calib.front.shown import Compared
-from calib.front.test import ModalTest, Model, ResponseTest, Test, under
+from calib.front.test import TESTS, Model, Test, under
 from calib.function import FunctionModel, extend_function
 from calib.given import integer, objects
 from calib.given import names as names_of
@@ -52,7 +52,7 @@ class Problem:
     Attributes
     ----------
     model : StructuralModel, ModalFunctionModel or FunctionModel
-    tests : ModalTest or ResponseTest, or a sequence of them
+    tests : ModalTest, FRFTest or ResponseTest, or a sequence of them
         Tests of that model, each under its own condition.
     beside : tuple of Problem
         Other models with their tests; parameters of the same name are shared. See `join`.
@@ -88,11 +88,13 @@ class Problem:
 
     def __post_init__(self) -> None:
         objects([self.model], (StructuralModel, ModalFunctionModel, FunctionModel), "problem, model")
-        tests = objects(self.tests, (ModalTest, ResponseTest), "problem, tests")
+        tests = objects(self.tests, TESTS, "problem, tests")
         object.__setattr__(self, "tests", tests[0] if len(tests) == 1 else tests)
         object.__setattr__(self, "beside", objects(self.beside, Problem, "problem, beside"))
         if not tests:
-            raise InputError("no test is given", place="problem", remedy="give a ModalTest or a ResponseTest")
+            raise InputError(
+                "no test is given", place="problem", remedy="give a ModalTest, an FRFTest or a ResponseTest"
+            )
         names = [test.name for _, test in self.pairs]
         for name in names:
             if names.count(name) > 1:
@@ -114,7 +116,7 @@ class Problem:
 
     @property
     def _tests(self) -> tuple[Test, ...]:
-        return (self.tests,) if isinstance(self.tests, ModalTest | ResponseTest) else tuple(self.tests)
+        return (self.tests,) if isinstance(self.tests, TESTS) else tuple(self.tests)
 
     @property
     def pairs(self) -> tuple[tuple[Model, Test], ...]:

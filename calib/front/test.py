@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import numpy as np
 import pandas as pd
 
 from calib.analyses.uncertainty import assumed_responses, claimed_words
@@ -17,9 +16,12 @@ from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.standard_deviations import assumptions
 from calib.errors import InputError
+from calib.front.checked import band, named
+from calib.front.frf_test import FRFTest
 from calib.function import FunctionModel
-from calib.given import by_name, integer, names, number, objects, values
+from calib.given import by_name, integer, names, number, objects
 from calib.measurement.accuracy import Accuracy
+from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
 from calib.structure.modal_function import ModalFunctionModel
@@ -70,7 +72,7 @@ class ModalTest:
     override: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        place = _named(self)
+        place = named(self)
         (modes,) = objects([self.modes], MeasuredModes, f"{place}, modes")
         known = (*modes.names, *(s.name for s in modes.sensors))
         for name in self.held_out:
@@ -88,7 +90,7 @@ class ModalTest:
         if self.mode_count is not None:
             object.__setattr__(self, "mode_count", integer(self.mode_count, 1, f"{place}, mode_count"))
         if self.freq_window is not None:
-            object.__setattr__(self, "freq_window", _window(self.freq_window, f"{place}, freq_window"))
+            object.__setattr__(self, "freq_window", band(self.freq_window, f"{place}, freq_window"))
         try:
             claimed = self.modes.accuracy if self.accuracy is None else Accuracy.of(self.accuracy)
         except (TypeError, ValueError) as fault:
@@ -137,6 +139,11 @@ class ModalTest:
         return errors_of(self.problem(model), self.whole_problem(model), {}, model.space, values)
 
     @property
+    def disagreements(self) -> tuple[Disagreement, ...]:
+        """Values in which one repeat disagrees with the others."""
+        return self.modes.disagreements
+
+    @property
     def claimed(self) -> str:
         """The claimed accuracy, in words; empty without."""
         return self.modes.accuracy.words
@@ -170,7 +177,7 @@ class ResponseTest:
     accuracy: Claimed = None
 
     def __post_init__(self) -> None:
-        place, known = _named(self), self.measured.targets
+        place, known = named(self), self.measured.targets
         for name in self.held_out:
             if name not in known:
                 raise InputError(
@@ -219,6 +226,11 @@ class ResponseTest:
         return errors_of(self.problem(model), None, self.unseen, model.space, values)
 
     @property
+    def disagreements(self) -> tuple[Disagreement, ...]:
+        """Values in which one repeat disagrees with the others."""
+        return self.measured.disagreements
+
+    @property
     def claimed(self) -> str:
         """The claimed accuracy, in words; empty without."""
         return claimed_words(self.accuracy)
@@ -229,7 +241,8 @@ class ResponseTest:
         return assumed_responses({n: t for n, t in self.measured.targets.items() if n not in self.held_out})
 
 
-Test = ModalTest | ResponseTest
+TESTS = (ModalTest, ResponseTest, FRFTest)
+Test = ModalTest | ResponseTest | FRFTest
 
 
 def test_of(study: Study) -> Test:
@@ -261,16 +274,6 @@ def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
         raise InputError(fault.problem, place=f"condition of test {test}", remedy=fault.remedy) from None
 
 
-def _named(test: Test) -> str:
-    """Validate the fields that both kinds of test share; returns the place for error messages."""
-    if not isinstance(test.name, str) or not test.name:
-        raise InputError(f"its name is {test.name!r}", place="test", remedy='give one, such as name="loaded"')
-    place = f"test {test.name}"
-    object.__setattr__(test, "held_out", names(test.held_out, f"{place}, held_out"))
-    object.__setattr__(test, "condition", values(test.condition, f"{place}, condition"))
-    return place
-
-
 def _value(given: object, place: str) -> tuple[float, float | None]:
     """A measured value and the standard deviation of its mean, None where it is unknown."""
     pair = tuple(given) if isinstance(given, tuple | list) else (given, None)
@@ -282,11 +285,3 @@ def _value(given: object, place: str) -> tuple[float, float | None]:
     if std is not None and not 0 < std < math.inf:
         raise InputError(f"its standard deviation is {std}", place=place, remedy="give a positive one or None")
     return value, std
-
-
-def _window(given: object, place: str) -> tuple[float, float]:
-    """Two frequencies, Hz."""
-    ends = tuple(number(f, place) for f in given) if isinstance(given, Sequence | np.ndarray) else ()
-    if isinstance(given, str) or len(ends) != 2:
-        raise InputError(f"it is {given!r:.40}", place=place, remedy="give (low, high) in Hz")
-    return ends[0], ends[1]

@@ -73,6 +73,16 @@ class MeasuredFRFs:
             raise InputError("its values are real", place=place, remedy=NO_PHASE)
 
     @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """Responses and references, each once."""
+        return tuple(dict.fromkeys((*self.responses, *self.references)))
+
+    @property
+    def lowest_freq(self) -> float:
+        """Lowest line above zero, Hz."""
+        return float(self.freq[self.freq > 0][0])
+
+    @property
     def unit(self) -> str:
         """Of translations under forces."""
         return UNITS[self.quantity]

@@ -139,6 +139,11 @@ class MeasuredModes:
         return len(self.names)
 
     @property
+    def lowest_freq(self) -> float:
+        """Lowest natural frequency, Hz."""
+        return float(self.natural_freq.min())
+
+    @property
     def has_shapes(self) -> bool:
         """Whether any mode shape was measured."""
         return len(self.sensors) > 0

@@ -1,0 +1,104 @@
+"""Measured and model FRFs at one point: assurance and error of every function and of every line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from calib.measurement.frf import MeasuredFRFs
+
+
+def assurance(measured: np.ndarray, model: np.ndarray) -> float:
+    """``|x^H y|^2 / ((x^H x)(y^H y))`` of two complex vectors, between 0 and 1; 0 where one of them is zero.
+
+    Over the lines of one function it is the frequency response assurance criterion (FRAC; Heylen and Lammens 1996),
+    over all functions of one line an entry on the diagonal of the frequency domain assurance criterion (FDAC; Pascual,
+    Golinval and Razeto 1997).
+    """
+    size = float(np.vdot(measured, measured).real * np.vdot(model, model).real)
+    return float(np.abs(np.vdot(measured, model)) ** 2 / size) if size > 0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class FRFComparison:
+    """FRFs of a model beside the measured ones.
+
+    Attributes
+    ----------
+    measured : MeasuredFRFs
+    model : ndarray (n_freq, n_responses, n_references), complex
+    std : ndarray (n_freq, n_responses, n_references)
+        Standard deviation of the real and of the imaginary part each.
+    """
+
+    measured: MeasuredFRFs
+    model: np.ndarray
+    std: np.ndarray
+
+    def functions_table(self) -> pd.DataFrame:
+        """One row per function: ``response, reference, lines, frac, amplitude, error, in_std``.
+
+        ``frac`` is their `assurance` over the lines; ``amplitude`` the norm of the model's function over that of the
+        measured one; ``error`` the norm of their difference over that of the measured one; ``in_std`` the root mean
+        square of the difference in standard deviations, 1 for a right model.
+        """
+        rows = []
+        for response, reference, known, i, j in self._functions():
+            test, model = self.measured.values[known, i, j], self.model[known, i, j]
+            size = np.linalg.norm(test)
+            in_std = _rms((test - model) / self.std[known, i, j])
+            amplitude, error = float(np.linalg.norm(model) / size), float(np.linalg.norm(test - model) / size)
+            rows.append((response, reference, len(test), assurance(test, model), amplitude, error, in_std))
+        return pd.DataFrame(rows, columns=["response", "reference", "lines", "frac", "amplitude", "error", "in_std"])
+
+    def lines_table(self) -> pd.DataFrame:
+        """One row per line: ``freq`` (Hz), ``assurance``, ``amplitude``, ``in_std``, over all functions of the line.
+
+        ``assurance`` is that of all functions at that line, NaN for a single one: it tells where along the frequency
+        axis the deflections differ; ``amplitude`` and ``in_std`` as in `functions_table`.
+        """
+        rows = []
+        for k, freq in enumerate(self.measured.freq):
+            known = np.isfinite(self.measured.values[k])
+            if not known.any():
+                continue
+            test, model = self.measured.values[k][known], self.model[k][known]
+            alike = assurance(test, model) if len(test) > 1 else np.nan
+            amplitude = float(np.linalg.norm(model) / np.linalg.norm(test))
+            rows.append((float(freq), alike, amplitude, _rms((test - model) / self.std[k][known])))
+        return pd.DataFrame(rows, columns=["freq", "assurance", "amplitude", "in_std"])
+
+    def overlay_table(self) -> pd.DataFrame:
+        """One row per measured entry: ``response, reference, freq``, both functions (``_re, _im``) and ``std``."""
+        parts = []
+        for response, reference, known, i, j in self._functions():
+            test, model = self.measured.values[known, i, j], self.model[known, i, j]
+            columns = {
+                "response": response,
+                "reference": reference,
+                "freq": self.measured.freq[known],
+                "measured_re": test.real,
+                "measured_im": test.imag,
+                "model_re": model.real,
+                "model_im": model.imag,
+                "std": self.std[known, i, j],
+            }
+            parts.append(pd.DataFrame(columns))
+        return pd.concat(parts, ignore_index=True)
+
+    def _functions(self) -> list[tuple[str, str, np.ndarray, int, int]]:
+        """Names of every measured function, its lines as a mask, and its place."""
+        found = []
+        for j, reference in enumerate(self.measured.references):
+            for i, response in enumerate(self.measured.responses):
+                known = np.isfinite(self.measured.values[:, i, j])
+                if known.any():
+                    found.append((response.name, reference.name, known, i, j))
+        return found
+
+
+def _rms(scaled: np.ndarray) -> float:
+    """Root mean square of real and imaginary parts."""
+    return float(np.sqrt(np.mean(np.abs(scaled) ** 2) / 2))

@@ -1,0 +1,29 @@
+"""Validation that all kinds of test share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calib.errors import InputError
+from calib.given import names, number, values
+
+
+def named(test: Any) -> str:
+    """Validate the fields that all kinds of test share; returns the place for error messages."""
+    if not isinstance(test.name, str) or not test.name:
+        raise InputError(f"its name is {test.name!r}", place="test", remedy='give one, such as name="loaded"')
+    place = f"test {test.name}"
+    object.__setattr__(test, "held_out", names(test.held_out, f"{place}, held_out"))
+    object.__setattr__(test, "condition", values(test.condition, f"{place}, condition"))
+    return place
+
+
+def band(given: object, place: str) -> tuple[float, float]:
+    """Two frequencies, Hz."""
+    ends = tuple(number(f, place) for f in given) if isinstance(given, Sequence | np.ndarray) else ()
+    if isinstance(given, str) or len(ends) != 2:
+        raise InputError(f"it is {given!r:.40}", place=place, remedy="give (low, high) in Hz")
+    return ends[0], ends[1]

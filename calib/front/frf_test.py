@@ -1,0 +1,109 @@
+"""FRFTest: measured frequency response functions, and how they are compared with a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import pandas as pd
+
+from calib.analyses.uncertainty import assumed_frfs
+from calib.analyses.verify import errors_of
+from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.errors import InputError
+from calib.front.checked import band, named
+from calib.given import names, objects
+from calib.measurement.disagreements import Disagreement
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.frf_parts import HeldOutFRFs
+from calib.structure.model import Assumption, StructuralModel
+
+
+@dataclass(frozen=True, eq=False)
+class FRFTest:
+    """Measured frequency response functions, compared with those of a model with matrices.
+
+    Attributes
+    ----------
+    frfs : MeasuredFRFs
+        From `calib.read_frfs`, for example.
+    held_out : sequence of str
+        Response sensors (like ``12z``) that no fit uses; they verify it.
+    held_out_references : sequence of str
+        Likewise references: places and directions of the force.
+    held_out_bands : sequence of (float, float)
+        Likewise bands of lines, Hz.
+    name, condition
+        As in `calib.ModalTest`.
+    """
+
+    frfs: MeasuredFRFs
+    held_out: tuple[str, ...] = ()
+    held_out_references: tuple[str, ...] = ()
+    held_out_bands: Sequence[tuple[float, float]] = ()
+    name: str = "test"
+    condition: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        place = named(self)
+        objects([self.frfs], MeasuredFRFs, f"{place}, frfs")
+        references = names(self.held_out_references, f"{place}, held_out_references")
+        bands = tuple(band(one, f"{place}, held_out_bands") for one in self.held_out_bands)
+        object.__setattr__(self, "held_out_references", references)
+        object.__setattr__(self, "held_out_bands", bands)
+        unknown = self._held_out.unknown(self.frfs)
+        if unknown is not None:
+            fault = unknown[1]
+            raise InputError(fault.problem, place=place, remedy=fault.remedy)
+
+    @property
+    def _held_out(self) -> HeldOutFRFs:
+        return HeldOutFRFs(self.held_out, self.held_out_references, tuple(self.held_out_bands))
+
+    @cached_property
+    def _parts(self) -> tuple[MeasuredFRFs, dict[str, MeasuredFRFs]]:
+        return self._held_out.split(self.frfs)
+
+    @property
+    def used(self) -> MeasuredFRFs:
+        """The FRFs in use, without held-out ones."""
+        return self._parts[0]
+
+    @property
+    def unseen(self) -> dict[str, MeasuredFRFs]:
+        """Held-out FRFs, by their group."""
+        return self._parts[1]
+
+    def problem(self, model: Any) -> FRFProblem:
+        """The forward problem of a model, without held-out FRFs."""
+        if not isinstance(model, StructuralModel):
+            raise InputError(
+                f"the model {model.name} has no matrices", place=f"test {self.name}",
+                remedy="give a StructuralModel, such as one of StructuralModel.from_matrices",
+            )  # fmt: skip
+        return FRFProblem(model, self.used)
+
+    def pair(self, model: Any) -> FRFResidual:
+        """The whitened residual of a model, without held-out FRFs."""
+        return FRFResidual(self.problem(model))
+
+    def errors(self, model: Any, values: Mapping[str, float]) -> pd.DataFrame:
+        """Errors on fitted, left-one-out and held-out FRFs; see `calib.analyses.verify.errors_of`."""
+        return errors_of(self.problem(model), None, self.unseen, model.space, values)
+
+    @property
+    def disagreements(self) -> tuple[Disagreement, ...]:
+        """Empty: repeats of FRFs are not compared with each other."""
+        return ()
+
+    @property
+    def claimed(self) -> str:
+        """The claimed accuracy, in words; empty without."""
+        return ""
+
+    @property
+    def assumed(self) -> tuple[Assumption, ...]:
+        """Assumed standard deviations, where none is known."""
+        return assumed_frfs(self.used)
