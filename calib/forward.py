@@ -13,15 +13,21 @@ from calib.errors import InputError
 from calib.function import FunctionModel
 from calib.loading import Model
 from calib.measurement.csv_format import place_of_node
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.frf_parts import HeldOutFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_model import ModalModel
 from calib.structure.model import StructuralModel
-from calib.study_file import StudyFile
+from calib.study_file import Measured, StudyFile
 
 ForwardProblem = ModalProblem | FunctionProblem | FRFProblem
 Targets = Mapping[str, tuple[float, float | None]]
+Unseen = Mapping[str, Targets] | Mapping[str, MeasuredFRFs]
+"""Held-out scalar responses or FRFs, by group."""
+HELD_OUT_RESPONSES = "held_out_responses"
+"""Group of held-out responses, as tables name it."""
 
 
 def pair_of(problem: ForwardProblem) -> ModalResidual | ResponseResidual | FRFResidual:
@@ -31,45 +37,74 @@ def pair_of(problem: ForwardProblem) -> ModalResidual | ResponseResidual | FRFRe
     return ResponseResidual(problem) if isinstance(problem, FunctionProblem) else ModalResidual(problem)
 
 
-def measured_for(study: StudyFile, model: Model) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
-    """Everything that was measured, of the kind that the model returns: modes or scalar responses."""
+def measured_for(study: StudyFile, model: Model) -> Measured:
+    """Everything that was measured, of a kind that the model returns: scalar responses, modes or FRFs."""
     given = study.settings.measurement
     if isinstance(model, FunctionModel) != bool(given.responses):
         words = "scalar responses (responses = '...')" if isinstance(model, FunctionModel) else "modes (files = [...])"
         raise InputError(
             f"the model {model.name!r} is compared with measured {words}", place=study.place("measurement")
         )
+    if given.kind == "frf" and not isinstance(model, StructuralModel):
+        raise InputError(
+            f"the model {model.name!r} has no matrices, so it has no FRFs", place=study.place("measurement", "kind"),
+            remedy="return a StructuralModel, such as one of StructuralModel.from_matrices",
+        )  # fmt: skip
     return study.measurement()
 
 
-def used_of(
-    study: StudyFile, whole: MeasuredModes | None, whole_targets: Targets
-) -> tuple[MeasuredModes | None, Targets]:
-    """The measured data that are not held out."""
-    held = study.settings.held_out
-    for key, names in held.model_dump().items():
-        if names and (key == "responses") != (whole is None):
-            kind, own = ("scalar responses", "responses") if whole is None else ("modes", "modes or sensors")
+_OF_KIND: Mapping[type, tuple[str, tuple[str, ...]]] = {
+    MeasuredModes: ("modes", ("modes", "sensors")),
+    MeasuredResponses: ("scalar responses", ("responses",)),
+    MeasuredFRFs: ("FRFs", ("sensors", "references", "bands")),
+}
+"""Each kind of measurement in words, and what of it can be held out."""
+
+
+def require_own(study: StudyFile, given: Measured) -> None:
+    """InputError where something is held out that this kind of measurement does not have."""
+    kind, own = _OF_KIND[type(given)]
+    for key, names in study.settings.held_out.model_dump().items():
+        if names and key not in own:
             raise InputError(
                 f"{key} are held out, but the study measures {kind}",
                 place=study.place("held_out", key),
-                remedy=f"name {own} under [held_out]",
+                remedy=f"name {' or '.join(own)} under [held_out]",
             )
-    if whole is None:
-        names = held.responses
-        for k, name in enumerate(names):
-            if name not in whole_targets:
-                place = study.place("held_out", "responses", k)
-                remedy = f"the measured responses are {', '.join(whole_targets)}"
-                raise InputError(f"held-out response {name!r} was not measured", place=place, remedy=remedy)
-        targets = {name: target for name, target in whole_targets.items() if name not in names}
-        if not targets:
-            raise InputError(
-                "every measured response is held out",
-                place=study.place("held_out", "responses"),
-                remedy="leave some to fit",
-            )
-        return None, targets
+
+
+def used_targets(study: StudyFile, whole: Targets) -> Targets:
+    """The scalar responses that are not held out."""
+    names = study.settings.held_out.responses
+    for k, name in enumerate(names):
+        if name not in whole:
+            place = study.place("held_out", "responses", k)
+            remedy = f"the measured responses are {', '.join(whole)}"
+            raise InputError(f"held-out response {name!r} was not measured", place=place, remedy=remedy)
+    targets = {name: target for name, target in whole.items() if name not in names}
+    if not targets:
+        raise InputError(
+            "every measured response is held out",
+            place=study.place("held_out", "responses"),
+            remedy="leave some to fit",
+        )
+    return targets
+
+
+def used_frfs(study: StudyFile, whole: MeasuredFRFs) -> tuple[MeasuredFRFs, dict[str, MeasuredFRFs]]:
+    """The FRFs that are not held out, and those that are, by group."""
+    given = study.settings.held_out
+    held = HeldOutFRFs(given.sensors, given.references, given.bands)
+    unknown = held.unknown(whole)
+    if unknown is not None:
+        keys, fault = unknown
+        raise InputError(fault.problem, place=study.place("held_out", *keys), remedy=fault.remedy)
+    return held.split(whole)
+
+
+def used_modes(study: StudyFile, whole: MeasuredModes) -> MeasuredModes:
+    """The modes that are not held out, at sensors that are not."""
+    held = study.settings.held_out
     try:
         used = whole.without(held.modes, held.sensors)
     except InputError as fault:
@@ -87,7 +122,15 @@ def used_of(
             place=study.place("held_out", "sensors"),
             remedy="leave some by which modes are paired",
         )
-    return used, {}
+    return used
+
+
+def frf_problem(study: StudyFile, model: StructuralModel, measured: MeasuredFRFs) -> FRFProblem:
+    """The problem over the FRFs in use."""
+    try:
+        return FRFProblem(model, measured)
+    except InputError as fault:
+        raise misfit(study, model, fault) from None
 
 
 def function_problem(

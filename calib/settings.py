@@ -58,12 +58,21 @@ class _Section(BaseModel):
 class MeasurementSettings(_Section):
     """``[measurement]``: files, relative to the study's folder."""
 
+    kind: Literal["modes", "frf"] = "modes"
+    """What ``files`` hold: measured modes or frequency response functions."""
     files: tuple[PathText, ...] = ()
-    """Measured modes: universal files (``.uff``, ``.unv``) or CSV tables, one file a repeat."""
+    """Measured modes or FRFs: universal files (``.uff``, ``.unv``) or CSV tables, one file a repeat."""
     shapes: tuple[PathText, ...] = ()
     """CSV tables of mode shapes beside ``files`` that are CSV; leave out when only frequencies were measured."""
     sensors: PathText | None = None
     """CSV table of the measured nodes: ``node, x, y, z`` in m, ``on``."""
+    quantity: Literal["receptance", "mobility", "accelerance"] | None = None
+    """What FRFs are, where their files do not state it."""
+    unit: str | None = None
+    """Unit of FRFs of translations under forces, such as ``"(m/s2)/N"`` or ``"g/N"``, where their files do not
+    state it."""
+    averages: int | None = Field(default=None, ge=1, le=1_000_000)
+    """Averages behind each FRF of a single file, whose coherence then gives the standard deviations."""
     responses: PathText | None = None
     """CSV table of scalar responses, for a model without modes; instead of ``files``."""
     mode_names: tuple[str, ...] | None = None
@@ -102,12 +111,16 @@ class MeasurementSettings(_Section):
 
 
 class HeldOutSettings(_Section):
-    """``[held_out]``: measured modes and sensors, or scalar responses, that no fit uses."""
+    """``[held_out]``: measured data that no fit uses."""
 
     modes: tuple[str, ...] = ()
     """Measured modes that no fit uses."""
     sensors: tuple[str, ...] = ()
-    """Measured sensors, such as ``101y``, that no fit uses."""
+    """Measured sensors, such as ``101y``, that no fit uses; of FRFs the responses."""
+    references: tuple[str, ...] = ()
+    """References of FRFs, such as ``12z``, that no fit uses."""
+    bands: tuple[Pair, ...] = ()
+    """Bands ``[low, high]`` of FRFs that no fit uses, Hz."""
     responses: tuple[str, ...] = ()
     """Scalar responses that no fit uses."""
 

@@ -11,12 +11,27 @@ from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import digest_of, digest_of_files
-from calib.forward import ForwardProblem, Targets, function_problem, measured_for, misfit, modal_problem, used_of
+from calib.forward import (
+    HELD_OUT_RESPONSES,
+    ForwardProblem,
+    Targets,
+    Unseen,
+    frf_problem,
+    function_problem,
+    measured_for,
+    misfit,
+    modal_problem,
+    require_own,
+    used_frfs,
+    used_modes,
+    used_targets,
+)
 from calib.function import FunctionModel
 from calib.given import path as path_of
 from calib.limits import parameter_hints, search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, with_effects
 from calib.measurement.disagreements import Disagreement
+from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses
 from calib.space import ParameterSpace
@@ -24,7 +39,7 @@ from calib.structure.basis import Basis
 from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
-from calib.study_file import StudyFile
+from calib.study_file import Measured, StudyFile
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 
@@ -38,10 +53,10 @@ class Study(StudyFile):
     model : StructuralModel, ModalFunctionModel or FunctionModel
         With the study's effects, parameter values, limits and constraints.
     measured : MeasuredModes or None
-        Modes in use; None for a model without modes.
+        Modes in use; None where scalar responses or FRFs were measured.
     targets : mapping from response name to (value, standard deviation or None)
-        Measured scalar responses in use; empty for a model with modes.
-    problem : ModalProblem or FunctionProblem
+        Measured scalar responses in use; empty where modes or FRFs were measured.
+    problem : ModalProblem, FunctionProblem or FRFProblem
         Named parameters in, named responses out.
     sensitivity_space, search_space : ParameterSpace
         All free parameters within their limits; the selected ones within the limits of the search.
@@ -58,7 +73,11 @@ class Study(StudyFile):
     hints : tuple of str
         Warnings of values that may be in another unit than the model's parameter.
     responses : MeasuredResponses or None
-        All scalar responses, held-out ones included, and their repeats; None for a model with modes.
+        All scalar responses, held-out ones included, and their repeats; None where modes or FRFs were measured.
+    frfs : MeasuredFRFs or None
+        All FRFs, held-out ones included; None where modes or scalar responses were measured.
+    unseen : mapping from group to targets or MeasuredFRFs
+        Held-out scalar responses or FRFs. For verification only.
     read_files : mapping from path to digest
         Named files and all code as they were when the study was read; see `file_digests`.
     library_digest : str
@@ -79,6 +98,8 @@ class Study(StudyFile):
     initial: Mapping[str, float] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
     responses: MeasuredResponses | None = None
+    frfs: MeasuredFRFs | None = None
+    unseen: Unseen = field(default_factory=dict)
     read_files: Mapping[str, str] = field(default_factory=dict)
     library_digest: str = ""
 
@@ -96,27 +117,28 @@ class Study(StudyFile):
         """Standard deviations of the held parameters whose values are uncertain."""
         return {name: sd for name, sd in self.adopted_sd.items() if sd > 0}
 
-    def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
+    def measurement(self) -> Measured:
         """Everything that was measured, as it was when the study was read."""
-        return self.whole, self.responses
+        given = self.whole or self.responses or self.frfs
+        assert given is not None
+        return given
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
         """Where one repeat of the measurement disagrees with the others."""
-        given = self.whole or self.responses
-        return () if given is None else given.disagreements
+        return self.measurement().disagreements
 
     @property
     def measurement_notes(self) -> tuple[str, ...]:
         """Notes on how the measurement was read."""
-        given = self.whole or self.responses
-        return () if given is None else given.notes
+        return self.measurement().notes
 
     @property
     def repeats(self) -> int | None:
         """Repeats behind the measured values; None where a study of scalar responses does not state them."""
-        if self.whole is not None:
-            return self.whole.n_repeats
+        given = self.whole or self.frfs
+        if given is not None:
+            return given.n_repeats
         counted = None if self.responses is None else self.responses.repeats
         return self.settings.measurement.repeats if counted is None else counted
 
@@ -196,16 +218,25 @@ def _study(
     model = replace(model, space=space)
     for k, name in enumerate(file.settings.depends_on):
         file.path(name, "depends_on", k)
-    whole, responses = measured_for(file, model)
-    whole_targets = {} if responses is None else responses.targets
-    measured, targets = used_of(file, whole, whole_targets)
+    given = measured_for(file, model)
+    require_own(file, given)
+    measured: MeasuredModes | None = None
+    targets: Targets = {}
+    unseen: Unseen = {}
     problem: ForwardProblem
-    if isinstance(model, FunctionModel):
-        assert isinstance(base, FunctionModel) and responses is not None
+    if isinstance(given, MeasuredResponses):
+        assert isinstance(base, FunctionModel) and isinstance(model, FunctionModel)
         mark = _fingerprint(file, fingerprint_of(base, included, model))
-        problem = function_problem(file, model, mark, targets, responses)
+        targets = used_targets(file, given.targets)
+        unseen = {HELD_OUT_RESPONSES: {n: given.targets[n] for n in file.settings.held_out.responses}}
+        problem = function_problem(file, model, mark, targets, given)
+    elif isinstance(given, MeasuredFRFs):
+        assert isinstance(model, StructuralModel)
+        used, unseen = used_frfs(file, given)
+        problem = frf_problem(file, model, used)
     else:
-        assert measured is not None and not isinstance(base, FunctionModel)
+        assert not isinstance(base, FunctionModel) and not isinstance(model, FunctionModel)
+        measured = used_modes(file, given)
         if isinstance(model, ModalFunctionModel):
             assert isinstance(base, ModalFunctionModel)
             model = replace(model, identity=_fingerprint(file, fingerprint_of(base, included, model)))
@@ -214,10 +245,14 @@ def _study(
     if not file.settings.calibration.weight_freq + file.settings.calibration.weight_mac > 0:
         place = file.place("calibration", "weight_freq")
         raise InputError("both weights are zero", place=place, remedy="give one of them weight")
+    whole = given if isinstance(given, MeasuredModes) else None
+    responses = given if isinstance(given, MeasuredResponses) else None
+    frfs = given if isinstance(given, MeasuredFRFs) else None
     return Study(
         file.name, file.file, file.settings, model, measured, targets, problem, space, selected,
-        whole, whole_targets, library, dict(adopted), {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial,
-        hints, responses, read, digest, part=file.part,
+        whole, {} if responses is None else responses.targets, library, dict(adopted),
+        {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial, hints, responses, frfs, unseen, read, digest,
+        part=file.part,
     )  # fmt: skip
 
 

@@ -12,13 +12,17 @@ from pathlib import Path
 from calib.errors import InputError
 from calib.fingerprint import code_files
 from calib.measurement.accuracy import Accuracy
+from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_modes
+from calib.measurement.read_frf import read_frfs
 from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
 from calib.place import Place
 from calib.settings import StudySettings, TestSettings
 from calib.study_text import find, place_of, read_layers, read_settings
 from calib.toml_places import Mark
+
+Measured = MeasuredModes | MeasuredResponses | MeasuredFRFs
 
 
 @dataclass(frozen=True)
@@ -104,28 +108,39 @@ class StudyFile:
         """The study's folder, without links; files are relative to it."""
         return self.file.resolve().parent
 
-    def measurement(self) -> tuple[MeasuredModes | None, MeasuredResponses | None]:
-        """All measured modes or scalar responses of one test; InputError where they cannot be read."""
+    def measurement(self) -> Measured:
+        """Everything that was measured in one test; InputError where it cannot be read."""
         given = self.settings.measurement
         if given.responses:
             responses = read_responses(self.path(given.responses, "measurement", "responses"), given.pooling)
             kinds = response_kinds(responses.targets)
             try:
-                return None, responses.pooled(kinds).claiming(kinds, given.accuracy)
+                return responses.pooled(kinds).claiming(kinds, given.accuracy)
             except InputError as fault:
                 place = self.place("measurement", "accuracy")
                 raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
+        files = [self.path(f, "measurement", "files", k) for k, f in enumerate(given.files)]
+        sensors = self.path(given.sensors, "measurement", "sensors") if given.sensors else None
+        if given.kind == "frf":
+            return read_frfs(
+                files,
+                quantity=given.quantity,
+                unit=given.unit,
+                sensors=sensors,
+                averages=given.averages,
+                synthetic=given.synthetic,
+            )
         measured = read_modes(
-            [self.path(f, "measurement", "files", k) for k, f in enumerate(given.files)],
+            files,
             shapes=[self.path(f, "measurement", "shapes", k) for k, f in enumerate(given.shapes)],
-            sensors=self.path(given.sensors, "measurement", "sensors") if given.sensors else None,
+            sensors=sensors,
             repeats=given.repeats,
             std_of=given.std_of,
             mode_names=given.mode_names,
             pooling=given.pooling,
             synthetic=given.synthetic,
         )
-        return replace(measured, accuracy=Accuracy.of(given.accuracy)), None
+        return replace(measured, accuracy=Accuracy.of(given.accuracy))
 
     def place(self, *keys: int | str, mark: Mark = "value") -> Place:
         """Place of a key or of its value in the file, of one test in the table of that test."""

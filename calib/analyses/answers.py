@@ -12,6 +12,7 @@ import pandas as pd
 from calib.analyses.fit_statistics import FitStatistics
 from calib.answer import Answer
 from calib.correlation.compare import BEYOND, Comparison
+from calib.correlation.frf_comparison import FRFComparison
 from calib.correlation.sensors import SensorFinding
 from calib.inference.verdicts import identified_sentence
 from calib.joint import of_test
@@ -39,12 +40,16 @@ class _Compared(Protocol):
     @property
     def comparison(self) -> Comparison | None: ...
     @property
+    def frfs(self) -> FRFComparison | None: ...
+    @property
     def sensor_findings(self) -> Sequence[SensorFinding]: ...
 
 
 def of_comparison(result: _Compared) -> Answer:
     """Answer of a comparison without a fit."""
     found = result.comparison
+    if result.frfs is not None:
+        return _of_frfs(result.frfs)
     if found is None:
         return _of_responses(result)
     agreement, tested = found.summary()
@@ -72,6 +77,21 @@ def _of_responses(result: _Compared) -> Answer:
         off = int((in_std > _WIDE).sum())
         tested = f"{off} of {_count(len(in_std), 'response')} are off by more than {_WIDE:g} standard deviations."
     return Answer(f"{words}.", tested, _FIT if off else _FINE)
+
+
+def _of_frfs(found: FRFComparison) -> Answer:
+    table, lines = found.functions_table(), found.lines_table()
+    worst, line = table.iloc[int(table["frac"].argmin())], lines.iloc[int(lines["in_std"].argmax())]
+    in_std = float(np.sqrt((table["in_std"] ** 2 * table["lines"]).sum() / table["lines"].sum()))
+    words = (
+        f"Mean FRAC {table['frac'].mean():.3f} over {_count(len(table), 'FRF')}, least {worst['frac']:.3f} "
+        f"({worst['response']}/{worst['reference']}); mean error {100 * table['error'].mean():.1f} %."
+    )
+    tested = (
+        f"The error is {in_std:.3g} standard deviations in root mean square (1 for a right model), "
+        f"largest at {line['freq']:.4g} Hz ({line['in_std']:.3g})."
+    )
+    return Answer(words, tested, _FIT if in_std > _WIDE else _FINE)
 
 
 def of_sensitivity(table: pd.DataFrame, tested: str) -> Answer:
@@ -176,7 +196,9 @@ def _change(before: _Compared, after: _Compared) -> str:
     words = f"{label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %"
     if not math.isnan(after.mean_mac):
         allowed = "" if np.isnan(after.noise_mac) else f" (noise allows {after.noise_mac:.3f})"
-        words += f", mean MAC {before.mean_mac:.3f} -> {after.mean_mac:.3f}{allowed}"
+        words += (
+            f", mean {'MAC' if after.frfs is None else 'FRAC'} {before.mean_mac:.3f} -> {after.mean_mac:.3f}{allowed}"
+        )
     return words
 
 

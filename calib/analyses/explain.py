@@ -17,14 +17,15 @@ from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts, summary
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.function_hypotheses import function_hypotheses
+from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.joint_adapter import JointAdapter, together
 from calib.analyses.library import local_perturbations, modal_hypotheses
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.reduction import worthwhile
-from calib.analyses.scalar_adapter import ScalarAdapter
+from calib.analyses.scalar_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.state import ADDED
-from calib.analyses.verify import held_out_targets
+from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
@@ -65,6 +66,7 @@ from calib.stage import Progress, unheard
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
+from calib.structure.variants import Variants
 from calib.study import Study
 
 
@@ -99,7 +101,7 @@ def explain(
     tests = study.studies
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     if any(one.measured is not None for one in tests):
-        engine.require_modes(sum(len(one.targets) if one.measured is None else one.measured.n_modes for one in tests))
+        engine.require_modes(sum(_counted(one) for one in tests))
     started, local = time.perf_counter(), _local(study)
     adapter = together({s.test: adapter_of(s, homes.get(s.test, results), progress, local.get(s.test)) for s in tests})
     found = decided(adapter, study.settings.explain, study.file, progress)
@@ -123,7 +125,11 @@ def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Per
         assert isinstance(study.model, FunctionModel)
         pair = ResponseResidual(problem)
         scalar, own = function_hypotheses(study.model, pair, study.candidates, space, study.test)
-        return ScalarAdapter(scalar, own, facts, held_out_targets(study))
+        return ScalarAdapter(scalar, own, facts, study.unseen)
+    if isinstance(problem, FRFProblem):
+        assert local is not None and isinstance(study.model, StructuralModel)
+        variants = Variants(study.model, study.candidates, tuple(a.effect for a in local), None)
+        return FRFAdapter(ModelHypotheses(FRFResidual(problem), variants, space), local, facts, study.unseen)
     if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
         modal, own = function_hypotheses(problem.model, ModalResidual(problem), study.candidates, space, study.test)
     else:
@@ -139,12 +145,20 @@ def _local(study: AnyStudy) -> dict[str, tuple[Perturbation, ...]]:
             groups.setdefault(repr((one.settings.model, one.settings.model_options)), []).append(one)
     out: dict[str, tuple[Perturbation, ...]] = {}
     for group in groups.values():
-        model, used = group[0].model, [one.measured for one in group if one.measured is not None]
+        model, used = group[0].model, [o.problem.measured for o in group if not isinstance(o.problem, FunctionProblem)]
         assert isinstance(model, StructuralModel)
         of = group[0].test if len(groups) > 1 else ""
         found = local_perturbations(model, used, group[0].search_space.values, of)
         out |= {one.test: found for one in group}
     return out
+
+
+def _counted(study: Study) -> int:
+    """Modes, scalar responses, or lines of FRFs in use."""
+    problem = study.problem
+    if isinstance(problem, FRFProblem):
+        return len(problem.measured.freq)
+    return len(problem.targets) if isinstance(problem, FunctionProblem) else problem.measured.n_modes
 
 
 def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: str) -> None:

@@ -24,10 +24,12 @@ from calib.inference import rules as inference
 from calib.joint import said, stacked
 from calib.loading import Model
 from calib.measurement.disagreements import COLUMNS, Disagreement
+from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.missing import rules as missing
 from calib.named_values import ANY, read_json
 from calib.results import Results
+from calib.settings import HeldOutSettings
 from calib.several import AnyStudy, JointStudy
 from calib.structure.model import Assumption
 from calib.study import Study
@@ -89,9 +91,10 @@ def write_record(
     tables = {
         "measured": {one.test: measured_table(one) for one in tests},
         "sensors": {
-            one.test: sensors_table(one.whole, one.settings.held_out.sensors)
+            one.test: sensors_table(whole, one.settings.held_out.sensors)
             for one in tests
-            if one.whole is not None and one.whole.has_shapes
+            if isinstance(whole := one.measurement(), MeasuredFRFs)
+            or (isinstance(whole, MeasuredModes) and whole.has_shapes)
         },
         "repeat_disagreements": {one.test: disagreements_table(one) for one in tests},
         "assumptions": {one.test: assumptions_table(one) for one in tests},
@@ -151,12 +154,15 @@ def measured_table(study: Study) -> pd.DataFrame:
     """All measured data with their standard deviations, held-out data included and marked.
 
     Modes have `MODE_COLUMNS`: frequencies and their standard deviations in Hz, damping as a ratio, and the number of
-    repeats of the frequency. Scalar responses have ``response, held_out, value, std, repeats, std_used``. Standard
+    repeats of the frequency. Scalar responses have ``response, held_out, value, std, repeats, std_used``, FRFs
+    ``response, reference, held_out, quantity, lines, freq_min, freq_max, repeats``. Standard
     deviations are those of the mean over the repeats; for scalar responses they are pooled and include the claimed
     accuracy. Those ``used`` are the weights of calibration and explanation: pooled, with accuracy and floors, and
     assumed where nothing is known.
     """
     held, whole = study.settings.held_out, study.whole
+    if study.frfs is not None:
+        return _frf_table(study.frfs, held)
     if whole is None:
         held_out = set(held.responses)
         counts = {} if study.responses is None else study.responses.counts
@@ -176,6 +182,20 @@ def measured_table(study: Study) -> pd.DataFrame:
         "damping_std_used": damping_std * whole.damping_ratio,
     }
     return pd.DataFrame(columns, columns=list(MODE_COLUMNS))
+
+
+def _frf_table(whole: MeasuredFRFs, held: HeldOutSettings) -> pd.DataFrame:
+    """One row per function; bands that are held out are in the record."""
+    rows = []
+    for j, reference in enumerate(whole.references):
+        for i, response in enumerate(whole.responses):
+            freq = whole.freq[np.isfinite(whole.values[:, i, j])]
+            if len(freq):
+                held_out = response.name in held.sensors or reference.name in held.references
+                ends = (response.name, reference.name, held_out, whole.quantity)
+                rows.append((*ends, len(freq), freq[0], freq[-1], whole.n_repeats))
+    columns = ["response", "reference", "held_out", "quantity", "lines", "freq_min", "freq_max", "repeats"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def _std_used(study: Study, whole: MeasuredModes) -> tuple[np.ndarray, np.ndarray]:
@@ -199,14 +219,16 @@ def disagreements_table(of: HasRepeats) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def sensors_table(measured: MeasuredModes, held_out: Sequence[str]) -> pd.DataFrame:
+def sensors_table(measured: MeasuredModes | MeasuredFRFs, held_out: Sequence[str]) -> pd.DataFrame:
     """Every sensor with its location (m); columns `SENSOR_COLUMNS`.
 
     ``shape_std`` is the root mean square over the modes of the standard deviation of its shape entries, with the
-    largest entry of each mode scaled to 1; NaN where unknown.
+    largest entry of each mode scaled to 1; NaN where unknown, and for sensors of FRFs, references among them.
     """
     rows = []
-    for sensor, std in zip(measured.sensors, measured.shape_std, strict=True):
+    none = np.full((len(measured.sensors), 1), np.nan)
+    every = none if isinstance(measured, MeasuredFRFs) else measured.shape_std
+    for sensor, std in zip(measured.sensors, every, strict=True):
         known = std[np.isfinite(std)]
         shape_std = float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
         place = sensor.point or (np.nan, np.nan, np.nan)

@@ -14,8 +14,7 @@ from calib.analyses.verify import group_errors, measuring, std_behind, whitened
 from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.mesh import geometry_tables
 from calib.correlation.response_residual import ResponseResidual
-from calib.forward import Targets
-from calib.measurement.frf import MeasuredFRFs
+from calib.forward import Unseen
 from calib.missing.explanation import CandidateFit
 from calib.problem import Pair
 
@@ -31,7 +30,7 @@ class ScalarAdapter(OneTest):
     """
 
     hypotheses: ModelHypotheses[ResponseResidual] | ModelHypotheses[FRFResidual]
-    held_out: Mapping[str, Targets] | Mapping[str, MeasuredFRFs]
+    held_out: Unseen
 
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
         """See `calib.analyses.verify.group_errors`."""

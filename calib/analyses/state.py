@@ -8,8 +8,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from calib.correlation.problem import ModalProblem
+from calib.correlation.problem import FunctionProblem
 from calib.inference import rules as inference
+from calib.measurement.responses import MeasuredResponses
 from calib.missing import rules as missing
 from calib.several import AnyStudy
 from calib.study import Study
@@ -81,7 +82,7 @@ def made_from(study: AnyStudy, analysis: str) -> dict[str, Any]:
     models, settings = [], []
     for one in study.studies:
         problem, given = one.problem, one.settings
-        model = problem.model.fingerprint if isinstance(problem, ModalProblem) else problem.fingerprint
+        model = problem.fingerprint if isinstance(problem, FunctionProblem) else problem.model.fingerprint
         models.append(_digest(model, one.model.space, given.with_effects))
         settings.append(_digest(given.pairing.model_dump(), *_SETTINGS[analysis.partition(" ")[0]](one)))
     adopted = study.settings.adopted
@@ -152,10 +153,9 @@ def measurement_digest(study: StudyFile) -> str:
     """Digest of all measured data, and of which are held out."""
     if study.settings.several:
         return _digest(*(measurement_digest(part) for part in study.parts))
-    whole, responses = study.measurement()
+    whole = study.measurement()
     data = {k: v for k, v in study.settings.measurement.model_dump().items() if k not in _NAMES_OF_FILES}
-    targets = {} if responses is None else responses.targets
-    measured = sorted(targets.items()) if whole is None else whole.fingerprint
+    measured = sorted(whole.targets.items()) if isinstance(whole, MeasuredResponses) else whole.fingerprint
     return _digest(measured, data, study.settings.held_out.model_dump())
 
 

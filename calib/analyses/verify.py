@@ -15,7 +15,7 @@ from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.degrees_of_freedom import KNOWN, behind, chance, effective_dof
-from calib.forward import ForwardProblem, Targets, pair_of
+from calib.forward import ForwardProblem, Targets, Unseen, pair_of
 from calib.inference.identify import posterior, with_held
 from calib.inference.leave_one_out import leave_one_out
 from calib.measurement.frf import MeasuredFRFs
@@ -25,21 +25,18 @@ from calib.study import Study
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 
-HELD_OUT_RESPONSES = "held_out_responses"
-"""Group of held-out responses, as tables name it."""
 ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
 
 
 def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
     """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
-    whole, unseen = study.whole_problem(), held_out_targets(study)
-    return errors_of(study.problem, whole, unseen, study.search_space, values, study.held_sd)
+    return errors_of(study.problem, study.whole_problem(), study.unseen, study.search_space, values, study.held_sd)
 
 
 def errors_of(
     problem: ForwardProblem,
     whole: ModalProblem | None,
-    unseen: Mapping[str, Targets] | Mapping[str, MeasuredFRFs],
+    unseen: Unseen,
     space: ParameterSpace,
     values: Mapping[str, float],
     held_sd: Mapping[str, float] = _NONE,
@@ -74,11 +71,6 @@ def errors_of(
     pair = pair_of(problem)
     e, g = whitened(pair, values, names, held_sd)
     return group_errors(e, g, names, prior_sd, [row.sensor for row in pair.rows], held_out, std_behind(pair))
-
-
-def held_out_targets(study: Study) -> dict[str, Targets]:
-    """Held-out scalar responses, by their group."""
-    return {HELD_OUT_RESPONSES: {n: study.whole_targets[n] for n in study.settings.held_out.responses}}
 
 
 def measuring(problem: FunctionProblem | FRFProblem, own: Targets | MeasuredFRFs) -> Pair:

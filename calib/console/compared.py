@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+from typing import Any
 
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.record import assumptions_table, check_repeats
@@ -15,6 +16,8 @@ from calib.study import Study
 from calib.study_file import StudyFile
 from calib.terminal import count, number
 
+_FUNCTIONS = 24
+"""FRFs that are printed; the table in the results folder has all."""
 WORST = 6
 """Rows of the largest deviations; the table in the results folder has all."""
 
@@ -52,6 +55,8 @@ def entries(study: Study, result: ComparisonResult, folder: Results) -> list[Ent
 def pairs(result: ComparisonResult, title: str = "", when: When = "always") -> Rows:
     """Every measured mode or response with that of the model."""
     table = result.table.to_dict("records")
+    if result.frfs is not None:
+        return _functions(table, title, when)
     if result.comparison is None:
         responses = [
             (r["response"], f"{r['measured']:.6g}", f"{r['model']:.6g}", f"{100 * r['error']:+.2f} %") for r in table
@@ -75,6 +80,17 @@ def pairs(result: ComparisonResult, title: str = "", when: When = "always") -> R
     return Rows.of(title or "Natural frequencies (|lambda|/2pi):", heads, rows, when=when)
 
 
+def _functions(table: Iterable[Mapping[Hashable, Any]], title: str, when: When) -> Rows:
+    """Every FRF with the criteria of `calib.correlation.frf_comparison`."""
+    rows = []
+    for r in table:
+        name = f"{r['response']}/{r['reference']}"
+        criteria = (number(r["frac"], 3), number(r["amplitude"], 3), f"{100 * r['error']:.1f} %")
+        rows.append((name, str(r["lines"]), *criteria, number(r["in_std"], 2)))
+    heads = ("FRF", "lines", "FRAC", "amplitude", "error", "in standard deviations")
+    return Rows.of(title, heads, rows, when=when, most=_FUNCTIONS)
+
+
 def more_on_pairs(result: ComparisonResult) -> Iterator[Rows]:
     """EMAC and margin of every pair."""
     if result.comparison is not None and result.table["emac"].notna().any():
@@ -92,6 +108,9 @@ def held_out(study: StudyFile) -> Iterator[str]:
         if held.modes or held.sensors:
             modes, sensors = (", ".join(names) or "none" for names in (held.modes, held.sensors))
             yield f"Held out{of}, never fitted: modes {modes}; sensors {sensors}."
+        if held.references or held.bands:
+            bands = ", ".join(f"{low:g} to {high:g} Hz" for low, high in held.bands) or "none"
+            yield f"Held out{of}, never fitted: references {', '.join(held.references) or 'none'}; bands {bands}."
         if held.responses:
             yield f"Held out{of}, never fitted: {', '.join(held.responses)}."
 

@@ -115,6 +115,8 @@ class AnalysisResult(Shown):
 def _remarks(answer: compare.ComparisonResult) -> list[str]:
     """Suspicious sensors, and the mean error of scalar responses."""
     out = [finding.sentence for finding in answer.sensor_findings]
-    if answer.comparison is None:
+    if answer.frfs is not None:
+        out += [answer.answer.found, answer.answer.sure]
+    elif answer.comparison is None:
         out.append(f"The mean absolute error is {100 * answer.mean_freq_error:.2f} %.")
     return out

@@ -10,12 +10,13 @@ from functools import cached_property
 import pandas as pd
 
 from calib.analyses.uncertainty import assumed_responses, claimed_words
-from calib.analyses.verify import HELD_OUT_RESPONSES, errors_of
+from calib.analyses.verify import errors_of
 from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.standard_deviations import assumptions
 from calib.errors import InputError
+from calib.forward import HELD_OUT_RESPONSES
 from calib.front.checked import band, named
 from calib.front.frf_test import FRFTest
 from calib.function import FunctionModel

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from scipy.optimize import minimize
 
 from calib.errors import InputError
+from calib.fingerprint import digest_of
+from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import Sensor
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
@@ -76,6 +79,17 @@ class MeasuredFRFs:
     def sensors(self) -> tuple[Sensor, ...]:
         """Responses and references, each once."""
         return tuple(dict.fromkeys((*self.responses, *self.references)))
+
+    @property
+    def disagreements(self) -> tuple[Disagreement, ...]:
+        """Empty: repeats of FRFs are not compared with each other."""
+        return ()
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash that changes whenever anything measured could."""
+        ends = (self.quantity, self.responses, self.references, self.n_repeats, self.synthetic)
+        return digest_of(repr(ends), *(a.tobytes() for a in (self.freq, self.values, self.std)))[:16]
 
     @property
     def lowest_freq(self) -> float:
