@@ -13,8 +13,8 @@ from calib.errors import InputError
 from calib.measurement.modal import Sensor
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
-UNITS: Mapping[str, str] = {"receptance": "m/N", "mobility": "m/(N s)", "accelerance": "m/(N s2)"}
-"""Of translations under forces."""
+QUANTITIES: Mapping[str, str] = {"receptance": "", "mobility": "s", "accelerance": "s2"}
+"""With the power of seconds in the denominator of their units."""
 
 AXIS = 1e-6
 """Largest difference of two frequencies of one line, relative."""
@@ -65,17 +65,21 @@ class MeasuredFRFs:
                     f"{label} have shape {np.shape(array)}", place=place,
                     remedy=f"give {shape}: lines, responses, references",
                 )  # fmt: skip
-        if self.quantity not in UNITS:
-            raise InputError(f"the quantity is {self.quantity!r}", place=place, remedy=f"one of {', '.join(UNITS)}")
+        if self.quantity not in QUANTITIES:
+            raise InputError(
+                f"the quantity is {self.quantity!r}", place=place, remedy=f"one of {', '.join(QUANTITIES)}"
+            )
         if not len(self.freq) or np.any(np.diff(self.freq) <= 0) or not 0 <= self.freq[0] < self.freq[-1] < np.inf:
             raise InputError("its frequencies do not ascend", place=place, remedy="give at least two lines, in Hz")
         if not np.iscomplexobj(self.values):
             raise InputError("its values are real", place=place, remedy=NO_PHASE)
 
-    @property
-    def unit(self) -> str:
-        """Of translations under forces."""
-        return UNITS[self.quantity]
+    def unit(self, response: Sensor, reference: Sensor) -> str:
+        """Of one function, such as ``m/N``, ``m/(N s2)`` or, of a rotation under a moment, ``rad/(Nm s2)``."""
+        motion = "rad" if response.direction.startswith("r") else "m"
+        load = "Nm" if reference.direction.startswith("r") else "N"
+        time = QUANTITIES[self.quantity]
+        return f"{motion}/({load} {time})" if time else f"{motion}/{load}"
 
 
 NO_PHASE = "an FRF needs amplitude and phase: export complex values"
@@ -106,7 +110,7 @@ class FRFRepeat:
     notes: tuple[str, ...] = ()
 
 
-def combined(repeats: Sequence[FRFRepeat], averages: int | None = None, synthetic: bool = False) -> MeasuredFRFs:
+def combine_frfs(repeats: Sequence[FRFRepeat], averages: int | None = None, synthetic: bool = False) -> MeasuredFRFs:
     """Mean of repeats, with its standard deviation from their scatter, or from the coherence of a single one.
 
     The scatter of a function over two or more repeats is smoothed over its lines as ``sqrt((a |H|)^2 + b^2)``, a share
@@ -166,7 +170,7 @@ def combined(repeats: Sequence[FRFRepeat], averages: int | None = None, syntheti
 
 
 def scatter(every: np.ndarray) -> np.ndarray:
-    """Standard deviation of one repeat of a function, of its real and imaginary part each; see `combined`.
+    """Standard deviation of one repeat of a function, of its real and imaginary part each; see `combine_frfs`.
 
     Parameters
     ----------

@@ -93,7 +93,12 @@ def read_uff_frfs(path: Path, quantity: Quantity | None = None) -> FRFRepeat:
             remedy="export the FRFs as complex dataset 58",
         )  # fmt: skip
     if others:
-        notes.append(f"{path}: {others} functions skipped that are neither FRFs nor coherences")
+        what = (
+            "1 function that is neither an FRF nor a"
+            if others == 1
+            else f"{others} functions that are neither FRFs nor"
+        )
+        notes.append(f"{path}: {what} coherence{'s' * (others > 1)} skipped")
     kept = axis > 0 if found != "receptance" else axis >= 0
     return FRFRepeat(
         str(path), axis[kept], found, {key: values[kept] for key, values in functions.items()},
