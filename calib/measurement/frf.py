@@ -11,10 +11,14 @@ from scipy.optimize import minimize
 
 from calib.errors import InputError
 from calib.measurement.modal import Sensor
+from calib.measurement.places import Misplaced, Point
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
-QUANTITIES: Mapping[str, str] = {"receptance": "", "mobility": "s", "accelerance": "s2"}
+QUANTITIES: Mapping[Quantity, str] = {"receptance": "", "mobility": "s", "accelerance": "s2"}
 """With the power of seconds in the denominator of their units."""
+
+Key = tuple[tuple[int, str], tuple[int, str]]
+"""Node and direction of a response and of a reference."""
 
 AXIS = 1e-6
 """Largest difference of two frequencies of one line, relative."""
@@ -44,6 +48,8 @@ class MeasuredFRFs:
     source : str
     notes : tuple of str
         Assumptions made on reading.
+    misplaced : tuple of Misplaced
+        Nodes whose places in two files contradict each other.
     """
 
     freq: np.ndarray
@@ -56,6 +62,7 @@ class MeasuredFRFs:
     synthetic: bool = False
     source: str = ""
     notes: tuple[str, ...] = ()
+    misplaced: tuple[Misplaced, ...] = ()
 
     def __post_init__(self) -> None:
         place, shape = self.source or "FRFs", (len(self.freq), len(self.responses), len(self.references))
@@ -95,19 +102,39 @@ class FRFRepeat:
     freq : ndarray (n_freq,)
         Hz.
     quantity : Quantity
-    functions : mapping from ((node, direction), (node, direction)) to ndarray (n_freq,), complex
+    functions : mapping from Key to ndarray (n_freq,), complex
         By response and reference; SI.
-    coherence : mapping from the same keys to ndarray (n_freq,)
+    coherence : mapping from Key to ndarray (n_freq,)
         Where the file has it.
     notes : tuple of str
+    points : mapping from node to (x, y, z)
+        Places of nodes in m, where the file has them.
     """
 
     source: str
     freq: np.ndarray
     quantity: Quantity
-    functions: Mapping[tuple[tuple[int, str], tuple[int, str]], np.ndarray]
-    coherence: Mapping[tuple[tuple[int, str], tuple[int, str]], np.ndarray] = field(default_factory=dict)
+    functions: Mapping[Key, np.ndarray]
+    coherence: Mapping[Key, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    points: Mapping[int, Point] = field(default_factory=dict)
+
+
+def repeat_of(
+    source: str,
+    axis: np.ndarray,
+    quantity: Quantity,
+    functions: Mapping[Key, np.ndarray],
+    coherence: Mapping[Key, np.ndarray],
+    notes: Sequence[str],
+    points: Mapping[int, Point] | None = None,
+) -> FRFRepeat:
+    """A repeat without its line at 0 Hz, unless it holds receptances: mobility and accelerance are zero there."""
+    kept = axis >= 0 if quantity == "receptance" else axis > 0
+    return FRFRepeat(
+        source, axis[kept], quantity, {key: values[kept] for key, values in functions.items()},
+        {key: values[kept] for key, values in coherence.items()}, tuple(notes), points or {},
+    )  # fmt: skip
 
 
 def combine_frfs(repeats: Sequence[FRFRepeat], averages: int | None = None, synthetic: bool = False) -> MeasuredFRFs:
