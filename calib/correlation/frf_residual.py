@@ -90,9 +90,8 @@ class FRFProblem:
 
     def functions(self, values: Mapping[str, float]) -> np.ndarray:
         """FRFs at named values, (n_freq, n_responses, n_references), complex; EvaluationError where it has none."""
-        return frf(
-            self.model, values, self.measured.freq, self._responses, self._references, self.measured.quantity
-        )  # fmt: skip
+        measured = self.measured
+        return frf(self.model, values, measured.freq, self._responses, self._references, measured.quantity)
 
     @cached_property
     def response_names(self) -> tuple[str, ...]:
@@ -186,7 +185,8 @@ class FRFResidual:
         return np.concatenate([turned.real, turned.imag], axis=-1)
 
     @cached_property
-    def _row_std(self) -> np.ndarray:
+    def std(self) -> np.ndarray:
+        """Standard deviation of every row, (n_rows,), in the unit of the quantity."""
         return self._stacked(self._std * (1 + 1j))
 
     def compared(self, values: Mapping[str, float]) -> FRFComparison:
@@ -197,7 +197,7 @@ class FRFResidual:
     def relative_std(self) -> np.ndarray:
         """Standard deviation of every row over the modulus of its FRF, (n_rows,)."""
         size = self._stacked(np.abs(self.problem.measured.values) * (1 + 1j))
-        return np.divide(self._row_std, size, out=np.full(len(size), np.inf), where=size > 0)
+        return np.divide(self.std, size, out=np.full(len(size), np.inf), where=size > 0)
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
@@ -253,7 +253,7 @@ class FRFResidual:
 
     def of(self, solution: np.ndarray) -> np.ndarray:
         """Whitened residual of FRFs already computed, (n_rows,)."""
-        return np.asarray(self._stacked(self.problem.measured.values - solution) / self._row_std)
+        return np.asarray(self._stacked(self.problem.measured.values - solution) / self.std)
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual at named values, (n_rows,); EvaluationError where the model has no FRFs."""
@@ -268,8 +268,8 @@ class FRFResidual:
     ) -> np.ndarray:
         """The Jacobian, which needs no solution of another point."""
         if not names:
-            return np.zeros((len(self._row_std), 0))
-        return np.asarray(-self._stacked(self.problem.slopes(values, names)).T / self._row_std[:, None])
+            return np.zeros((len(self.std), 0))
+        return np.asarray(-self._stacked(self.problem.slopes(values, names)).T / self.std[:, None])
 
     def frequencies(
         self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], np.ndarray]

@@ -193,15 +193,15 @@ def cmcf(model: InitialModel, measured: MeasuredReceptance, settings: CmcfSettin
         When a dynamic stiffness is inverted too close to a resonance, or a stiffness or mass would not stay positive.
     """
     n_changes = len(model.changes)
-    independent = measured.receptance.size * (2 if np.iscomplexobj(measured.receptance) else 1)
+    theta, path = np.zeros(n_changes), [np.zeros(n_changes)]
+    reduced = Reduced.of(model, theta)
+    independent = measured.receptance.size * (2 if complex_with(reduced, measured) else 1)
     if independent < n_changes:
         raise InputError(
             f"{independent} independent equations do not determine {n_changes} changes",
             place="cross-model equations",
             remedy="measure at more places or lines, or free fewer parameters",
         )
-    theta, path = np.zeros(n_changes), [np.zeros(n_changes)]
-    reduced = Reduced.of(model, theta)
     freq = [reduced.freq(settings.orders)]
     equations, builds, converged = Equations.at(reduced, measured, settings), 1, False
     for step in range(settings.steps):
@@ -271,6 +271,11 @@ class Reduced:
             np.array([small(c.matrix) for c in model.changes]), tuple(c.kind for c in model.changes),
         )  # fmt: skip
 
+    @property
+    def is_damped(self) -> bool:
+        """Whether the initial model is damped or a change of damping is among the unknowns."""
+        return bool(np.any(self.structural) or np.any(self.viscous) or {"structural", "viscous"} & set(self.kinds))
+
     def with_changes(self, theta: np.ndarray) -> Reduced:
         """Other changes with the same transformation."""
         return replace(self, theta=theta)
@@ -290,11 +295,10 @@ class Reduced:
         return np.asarray(np.sqrt(np.maximum(eigenvalues, 0.0)) / (2 * np.pi))
 
     def dynamic(self, freq: np.ndarray) -> np.ndarray:
-        """Dynamic stiffness at frequencies in Hz, (n_freq, n_masters, n_masters), real without damping."""
+        """Dynamic stiffness at frequencies in Hz, (n_freq, n_masters, n_masters), real where undamped."""
         omega = 2 * np.pi * np.asarray(freq)[:, None, None]
         real = self.total("stiffness") - omega**2 * self.total("mass")
-        damping = omega * self.total("viscous") + self.total("structural")
-        return real + 1j * damping if np.any(damping) else real
+        return real + 1j * (omega * self.total("viscous") + self.total("structural")) if self.is_damped else real
 
     def slopes(self, freq: np.ndarray) -> np.ndarray:
         """Derivatives of the dynamic stiffness, (n_freq, n_changes, n_masters, n_masters)."""
@@ -326,11 +330,14 @@ class Equations:
     weight : ndarray (orders, n_lines)
     inverse : ndarray (n_changes, n_rows)
         Pseudo-inverse of A; rows are real.
+    is_complex : bool
+        Whether real and imaginary parts of the equations are rows of their own.
     """
 
     left: np.ndarray
     weight: np.ndarray
     inverse: np.ndarray
+    is_complex: bool
 
     @staticmethod
     def at(base: Reduced, measured: MeasuredReceptance, settings: CmcfSettings) -> Equations:
@@ -338,14 +345,19 @@ class Equations:
         left = _left_factors(base, settings)
         weight = _weights(left, base, measured, settings.weighting)
         right = base.slopes(measured.freq) @ measured.receptance[:, None]  # (lines, changes, masters, references)
-        rows = np.einsum("ipm,jnmq,ij->nijpq", left, right, weight, optimize=True)
-        return Equations(left, weight, _pseudo_inverse(_real(rows.reshape(len(base.kinds), -1)).T, base))
+        rows = np.einsum("ipm,jnmq,ij->nijpq", left, right, weight, optimize=True).reshape(len(base.kinds), -1)
+        is_complex = complex_with(base, measured)
+        return Equations(left, weight, _pseudo_inverse(_real(rows, is_complex).T), is_complex)
 
     def solve(self, imbalance: np.ndarray) -> np.ndarray:
         """Change of theta that removes an imbalance (n_lines, n_masters, n_references)."""
         rows = np.einsum("ipm,jmq,ij->ijpq", self.left, imbalance, self.weight, optimize=True).reshape(1, -1)
-        stacked = _real(rows, self.inverse.shape[1] > rows.size)[0]
-        return np.asarray(self.inverse @ stacked)
+        return np.asarray(self.inverse @ _real(rows, self.is_complex)[0])
+
+
+def complex_with(base: Reduced, measured: MeasuredReceptance) -> bool:
+    """Whether the equations have an imaginary part: the model or a change of it is damped, or the receptance."""
+    return base.is_damped or np.iscomplexobj(measured.receptance)
 
 
 def _left_factors(base: Reduced, settings: CmcfSettings) -> np.ndarray:
@@ -375,12 +387,12 @@ def _weights(left: np.ndarray, base: Reduced, measured: MeasuredReceptance, weig
     return np.asarray(1 / (spread * size))
 
 
-def _real(rows: np.ndarray, both: bool = False) -> np.ndarray:
-    """Real rows (n, m), or real and imaginary parts side by side (n, 2 m) where they are complex or ``both``."""
-    return np.hstack([rows.real, rows.imag]) if both or np.iscomplexobj(rows) else rows
+def _real(rows: np.ndarray, is_complex: bool) -> np.ndarray:
+    """Real rows (n, m), or of complex equations real and imaginary parts side by side, (n, 2 m)."""
+    return np.hstack([rows.real, rows.imag]) if is_complex else rows.real
 
 
-def _pseudo_inverse(matrix: np.ndarray, base: Reduced) -> np.ndarray:
+def _pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     """Pseudo-inverse of A (n_rows, n_changes), columns scaled; InputError when it has not full rank."""
     scale = np.linalg.norm(matrix, axis=0)
     if not np.all(scale > 0):

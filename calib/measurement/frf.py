@@ -14,10 +14,14 @@ from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import Sensor
+from calib.measurement.places import Misplaced, Point
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
-UNITS: Mapping[str, str] = {"receptance": "m/N", "mobility": "m/(N s)", "accelerance": "m/(N s2)"}
-"""Of translations under forces."""
+QUANTITIES: Mapping[Quantity, str] = {"receptance": "", "mobility": "s", "accelerance": "s2"}
+"""With the power of seconds in the denominator of their units."""
+
+Key = tuple[tuple[int, str], tuple[int, str]]
+"""Node and direction of a response and of a reference."""
 
 AXIS = 1e-6
 """Largest difference of two frequencies of one line, relative."""
@@ -47,6 +51,8 @@ class MeasuredFRFs:
     source : str
     notes : tuple of str
         Assumptions made on reading.
+    misplaced : tuple of Misplaced
+        Nodes whose places in two files contradict each other.
     """
 
     freq: np.ndarray
@@ -59,6 +65,7 @@ class MeasuredFRFs:
     synthetic: bool = False
     source: str = ""
     notes: tuple[str, ...] = ()
+    misplaced: tuple[Misplaced, ...] = ()
 
     def __post_init__(self) -> None:
         place, shape = self.source or "FRFs", (len(self.freq), len(self.responses), len(self.references))
@@ -68,8 +75,10 @@ class MeasuredFRFs:
                     f"{label} have shape {np.shape(array)}", place=place,
                     remedy=f"give {shape}: lines, responses, references",
                 )  # fmt: skip
-        if self.quantity not in UNITS:
-            raise InputError(f"the quantity is {self.quantity!r}", place=place, remedy=f"one of {', '.join(UNITS)}")
+        if self.quantity not in QUANTITIES:
+            raise InputError(
+                f"the quantity is {self.quantity!r}", place=place, remedy=f"one of {', '.join(QUANTITIES)}"
+            )
         if not len(self.freq) or np.any(np.diff(self.freq) <= 0) or not 0 <= self.freq[0] < self.freq[-1] < np.inf:
             raise InputError("its frequencies do not ascend", place=place, remedy="give at least two lines, in Hz")
         if not np.iscomplexobj(self.values):
@@ -96,10 +105,12 @@ class MeasuredFRFs:
         """Lowest line above zero, Hz."""
         return float(self.freq[self.freq > 0][0])
 
-    @property
-    def unit(self) -> str:
-        """Of translations under forces."""
-        return UNITS[self.quantity]
+    def unit(self, response: Sensor, reference: Sensor) -> str:
+        """Of one function, such as ``m/N``, ``m/(N s2)`` or, of a rotation under a moment, ``rad/(Nm s2)``."""
+        motion = "rad" if response.direction.startswith("r") else "m"
+        load = "Nm" if reference.direction.startswith("r") else "N"
+        time = QUANTITIES[self.quantity]
+        return f"{motion}/({load} {time})" if time else f"{motion}/{load}"
 
 
 NO_PHASE = "an FRF needs amplitude and phase: export complex values"
@@ -115,22 +126,42 @@ class FRFRepeat:
     freq : ndarray (n_freq,)
         Hz.
     quantity : Quantity
-    functions : mapping from ((node, direction), (node, direction)) to ndarray (n_freq,), complex
+    functions : mapping from Key to ndarray (n_freq,), complex
         By response and reference; SI.
-    coherence : mapping from the same keys to ndarray (n_freq,)
+    coherence : mapping from Key to ndarray (n_freq,)
         Where the file has it.
     notes : tuple of str
+    points : mapping from node to (x, y, z)
+        Places of nodes in m, where the file has them.
     """
 
     source: str
     freq: np.ndarray
     quantity: Quantity
-    functions: Mapping[tuple[tuple[int, str], tuple[int, str]], np.ndarray]
-    coherence: Mapping[tuple[tuple[int, str], tuple[int, str]], np.ndarray] = field(default_factory=dict)
+    functions: Mapping[Key, np.ndarray]
+    coherence: Mapping[Key, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    points: Mapping[int, Point] = field(default_factory=dict)
 
 
-def combined(repeats: Sequence[FRFRepeat], averages: int | None = None, synthetic: bool = False) -> MeasuredFRFs:
+def repeat_of(
+    source: str,
+    axis: np.ndarray,
+    quantity: Quantity,
+    functions: Mapping[Key, np.ndarray],
+    coherence: Mapping[Key, np.ndarray],
+    notes: Sequence[str],
+    points: Mapping[int, Point] | None = None,
+) -> FRFRepeat:
+    """A repeat without its line at 0 Hz, unless it holds receptances: mobility and accelerance are zero there."""
+    kept = axis >= 0 if quantity == "receptance" else axis > 0
+    return FRFRepeat(
+        source, axis[kept], quantity, {key: values[kept] for key, values in functions.items()},
+        {key: values[kept] for key, values in coherence.items()}, tuple(notes), points or {},
+    )  # fmt: skip
+
+
+def combine_frfs(repeats: Sequence[FRFRepeat], averages: int | None = None, synthetic: bool = False) -> MeasuredFRFs:
     """Mean of repeats, with its standard deviation from their scatter, or from the coherence of a single one.
 
     The scatter of a function over two or more repeats is smoothed over its lines as ``sqrt((a |H|)^2 + b^2)``, a share
@@ -190,7 +221,7 @@ def combined(repeats: Sequence[FRFRepeat], averages: int | None = None, syntheti
 
 
 def scatter(every: np.ndarray) -> np.ndarray:
-    """Standard deviation of one repeat of a function, of its real and imaginary part each; see `combined`.
+    """Standard deviation of one repeat of a function, of its real and imaginary part each; see `combine_frfs`.
 
     Parameters
     ----------

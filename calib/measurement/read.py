@@ -66,7 +66,7 @@ def read_modes(
     InputError
         With the file, and where possible line and column, for files that cannot be read as repeats of the same modes.
     """
-    paths, shape_paths = _found(files), _found(shapes)
+    paths, shape_paths = found_files(files), found_files(shapes)
     sensor_table = None if sensors is None else path_of(sensors, "sensors")
     repeats = None if repeats is None else integer(repeats, 0, "repeats")
     if pooling not in ("robust", "plain"):
@@ -113,7 +113,7 @@ def read_modes(
     )
 
 
-def _found(given: Named) -> list[Path]:
+def found_files(given: Named) -> list[Path]:
     """Files that are named, or that match a pattern; a name that is neither is kept for the error message."""
     out: list[Path] = []
     each: tuple[str | Path, ...] = objects(given, (str, Path), "measurement")
@@ -169,8 +169,8 @@ def _varied(count: np.ndarray, n_repeats: int) -> np.ndarray | None:
     return count if np.any((count > 0) & (count != n_repeats)) else None
 
 
-def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int | None, std_of: str) -> bool:
-    """Check the arguments; returns whether the files are universal files."""
+def require_files(paths: Sequence[Path], shapes: Sequence[Path] = ()) -> bool:
+    """InputError unless the files exist, differ and are of one kind; returns whether they are universal files."""
     if not paths:
         raise InputError("no measurement file is given", place="measurement", remedy="name at least one")
     for path in (*paths, *shapes):
@@ -188,7 +188,12 @@ def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int
     kinds = {path.suffix.lower() in UFF_SUFFIXES for path in paths}
     if len(kinds) > 1:
         raise InputError("universal files and CSV are mixed", place=paths[0], remedy="give all repeats in one format")
-    is_uff = kinds.pop()
+    return kinds.pop()
+
+
+def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int | None, std_of: str) -> bool:
+    """Check the arguments; returns whether the files are universal files."""
+    is_uff = require_files(paths, shapes)
     if shapes and is_uff:
         raise InputError("shape files belong to CSV only", place=shapes[0], remedy="universal files carry their shapes")
     for path in shapes:

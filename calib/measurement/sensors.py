@@ -59,7 +59,7 @@ def place_sensors(
     nodes = list(dict.fromkeys(node for node, _ in measured))
     if table and measured and not any(node in table for node in nodes):
         raise InputError(
-            f"none of its {len(table)} nodes ({_few(list(table))}) was measured: the shapes are of nodes {_few(nodes)}",
+            f"none of its {len(table)} nodes ({_few(list(table))}) was measured: measured are nodes {_few(nodes)}",
             place=table_path,
             remedy="give the nodes the labels of the measurement, or leave the table out",
         )
@@ -71,7 +71,7 @@ def place_sensors(
         elif points is not None:
             if node not in points:
                 raise InputError(
-                    f"node {node} has shape values but no coordinates (dataset 15)",
+                    f"node {node} was measured but has no coordinates (dataset 15)",
                     place=path,
                     remedy="add it there or to the sensor table",
                 )

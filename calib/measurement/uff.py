@@ -135,6 +135,14 @@ def _length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[s
     return factors.pop() if factors else 1.0
 
 
+def points_of(path: Path, blocks: Sequence[Block], notes: list[str]) -> dict[int, Point]:
+    """Places of the nodes of a file in metres; metres are assumed where it states no units."""
+    used = [block for block in blocks if block.kind in (15, 164, 2411)]
+    sets = extract_sets(path, used)
+    with np.errstate(all="ignore"):  # what overflows is refused as not finite
+        return _points(path, used, sets, _length_factor(path, used, sets, []), notes)
+
+
 def _points(
     path: Path,
     blocks: Sequence[Block],

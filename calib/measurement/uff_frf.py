@@ -6,6 +6,7 @@ import contextlib
 import io
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,32 +15,36 @@ import pyuff
 
 from calib.errors import InputError
 from calib.measurement.csv_format import VALUE_LIMIT
-from calib.measurement.frf import AXIS, NO_PHASE, FRFRepeat, Quantity
+from calib.measurement.frf import AXIS, NO_PHASE, FRFRepeat, Key, Quantity, repeat_of
+from calib.measurement.frf_units import GRAVITY, FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
+from calib.measurement.uff import points_of
 from calib.measurement.uff_blocks import first_line, read_blocks
 
 _FRF, _COHERENCE = 4, 6
 _MOTIONS: Mapping[int, Quantity] = {8: "receptance", 11: "mobility", 12: "accelerance"}
 """Quantity by the data type of the numerator."""
 _FORCES = (13,)
-_GRAVITY = 9.80665
 _COMPLEX = (5, 6)
+_FREQUENCY = (0, 18)
+"""Data types of the abscissa: unknown, frequency."""
 
-Key = tuple[tuple[int, str], tuple[int, str]]
 
-
-def read_uff_frfs(path: Path, quantity: Quantity | None = None) -> FRFRepeat:
+def read_uff_frfs(path: Path, quantity: Quantity | None = None, unit: str | None = None) -> FRFRepeat:
     """Read one repeat from a universal file.
 
     Every dataset 58 with a frequency response function counts; coherences are kept beside them, other functions are
     noted. A sensor mounted against its axis (negative direction) reverses the sign. Lengths and forces are those of
-    dataset 164, accelerations in g are converted; a line at 0 Hz is dropped where the motion is no displacement.
+    dataset 164, accelerations in g are converted; a line at 0 Hz is dropped where the motion is no displacement. Places
+    are those of datasets 15 or 2411.
 
     Parameters
     ----------
     path : Path
     quantity : {"receptance", "mobility", "accelerance"}, optional
         Where the file does not say; a contradiction is refused.
+    unit : str, optional
+        Likewise, where it has no dataset 164; see `calib.measurement.frf_units.parse_unit`.
 
     Raises
     ------
@@ -47,9 +52,14 @@ def read_uff_frfs(path: Path, quantity: Quantity | None = None) -> FRFRepeat:
         For a file that cannot be read, without such functions, with amplitudes alone, a function twice, or lines that
         differ between functions.
     """
-    read_blocks(path)  # a truncated file would lose its last functions without a word
+    blocks = read_blocks(path)  # a truncated file would lose its last functions without a word
     sets = _sets(path)
-    length, force, notes = _units(path, sets)
+    stated = None if unit is None else parse_unit(unit, path)
+    if stated is not None:
+        if quantity not in (None, stated[0]):
+            raise InputError(f"{unit} is no unit of {quantity}", place=path, remedy="correct one of them")
+        quantity = stated[0]
+    own_units, notes = _units(path, sets, stated is not None)
     functions: dict[Key, np.ndarray] = {}
     coherence: dict[Key, np.ndarray] = {}
     axis: np.ndarray | None = None
@@ -63,6 +73,8 @@ def read_uff_frfs(path: Path, quantity: Quantity | None = None) -> FRFRepeat:
             continue
         where = f"{path}, response {data['rsp_node']}, direction {data['rsp_dir']}"
         key, sign = _key(where, data)
+        if int(data["abscissa_spec_data_type"]) not in _FREQUENCY:
+            raise InputError("its abscissa is no frequency", place=where, remedy="export it over frequency in Hz")
         freq = np.asarray(data["x"], dtype=float)
         if axis is None:
             axis = freq
@@ -71,6 +83,8 @@ def read_uff_frfs(path: Path, quantity: Quantity | None = None) -> FRFRepeat:
                 "its lines are not those of the first function", place=where, remedy="export all on common frequencies"
             )
         if data["func_type"] == _COHERENCE:
+            if key in coherence:
+                raise InputError("this coherence is there twice", place=where, remedy="export each once")
             coherence[key] = np.asarray(np.real(data["data"]), dtype=float)
             continue
         if int(data["ord_data_type"]) not in _COMPLEX:
@@ -86,19 +100,21 @@ def read_uff_frfs(path: Path, quantity: Quantity | None = None) -> FRFRepeat:
             raise InputError("it holds values that are not finite", place=where, remedy="export it again")
         if not values.any():
             raise InputError("it is zero on every line: a dead channel", place=where, remedy="leave it out")
-        functions[key] = sign * values * _factor(data, key, length, force)
+        functions[key] = sign * values * _in_file(where, data, own_units, stated).factor(key)
     if axis is None or found is None or not functions:
         raise InputError(
             "it holds no frequency response function (dataset 58 of function type 4)", place=path,
             remedy="export the FRFs as complex dataset 58",
         )  # fmt: skip
     if others:
-        notes.append(f"{path}: {others} functions skipped that are neither FRFs nor coherences")
-    kept = axis > 0 if found != "receptance" else axis >= 0
-    return FRFRepeat(
-        str(path), axis[kept], found, {key: values[kept] for key, values in functions.items()},
-        {key: values[kept] for key, values in coherence.items()}, tuple(notes),
-    )  # fmt: skip
+        what = (
+            "1 function that is neither an FRF nor a"
+            if others == 1
+            else f"{others} functions that are neither FRFs nor"
+        )
+        notes.append(f"{path}: {what} coherence{'s' * (others > 1)} skipped")
+    points = points_of(path, blocks, notes)
+    return repeat_of(str(path), axis, found, functions, coherence, notes, points)
 
 
 def _sets(path: Path) -> list[dict[str, Any]]:
@@ -116,17 +132,17 @@ def _sets(path: Path) -> list[dict[str, Any]]:
         ) from None
 
 
-def _units(path: Path, sets: list[dict[str, Any]]) -> tuple[float, float, list[str]]:
-    """Length and force units of the file per metre and newton."""
+def _units(path: Path, sets: list[dict[str, Any]], stated: bool) -> tuple[FRFUnits | None, list[str]]:
+    """Units by dataset 164 of the file, None without one, and a note where nothing states them."""
     given = {(float(data["length"]), float(data["force"])) for data in sets if data["type"] == 164}
     if len(given) > 1:
         raise InputError("two datasets 164 state different units", place=path, remedy="keep one of them")
     if not given:
-        return 1.0, 1.0, [f"{path}: no units (dataset 164): metres and newtons assumed"]
+        return None, [] if stated else [f"{path}: no units (dataset 164): metres and newtons assumed"]
     ((length, force),) = given
     if not (0 < length < np.inf and 0 < force < np.inf):
         raise InputError(f"its units are {length:g} and {force:g}", place=path, remedy="correct dataset 164")
-    return length, force, []
+    return FRFUnits(1 / length, 1 / length, 1 / force), []
 
 
 def _key(where: str, data: Mapping[str, Any]) -> tuple[Key, float]:
@@ -161,9 +177,18 @@ def _quantity(where: str, data: Mapping[str, Any], stated: Quantity | None) -> Q
     return own or stated or "receptance"
 
 
-def _factor(data: Mapping[str, Any], key: Key, length: float, force: float) -> float:
-    """From the units of the file to SI."""
-    (_, moved), (_, driven) = key
-    in_g = str(data.get("ordinate_axis_units_lab", "")).strip().lower().split("/")[0] in ("g", "gn")
-    translation = 1.0 if moved.startswith("r") else (_GRAVITY if in_g else 1.0 / length)
-    return translation * (force * length if driven.startswith("r") else force)
+def _in_file(
+    where: str, data: Mapping[str, Any], own: FRFUnits | None, stated: tuple[Quantity, FRFUnits] | None
+) -> FRFUnits:
+    """Units of one function: of the file, or else as stated; accelerations in g say so in their label."""
+    label = str(data.get("ordinate_axis_units_lab", "")).strip().lower().split("/")[0]
+    in_g = label in ("g", "gn")
+    if own is None:
+        units = FRFUnits() if stated is None else stated[1]
+        if stated is None or not in_g or units.motion == GRAVITY:
+            return replace(units, motion=GRAVITY) if in_g else units
+    else:
+        units = replace(own, motion=GRAVITY) if in_g else own
+        if stated is None or units.agrees(stated[1]):
+            return units
+    raise InputError("its unit is not the stated one", place=where, remedy="correct one of them")

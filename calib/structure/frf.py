@@ -8,7 +8,6 @@ factorisation. Mobility and accelerance are the receptance times ``i omega`` and
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,10 +15,9 @@ import scipy.sparse.linalg as spla
 from scipy.linalg import lapack
 
 from calib.errors import EvaluationError
+from calib.measurement.frf import Quantity
 from calib.structure.derivatives import DifferentiableModel, Matrix
 from calib.structure.solve import DENSE_LIMIT
-
-Quantity = Literal["receptance", "mobility", "accelerance"]
 
 _ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 

@@ -9,7 +9,7 @@ import pytest
 from calib.correlation.frf_residual import UNKNOWN_STD, FRFProblem, FRFResidual
 from calib.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
-from calib.measurement.frf import FRFRepeat, combined
+from calib.measurement.frf import FRFRepeat, combine_frfs
 from calib.measurement.modal import Sensor
 from calib.problem import Problem
 from calib.space import Parameter
@@ -67,7 +67,7 @@ def measured(seed=None, repeats=4, share=0.01, floor=2e-3):
             for i, r in enumerate(NODES["responses"]) for j, q in enumerate(NODES["references"])
         }  # fmt: skip
         found.append(FRFRepeat(f"repeat {k}", FREQ, "accelerance", pairs))
-    return combined(found)
+    return combine_frfs(found)
 
 
 @pytest.fixture(scope="module")
@@ -78,13 +78,14 @@ def residual(chain):
 def test_rows_are_labelled_and_stacked_alike(residual):
     rows, data = residual.rows, residual.problem.measured
     assert len(rows) == 2 * 60 * 6 == len(residual.residual(TRUE))
-    expected = [
-        (getattr(data.values[int(np.argmin(np.abs(FREQ - r.freq))), i, j], "real" if r.part == "re" else "imag"))
-        for r in rows
-        for i, j in [(NODES["responses"].index(int(r.sensor[0])), NODES["references"].index(int(r.sensor[3])))]
-    ]
-    zero = residual.of(np.zeros_like(data.values)) * residual._row_std
-    np.testing.assert_allclose(zero, expected, rtol=1e-12)
+    expected = []
+    for row in rows:
+        at = (
+            int(np.argmin(np.abs(FREQ - row.freq))), NODES["responses"].index(int(row.sensor[0])),
+            NODES["references"].index(int(row.sensor[3])),
+        )  # fmt: skip
+        expected.append((data.values[at].real if row.part == "re" else data.values[at].imag) / data.std[at])
+    np.testing.assert_allclose(residual.of(np.zeros_like(data.values)), expected, rtol=1e-12)
     assert {r.kind for r in rows} == {"frf"} and {r.mode for r in rows} == {""}
     assert rows[0].sensor == "1x/1x" and rows[0].freq == FREQ[0]
 

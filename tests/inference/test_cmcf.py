@@ -256,6 +256,32 @@ def test_mass_and_damping_are_recovered_in_one_step_even_at_resonance(kind):
     np.testing.assert_allclose(found.changes[1], truth, atol=1e-9)
 
 
+def test_a_damped_initial_model_is_updated_from_its_real_changes():
+    """The left factors and slopes of a stiffness are real; with damping in the model the equations are not."""
+    model, measured, truth = damped("structural")
+    loss, stiff = truth[5:], tuple(c for c in model.changes if c.kind == "stiffness")
+    losses = sum(x * c.matrix for x, c in zip(loss, (c for c in model.changes if c.kind == "structural"), strict=True))
+    known = replace(model, changes=stiff, structural=sp.csc_array(losses))
+    found = cmcf(known, measured, CmcfSettings(orders=4, steps=1))
+    np.testing.assert_allclose(found.changes[1], truth[:5], atol=1e-9)
+    viscous, measured, truth = damped("viscous")
+    known = replace(viscous, changes=viscous.changes[:5], viscous=sp.csc_array(truth[5] * viscous.changes[5].matrix))
+    found = cmcf(known, measured, CmcfSettings(orders=4, steps=1))
+    np.testing.assert_allclose(found.changes[1], truth[:5], atol=1e-9)
+
+
+def test_real_data_update_a_damped_model():
+    """A is real then and the imbalance is not: its imaginary part is that of a damping that nothing may change."""
+    model, _, truth = damped("structural")
+    stiff = tuple(c for c in model.changes if c.kind == "stiffness")
+    changed = model.stiffness.toarray() + sum(a * c.matrix.toarray() for a, c in zip(truth[:5], stiff, strict=True))
+    omega = 2 * np.pi * np.array([3.0, 9.0])
+    receptance = np.array([la.inv(changed - w**2 * model.mass.toarray()) for w in omega])
+    lossy = replace(model, changes=stiff, structural=sp.csc_array(0.02 * stiff[0].matrix))
+    found = cmcf(lossy, MeasuredReceptance(omega / (2 * np.pi), receptance, np.arange(5)), CmcfSettings(orders=4))
+    np.testing.assert_allclose(found.changes[-1], truth[:5], atol=1e-9)
+
+
 # -- noise -------------------------------------------------------------------------------------------------------------
 
 

@@ -5,7 +5,7 @@ import pytest
 import pyuff
 
 from calib.errors import InputError
-from calib.measurement.frf import FRFRepeat, MeasuredFRFs, combined, scatter
+from calib.measurement.frf import FRFRepeat, MeasuredFRFs, combine_frfs, scatter
 from calib.measurement.modal import Sensor
 from calib.measurement.uff_frf import read_uff_frfs
 
@@ -78,11 +78,11 @@ def test_coherence_is_kept_and_other_functions_are_noted(written):
         dataset(np.ones(len(FREQ)), func_type=2),
     ))  # fmt: skip
     np.testing.assert_allclose(found.coherence[(2, "z"), (1, "z")], 0.9)
-    assert len(found.notes) == 1 and "1 functions" in found.notes[0]
-    one = combined([found], averages=16)
+    assert len(found.notes) == 1 and "1 function that is neither" in found.notes[0]
+    one = combine_frfs([found], averages=16)
     expected = np.abs(receptance()) * np.sqrt((1 - 0.9) / (2 * 16 * 0.9))
     np.testing.assert_allclose(one.std[:, 0, 0], expected, rtol=1e-9)
-    assert np.isnan(combined([found]).std).all()
+    assert np.isnan(combine_frfs([found]).std).all()
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_the_standard_deviation_is_that_of_the_mean():
     for seed in range(60):
         every, _ = noisy(4, seed)
         repeats = [FRFRepeat(str(k), FREQ, "receptance", {((2, "z"), (1, "z")): one}) for k, one in enumerate(every)]
-        found = combined(repeats)
+        found = combine_frfs(repeats)
         inside.append(np.abs((found.values[:, 0, 0] - receptance()).real) < found.std[:, 0, 0])
     assert 0.64 < np.mean(inside) < 0.72  # 68 %
     assert found.n_repeats == 4 and found.responses[0].name == "2z" and found.references[0].name == "1z"
@@ -154,7 +154,7 @@ def test_without_noise_the_standard_deviation_is_zero():
 
 def test_functions_that_were_not_measured_stay_unknown():
     functions = {((2, "z"), (1, "z")): receptance(), ((3, "z"), (4, "z")): receptance()}
-    found = combined([FRFRepeat("a", FREQ, "receptance", functions)])
+    found = combine_frfs([FRFRepeat("a", FREQ, "receptance", functions)])
     assert np.isnan(found.values[:, 0, 1]).all() and np.isnan(found.values[:, 1, 0]).all()
     np.testing.assert_array_equal(found.values[:, 1, 1], receptance())
 
@@ -170,7 +170,19 @@ def test_functions_that_were_not_measured_stay_unknown():
 def test_repeats_that_do_not_match_are_refused(changed, words):
     given = {"source": "a", "freq": FREQ, "quantity": "receptance", "functions": {((2, "z"), (1, "z")): receptance()}}
     with pytest.raises(InputError, match=words):
-        combined([FRFRepeat(**given), FRFRepeat(**{**given, "source": "b", **changed})])
+        combine_frfs([FRFRepeat(**given), FRFRepeat(**{**given, "source": "b", **changed})])
+
+
+def test_units_follow_the_directions():
+    z, rz = Sensor(1, "z"), Sensor(1, "rz")
+    ones = np.ones((2, 2, 2))
+    for quantity, unit, other in (
+        ("receptance", "m/N", "rad/Nm"), ("mobility", "m/(N s)", "rad/(Nm s)"),
+        ("accelerance", "m/(N s2)", "rad/(Nm s2)"),
+    ):  # fmt: skip
+        frfs = MeasuredFRFs(np.array([1.0, 2.0]), (z, rz), (z, rz), quantity, ones + 0j, ones)
+        assert (frfs.unit(z, z), frfs.unit(rz, rz)) == (unit, other)
+    assert (frfs.unit(rz, z), frfs.unit(z, rz)) == ("rad/(N s2)", "m/(Nm s2)")
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def without_node_3(path):
 def test_a_measured_node_without_coordinates_is_refused_unless_the_table_has_it(tmp_path):
     path = uff(tmp_path, "one.uff")
     without_node_3(path)
-    with pytest.raises(InputError, match=r"one.uff: node 3 has shape values but no coordinates"):
+    with pytest.raises(InputError, match=r"one.uff: node 3 was measured but has no coordinates"):
         read_modes([path])
     table = csv(tmp_path, "sensors.csv", "node,x,y,z\n3,0,1,2\n")
     assert read_modes([path], sensors=table).sensors[-1].point == (0.0, 1.0, 2.0)

@@ -1,0 +1,82 @@
+"""Measured frequency response functions from files: UFF/UNV or CSV, one file a repeat."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from calib.errors import InputError
+from calib.given import integer
+from calib.given import path as path_of
+from calib.measurement.csv_format import read_sensor_table
+from calib.measurement.csv_frf import read_frfs_csv
+from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity, combine_frfs
+from calib.measurement.places import common_points
+from calib.measurement.read import Named, found_files, require_files
+from calib.measurement.sensors import place_sensors
+from calib.measurement.uff_frf import read_uff_frfs
+
+
+def read_frfs(
+    files: Named,
+    *,
+    quantity: Quantity | None = None,
+    unit: str | None = None,
+    sensors: str | Path | None = None,
+    averages: int | None = None,
+    synthetic: bool = False,
+) -> MeasuredFRFs:
+    """Read measured frequency response functions; each file is one repeat.
+
+    Parameters
+    ----------
+    files : path, pattern such as ``"measured/*.uff"``, or sequence of them
+        Files that match a pattern are sorted by name. Universal files (``.uff``, ``.unv``, ``.uf``; see
+        `calib.measurement.uff_frf.read_uff_frfs`) or tables (``.csv``; see `calib.measurement.csv_frf.read_frfs_csv`),
+        one kind only.
+    quantity : {"receptance", "mobility", "accelerance"}, optional
+        Where the files do not state it.
+    unit : str, optional
+        Of translations under forces, such as ``(m/s2)/N``, ``g/N`` or ``mm/N``, where the files do not state it; see
+        `calib.measurement.frf_units.parse_unit`. What contradicts the files is refused.
+    sensors : path, optional
+        Table of node places in metres, of responses and references; it takes precedence over places in universal
+        files.
+    averages : int, optional
+        Averages behind each function of a single file, from 1; with them its coherence gives standard deviations.
+    synthetic : bool
+        True when no structure was measured.
+
+    Raises
+    ------
+    InputError
+        With the file, and where possible line and column, for files that cannot be read as repeats of the same
+        functions.
+    """
+    paths = found_files(files)
+    table_path = None if sensors is None else path_of(sensors, "sensors")
+    averages = None if averages is None else integer(averages, 1, "averages")
+    if quantity is not None and quantity not in QUANTITIES:
+        raise InputError(f"quantity is {quantity!r}", place="measurement", remedy=f"one of {', '.join(QUANTITIES)}")
+    is_uff = require_files(paths)
+    if averages is not None and len(paths) > 1:
+        raise InputError(
+            f"averages are given beside {len(paths)} repeats", place="measurement",
+            remedy="leave them out: the scatter of the repeats gives the standard deviations",
+        )  # fmt: skip
+    table = read_sensor_table(table_path) if table_path is not None else {}
+    repeats = [read_uff_frfs(p, quantity, unit) if is_uff else read_frfs_csv(p, quantity, unit) for p in paths]
+    found = combine_frfs(repeats, averages, synthetic)
+    if averages is not None and not repeats[0].coherence:
+        raise InputError("averages are given, but it holds no coherence", place=paths[0], remedy="leave them out")
+    points = common_points([(one.source, one.points) for one in repeats], table)
+    ends = [(s.node, s.direction) for s in (*found.responses, *found.references)]
+    placed = place_sensors(ends, points, table, paths[0], table_path)
+    count = len(found.responses)
+    return replace(
+        found,
+        responses=placed.sensors[:count],
+        references=placed.sensors[count:],
+        notes=(*placed.notes, *found.notes),
+        misplaced=placed.misplaced,
+    )
