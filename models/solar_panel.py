@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy.linalg as la
 import scipy.sparse as sp
 
 from calib.errors import InputError
@@ -46,6 +47,8 @@ BEAMS = {17: (13, 16), 18: (15, 18), 19: (28, 31), 20: (30, 31)}
 GROUPS = ("E_panel_1", "E_panel_2", "E_beam_17", "E_beam_18", "E_beam_19", "E_beam_20")
 ROWS = 5
 """Of nodes along a panel; three nodes in each row."""
+LARGEST_RATIO = 0.1
+"""Of damping; a light metal structure has less than a tenth of it."""
 _FREE = (2, 3, 4)
 """Deflection and the two rotations that bend: motions in the panels' plane are constrained, as in the article."""
 
@@ -57,6 +60,7 @@ _ASSUMED = (
     Assumption("beams", "10 x 10", "mm", "only the area of 1 cm2 is published"),
     Assumption("connections", "rigid", "-", "hinges would leave mechanisms"),
 )
+_ASSUMED_DAMPING = Assumption("damping", "equal ratios of all modes", "-", "the article's array has no damping")
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ class _Piece:
     mass: np.ndarray
 
 
-def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE) -> StructuralModel:
+def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE, damping_ratio: float = 0.0) -> StructuralModel:
     """The array, with the Young's moduli of its two panels and four beams as parameters.
 
     Parameters
@@ -89,17 +93,26 @@ def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE) -> Struc
         Elements along each side of a plate and along each beam; 1 is the article's mesh.
     gap, yoke : float
         m.
+    damping_ratio : float
+        Nominal ratio of one more parameter, ``damping_ratio``: viscous damping with that ratio in every mode of the
+        nominal array. 0 leaves the array undamped, as in the article, and without the parameter.
 
     Raises
     ------
     InputError
-        When the density is below 1 or a length is not positive.
+        When the density is below 1, a length is not positive, or the ratio is not within 0 and 0.1.
     """
     if density < 1 or not (gap > 0 and yoke > 0):
         raise InputError(
             f"the density is {density}, the gap {gap:g} m and the yoke {yoke:g} m",
             place="solar panel",
             remedy="give a density of 1 or more and positive lengths",
+        )
+    if not 0 <= damping_ratio <= LARGEST_RATIO:
+        raise InputError(
+            f"the damping ratio is {damping_ratio:g}",
+            place="solar panel",
+            remedy=f"give one between 0 and {LARGEST_RATIO:g}",
         )
     table = NodeTable()
     clamp = [table.number("array", place) for place in _places(gap, yoke)][-1]
@@ -124,14 +137,21 @@ def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE) -> Struc
     own = {group: [piece for piece in pieces if piece.group == group] for group in GROUPS}
     lines = [(piece.group, line) for piece in pieces for line in _edges(piece.nodes)]
     faces = [(piece.group, face) for piece in pieces for face in piece.nodes if len(face) == 4]
+    stiffness = AffineMatrix(
+        len(node), tuple(Term(g, _sum(stiff[p.name] for p in own[g]), parameter(g)) for g in GROUPS)
+    )
+    mass, space = _sum(heavy.values()), ParameterSpace(tuple(_modulus(group) for group in GROUPS))
+    damping: tuple[Term, ...] = ()
+    if damping_ratio > 0:
+        each = _modal_damping(stiffness(space.si(space.values)), mass)
+        damping = (Term("damping_ratio", each, parameter("damping_ratio")),)
+        space = ParameterSpace((*space.parameters, _ratio(damping_ratio)))
     return StructuralModel(
         name="solar panel",
-        space=ParameterSpace(tuple(_modulus(group) for group in GROUPS)),
-        stiffness=AffineMatrix(
-            len(node), tuple(Term(g, _sum(stiff[p.name] for p in own[g]), parameter(g)) for g in GROUPS)
-        ),
-        damping=AffineMatrix(len(node), ()),
-        mass=AffineMatrix(len(node), (Term("mass", _sum(heavy.values())),)),
+        space=space,
+        stiffness=stiffness,
+        damping=AffineMatrix(len(node), damping),
+        mass=AffineMatrix(len(node), (Term("mass", mass),)),
         mesh=Mesh(
             points,
             np.array([line for _, line in lines]),
@@ -145,7 +165,7 @@ def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE) -> Struc
             "rear_panel": np.flatnonzero(points[node, 0] > LENGTH + gap / 2),
         },
         locator=NodeLocator(points, expansion),
-        assumptions=_ASSUMED,
+        assumptions=_ASSUMED + ((_ASSUMED_DAMPING,) if damping else ()),
         sensor_tolerance=0.02,
         parts=tuple(parts),
         labels=tuple(range(1, len(points) + 1)),
@@ -199,6 +219,21 @@ def _edges(nodes: np.ndarray) -> list[tuple[int, int]]:
 def _sum(matrices: Iterable[sp.csr_array]) -> sp.csr_array:
     first, *others = matrices
     return sp.csr_array(sum(others, first))
+
+
+def _modal_damping(stiffness: sp.csc_array, mass: sp.csr_array) -> sp.csr_array:
+    """``C = sum_r 2 omega_r (M phi_r)(M phi_r)^T``: a damping ratio of 1 in every mode (Clough and Penzien 1993)."""
+    dense = mass.toarray()
+    squares, shapes = la.eigh(stiffness.toarray(), dense)
+    moved = dense @ (shapes * np.sqrt(2) * squares**0.25)
+    return sp.csr_array(moved @ moved.T)
+
+
+def _ratio(nominal: float) -> Parameter:
+    return Parameter(
+        "damping_ratio", nominal, 0.2 * nominal, 5.0 * nominal, source="assumed", assumed="nominal value and limits",
+        description="damping ratio of every mode of the nominal array",
+    )  # fmt: skip
 
 
 def _modulus(name: str) -> Parameter:

@@ -167,7 +167,18 @@ def test_beams_on_hinges_leave_mechanisms(panel):
     assert np.count_nonzero(np.abs(values) < 1e-6) >= 2 and la.eigh(k, m, eigvals_only=True)[0] > 1
 
 
-@pytest.mark.parametrize("given", [{"density": 0}, {"gap": 0.0}, {"yoke": -0.1}])
+def test_damping_gives_every_nominal_mode_the_same_ratio_and_no_other_frequency(panel):
+    damped = solar_panel(damping_ratio=0.005)
+    assert damped.space.names == (*GROUPS, "damping_ratio") and not panel.damping.terms
+    modes, scaled = damped.modes({}, 8), damped.modes({"damping_ratio": 0.02}, 8)
+    np.testing.assert_allclose(modes.damping_ratio, 0.005, rtol=1e-6)
+    np.testing.assert_allclose(scaled.damping_ratio, 0.02, rtol=1e-6)
+    np.testing.assert_allclose(scaled.natural_freq, panel.modes({}, 8).natural_freq, rtol=1e-8)
+    stiffer = {f"E_panel_{k}": 4 * E_PLATE for k in (1, 2)} | {f"E_beam_{k}": 4 * E_BEAM for k in BEAMS}
+    np.testing.assert_allclose(damped.modes(stiffer, 8).damping_ratio, 0.0025, rtol=1e-6)  # viscous: C stays
+
+
+@pytest.mark.parametrize("given", [{"density": 0}, {"gap": 0.0}, {"yoke": -0.1}, {"damping_ratio": -0.01}])
 def test_impossible_dimensions_are_refused(given):
     with pytest.raises(InputError):
         solar_panel(**given)

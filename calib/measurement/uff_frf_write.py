@@ -1,0 +1,146 @@
+"""Frequency response functions to universal files (UFF, UNV): datasets 58."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyuff
+
+from calib.errors import InputError
+from calib.measurement.csv_format import VALUE_LIMIT
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.modal import DIRECTIONS, Sensor
+from calib.measurement.places import Point
+from calib.measurement.uff_blocks import first_line
+from calib.written import whole
+
+Form = Literal["double", "single", "binary"]
+_NUMERATOR: Mapping[str, int] = {"receptance": 8, "mobility": 11, "accelerance": 12}
+_FORCE, _FREQUENCY, _FRF = 13, 18, 4
+_BINARY_HEAD = re.compile(rb"(?m)^( {4}58b[ \d]{6}[ \d]{6} {10}11)[ \d]{12}(?=[ \d]{36}$)")
+"""The first line of a binary function, up to its number of bytes."""
+_LARGEST_NODE = 10**10
+
+
+def write_uff_frfs(path: Path, frfs: MeasuredFRFs, title: str = "FRFs", form: Form = "double") -> None:
+    """Write one repeat: datasets 151, 164 (SI), 15 where all places are known, and a 58 for each measured function.
+
+    Standard deviations have no place in the format. The file is written whole or not at all, and the same functions
+    give the same bytes.
+
+    Parameters
+    ----------
+    path : Path
+    frfs : MeasuredFRFs
+        A function that is NaN on every line was not measured and is left out.
+    title : str
+        Model name in dataset 151 and second ID line of each function. The first one names quantity, response and
+        reference, after ``SYNTHETIC`` where no structure was measured.
+    form : {"double", "single", "binary"}
+        Values as text of 12 or 6 digits, or as bytes without loss. Frequencies are exact where they are evenly spaced
+        with a start and a step of 6 digits, and in binary; else they are text of 6 digits.
+
+    Raises
+    ------
+    InputError
+        For what the format cannot hold or no reader would take, or a path that cannot be written.
+    """
+    keys = _functions(path, frfs)
+    even = _evenly_spaced(frfs.freq)
+    if not even and form != "binary" and np.any(np.diff(_six_digits(frfs.freq)) <= 0):
+        raise InputError("two lines are the same in six digits", place=path, remedy="write it binary")
+    label = "SYNTHETIC " if frfs.synthetic else ""
+    name = " ".join(title.split())
+    units = {"type": 164, "units_code": 1, "units_description": "SI", "temp_mode": 1}
+    sets: list[dict[str, Any]] = [
+        _header(f"{label}{name}"[:80]),
+        {**units, "length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 273.15},
+        *_places(path, (*frfs.responses, *frfs.references)),
+    ]
+    for number, (i, j) in enumerate(keys, start=1):
+        response, reference = frfs.responses[i], frfs.references[j]
+        sets.append({
+            "type": 58, "func_type": _FRF, "func_id": number, "binary": int(form == "binary"),
+            "id1": f"{label}{frfs.quantity} {response.name}/{reference.name}", "id2": name[:80],
+            "rsp_node": response.node, "rsp_dir": DIRECTIONS.index(response.direction) + 1,
+            "ref_node": reference.node, "ref_dir": DIRECTIONS.index(reference.direction) + 1,
+            "x": frfs.freq, "data": frfs.values[:, i, j], "ord_data_type": 5 if form == "single" else 6,
+            "abscissa_spacing": int(even), "abscissa_spec_data_type": _FREQUENCY, "abscissa_axis_units_lab": "Hz",
+            "ordinate_spec_data_type": _NUMERATOR[frfs.quantity], "orddenom_spec_data_type": _FORCE,
+        })  # fmt: skip
+    try:
+        with whole(path) as draft:
+            pyuff.UFF(str(draft)).write_sets(sets, mode="overwrite", force_double=form != "single")
+            if form == "binary":
+                draft.write_bytes(_counted(draft.read_bytes(), len(frfs.freq) * (16 if even else 24)))
+    # pyuff wraps every failure, a full disk included, in a bare Exception
+    except Exception as err:
+        problem = f"it cannot be written ({first_line(err)})"
+        raise InputError(problem, place=path, remedy="check folder and disk") from None
+
+
+def _header(title: str) -> dict[str, Any]:
+    """Dataset 151 without dates, so that the same functions give the same bytes."""
+    dates = ("date_db_created", "time_db_created", "date_db_saved", "time_db_saved", "date_file_written")
+    empty = {key: "" for key in (*dates, "time_file_written")}
+    own = {"type": 151, "model_name": title, "description": "frequency response functions", "db_app": "calib"}
+    return {**own, **empty, "program": "calib"}
+
+
+def _places(path: Path, sensors: Sequence[Sensor]) -> list[dict[str, Any]]:
+    """Dataset 15; none where a place is unknown. InputError for a node at two places."""
+    points: dict[int, Point] = {}
+    for sensor in sensors:
+        if sensor.point is None:
+            return []
+        if points.setdefault(sensor.node, sensor.point) != sensor.point:
+            raise InputError(f"node {sensor.node} has two places", place=path, remedy="give it one")
+    return [{"type": 15, "node_nums": list(points)} | {c: [p[k] for p in points.values()] for k, c in enumerate("xyz")}]
+
+
+def _functions(path: Path, frfs: MeasuredFRFs) -> list[tuple[int, int]]:
+    """Index of response and reference of every measured function, checked."""
+    for what, sensors in (("response", frfs.responses), ("reference", frfs.references)):
+        if len({sensor.name for sensor in sensors}) != len(sensors):
+            raise InputError(f"a {what} is given twice", place=path, remedy="give each once")
+        for sensor in sensors:
+            if not 0 <= sensor.node < _LARGEST_NODE:
+                raise InputError(f"node {sensor.node} does not fit ten digits", place=path, remedy="number it anew")
+    found = []
+    for j, reference in enumerate(frfs.references):
+        for i, response in enumerate(frfs.responses):
+            values, name = frfs.values[:, i, j], f"{response.name}/{reference.name}"
+            if np.all(np.isnan(values)):
+                continue
+            if not np.all(np.abs(values) <= VALUE_LIMIT):  # NaN fails the comparison too
+                raise InputError(
+                    f"the function {name} holds a value that is not a finite number, for which the format has no mark",
+                    place=path, remedy="give it on every line, or leave out the line or the function",
+                )  # fmt: skip
+            if not values.any():
+                raise InputError(
+                    f"the function {name} is zero on every line: a dead channel", place=path, remedy="leave it out"
+                )
+            found.append((i, j))
+    if not found:
+        raise InputError("no function was measured", place=path, remedy="give at least one")
+    return found
+
+
+def _evenly_spaced(freq: np.ndarray) -> bool:
+    """Whether a start and a step of six digits, all that the format has for them, give these frequencies."""
+    start, step = _six_digits(np.array([freq[0], freq[1] - freq[0]]))
+    return bool(np.allclose(start + step * np.arange(len(freq)), freq, rtol=1e-12, atol=0))
+
+
+def _six_digits(values: np.ndarray) -> np.ndarray:
+    return np.array([float(f"{value:.5e}") for value in values])
+
+
+def _counted(data: bytes, count: int) -> bytes:
+    """The file with the number of bytes of each function, of which pyuff counts those of the real parts alone."""
+    return _BINARY_HEAD.sub(rb"\g<1>%12d" % count, data)
