@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calib.measurement.modal import MeasuredModes as MeasuredModes
     from calib.measurement.modal import Sensor as Sensor
     from calib.measurement.read import read_modes as read_modes
+    from calib.measurement.read_frf import read_frfs as read_frfs
     from calib.measurement.responses import read_responses as read_responses
     from calib.space import LinearConstraint as LinearConstraint
     from calib.space import Parameter as Parameter
@@ -53,6 +54,7 @@ _PLACES = {
     "Sensor": "measurement.modal",
     "StructuralModel": "structure.model",
     "Study": "front.study",
+    "read_frfs": "measurement.read_frf",
     "read_modes": "measurement.read",
     "read_responses": "measurement.responses",
 }

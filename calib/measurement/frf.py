@@ -79,8 +79,8 @@ class MeasuredFRFs:
             raise InputError(
                 f"the quantity is {self.quantity!r}", place=place, remedy=f"one of {', '.join(QUANTITIES)}"
             )
-        if not len(self.freq) or np.any(np.diff(self.freq) <= 0) or not 0 <= self.freq[0] < self.freq[-1] < np.inf:
-            raise InputError("its frequencies do not ascend", place=place, remedy="give at least two lines, in Hz")
+        if not len(self.freq) or np.any(np.diff(self.freq) <= 0) or not 0 <= self.freq[0] <= self.freq[-1] < np.inf:
+            raise InputError("its frequencies do not ascend", place=place, remedy="give at least one line, in Hz")
         if not np.iscomplexobj(self.values):
             raise InputError("its values are real", place=place, remedy=NO_PHASE)
 
