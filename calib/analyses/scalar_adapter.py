@@ -65,14 +65,15 @@ class FRFAdapter(ScalarAdapter):
     hypotheses: ModelHypotheses[FRFResidual]
 
     def labels(self) -> pd.DataFrame:
-        """Labels of the rows of data; ``part`` is ``re`` or ``im``, ``freq`` the line in Hz."""
+        """Labels of the rows of data; ``mode`` is the line, such as ``12.5 Hz``, and ``part`` is ``re`` or ``im``."""
         rows = self.hypotheses.pair.rows
-        return super().labels().assign(part=[row.part for row in rows], freq=[row.freq for row in rows])
+        return super().labels().assign(mode=[f"{row.freq:.10g} Hz" for row in rows], part=[row.part for row in rows])
 
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """``frf_misfit``: whitened residuals of every function and line by stage; where effects act; the mesh."""
-        labels = self.labels()[["sensor", "part", "freq"]].rename(columns={"sensor": "function"})
-        by_stage = [labels.assign(stage=s, residual=fit.fit.residual) for s, fit in stages.items()]
+        rows = self.hypotheses.pair.rows
+        columns = {"function": [r.sensor for r in rows], "part": [r.part for r in rows], "freq": [r.freq for r in rows]}
+        by_stage = [pd.DataFrame(columns).assign(stage=s, residual=fit.fit.residual) for s, fit in stages.items()]
         parts = pd.concat(by_stage).pivot(index=["stage", "function", "freq"], columns="part", values="residual")
         return {
             "frf_misfit": parts.reset_index()[["stage", "function", "freq", "re", "im"]],

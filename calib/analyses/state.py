@@ -27,7 +27,7 @@ RECORDED = ("measured.csv", "sensors.csv", "repeat_disagreements.csv", "assumpti
 
 
 def _of_stages(*stages: str) -> tuple[str, ...]:
-    kinds = ("comparison", "where_it_fails", "mac", "comac", "shapes", "model_modes", "deflection")
+    kinds = ("comparison", "frf", "frf_lines", "where_it_fails", "mac", "comac", "shapes", "model_modes", "deflection")
     return tuple(f"{kind}_{stage}.csv" for kind in kinds for stage in stages)
 
 
@@ -42,8 +42,8 @@ _CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "poste
                "versions")  # fmt: skip
 _EXPLAINED = ("effects", "why", "why_parameters", "why_places", "effect_places", "accuracy", "explained_fits",
               "suspects_explained", "perturbations", "confounding", "pulls", "candidate_fits", "misfit_kinds",
-              "sensor_misfit", "response_misfit", "unpaired", "errors", "next_measurement", "discretisation",
-              "versions")  # fmt: skip
+              "sensor_misfit", "response_misfit", "frf_misfit", "unpaired", "errors", "next_measurement",
+              "discretisation", "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {
     "compare": (*RECORDED, *GEOMETRY, *_of_stages("before"), "sensor_check.csv"),
     "sensitivity": (*RECORDED, *(f"{name}.csv" for name in _MEASURES)),

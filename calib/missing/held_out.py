@@ -12,6 +12,8 @@ UNSEEN: Mapping[str, str] = {
     "held_out_sensors": "held-out sensors",
     "held_out_modes": "held-out modes",
     "held_out_responses": "held-out responses",
+    "held_out_references": "held-out references",
+    "held_out_bands": "held-out bands",
 }
 """Groups of held-out data, in words."""
 

@@ -19,6 +19,8 @@ from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matr
 from calib.report.correlation import INDUCED, INPUTS, MOST_IN_MATRIX, POSTERIOR, STRONG, draw_correlation
 from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frequencies import draw_frequencies, stages_of_added
+from calib.report.frf import draw_frac, draw_frf_lines, overlay_figure
+from calib.report.frf_tables import kind_of, read_stages
 from calib.report.mesh import read_mesh, rest_lines
 from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.model import face_groups, model_figure
@@ -106,6 +108,7 @@ def plan(folder: Folder) -> dict[str, Drawing]:
                 lambda both=both: _owner(draw_responses(*both, effects=effects)),  # type: ignore[misc]
                 f"comparison_{stage}",
             )
+    _plan_frfs(folder, stages, effects, add)
     for stage in _STAGES:
         path = folder / f"mac_{stage}.csv"
         if path.exists():
@@ -184,6 +187,26 @@ def plan(folder: Folder) -> dict[str, Drawing]:
         add("convergence", "convergence of the search", lambda: _owner(draw_convergence(runs)))
     _plan_explanation(folder, add)
     return drawings
+
+
+def _plan_frfs(folder: Folder, stages: Sequence[str], effects: str, add: Callable[..., None]) -> None:
+    """Figures of FRFs."""
+    lines = read_stages(folder, "frf_lines", stages)
+    overlays, functions = read_stages(folder, "frf", stages), read_stages(folder, "comparison", stages)
+    if overlays and functions:
+        add(
+            "frf_overlays", "FRFs that agree least, measured and of the model",
+            lambda: overlay_figure(overlays, functions, effects=effects), *_there(folder, "frf", stages),
+        )  # fmt: skip
+        add(
+            "frac", "FRAC of every function",
+            lambda: _owner(draw_frac(functions, effects=effects)), *_there(folder, "comparison", stages),
+        )  # fmt: skip
+    if lines:
+        add(
+            "frf_lines", "errors of the FRFs along the frequency axis",
+            lambda: _owner(draw_frf_lines(lines, effects=effects)), *_there(folder, "frf_lines", stages),
+        )  # fmt: skip
 
 
 def _plan_modes(
@@ -336,7 +359,7 @@ def _plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
 
 
 def _comparison(path: Path) -> pd.DataFrame | None:
-    if not path.exists() or of_scalar_responses(path):
+    if not path.exists() or kind_of(path) != "modes":
         return None
     numbers = ["natural_freq_measured", "natural_freq_model", "freq_error", "mac"]
     return read_table(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
@@ -353,22 +376,13 @@ def _square(path: Path, key: str = "parameter", may_be_empty: bool = False) -> p
     return table
 
 
-def of_scalar_responses(path: Path) -> bool:
-    """Whether a table of a measurement or a comparison is of scalar responses, which have no modes to draw."""
-    try:
-        with path.open(encoding="utf-8") as stream:
-            return stream.readline().startswith("response,")
-    except (OSError, UnicodeDecodeError):
-        return False  # the reader of the whole table reports the fault
-
-
 def _there(folder: Folder, name: str, stages: Sequence[str]) -> list[str]:
     """Names of the tables of each stage."""
     return [f"{name}_{stage}" for stage in stages if (folder / f"{name}_{stage}.csv").exists()]
 
 
 def _scalar_comparison(path: Path) -> pd.DataFrame | None:
-    if not path.exists() or not of_scalar_responses(path):
+    if not path.exists() or kind_of(path) != "responses":
         return None
     return read_table(path, ["response"], ["measured", "model", "error", "error_in_std"], unique="response")
 

@@ -39,6 +39,8 @@ GROUPS = {
     "held_out_sensors": "held-out sensors",
     "held_out_modes": "held-out modes",
     "held_out_responses": "held-out responses",
+    "held_out_references": "held-out references",
+    "held_out_bands": "held-out bands",
 }
 _STAGES: dict[str, dict[str, Any]] = {
     "before": {"color": AFTER, "marker": "o"},

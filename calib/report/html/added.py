@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.report.html.compared import mode_table, scalar_blocks
+from calib.report.html.compared import mode_table, plain_blocks
 from calib.report.html.page import Block, Section, Table, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.html.verified import every_mode_table
@@ -23,9 +23,9 @@ def section(results: StudyResults) -> Section | None:
 
 
 def _modes(results: StudyResults, name: str) -> list[Block]:
-    """Mode by mode, or the scalar responses."""
-    if results.scalar:
-        return scalar_blocks(results, "added")
+    """Mode by mode, the scalar responses, or the FRFs."""
+    if results.kind != "modes":
+        return plain_blocks(results, "added")
     table = results.compared("added")
     return [] if table is None else [mode_table(table, f"Mode by mode, calibrated with {name}")]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calib.report.correlation import STRONG, others, strongest
-from calib.report.html.compared import error_picture, mac_picture, mode_table, scalar_blocks, shapes_picture
+from calib.report.html.compared import error_picture, mac_picture, mode_table, plain_blocks, shapes_picture
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, significant, with_unit, yes
@@ -149,8 +149,8 @@ def _convergence(results: StudyResults) -> list[Picture]:
 
 def _after(results: StudyResults, best: str) -> list[Block]:
     words = results.in_words("after")
-    if results.scalar:
-        return [Words(f"The model {words}, case {best}:"), *scalar_blocks(results, "after")]
+    if results.kind != "modes":
+        return [Words(f"The model {words}, case {best}:"), *plain_blocks(results, "after")]
     stages = {s: table for s in results.stages if (table := results.compared(s)) is not None}
     if "after" not in stages:
         return []

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from calib.report.comparison import STILL
+from calib.report.html.frf import frf_blocks
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Viewer, Words
 from calib.report.html.space import AXES_NOTE, scene
 from calib.report.html.study_results import STAGES, StudyResults
@@ -27,8 +28,8 @@ TERMS = (
 def section(results: StudyResults) -> Section | None:
     """The model at its nominal values, nothing fitted, and the viewer."""
     title = "Model against measurement, nothing fitted"
-    if results.scalar:
-        blocks = scalar_blocks(results, "before")
+    if results.kind != "modes":
+        blocks = plain_blocks(results, "before")
         return Section("compared", title, tuple(blocks)) if blocks else None
     table = results.compared("before")
     if table is None:
@@ -149,6 +150,11 @@ def comac_picture(results: StudyResults) -> list[Picture]:
     caption = "CoMAC of every sensor; low values show where the shapes disagree."
     caption += " At grey sensors, which hardly move, noise alone lowers it." if still else ""
     return results.picture("comac", caption, alt)
+
+
+def plain_blocks(results: StudyResults, stage: str) -> list[Block]:
+    """Scalar responses or FRFs of one stage."""
+    return frf_blocks(results, stage) if results.kind == "frf" else scalar_blocks(results, stage)
 
 
 def scalar_blocks(results: StudyResults, stage: str) -> list[Block]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from calib.report.html.frf import measured_blocks
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
@@ -16,7 +17,10 @@ SYNTHETIC = "The measurement is synthetic: a computer made it from a model with 
 def section(results: StudyResults) -> Section | None:
     """Modes or responses, sensors, repeats and standard deviations; first of all, whether the data are synthetic."""
     blocks: list[Block] = [Words(SYNTHETIC, "warning")] if results.synthetic else []
-    table = _responses(results) if results.scalar else _modes(results)
+    if results.kind == "frf":
+        table = measured_blocks(results, USED, _repeats(results))
+    else:
+        table = _responses(results) if results.kind == "responses" else _modes(results)
     if table is None:
         return Section("measured", "What was measured", tuple(blocks)) if blocks else None
     blocks += [*table, *_sensors(results), *_model(results), *_suspicious(results)]
@@ -112,7 +116,7 @@ def _responses(results: StudyResults) -> list[Block] | None:
 def _sensors(results: StudyResults) -> list[Block]:
     table = results.sensors
     if table is None:
-        return [] if results.scalar else [Words("No mode shapes were measured, only frequencies and damping.")]
+        return [] if results.kind != "modes" else [Words("No mode shapes were measured, only frequencies and damping.")]
     rows = tuple(
         (
             str(r["sensor"]),

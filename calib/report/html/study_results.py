@@ -11,8 +11,8 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.named_values import ANY, read_json
-from calib.report.draw import of_scalar_responses
 from calib.report.figures import Figures
+from calib.report.frf_tables import Kind, kind_of
 from calib.report.html.page import Picture
 from calib.report.shown import Folder
 from calib.report.style import stage_words
@@ -148,13 +148,13 @@ class StudyResults:
         """Name of the study on the command line."""
         return str(self.record.get("study", "STUDY"))
 
-    @property
-    def scalar(self) -> bool:
-        """Whether the study compares scalar responses, which have no modes."""
+    @cached_property
+    def kind(self) -> Kind:
+        """Whether the study compares modes, scalar responses or FRFs."""
         for table in ("measured", "comparison_before", "comparison_after"):
             if self.has(table):
-                return of_scalar_responses(self.folder / f"{table}.csv")
-        return self.has("response_misfit")
+                return kind_of(self.folder / f"{table}.csv")
+        return "responses" if self.has("response_misfit") else "frf" if self.has("frf_misfit") else "modes"
 
     def compared(self, stage: str) -> pd.DataFrame | None:
         """``comparison_before.csv``, ``comparison_after.csv`` or ``comparison_added.csv`` of a modal study."""
@@ -162,7 +162,7 @@ class StudyResults:
             *("model_mode", "natural_freq_measured", "natural_freq_model", "freq_error", "damping_ratio_measured"),
             *("damping_ratio_model", "mac", "emac", "margin"),
         ]
-        return None if self.scalar else self.table(f"comparison_{stage}", ["mode"], numbers, unique="mode")
+        return None if self.kind != "modes" else self.table(f"comparison_{stage}", ["mode"], numbers, unique="mode")
 
     @cached_property
     def sensors(self) -> pd.DataFrame | None:

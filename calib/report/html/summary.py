@@ -16,8 +16,12 @@ DATA = {
     "held_out_sensors": "error at held-out sensors",
     "held_out_modes": "error in held-out modes",
     "held_out_responses": "error in held-out responses",
+    "held_out_references": "error at held-out references",
+    "held_out_bands": "error in held-out bands",
 }
 
+_MEASURED = {"modes": ("mode", "mode"), "responses": ("response", "response"), "frf": ("FRF", "response")}
+"""What a row of ``measured.csv`` is, and a column of it, by kind of measurement."""
 ANSWERING = ("explain", "calibrate", "compare")
 """Analyses whose answer heads the page, the most telling first."""
 
@@ -69,8 +73,8 @@ def _origin(results: StudyResults) -> str:
 
 
 def _measured(results: StudyResults) -> list[tuple[str, str]]:
-    name = "response" if results.scalar else "mode"
-    table = results.table("measured", [name])
+    name, of_one = _MEASURED[results.kind]
+    table = results.table("measured", [of_one])
     if table is None:
         return []
     sensors = results.table("sensors", ["sensor"])
@@ -89,7 +93,8 @@ def _calibrated(results: StudyResults) -> list[tuple[str, str]]:
         out = [("mean frequency error, nothing fitted", f"{percent(compared['freq_error'].abs().mean())} %")]
         mac = compared["mac"].mean()
         return out if pd.isna(mac) else [*out, ("mean MAC, nothing fitted", fixed(mac, 3))]
-    label = "mean error" if results.scalar else "mean frequency error"
+    label = "mean frequency error" if results.kind == "modes" else "mean error"
+    criterion = "FRAC" if results.kind == "frf" else "MAC"
     errors = [figures[f"mean_freq_error_{stage}"] for stage in ("before", "after")]
     added = results.added if results.added_effects else {}
     errors += [added["mean_freq_error"]] if added else []
@@ -100,7 +105,7 @@ def _calibrated(results: StudyResults) -> list[tuple[str, str]]:
     if figures.get("mean_mac_after") is not None:
         noise = "" if figures.get("noise_mac") is None else f" (noise allows {fixed(figures['noise_mac'], 3)})"
         macs = [figures[f"mean_mac_{stage}"] for stage in ("before", "after")] + ([added["mean_mac"]] if added else [])
-        out.append((f"mean MAC, nominal → calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
+        out.append((f"mean {criterion}, nominal → calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
     verdicts = results.table("verdicts", ["parameter"], flags=["identified"])
     if verdicts is not None:
         counts = [_identified(verdicts["identified"])]

@@ -1,0 +1,161 @@
+"""Figures of FRFs: overlays of measured and model functions, and their criteria by function and by line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpecFromSubplotSpec
+
+from calib.report.numbers import fixed
+from calib.report.style import AFTER, BEFORE, BLACK, GREY, WITH, legend_above, new_figure, own_axes, stage_words
+from calib.report.svg import hover_points
+
+OVERLAID = 6
+"""Functions of which amplitude and phase are drawn."""
+_STAGES = {"before": ("s", BEFORE, "--"), "after": ("o", AFTER, "-"), "added": ("D", WITH, "-")}
+_LINEAR_BELOW = 1.0
+"""Standard deviations up to which an axis of errors is linear: below, they are noise."""
+
+Tables = Mapping[str, pd.DataFrame]
+"""Tables by stage: ``before`` and ``after`` calibration, ``added`` with added effects."""
+
+
+def overlay_figure(overlays: Tables, functions: Tables, *, effects: str = "") -> Figure:
+    """Draw amplitude and phase of the functions that agree least, measured and of the model at each stage.
+
+    Parameters
+    ----------
+    overlays : mapping from stage to DataFrame
+        Columns ``response, reference, freq`` (Hz) and ``measured_re, measured_im, model_re, model_im``.
+    functions : mapping from stage to DataFrame
+        Columns ``response, reference, frac``.
+    effects : str
+        Names of added effects, for the legend.
+
+    Returns
+    -------
+    Figure
+        Amplitudes on a logarithmic axis, phases in degrees below them; the smallest FRAC of the latest stage first.
+    """
+    latest = list(functions.values())[-1]
+    chosen = latest.sort_values("frac", kind="stable").head(OVERLAID)[["response", "reference"]]
+    columns = 2 if len(chosen) > 1 else 1
+    rows = -(-len(chosen) // columns)
+    figure = new_figure(0.4 + 2.3 * rows)
+    grid = figure.add_gridspec(rows, columns)
+    first: Axes | None = None
+    for k, (response, reference) in enumerate(chosen.itertuples(index=False)):
+        cell = GridSpecFromSubplotSpec(2, 1, grid[k // columns, k % columns], height_ratios=(3, 1), hspace=0.08)
+        amplitude = figure.add_subplot(cell[0])
+        phase = figure.add_subplot(cell[1], sharex=amplitude)
+        own = {stage: _of(table, response, reference) for stage, table in overlays.items()}
+        _overlay(amplitude, phase, own, effects)
+        amplitude.set_title(f"{response}/{reference}")
+        amplitude.tick_params(labelbottom=False)
+        if k % columns == 0:
+            amplitude.set_ylabel("amplitude")
+            phase.set_ylabel("phase (°)")
+        if k >= len(chosen) - columns:
+            phase.set_xlabel("frequency (Hz)")
+        first = first or amplitude
+    if first is not None:
+        handles, labels = first.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper left", ncols=4)
+    return figure
+
+
+def _of(table: pd.DataFrame, response: str, reference: str) -> pd.DataFrame:
+    return table[(table["response"] == response) & (table["reference"] == reference)].sort_values("freq")
+
+
+def _overlay(amplitude: Axes, phase: Axes, own: Tables, effects: str) -> None:
+    test = next(iter(own.values()))
+    measured = test["measured_re"].to_numpy(float) + 1j * test["measured_im"].to_numpy(float)
+    dots: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 3, "color": BLACK, "rasterized": True}
+    amplitude.plot(test["freq"], np.abs(measured), label="measured", zorder=3, **dots)
+    phase.plot(test["freq"], np.degrees(np.angle(measured)), zorder=3, **dots)
+    for stage, table in own.items():
+        _, colour, line = _STAGES[stage]
+        model = table["model_re"].to_numpy(float) + 1j * table["model_im"].to_numpy(float)
+        look: dict[str, Any] = {"color": colour, "linestyle": line, "linewidth": 1.2}
+        amplitude.plot(table["freq"], np.abs(model), label=stage_words(stage, effects), **look)
+        phase.plot(table["freq"], np.degrees(np.angle(model)), **look)
+    amplitude.set_yscale("log")
+    amplitude.grid(axis="y")
+    phase.set_yticks([-180, 0, 180])
+    phase.set_ylim(-200, 200)
+
+
+def draw_frac(functions: Tables, ax: Axes | None = None, *, effects: str = "") -> Axes:
+    """Draw the FRAC of every function at each stage, the smallest of the latest stage first.
+
+    Parameters
+    ----------
+    functions : mapping from stage to DataFrame
+        Columns ``response, reference, frac``.
+    ax : Axes, optional
+    effects : str
+        Names of added effects, for the legend.
+
+    Returns
+    -------
+    Axes
+        Dots from 0 to 1; 1 for functions that are proportional to the measured ones.
+    """
+    frac = {
+        s: t.assign(name=t["response"] + "/" + t["reference"]).set_index("name")["frac"] for s, t in functions.items()
+    }
+    names = list(frac)[-1:] and frac[list(frac)[-1]].sort_values(kind="stable").index.tolist()
+    ax = own_axes(ax, 1.2 + 0.2 * max(len(names), 1))
+    places = np.arange(len(names))
+    for stage, values in frac.items():
+        marker, colour, _ = _STAGES[stage]
+        own = values.reindex(names).to_numpy(float)
+        ax.plot(own, places, marker, color=colour, markersize=5, label=stage_words(stage, effects))
+        hover_points(ax, own, places, [f"{n}: {fixed(v, 3)}" for n, v in zip(names, own, strict=True)])
+    ax.set_yticks(places, names)
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    ax.set_xlim(-0.02, 1.02)
+    ax.set_xlabel("FRAC (–)")
+    ax.grid(axis="x")
+    legend_above(ax)
+    return ax
+
+
+def draw_frf_lines(lines: Tables, ax: Axes | None = None, *, effects: str = "") -> Axes:
+    """Draw the error of every line at each stage, over all functions.
+
+    Parameters
+    ----------
+    lines : mapping from stage to DataFrame
+        Columns ``freq`` (Hz) and ``in_std``, the root mean square error in standard deviations.
+    ax : Axes, optional
+    effects : str
+        Names of added effects, for the legend.
+
+    Returns
+    -------
+    Axes
+        Linear up to one standard deviation and logarithmic above; the dashed line at 1 is a right model.
+    """
+    ax = own_axes(ax, 3.0)
+    for stage, table in lines.items():
+        marker, colour, _ = _STAGES[stage]
+        ax.plot(
+            table["freq"], table["in_std"], marker + "-", color=colour, markersize=2.5, linewidth=0.8,
+            label=stage_words(stage, effects), rasterized=len(table) > 200,
+        )  # fmt: skip
+    ax.axhline(1.0, color=GREY, linestyle="--", linewidth=1.0)
+    ax.set_yscale("symlog", linthresh=_LINEAR_BELOW)
+    ax.set_ylim(bottom=0.0)
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.set_xlabel("frequency (Hz)")
+    ax.set_ylabel("rms error (standard deviations)")
+    ax.grid(axis="y")
+    legend_above(ax)
+    return ax

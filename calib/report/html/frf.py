@@ -1,0 +1,75 @@
+"""Blocks on FRFs: what was measured, and the model beside it."""
+
+from __future__ import annotations
+
+from calib.report.frf import OVERLAID
+from calib.report.frf_tables import read_stages
+from calib.report.html.page import Block, Table, Terms, Words
+from calib.report.html.study_results import StudyResults
+from calib.report.numbers import fixed, flag, percent, significant, yes
+
+TERMS = (
+    ("FRAC", "frequency response assurance criterion: 1 for functions that are proportional over all their lines"),
+    ("amplitude", "norm of the model's function over that of the measured one, over all lines"),
+    ("error", "norm of the difference of the two functions over that of the measured one"),
+    ("in standard deviations", "root mean square of the difference over its standard deviation: 1 for a right model"),
+)
+
+
+def measured_blocks(results: StudyResults, used: tuple[str, str], repeats: str) -> list[Block] | None:
+    """Every measured function with its lines."""
+    numbers = ["lines", "freq_min", "freq_max", "repeats"]
+    table = results.table("measured", ["response", "reference", "quantity"], numbers, flags=["held_out"])
+    if table is None:
+        return None
+    rows = tuple(
+        (
+            str(r["response"]),
+            str(r["reference"]),
+            fixed(r["lines"], 0),
+            significant(r["freq_min"], 5),
+            significant(r["freq_max"], 5),
+            yes(r["held_out"], used),
+        )
+        for r in table.to_dict("records")
+    )
+    held = sum(flag(r) for r in table["held_out"])
+    words = (
+        f"{len(table)} frequency response functions ({table['quantity'].iloc[0]}), {held} of them held out. {repeats}"
+    )
+    heads = ("response", "reference", "lines", "from, Hz", "to, Hz", "use")
+    return [Words(words), Table("Every measured FRF", heads, rows)]
+
+
+def frf_blocks(results: StudyResults, stage: str) -> list[Block]:
+    """Criteria of every function at one stage; the figures show all stages and stand with the latest."""
+    stages = read_stages(results.folder, "comparison", results.stages)
+    if stage not in stages:
+        return []
+    table, words = stages[stage].sort_values("frac", kind="stable"), results.in_words(stage)
+    rows = tuple(
+        (
+            f"{r['response']}/{r['reference']}",
+            fixed(r["lines"], 0),
+            fixed(r["frac"], 3),
+            fixed(r["amplitude"], 3),
+            percent(r["error"], 1),
+            significant(r["in_std"], 3),
+        )
+        for r in table.to_dict("records")
+    )
+    worst = table.iloc[0]
+    note = f"Mean FRAC, {words}: {fixed(table['frac'].mean(), 3)}; the least is that of "
+    note += f"{worst['response']}/{worst['reference']}, {fixed(worst['frac'], 3)}."
+    heads = ("FRF", "lines", "FRAC", "amplitude", "error, %", "in std")
+    blocks: list[Block] = [Words(note)]
+    if stage == list(stages)[-1]:
+        overlays = f"The {min(OVERLAID, len(table))} functions that agree least: amplitude and phase."
+        blocks += results.picture("frf_overlays", overlays, f"Curves. {note}")
+        blocks += results.picture("frac", "FRAC of every function, smallest first.", f"Dots. {note}")
+        lines = read_stages(results.folder, "frf_lines", [stage])[stage]
+        freq, in_std = max(zip(lines["freq"].tolist(), lines["in_std"].tolist(), strict=True), key=lambda line: line[1])
+        where = f"The largest error, {words}, is {significant(in_std, 3)} standard deviations at "
+        where += f"{significant(freq, 4)} Hz."
+        blocks += results.picture("frf_lines", f"Error of every line, over all functions. {where}", f"Curves. {where}")
+    return [*blocks, Table(f"Every function, {words}", heads, rows), Terms(TERMS)]
