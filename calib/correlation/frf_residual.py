@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.degrees_of_freedom import KNOWN
+from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.mac import mac
@@ -105,7 +105,8 @@ class FRFResidual:
     """Whitened differences between measured and model FRFs.
 
     Rows are (measured - model)/std of the real and of the imaginary part of every measured entry, response by response,
-    then line by line.
+    then line by line. The standard deviation joins repeatability and claimed accuracy, or is `UNKNOWN_STD` of the
+    modulus where neither is known; rows count as independent.
 
     Attributes
     ----------
@@ -124,7 +125,8 @@ class FRFResidual:
     def __post_init__(self) -> None:
         measured = self.problem.measured
         known = np.isfinite(measured.values)
-        std = np.where(np.isfinite(measured.std), measured.std, UNKNOWN_STD * np.abs(measured.values))
+        total = measured.total_std
+        std = np.where(np.isfinite(total), total, UNKNOWN_STD * np.abs(measured.values))
         if not known.any():
             raise InputError("no FRF was measured", place=measured.source or "FRFs", remedy="give at least one")
         if not np.all(std[known] > 0):
@@ -178,12 +180,17 @@ class FRFResidual:
 
     @property
     def std_dof(self) -> Mapping[str, float]:
-        """Degrees of freedom behind the standard deviations: those of all repeats, less two parts of each function."""
+        """Degrees of freedom behind the standard deviations: those of all repeats, less two parts of each function.
+
+        A claimed accuracy counts as known, so that a larger part of it adds degrees of freedom (see `beside_known`).
+        """
         measured = self.problem.measured
         if measured.n_repeats < 2:
             return {"frf": np.inf}
         functions = int(self._known.any(axis=0).sum())
-        return {"frf": min(2.0 * (measured.n_repeats - 1) * int(self._known.sum()) - 2 * functions, KNOWN)}
+        estimated = 2.0 * (measured.n_repeats - 1) * int(self._known.sum()) - 2 * functions
+        shares = np.nan_to_num(measured.std[self._known] / self._std[self._known]) ** 2
+        return {"frf": min(beside_known(estimated, shares), KNOWN)}
 
     @cached_property
     def fingerprint(self) -> str:
