@@ -41,6 +41,7 @@ SI_FACTORS: Mapping[str, float] = {
     "GPa": 1e9,
     "Hz": 1.0,
     "rad": 1.0,
+    "deg": math.pi / 180,
     "s": 1.0,
 }
 """Factor from the named unit to SI."""

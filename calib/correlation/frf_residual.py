@@ -1,4 +1,4 @@
-"""Whitened residual of measured and model FRFs, with analytic derivatives."""
+"""Whitened residual of measured and model FRFs, nuisances of the test included, with analytic derivatives."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.correlation.frf_comparison import FRFComparison
-from calib.degrees_of_freedom import KNOWN
+from calib.correlation.frf_nuisance import ChannelError, Channels, Nuisance
+from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.measurement.frf import MeasuredFRFs
 from calib.outcome import answered
 from calib.space import ParameterSpace
 from calib.structure.frf import frf, frf_derivatives
+from calib.structure.loaded import loaded
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 
@@ -58,40 +60,60 @@ class FRFProblem:
     Attributes
     ----------
     model : StructuralModel or ReducedModel
+        Of the structure alone.
     measured : MeasuredFRFs
+    nuisances : tuple of Nuisance
+        Errors of channels, masses of accelerometers and stingers; their parameters follow the model's.
 
     Raises
     ------
     InputError
-        For a sensor or a reference that the model cannot place.
+        For a sensor or a reference that the model cannot place, or a nuisance that is given twice or fits neither.
     """
 
     model: StructuralModel | ReducedModel
     measured: MeasuredFRFs
+    nuisances: tuple[Nuisance, ...] = ()
+    space: ParameterSpace = field(init=False, repr=False)
+    _loaded: StructuralModel | ReducedModel = field(init=False, repr=False)
+    _channels: Channels = field(init=False, repr=False)
     _responses: np.ndarray = field(init=False, repr=False)
     _references: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_responses", self.model.sensor_rows(self.measured.responses))
-        object.__setattr__(self, "_references", self.model.sensor_rows(self.measured.references))
-
-    @property
-    def space(self) -> ParameterSpace:
-        """Parameters of the model."""
-        return self.model.space
+        names = [nuisance.parameter.name for nuisance in self.nuisances]
+        for name in names:
+            if names.count(name) > 1 or name in self.model.space:
+                raise InputError(f"{name!r} is a parameter twice", place="nuisances of FRFs", remedy="keep one")
+        whole = self.model.model if isinstance(self.model, ReducedModel) else self.model
+        loads = [n.load(whole) for n in self.nuisances if not isinstance(n, ChannelError)]
+        errors = tuple(n for n in self.nuisances if isinstance(n, ChannelError))
+        model, own = loaded(self.model, loads), self.model.space
+        parameters = (*model.space.parameters, *(error.parameter for error in errors))
+        object.__setattr__(self, "space", ParameterSpace(parameters, own.constraints))
+        object.__setattr__(self, "_loaded", model)
+        object.__setattr__(self, "_channels", Channels(errors, self.measured))
+        object.__setattr__(self, "_responses", model.sensor_rows(self.measured.responses))
+        object.__setattr__(self, "_references", model.sensor_rows(self.measured.references))
 
     @cached_property
     def fingerprint(self) -> str:
         """Hash that changes whenever the FRFs at the same values could."""
         m = self.measured
         content = (m.quantity, [s.name for s in m.responses], [s.name for s in m.references])
+        channels = sorted((e.kind, e.sensor, e.side) for e in self._channels.errors)
         arrays = (m.freq, self._responses, self._references)
-        return digest_of(_DEFINITION, self.model.fingerprint, content, *(a.tobytes() for a in arrays))[:16]
+        return digest_of(
+            _DEFINITION, self._loaded.fingerprint, content, channels, *(a.tobytes() for a in arrays)
+        )[:16]  # fmt: skip
 
     def functions(self, values: Mapping[str, float]) -> np.ndarray:
         """FRFs at named values, (n_freq, n_responses, n_references), complex; EvaluationError where it has none."""
         measured = self.measured
-        return frf(self.model, values, measured.freq, self._responses, self._references, measured.quantity)
+        own = frf(
+            self._loaded, self._of_model(values), measured.freq, self._responses, self._references, measured.quantity
+        )
+        return own * self._channels.factors(self._si(values))
 
     @cached_property
     def response_names(self) -> tuple[str, ...]:
@@ -118,10 +140,26 @@ class FRFProblem:
         return self.responses(self.functions(self.space.complete(values)))
 
     def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Their derivatives, (n_params, n_freq, n_responses, n_references), complex."""
-        return frf_derivatives(
-            self.model, values, self.measured.freq, self._responses, self._references, names, self.measured.quantity
-        )[1]
+        """Their derivatives, (n_params, n_freq, n_responses, n_references), complex, per unit of each parameter."""
+        measured, own = self.measured, [name for name in names if name in self._loaded.space]
+        functions, found = frf_derivatives(
+            self._loaded, self._of_model(values), measured.freq, self._responses, self._references, own,
+            measured.quantity,
+        )  # fmt: skip
+        si = self._si(values)
+        factors = self._channels.factors(si)
+        of_model = dict(zip(own, found * factors, strict=True))
+        functions = functions * factors
+        return np.array(
+            [of_model[n] if n in of_model else self._channels.slope(n, si, functions) for n in names]
+        ).reshape(len(names), *functions.shape)  # fmt: skip
+
+    def _si(self, values: Mapping[str, float]) -> dict[str, float]:
+        return self.space.si(self.space.complete(values))
+
+    def _of_model(self, values: Mapping[str, float]) -> dict[str, float]:
+        complete = self.space.complete(values)
+        return {name: complete[name] for name in self._loaded.space.names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +167,8 @@ class FRFResidual:
     """Whitened differences between measured and model FRFs.
 
     Rows are (measured - model)/std of the real and of the imaginary part of every measured entry, response by response,
-    then line by line.
+    then line by line. The standard deviation joins repeatability and claimed accuracy, or is `UNKNOWN_STD` of the
+    modulus where neither is known; rows count as independent.
 
     Attributes
     ----------
@@ -148,7 +187,8 @@ class FRFResidual:
     def __post_init__(self) -> None:
         measured = self.problem.measured
         known = np.isfinite(measured.values)
-        std = np.where(np.isfinite(measured.std), measured.std, UNKNOWN_STD * np.abs(measured.values))
+        total = measured.total_std
+        std = np.where(np.isfinite(total), total, UNKNOWN_STD * np.abs(measured.values))
         if not known.any():
             raise InputError("no FRF was measured", place=measured.source or "FRFs", remedy="give at least one")
         if not np.all(std[known] > 0):
@@ -164,7 +204,7 @@ class FRFResidual:
 
     @property
     def space(self) -> ParameterSpace:
-        """Parameters of the model."""
+        """Parameters of the model, and after them those of the nuisances."""
         return self.problem.space
 
     @cached_property
@@ -206,12 +246,17 @@ class FRFResidual:
 
     @property
     def std_dof(self) -> Mapping[str, float]:
-        """Degrees of freedom behind the standard deviations: those of all repeats, less two parts of each function."""
+        """Degrees of freedom behind the standard deviations: those of all repeats, less two parts of each function.
+
+        A claimed accuracy counts as known, so that a larger part of it adds degrees of freedom (see `beside_known`).
+        """
         measured = self.problem.measured
         if measured.n_repeats < 2:
             return {"frf": np.inf}
         functions = int(self._known.any(axis=0).sum())
-        return {"frf": min(2.0 * (measured.n_repeats - 1) * int(self._known.sum()) - 2 * functions, KNOWN)}
+        estimated = 2.0 * (measured.n_repeats - 1) * int(self._known.sum()) - 2 * functions
+        shares = np.nan_to_num(measured.std[self._known] / self._std[self._known]) ** 2
+        return {"frf": min(beside_known(estimated, shares), KNOWN)}
 
     @cached_property
     def fingerprint(self) -> str:
@@ -225,7 +270,7 @@ class FRFResidual:
         return False
 
     def with_model(self, model: StructuralModel | ReducedModel, added: int | None = None) -> FRFResidual:
-        """The same measured FRFs with another model; ``added`` concerns modes and is ignored."""
+        """The same measured FRFs and nuisances with another model; ``added`` concerns modes and is ignored."""
         return replace(self, problem=replace(self.problem, model=model))
 
     def solve(self, values: Mapping[str, float]) -> np.ndarray:

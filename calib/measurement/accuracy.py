@@ -58,11 +58,33 @@ class Claim:
             return np.asarray(self.share + (self.own / size if self.own else 0.0 * size))
 
     def words(self, unit: str = "") -> str:
-        """Such as ``1 %``."""
-        return f"{100 * self.share:g} %" if self.share else f"{self.own:g}{f' {unit}' if unit else ''}"
+        """Such as ``1 %``, or ``1 % and 2e-06 m/N``."""
+        own = f"{self.own:g}{f' {unit}' if unit else ''}"
+        if not self.share:
+            return own
+        return f"{100 * self.share:g} %" + (f" and {own}" if self.own else "")
 
 
 NOTHING = Claim()
+
+
+def frf_claim(given: str | float | Mapping[str, str | float] | None) -> Claim:
+    """Claimed accuracy of FRFs: a share of the modulus such as ``"2 %"``, a floor in their unit, or both by name.
+
+    Both by name are ``{"share": "2 %", "floor": 1e-7}``. ValueError for anything else.
+    """
+    if given is None:
+        return NOTHING
+    if not isinstance(given, Mapping):
+        return Claim.of(given)
+    for name in given:
+        if name not in ("share", "floor"):
+            raise ValueError(f"there is no accuracy {name!r} of FRFs; it is a share, a floor or both")
+    share = Claim.of(given["share"]) if "share" in given else NOTHING
+    floor = Claim.of(given["floor"]) if "floor" in given else NOTHING
+    if share.own or floor.share:
+        raise ValueError("the share is written like '2 %', the floor is a number in the unit of the FRFs")
+    return Claim(share.share, floor.own)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -12,7 +12,9 @@ from scipy.optimize import minimize
 
 from calib.errors import InputError
 from calib.fingerprint import digest_of
+from calib.measurement.accuracy import NOTHING, Claim
 from calib.measurement.disagreements import Disagreement
+from calib.measurement.frf_lines import PROMINENCE, WIDTHS, in_bands, resonances
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced, Point
 
@@ -53,6 +55,15 @@ class MeasuredFRFs:
         Assumptions made on reading.
     misplaced : tuple of Misplaced
         Nodes whose places in two files contradict each other.
+    accuracy : Claim
+        Claimed accuracy in addition to the repeatability, not in ``std``: a share of the modulus and a floor in the
+        unit of the quantity, each a standard deviation of the real and of the imaginary part.
+
+    Notes
+    -----
+    Errors of different entries count as independent, between lines too. A claimed error that is the same on all lines,
+    such as that of a calibration factor, is then averaged away over the lines: free it as a parameter of the test (see
+    `calib.correlation.frf_nuisance`) where it matters.
     """
 
     freq: np.ndarray
@@ -66,9 +77,10 @@ class MeasuredFRFs:
     source: str = ""
     notes: tuple[str, ...] = ()
     misplaced: tuple[Misplaced, ...] = ()
+    accuracy: Claim = NOTHING
 
     def __post_init__(self) -> None:
-        place, shape = self.source or "FRFs", (len(self.freq), len(self.responses), len(self.references))
+        place, shape = self._place, (len(self.freq), len(self.responses), len(self.references))
         for label, array in (("values", self.values), ("std", self.std)):
             if np.shape(array) != shape:
                 raise InputError(
@@ -79,8 +91,10 @@ class MeasuredFRFs:
             raise InputError(
                 f"the quantity is {self.quantity!r}", place=place, remedy=f"one of {', '.join(QUANTITIES)}"
             )
-        if not len(self.freq) or np.any(np.diff(self.freq) <= 0) or not 0 <= self.freq[0] <= self.freq[-1] < np.inf:
-            raise InputError("its frequencies do not ascend", place=place, remedy="give at least one line, in Hz")
+        if not len(self.freq):
+            raise InputError("it has no line", place=place, remedy="give at least one frequency in Hz")
+        if np.any(np.diff(self.freq) <= 0) or not 0 <= self.freq[0] <= self.freq[-1] < np.inf:
+            raise InputError("its frequencies do not ascend from 0 or more", place=place, remedy="give them in Hz")
         if not np.iscomplexobj(self.values):
             raise InputError("its values are real", place=place, remedy=NO_PHASE)
 
@@ -111,6 +125,129 @@ class MeasuredFRFs:
         load = "Nm" if reference.direction.startswith("r") else "N"
         time = QUANTITIES[self.quantity]
         return f"{motion}/({load} {time})" if time else f"{motion}/{load}"
+
+    @property
+    def total_std(self) -> np.ndarray:
+        """Repeatability and claimed accuracy in quadrature, (n_freq, n_responses, n_references).
+
+        Of the real and of the imaginary part each; NaN where neither is known.
+        """
+        if not self.accuracy.given:
+            return self.std
+        claimed = np.hypot(self.accuracy.share * np.abs(self.values), self.accuracy.own)
+        return np.asarray(np.hypot(np.nan_to_num(self.std), claimed))
+
+    # -- which entries enter -------------------------------------------------------------------------------------------
+
+    @property
+    def power(self) -> np.ndarray:
+        """Sum of squared moduli over all functions, (n_freq,), whose peaks are resonances."""
+        return np.asarray(np.nansum(np.abs(self.values) ** 2, axis=(1, 2)))
+
+    def lines_near_resonances(self, widths: float = WIDTHS, prominence: float = PROMINENCE) -> MeasuredFRFs:
+        """The lines around peaks of `power`, which bear nearly all information on frequencies and damping.
+
+        A peak rises above the valleys beside it and above the noise of the repeats (see `frf_lines.ABOVE_NOISE`).
+
+        Parameters
+        ----------
+        widths : float
+            Width of the window centred on each peak, over the peak's half-power width.
+        prominence : float
+            Least rise of a peak above the valleys beside it, dB; at least 3.
+
+        Raises
+        ------
+        InputError
+            When there is no such peak.
+        """
+        if not widths > 0:
+            raise InputError(f"the window is {widths:g} half-power widths", place="FRFs", remedy="give a positive one")
+        noise = 2 * np.nansum(np.where(np.isfinite(self.values), self.std, 0.0) ** 2, axis=(1, 2))
+        found = resonances(self.freq, self.power, prominence, noise)
+        if not found:
+            raise InputError(
+                f"no resonance rises {prominence:g} dB above its surroundings", place=self._place,
+                remedy="use all lines, or a lower prominence",
+            )  # fmt: skip
+        bands = [(r.freq - 0.5 * widths * r.width, r.freq + 0.5 * widths * r.width) for r in found]
+        return self._kept(in_bands(self.freq, bands)[:, None, None])
+
+    def in_band(self, low: float, high: float) -> MeasuredFRFs:
+        """The lines from ``low`` to ``high``, Hz; InputError where there are none."""
+        return self._kept(self._lines([(low, high)])[:, None, None])
+
+    def without(
+        self,
+        responses: Iterable[str] = (),
+        references: Iterable[str] = (),
+        bands: Sequence[tuple[float, float]] = (),
+    ) -> MeasuredFRFs:
+        """All but some responses and references (named like ``12y``) and lines in bands [low, high], Hz.
+
+        Raises
+        ------
+        InputError
+            For an unknown name, a band without a line, or when nothing is left.
+        """
+        return self._kept(~self._chosen(responses, references, bands))
+
+    def only(
+        self,
+        responses: Iterable[str] = (),
+        references: Iterable[str] = (),
+        bands: Sequence[tuple[float, float]] = (),
+    ) -> MeasuredFRFs:
+        """The complement of `without`: what that takes away, NaN elsewhere; raises alike."""
+        return self._kept(self._chosen(responses, references, bands))
+
+    @property
+    def _place(self) -> str:
+        return self.source or "FRFs"
+
+    def _lines(self, bands: Sequence[tuple[float, float]]) -> np.ndarray:
+        for low, high in bands:
+            if not 0 <= low <= high or not in_bands(self.freq, [(low, high)]).any():
+                raise InputError(
+                    f"no line lies in the band [{low:g}, {high:g}] Hz", place=self._place,
+                    remedy=f"give it in Hz, low first; the lines reach from {self.freq[0]:g} to {self.freq[-1]:g} Hz",
+                )  # fmt: skip
+        return in_bands(self.freq, bands)
+
+    def _chosen(
+        self, responses: Iterable[str], references: Iterable[str], bands: Sequence[tuple[float, float]]
+    ) -> np.ndarray:
+        """Entries of any of these, bool, in the shape of the values."""
+        out = np.zeros(self.values.shape, dtype=bool)
+        out[self._lines(bands)] = True
+        for kind, given, sensors, axis in (
+            ("response", responses, self.responses, 1), ("reference", references, self.references, 2),
+        ):  # fmt: skip
+            names = [sensor.name for sensor in sensors]
+            for name in given:
+                if name not in names:
+                    raise InputError(
+                        f"held-out {kind} {name!r} was not measured", place=self._place,
+                        remedy=f"the measured {kind}s are {', '.join(names)}",
+                    )  # fmt: skip
+                np.moveaxis(out, axis, 0)[names.index(name)] = True
+        return out
+
+    def _kept(self, chosen: np.ndarray) -> MeasuredFRFs:
+        """Some entries, NaN elsewhere, without lines, responses and references that have none."""
+        kept = np.broadcast_to(chosen, self.values.shape) & np.isfinite(self.values)
+        k, i, j = (np.flatnonzero(kept.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1)))
+        if not len(k):
+            raise InputError("no measured FRF is left", place=self._place, remedy="hold out less")
+        here = np.ix_(k, i, j)
+        return replace(
+            self,
+            freq=self.freq[k],
+            responses=tuple(self.responses[n] for n in i),
+            references=tuple(self.references[n] for n in j),
+            values=np.where(kept, self.values, complex(np.nan, np.nan))[here],
+            std=np.where(kept, self.std, np.nan)[here],
+        )
 
 
 NO_PHASE = "an FRF needs amplitude and phase: export complex values"

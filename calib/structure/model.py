@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -273,6 +273,14 @@ class StructuralModel(Analytic):
                 )
             rows[i] = row
         return rows
+
+    def translations(self, sensor: Sensor) -> np.ndarray:
+        """Motions in x, y and z at the place of a sensor, (3, n_dof), zero where the model suppresses them.
+
+        Raises like `sensor_rows`.
+        """
+        self.sensor_rows([sensor])
+        return np.array([self._row_of(replace(sensor, direction=d))[0] for d in DIRECTIONS[:3]])
 
     def _row_of(self, sensor: Sensor) -> tuple[np.ndarray, float]:
         """Motion at a sensor and its distance from the model, by coordinates or else by node label."""

@@ -9,6 +9,7 @@ import pytest
 from calib.correlation.frf_residual import UNKNOWN_STD, FRFProblem, FRFResidual
 from calib.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
+from calib.measurement.accuracy import frf_claim
 from calib.measurement.frf import FRFRepeat, combine_frfs
 from calib.measurement.modal import Sensor
 from calib.problem import Problem
@@ -146,6 +147,20 @@ def test_without_repeats_a_share_of_the_modulus_is_assumed(chain):
     residual = FRFResidual(FRFProblem(chain, measured(1, repeats=1)))
     np.testing.assert_allclose(residual.relative_std, UNKNOWN_STD, rtol=1e-12)
     assert residual.std_dof["frf"] == np.inf
+
+
+def test_a_claimed_accuracy_widens_the_rows_and_counts_as_known(chain):
+    plain, data = FRFResidual(FRFProblem(chain, measured(1))), measured(1)
+    claimed = FRFResidual(FRFProblem(chain, replace(data, accuracy=frf_claim("3 %"))))
+    rows = claimed.residual(TRUE) / plain.residual(TRUE)
+    np.testing.assert_allclose(rows, plain.std / claimed.std, rtol=1e-10)
+    size = np.abs(claimed.std**2 - plain.std**2) ** 0.5
+    np.testing.assert_allclose(size, 0.03 * plain.std / plain.relative_std, rtol=1e-9)
+    share = np.mean((plain.std / claimed.std) ** 2)
+    assert claimed.std_dof["frf"] == pytest.approx(plain.std_dof["frf"] / share**2)
+    assert claimed.fingerprint != plain.fingerprint
+    equal = replace(data, std=0 * data.std, accuracy=frf_claim("3 %"))  # repeats without any scatter
+    assert np.isfinite(FRFResidual(FRFProblem(chain, equal)).residual(TRUE)).all()
 
 
 def test_fingerprints_tell_measurements_and_models_apart(chain):

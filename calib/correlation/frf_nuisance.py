@@ -1,0 +1,257 @@
+"""What a test of FRFs may get wrong, as parameters with priors: channels, accelerometers' masses, stingers.
+
+A measured function is modelled as ``H c_response / c_reference`` with the factor ``c = (1 + gain) exp(i phase - i omega
+delay)`` of each channel. Masses and stingers change the model. At zero nothing changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.errors import InputError
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.modal import DIRECTIONS, Sensor
+from calib.space import Parameter
+from calib.structure.loaded import Load
+from calib.structure.model import StructuralModel
+
+CHANNEL_SD: Mapping[str, float] = {"gain": 1.0, "phase": 0.5}
+"""Default prior standard deviations, in % and degrees: assumed, the order of a comparison calibration in mid band. A
+calibration sheet states more; its expanded uncertainty is two standard deviations."""
+
+MASS_SD = 0.1
+"""Default prior standard deviation of an added mass, over that of the data sheet: cable, stud, adhesive (assumed)."""
+
+_LIMIT = 10.0
+"""Distance of limits in prior standard deviations: they exclude nothing that the prior allows."""
+_WEAKEST = -90.0
+"""Lower limit of a gain, %: at -100 the channel is dead."""
+_UNITS = {"gain": "%", "phase": "deg", "delay": "s"}
+
+
+@dataclass(frozen=True)
+class ChannelError:
+    """Gain, phase or delay of one channel, the same on all lines.
+
+    Attributes
+    ----------
+    kind : {"gain", "phase", "delay"}
+        Relative gain, phase lead of the channel, or its delay.
+    sensor : str
+        Name of a response or reference, such as ``12z``.
+    side : {"response", "reference"}
+        The channel of a reference measures the force, by which the motion is divided.
+    prior_sd : float, optional
+        In %, degrees or s; `CHANNEL_SD` by default, a delay has none.
+
+    Raises
+    ------
+    InputError
+        For an unknown kind or side, or a standard deviation that is missing or not positive.
+    """
+
+    kind: Literal["gain", "phase", "delay"]
+    sensor: str
+    side: Literal["response", "reference"] = "response"
+    prior_sd: float | None = None
+
+    def __post_init__(self) -> None:
+        place = f"error of channel {self.sensor}"
+        if self.kind not in _UNITS or self.side not in ("response", "reference"):
+            raise InputError(
+                f"it is a {self.kind!r} of a {self.side!r}", place=place,
+                remedy="give gain, phase or delay of a response or reference",
+            )  # fmt: skip
+        if self.prior_sd is None and self.kind not in CHANNEL_SD:
+            raise InputError(f"its {self.kind} has no standard deviation", place=place, remedy="give prior_sd in s")
+        require_positive(self.prior_sd, place)
+
+    @property
+    def parameter(self) -> Parameter:
+        """Such as ``gain_12z``, or ``gain_force_3z`` of a reference."""
+        sd = CHANNEL_SD[self.kind] if self.prior_sd is None else self.prior_sd
+        force, lower = "force_" if self.side == "reference" else "", -_LIMIT * sd
+        return Parameter(
+            f"{self.kind}_{force}{self.sensor}", 0.0, max(lower, _WEAKEST) if self.kind == "gain" else lower,
+            _LIMIT * sd, _UNITS[self.kind], prior_sd=sd,
+            description=f"{self.kind} of the channel of {self.side} {self.sensor}",
+        )  # fmt: skip
+
+    def factor(self, value: float, freq: np.ndarray) -> np.ndarray:
+        """Factor of the measured functions at a value in SI, (n_freq,), complex."""
+        own = np.full(len(freq), 1 + value, dtype=complex)
+        if self.kind != "gain":
+            own = np.exp(1j * value * (np.ones(len(freq)) if self.kind == "phase" else -2 * np.pi * freq))
+        return own if self.side == "response" else 1 / own
+
+    def log_slope(self, value: float, freq: np.ndarray) -> np.ndarray:
+        """Derivative of the logarithm of the factor at a value in SI, (n_freq,), complex."""
+        own = np.full(len(freq), 1 / (1 + value), dtype=complex)
+        if self.kind != "gain":
+            own = 1j * (np.ones(len(freq)) if self.kind == "phase" else -2 * np.pi * freq)
+        return own if self.side == "response" else -own
+
+
+@dataclass(frozen=True)
+class AddedMass:
+    """Mass of an accelerometer at its place, in all three translations; it is there during the whole test.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        With its place.
+    mass : float
+        kg, of the data sheet: the nominal value.
+    prior_sd : float, optional
+        kg; `MASS_SD` of the mass by default.
+
+    Raises
+    ------
+    InputError
+        For a negative mass, or a standard deviation that is not positive.
+    """
+
+    sensor: Sensor
+    mass: float
+    prior_sd: float | None = None
+
+    def __post_init__(self) -> None:
+        place = f"added mass at {self.sensor.name}"
+        if not 0 <= self.mass < np.inf:
+            raise InputError(f"it is {self.mass:g} kg", place=place, remedy="give that of the data sheet, in kg")
+        if self.mass == 0 and self.prior_sd is None:
+            raise InputError("it has no standard deviation", place=place, remedy="give mass or prior_sd in kg")
+        require_positive(self.prior_sd, place)
+
+    @property
+    def parameter(self) -> Parameter:
+        """Such as ``mass_12``."""
+        sd = MASS_SD * self.mass if self.prior_sd is None else self.prior_sd
+        return Parameter(
+            f"mass_{self.sensor.node}", self.mass, max(0.0, self.mass - _LIMIT * sd), self.mass + _LIMIT * sd, "kg",
+            prior_sd=sd, description=f"mass of the accelerometer at node {self.sensor.node}",
+        )  # fmt: skip
+
+    def load(self, model: StructuralModel) -> Load:
+        """Its term in the model; its rotary inertia and the offset of its centre are neglected."""
+        return Load(self.parameter, "mass", model.translations(self.sensor))
+
+
+@dataclass(frozen=True)
+class Stinger:
+    """Stiffness of an exciter's stinger, to the ground at a reference.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        The reference with its place.
+    prior_sd : float
+        N/m.
+    directions : tuple of str
+        Of x, y, z; by default the two across the reference. The force along it is measured, so that a stiffness there
+        is no error unless the force gauge sits at the exciter's end.
+
+    Raises
+    ------
+    InputError
+        For other directions, a reference that is a moment, or a standard deviation that is not positive.
+    """
+
+    sensor: Sensor
+    prior_sd: float
+    directions: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        place = f"stinger at {self.sensor.name}"
+        if self.sensor.direction not in DIRECTIONS[:3] or not set(self.directions) <= set(DIRECTIONS[:3]):
+            raise InputError("it does not act along x, y or z", place=place, remedy="give translations")
+        require_positive(self.prior_sd, place)
+
+    @property
+    def parameter(self) -> Parameter:
+        """Such as ``stinger_3z``."""
+        return Parameter(
+            f"stinger_{self.sensor.name}", 0.0, 0.0, _LIMIT * self.prior_sd, "N/m", prior_sd=self.prior_sd,
+            description=f"stiffness of the stinger at {self.sensor.name}",
+        )  # fmt: skip
+
+    def load(self, model: StructuralModel) -> Load:
+        """Its term in the model; InputError where the model suppresses all its motions."""
+        across = tuple(d for d in DIRECTIONS[:3] if d != self.sensor.direction)
+        rows = model.translations(self.sensor)[[DIRECTIONS.index(d) for d in self.directions or across]]
+        if not np.any(rows):
+            raise InputError(
+                f"the model suppresses {', '.join(self.directions or across)} there, so that it has no effect",
+                place=f"stinger at {self.sensor.name}", remedy="leave it out, or give the directions in which it acts",
+            )  # fmt: skip
+        return Load(self.parameter, "stiffness", rows)
+
+
+Nuisance = ChannelError | AddedMass | Stinger
+
+
+def require_positive(prior_sd: float | None, place: str) -> None:
+    """InputError for a standard deviation that is given and not positive."""
+    if prior_sd is not None and not 0 < prior_sd < np.inf:
+        raise InputError(f"its standard deviation is {prior_sd:g}", place=place, remedy="give a positive number")
+
+
+def concerned(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> tuple[Nuisance, ...]:
+    """Those that concern some of the data: channels with a function among them, and all that load the structure."""
+    return tuple(n for n in nuisances if not isinstance(n, ChannelError) or n.sensor in _names(measured, n.side))
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Channel errors of measured FRFs.
+
+    Attributes
+    ----------
+    errors : tuple of ChannelError
+    measured : MeasuredFRFs
+
+    Raises
+    ------
+    InputError
+        For a sensor that was not measured.
+    """
+
+    errors: tuple[ChannelError, ...]
+    measured: MeasuredFRFs
+
+    def __post_init__(self) -> None:
+        for error in self.errors:
+            names = _names(self.measured, error.side)
+            if error.sensor not in names:
+                raise InputError(
+                    f"{error.side} {error.sensor!r} was not measured", place=f"error of channel {error.sensor}",
+                    remedy=f"the {error.side}s are {', '.join(names)}",
+                )  # fmt: skip
+
+    def factors(self, si: Mapping[str, float]) -> np.ndarray:
+        """Factors of all functions at values in SI, (n_freq, n_responses, n_references), complex."""
+        out = np.ones(self.measured.values.shape, dtype=complex)
+        for error in self.errors:
+            out[self._at(error)] *= error.factor(si[error.parameter.name], self.measured.freq)[:, None]
+        return out
+
+    def slope(self, name: str, si: Mapping[str, float], functions: np.ndarray) -> np.ndarray:
+        """Derivatives of the functions with factors, per unit of one parameter, in their shape."""
+        error = next(e for e in self.errors if e.parameter.name == name)
+        out, here = np.zeros_like(functions), self._at(error)
+        slope = error.log_slope(si[name], self.measured.freq) * error.parameter.si_factor
+        out[here] = functions[here] * slope[:, None]
+        return out
+
+    def _at(self, error: ChannelError) -> tuple[slice | int, ...]:
+        """Functions of a channel, as an index that leaves (n_freq, n_others)."""
+        index = _names(self.measured, error.side).index(error.sensor)
+        return (slice(None), index) if error.side == "response" else (slice(None), slice(None), index)
+
+
+def _names(measured: MeasuredFRFs, side: str) -> tuple[str, ...]:
+    return tuple(s.name for s in (measured.responses if side == "response" else measured.references))

@@ -1,0 +1,80 @@
+"""Resonances in measured FRFs, and the lines around them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import find_peaks
+
+WIDTHS = 5.0
+"""Window around a resonance over its half-power width: at its ends a mode has 1/26 of its power at the peak."""
+
+PROMINENCE = 6.0
+"""Least rise of a resonance above the valleys beside it, dB: twice the 3 dB by which its width is measured."""
+
+ABOVE_NOISE = 10.0
+"""Least power of a resonance over the mean power of the noise: noise alone exceeds it once in 20 000 lines of a single
+function, ``exp(-10)``, and less often in sums over several."""
+
+HALF_POWER = 10 * np.log10(2)
+"""dB."""
+
+
+class Resonance(NamedTuple):
+    """A peak of the sum of squared moduli over all functions.
+
+    Attributes
+    ----------
+    freq : float
+        Line of the peak, Hz.
+    width : float
+        Half-power width, Hz; at least about the distance of lines, between which it is interpolated in dB.
+    """
+
+    freq: float
+    width: float
+
+
+def resonances(
+    freq: np.ndarray, power: np.ndarray, prominence: float = PROMINENCE, noise: np.ndarray | float = 0.0
+) -> tuple[Resonance, ...]:
+    """Peaks with their half-power widths, in ascending order.
+
+    Parameters
+    ----------
+    freq : ndarray (n_freq,)
+        Hz, ascending.
+    power : ndarray (n_freq,)
+        Sum of squared moduli over all functions.
+    prominence : float
+        See `PROMINENCE`; at least 3 dB, below which a peak has no half-power width.
+    noise : ndarray (n_freq,) or float
+        Mean power of the noise; see `ABOVE_NOISE`.
+    """
+    level = 10 * np.log10(np.maximum(power, 1e-300))
+    peaks, _ = find_peaks(level, prominence=max(prominence, HALF_POWER))
+    loud = peaks[(power >= ABOVE_NOISE * noise)[peaks]]
+    return tuple(
+        Resonance(float(freq[k]), _crossing(freq, level, int(k), 1) - _crossing(freq, level, int(k), -1)) for k in loud
+    )
+
+
+def _crossing(freq: np.ndarray, level: np.ndarray, peak: int, step: int) -> float:
+    """Frequency at which the level has fallen to half the power on one side of a peak."""
+    wanted = level[peak] - HALF_POWER
+    k = peak
+    while level[k] > wanted:
+        k += step
+    before = k - step
+    share = (level[before] - wanted) / (level[before] - level[k])
+    return float(freq[before] + share * (freq[k] - freq[before]))
+
+
+def in_bands(freq: np.ndarray, bands: Sequence[tuple[float, float]]) -> np.ndarray:
+    """Which lines lie in one of the bands [low, high], Hz, (n_freq,), bool."""
+    out = np.zeros(len(freq), dtype=bool)
+    for low, high in bands:
+        out |= (freq >= low) & (freq <= high)
+    return out
