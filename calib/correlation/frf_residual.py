@@ -75,7 +75,7 @@ class FRFProblem:
     measured: MeasuredFRFs
     nuisances: tuple[Nuisance, ...] = ()
     space: ParameterSpace = field(init=False, repr=False)
-    _loaded: StructuralModel | ReducedModel = field(init=False, repr=False)
+    loaded_model: StructuralModel | ReducedModel = field(init=False, repr=False)
     _channels: Channels = field(init=False, repr=False)
     _responses: np.ndarray = field(init=False, repr=False)
     _references: np.ndarray = field(init=False, repr=False)
@@ -91,7 +91,7 @@ class FRFProblem:
         model, own = loaded(self.model, loads), self.model.space
         parameters = (*model.space.parameters, *(error.parameter for error in errors))
         object.__setattr__(self, "space", ParameterSpace(parameters, own.constraints))
-        object.__setattr__(self, "_loaded", model)
+        object.__setattr__(self, "loaded_model", model)
         object.__setattr__(self, "_channels", Channels(errors, self.measured))
         object.__setattr__(self, "_responses", model.sensor_rows(self.measured.responses))
         object.__setattr__(self, "_references", model.sensor_rows(self.measured.references))
@@ -104,14 +104,19 @@ class FRFProblem:
         channels = sorted((e.kind, e.sensor, e.side) for e in self._channels.errors)
         arrays = (m.freq, self._responses, self._references)
         return digest_of(
-            _DEFINITION, self._loaded.fingerprint, content, channels, *(a.tobytes() for a in arrays)
+            _DEFINITION, self.loaded_model.fingerprint, content, channels, *(a.tobytes() for a in arrays)
         )[:16]  # fmt: skip
 
     def functions(self, values: Mapping[str, float]) -> np.ndarray:
         """FRFs at named values, (n_freq, n_responses, n_references), complex; EvaluationError where it has none."""
         measured = self.measured
         own = frf(
-            self._loaded, self._of_model(values), measured.freq, self._responses, self._references, measured.quantity
+            self.loaded_model,
+            self._of_model(values),
+            measured.freq,
+            self._responses,
+            self._references,
+            measured.quantity,
         )
         return own * self._channels.factors(self._si(values))
 
@@ -141,9 +146,9 @@ class FRFProblem:
 
     def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Their derivatives, (n_params, n_freq, n_responses, n_references), complex, per unit of each parameter."""
-        measured, own = self.measured, [name for name in names if name in self._loaded.space]
+        measured, own = self.measured, [name for name in names if name in self.loaded_model.space]
         functions, found = frf_derivatives(
-            self._loaded, self._of_model(values), measured.freq, self._responses, self._references, own,
+            self.loaded_model, self._of_model(values), measured.freq, self._responses, self._references, own,
             measured.quantity,
         )  # fmt: skip
         si = self._si(values)
@@ -159,7 +164,7 @@ class FRFProblem:
 
     def _of_model(self, values: Mapping[str, float]) -> dict[str, float]:
         complete = self.space.complete(values)
-        return {name: complete[name] for name in self._loaded.space.names}
+        return {name: complete[name] for name in self.loaded_model.space.names}
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,11 +53,22 @@ class Change:
     matrix : csc_array (n_dof, n_dof)
         Of linked elements their sum. With the nominal contribution, theta is the relative change; for ``structural``
         damping with a stiffness matrix it is the loss factor times the updated stiffness over the nominal one.
+    more : tuple of (kind, matrix)
+        Further matrices that the same theta adds, as of a parameter in stiffness and mass.
+    is_factor : bool
+        Whether 1 + theta is a factor of a stiffness or mass and must stay positive.
     """
 
     name: str
     kind: Kind
     matrix: sp.csc_array
+    more: tuple[tuple[Kind, sp.csc_array], ...] = ()
+    is_factor: bool = True
+
+    @property
+    def parts(self) -> tuple[tuple[Kind, sp.csc_array], ...]:
+        """All its matrices."""
+        return ((self.kind, self.matrix), *self.more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +193,25 @@ class CmcfResult:
         return {name: float(v) for name, v in zip(self.names, self.changes[-1], strict=True)}
 
 
-def cmcf(model: InitialModel, measured: MeasuredReceptance, settings: CmcfSettings = CmcfSettings()) -> CmcfResult:
+def cmcf(
+    model: InitialModel,
+    measured: MeasuredReceptance,
+    settings: CmcfSettings = CmcfSettings(),
+    prior_sd: np.ndarray | None = None,
+    prior_mean: np.ndarray | None = None,
+) -> CmcfResult:
     """Changes of the model with which it has the measured receptance.
+
+    Parameters
+    ----------
+    model : InitialModel
+    measured : MeasuredReceptance
+    settings : CmcfSettings
+    prior_sd : ndarray (n_changes,), optional
+        Standard deviation of the prior of each change, over the relative error of the receptance; it needs the
+        weighting ``white``, whose equations have that error. Without it the equations alone decide.
+    prior_mean : ndarray (n_changes,), optional
+        Its mean; 0 by default.
 
     Raises
     ------
@@ -194,21 +222,22 @@ def cmcf(model: InitialModel, measured: MeasuredReceptance, settings: CmcfSettin
     """
     n_changes = len(model.changes)
     theta, path = np.zeros(n_changes), [np.zeros(n_changes)]
+    mean = np.zeros(n_changes) if prior_mean is None else prior_mean
     reduced = Reduced.of(model, theta)
     independent = measured.receptance.size * (2 if complex_with(reduced, measured) else 1)
-    if independent < n_changes:
+    if independent < n_changes and prior_sd is None:
         raise InputError(
             f"{independent} independent equations do not determine {n_changes} changes",
             place="cross-model equations",
             remedy="measure at more places or lines, or free fewer parameters",
         )
     freq = [reduced.freq(settings.orders)]
-    equations, builds, converged = Equations.at(reduced, measured, settings), 1, False
+    equations, builds, converged = Equations.at(reduced, measured, settings, prior_sd), 1, False
     for step in range(settings.steps):
         if step and settings.iteration != "proposed":
             base = reduced if settings.iteration == "traditional" else reduced.with_changes(np.zeros(n_changes))
-            equations, builds = Equations.at(base, measured, settings), builds + 1
-        theta = theta + equations.solve(reduced.imbalance(measured))
+            equations, builds = Equations.at(base, measured, settings, prior_sd), builds + 1
+        theta = theta + equations.solve(reduced.imbalance(measured), theta - mean)
         require_positive(model.changes, theta)
         reduced = Reduced.of(model, theta)
         path.append(theta)
@@ -222,7 +251,7 @@ def cmcf(model: InitialModel, measured: MeasuredReceptance, settings: CmcfSettin
 def require_positive(changes: Sequence[Change], theta: np.ndarray) -> None:
     """EvaluationError when a stiffness or mass factor 1 + theta is not positive, so that the model makes no sense."""
     for change, value in zip(changes, theta, strict=True):
-        if change.kind in ("stiffness", "mass") and not 1 + value > 0:
+        if change.is_factor and change.kind in ("stiffness", "mass") and not 1 + value > 0:
             raise EvaluationError(
                 f"the factor of {change.name} becomes {1 + value:.3g}: the FRFs do not determine it, or do not fit"
             )
@@ -237,9 +266,12 @@ class Reduced:
     theta : ndarray (n_changes,)
     stiffness, mass, structural, viscous : ndarray (n_masters, n_masters)
         Of the initial model.
-    blocks : ndarray (n_changes, n_masters, n_masters)
+    blocks : ndarray (n_blocks, n_masters, n_masters)
         Matrices of the changes.
     kinds : tuple of str
+        Of the blocks.
+    owner : ndarray (n_blocks,), int
+        The change that each block belongs to.
     """
 
     theta: np.ndarray
@@ -249,6 +281,7 @@ class Reduced:
     viscous: np.ndarray
     blocks: np.ndarray
     kinds: tuple[Kind, ...]
+    owner: np.ndarray
 
     @staticmethod
     def of(model: InitialModel, theta: np.ndarray) -> Reduced:
@@ -259,8 +292,9 @@ class Reduced:
         else:
             changed = {"stiffness": model.stiffness, "mass": model.mass}
             for change, value in zip(model.changes, theta, strict=True):
-                if change.kind in changed:
-                    changed[change.kind] = changed[change.kind] + value * change.matrix
+                for kind, matrix in change.parts:
+                    if kind in changed:
+                        changed[kind] = changed[kind] + value * matrix
             transformation = model.reduce(sp.csc_array(changed["stiffness"]), sp.csc_array(changed["mass"]))
 
         def small(matrix: sp.csc_array | None) -> np.ndarray:
@@ -268,7 +302,9 @@ class Reduced:
 
         return Reduced(
             theta, small(model.stiffness), small(model.mass), small(model.structural), small(model.viscous),
-            np.array([small(c.matrix) for c in model.changes]), tuple(c.kind for c in model.changes),
+            np.array([small(matrix) for c in model.changes for _, matrix in c.parts]),
+            tuple(kind for c in model.changes for kind, _ in c.parts),
+            np.repeat(np.arange(len(model.changes)), [len(c.parts) for c in model.changes]),
         )  # fmt: skip
 
     @property
@@ -284,7 +320,7 @@ class Reduced:
         """K, M, D or C with the changes, (n_masters, n_masters)."""
         own: np.ndarray = getattr(self, kind)
         chosen = np.array([k == kind for k in self.kinds])
-        return np.asarray(own + np.tensordot(self.theta[chosen], self.blocks[chosen], axes=1))
+        return np.asarray(own + np.tensordot(self.theta[self.owner[chosen]], self.blocks[chosen], axes=1))
 
     def freq(self, orders: int) -> np.ndarray:
         """Lowest undamped natural frequencies, Hz."""
@@ -309,8 +345,9 @@ class Reduced:
             "structural": 1j + 0 * omega,
             "viscous": 1j * omega,
         }
-        each = np.hstack([factor[kind] for kind in self.kinds])
-        return np.asarray(each[:, :, None, None] * self.blocks)
+        each = np.hstack([factor[kind] for kind in self.kinds])[:, :, None, None] * self.blocks
+        owned = self.owner == np.arange(len(self.theta))[:, None]
+        return np.asarray(np.einsum("cb,jbmn->jcmn", owned.astype(float), each))
 
     def imbalance(self, measured: MeasuredReceptance) -> np.ndarray:
         """``I_Q - Z_s H*``, (n_lines, n_masters, n_references): zero where model and measurement agree."""
@@ -328,31 +365,41 @@ class Equations:
     left : ndarray (orders, n_masters, n_masters)
         W.
     weight : ndarray (orders, n_lines)
-    inverse : ndarray (n_changes, n_rows)
-        Pseudo-inverse of A; rows are real.
+    inverse : ndarray (n_changes, n_rows + n_prior)
+        Pseudo-inverse of A and of the rows of the prior below it, where there is one; rows are real.
     is_complex : bool
         Whether real and imaginary parts of the equations are rows of their own.
+    prior : ndarray (n_prior, n_changes)
+        Rows of the prior; none without it.
     """
 
     left: np.ndarray
     weight: np.ndarray
     inverse: np.ndarray
     is_complex: bool
+    prior: np.ndarray
 
     @staticmethod
-    def at(base: Reduced, measured: MeasuredReceptance, settings: CmcfSettings) -> Equations:
+    def at(
+        base: Reduced, measured: MeasuredReceptance, settings: CmcfSettings, prior_sd: np.ndarray | None = None
+    ) -> Equations:
         """The equations whose A and W belong to a model; see `cmcf`."""
         left = _left_factors(base, settings)
         weight = _weights(left, base, measured, settings.weighting)
         right = base.slopes(measured.freq) @ measured.receptance[:, None]  # (lines, changes, masters, references)
-        rows = np.einsum("ipm,jnmq,ij->nijpq", left, right, weight, optimize=True).reshape(len(base.kinds), -1)
+        rows = np.einsum("ipm,jnmq,ij->nijpq", left, right, weight, optimize=True).reshape(len(base.theta), -1)
         is_complex = complex_with(base, measured)
-        return Equations(left, weight, _pseudo_inverse(_real(rows, is_complex).T), is_complex)
+        prior = np.zeros((0, len(base.theta))) if prior_sd is None else np.diag(1 / np.asarray(prior_sd))
+        whole = np.vstack([_real(rows, is_complex).T, prior])
+        return Equations(left, weight, _pseudo_inverse(whole), is_complex, prior)
 
-    def solve(self, imbalance: np.ndarray) -> np.ndarray:
-        """Change of theta that removes an imbalance (n_lines, n_masters, n_references)."""
+    def solve(self, imbalance: np.ndarray, off: np.ndarray) -> np.ndarray:
+        """Change of theta that removes an imbalance (n_lines, n_masters, n_references).
+
+        ``off`` (n_changes,) is the distance of theta from the mean of the prior, which it weighs against.
+        """
         rows = np.einsum("ipm,jmq,ij->ijpq", self.left, imbalance, self.weight, optimize=True).reshape(1, -1)
-        return np.asarray(self.inverse @ _real(rows, self.is_complex)[0])
+        return np.asarray(self.inverse @ np.concatenate([_real(rows, self.is_complex)[0], -self.prior @ off]))
 
 
 def complex_with(base: Reduced, measured: MeasuredReceptance) -> bool:
