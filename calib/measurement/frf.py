@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from scipy.optimize import minimize
 
 from calib.errors import InputError
+from calib.fingerprint import digest_of
 from calib.measurement.accuracy import NOTHING, Claim
 from calib.measurement.frf_lines import PROMINENCE, WIDTHS, in_bands, resonances
 from calib.measurement.modal import Sensor
@@ -101,6 +103,12 @@ class MeasuredFRFs:
         load = "Nm" if reference.direction.startswith("r") else "N"
         time = QUANTITIES[self.quantity]
         return f"{motion}/({load} {time})" if time else f"{motion}/{load}"
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash over everything an evaluation may depend on."""
+        content = (self.responses, self.references, self.quantity, self.n_repeats, self.accuracy)
+        return digest_of(content, *(a.tobytes() for a in (self.freq, self.values, self.std)))[:16]
 
     @property
     def total_std(self) -> np.ndarray:

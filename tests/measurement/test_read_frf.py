@@ -234,6 +234,8 @@ def test_a_stated_unit_stands_where_the_file_has_none_and_must_not_contradict_it
     np.testing.assert_allclose(
         read_uff_frfs(labelled, unit="g/kN").functions[(2, "z"), (1, "z")], 9.80665e-3 * accelerance(3e4), rtol=1e-9
     )
+    moved = universal(tmp_path / "m.uff", TWO, ordinate_spec_data_type=8, ordinate_axis_units_lab="g")
+    np.testing.assert_allclose(read_uff_frfs(moved).functions[(2, "z"), (1, "z")], accelerance(3e4), rtol=1e-9)
     for path, unit, words in (
         (stated, "m/s2/N", "not the stated one"), (labelled, "m/s2/N", "not the stated one"),
         (bare, "m/N", "not receptance"),
