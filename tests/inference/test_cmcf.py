@@ -129,6 +129,30 @@ def test_the_iterates_are_those_of_the_articles_equations(array):
     np.testing.assert_allclose(own, written, atol=1e-9)
 
 
+@pytest.mark.parametrize("iteration", ["traditional", "traditional_total"])
+def test_the_traditional_iterates_are_those_of_equation_32(array, iteration):
+    """Its two readings: the next base is the updated model, or the initial one with the updated transformation."""
+    measured, m = array.consistent(ASYMMETRIC, 0.02), array.m
+    own = cmcf(array.initial, measured, replace(ALL_STEPS, steps=4, iteration=iteration)).changes[1:]
+    alpha, written = np.zeros(6), []
+    for _ in range(4):
+        t = array.reduce(array.stiffness(alpha), m)
+        total = iteration == "traditional_total"
+        k_s, m_s = t.T @ array.stiffness(0 * alpha if total else alpha) @ t, t.T @ m @ t
+        blocks, rows, right = [t.T @ c.matrix @ t for c in array.changes], [], []
+        for w in np.sqrt(la.eigh(k_s, m_s, eigvals_only=True)[:8]) * 1.02:
+            h = la.inv(k_s - w**2 * m_s)
+            for star, h_j in zip(2 * np.pi * measured.freq, measured.receptance, strict=True):
+                weight = 1 / (la.norm(h.T @ (k_s - star**2 * m_s)) * la.norm(h_j))
+                rows.append(np.column_stack([(weight * h.T @ b @ h_j).ravel() for b in blocks]))
+                right.append(weight * (h.T - h_j + (star**2 - w**2) * h.T @ m_s @ h_j).ravel())
+        step = la.lstsq(np.vstack(rows), np.concatenate(right))[0]
+        alpha = step if total else alpha + step
+        written.append(alpha)
+    np.testing.assert_allclose(own, written, atol=1e-9)
+    assert np.abs(np.diff(written, axis=0)).max() > 1e-4
+
+
 def test_the_true_changes_are_a_fixed_point_and_wrong_signs_are_not(array):
     measured = array.consistent(SYMMETRIC, 0.02)
     _, once = literal(array, measured, ALL_STEPS, 1)
