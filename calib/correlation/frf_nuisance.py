@@ -24,7 +24,7 @@ CHANNEL_SD: Mapping[str, float] = {"gain": 1.0, "phase": 0.5}
 calibration sheet states more; its expanded uncertainty is two standard deviations."""
 
 MASS_SD = 0.1
-"""Default prior standard deviation of an added mass, over that of the data sheet: cable, stud, adhesive (assumed)."""
+"""Default prior standard deviation of an added mass, over that of the data sheet: assumed, cable and stud included."""
 
 _LIMIT = 10.0
 """Distance of limits in prior standard deviations: they exclude nothing that the prior allows."""

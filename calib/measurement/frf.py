@@ -108,12 +108,6 @@ class MeasuredFRFs:
         """Empty: repeats of FRFs are not compared with each other."""
         return ()
 
-    @cached_property
-    def fingerprint(self) -> str:
-        """Hash that changes whenever anything measured could."""
-        ends = (self.quantity, self.responses, self.references, self.n_repeats, self.synthetic)
-        return digest_of(repr(ends), *(a.tobytes() for a in (self.freq, self.values, self.std)))[:16]
-
     @property
     def lowest_freq(self) -> float:
         """Lowest line above zero, Hz."""
@@ -125,6 +119,12 @@ class MeasuredFRFs:
         load = "Nm" if reference.direction.startswith("r") else "N"
         time = QUANTITIES[self.quantity]
         return f"{motion}/({load} {time})" if time else f"{motion}/{load}"
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash over everything an evaluation may depend on."""
+        content = (self.responses, self.references, self.quantity, self.n_repeats, self.accuracy)
+        return digest_of(content, *(a.tobytes() for a in (self.freq, self.values, self.std)))[:16]
 
     @property
     def total_std(self) -> np.ndarray:

@@ -30,7 +30,8 @@ class Resonance(NamedTuple):
     freq : float
         Line of the peak, Hz.
     width : float
-        Half-power width, Hz; at least about the distance of lines, between which it is interpolated in dB.
+        Half-power width, Hz, between lines interpolated in dB; at least the distance of two lines, which cannot show
+        a sharper peak.
     """
 
     freq: float
@@ -56,9 +57,12 @@ def resonances(
     level = 10 * np.log10(np.maximum(power, 1e-300))
     peaks, _ = find_peaks(level, prominence=max(prominence, HALF_POWER))
     loud = peaks[(power >= ABOVE_NOISE * noise)[peaks]]
-    return tuple(
-        Resonance(float(freq[k]), _crossing(freq, level, int(k), 1) - _crossing(freq, level, int(k), -1)) for k in loud
-    )
+    return tuple(Resonance(float(freq[k]), _width(freq, level, k)) for k in loud.tolist())
+
+
+def _width(freq: np.ndarray, level: np.ndarray, peak: int) -> float:
+    distance = float(freq[peak + 1] - freq[peak - 1]) / 2
+    return max(_crossing(freq, level, peak, 1) - _crossing(freq, level, peak, -1), distance)
 
 
 def _crossing(freq: np.ndarray, level: np.ndarray, peak: int, step: int) -> float:

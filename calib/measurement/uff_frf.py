@@ -100,7 +100,8 @@ def read_uff_frfs(path: Path, quantity: Quantity | None = None, unit: str | None
             raise InputError("it holds values that are not finite", place=where, remedy="export it again")
         if not values.any():
             raise InputError("it is zero on every line: a dead channel", place=where, remedy="leave it out")
-        functions[key] = sign * values * _in_file(where, data, own_units, stated).factor(key)
+        in_g = own == "accelerance" and _in_g(data)
+        functions[key] = sign * values * _in_file(where, in_g, own_units, stated).factor(key)
     if axis is None or found is None or not functions:
         raise InputError(
             "it holds no frequency response function (dataset 58 of function type 4)", place=path,
@@ -177,12 +178,13 @@ def _quantity(where: str, data: Mapping[str, Any], stated: Quantity | None) -> Q
     return own or stated or "receptance"
 
 
-def _in_file(
-    where: str, data: Mapping[str, Any], own: FRFUnits | None, stated: tuple[Quantity, FRFUnits] | None
-) -> FRFUnits:
-    """Units of one function: of the file, or else as stated; accelerations in g say so in their label."""
-    label = str(data.get("ordinate_axis_units_lab", "")).strip().lower().split("/")[0]
-    in_g = label in ("g", "gn")
+def _in_g(data: Mapping[str, Any]) -> bool:
+    """Whether the label of the ordinate says that it is in g."""
+    return str(data.get("ordinate_axis_units_lab", "")).strip().lower().split("/")[0] in ("g", "gn")
+
+
+def _in_file(where: str, in_g: bool, own: FRFUnits | None, stated: tuple[Quantity, FRFUnits] | None) -> FRFUnits:
+    """Units of one function: of the file, or else as stated, with accelerations in g or not."""
     if own is None:
         units = FRFUnits() if stated is None else stated[1]
         if stated is None or not in_g or units.motion == GRAVITY:

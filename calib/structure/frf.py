@@ -17,10 +17,11 @@ from scipy.linalg import lapack
 from calib.errors import EvaluationError
 from calib.measurement.frf import Quantity
 from calib.structure.derivatives import DifferentiableModel, Matrix
-from calib.structure.solve import DENSE_LIMIT
 
 _ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
+_DENSE = 200
+"""Degrees of freedom up to which a complex dense factorisation beats a sparse one with its many right-hand sides."""
 _SINGULAR = 1e-12
 """Smallest pivot over the largest, of the matrix scaled to a unit diagonal of K, below which a line is a resonance."""
 
@@ -91,12 +92,15 @@ def frf_derivatives(
     slopes = [model.matrix_derivatives(values, name) for name in names]
     functions = np.empty((len(freq), len(responses), len(references)), dtype=complex)
     derivatives = np.empty((len(names), *functions.shape), dtype=complex)
-    for k, (forced, felt) in enumerate(_solved(model.matrices(values), freq, references, responses)):
-        omega = 2 * np.pi * freq[k]
-        functions[k] = responses @ forced
-        for p, (dk, dc, dm) in enumerate(slopes):
-            changed = dk @ forced + 1j * omega * (dc @ forced) - omega**2 * (dm @ forced)
-            derivatives[p, k] = -felt.T @ changed
+    solved = list(_solved(model.matrices(values), freq, references, responses))
+    forced, felt = (np.array([pair[k] for pair in solved]) for k in (0, 1))  # (n_freq, n_dof, ...)
+    functions[:] = responses @ forced
+    omega = 2 * np.pi * np.asarray(freq, dtype=float)[:, None, None]
+    motions = [np.moveaxis(forced * factor, 1, 0) for factor in (1.0, 1j * omega, -(omega**2))]
+    for p, terms in enumerate(slopes):
+        # One product for all lines: single ones are mostly overhead.
+        changed = sum(d @ motion.reshape(len(motion), -1) for d, motion in zip(terms, motions, strict=True))
+        derivatives[p] = -np.einsum("knr,nkq->krq", felt, np.reshape(changed, motions[0].shape), optimize=True)
     factor = _per_line(quantity, freq)
     return functions * factor, derivatives * factor
 
@@ -109,7 +113,7 @@ def _solved(
     matrices: tuple[Matrix, Matrix, Matrix], freq: np.ndarray, *rows: np.ndarray
 ) -> Iterator[tuple[np.ndarray, ...]]:
     """``Z^-1 r^T`` of each set of rows r, (n_dof, n_rows), line by line."""
-    stiffness, damping, mass = (_dense(matrix) if matrix.shape[0] <= DENSE_LIMIT else matrix for matrix in matrices)
+    stiffness, damping, mass = (_dense(matrix) if matrix.shape[0] <= _DENSE else matrix for matrix in matrices)
     loads = np.vstack(rows).T.astype(complex)
     ends = np.cumsum([len(r) for r in rows])[:-1]
     diagonal = np.abs(stiffness.diagonal())

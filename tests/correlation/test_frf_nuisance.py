@@ -107,7 +107,15 @@ def test_nuisances_at_zero_change_nothing(chain):
     np.testing.assert_array_equal(loaded.residual({}), plain.residual({}))
     np.testing.assert_array_equal(loaded.jacobian({}, ("k",)), plain.jacobian({}, ("k",)))
     assert loaded.rows == plain.rows and plain.space == chain.space
-    assert loaded.fingerprint != plain.fingerprint and loaded.problem.fingerprint != plain.problem.fingerprint
+
+
+def test_each_nuisance_makes_another_problem(chain):
+    data = measured(truth(), 1)
+    each = [(), *((n,) for n in EVERY), (AddedMass(RESPONSES[0], 0.05),), (Stinger(REFERENCES[0], 2e3, ("x",)),)]
+    prints = {FRFProblem(chain, data, some).fingerprint for some in each}
+    assert len(prints) == len(each)
+    assert FRFProblem(chain, data, EVERY[1:2]).fingerprint in prints
+    assert len({FRFResidual(FRFProblem(chain, data, some)).fingerprint for some in each}) == len(each)
 
 
 @pytest.mark.parametrize(

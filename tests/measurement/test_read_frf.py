@@ -94,6 +94,8 @@ def test_rotations_are_in_radians_and_moments_have_arms_in_the_unit_of_length():
     _, units = parse_unit("mm/kN", "here")
     z, rx = (1, "z"), (1, "rx")
     assert [units.factor(key) for key in ((z, z), (rx, z), (z, rx), (rx, rx))] == pytest.approx([1e-6, 1e-3, 1e-3, 1.0])
+    in_g = parse_unit("g/kN", "here")[1]
+    assert [in_g.factor(key) for key in ((z, z), (z, rx), (rx, rx))] == pytest.approx([9.80665e-3, 9.80665e-3, 1e-3])
     assert FRFUnits().agrees(FRFUnits(force=1 + 1e-6)) and not FRFUnits().agrees(FRFUnits(force=2.0))
     assert not FRFUnits().agrees(FRFUnits(motion=9.81))
 
@@ -111,6 +113,15 @@ def test_negative_directions_reverse_the_sign_each(write):
     found = read_frfs_csv(write(table(given))).functions
     for key, sign in {((2, "z"), (1, "z")): -1, ((3, "x"), (1, "z")): -1, ((4, "rx"), (2, "y")): 1}.items():
         np.testing.assert_array_equal(found[key], sign * values)
+
+
+def test_simulated_values_may_be_real_and_measured_ones_positive(write):
+    undamped = {("2z", "1z"): 1 / (3e4 - 2 * OMEGA**2) + 0j}
+    stiff = {("2z", "1z"): 1 / (9e6 + 1e3j * OMEGA)}
+    assert np.all(stiff["2z", "1z"].real > 0) and np.any(undamped["2z", "1z"].real < 0)
+    for functions in (undamped, stiff):
+        found = read_frfs_csv(write(table(functions, head="# unit: m/N")))
+        np.testing.assert_array_equal(found.functions[(2, "z"), (1, "z")], functions["2z", "1z"])
 
 
 def test_coherence_gives_standard_deviations(write):
@@ -234,6 +245,8 @@ def test_a_stated_unit_stands_where_the_file_has_none_and_must_not_contradict_it
     np.testing.assert_allclose(
         read_uff_frfs(labelled, unit="g/kN").functions[(2, "z"), (1, "z")], 9.80665e-3 * accelerance(3e4), rtol=1e-9
     )
+    moved = universal(tmp_path / "m.uff", TWO, ordinate_spec_data_type=8, ordinate_axis_units_lab="g")
+    np.testing.assert_allclose(read_uff_frfs(moved).functions[(2, "z"), (1, "z")], accelerance(3e4), rtol=1e-9)
     for path, unit, words in (
         (stated, "m/s2/N", "not the stated one"), (labelled, "m/s2/N", "not the stated one"),
         (bare, "m/N", "not receptance"),
