@@ -68,6 +68,7 @@ docs: $(VENV)/.installed-docs
 # A study that has run is replayed from its ledger; the vehicle's figures are drawn where its results are at hand.
 docs-figures: $(VENV)/.installed
 	@set -e; for study in $(SHOWN); do echo "calib run $$study"; $(BIN)/calib run "$$study"; done
+	$(ONE_BLAS_THREAD) $(BIN)/python studies/solar_panel/article.py
 	$(BIN)/python docs/figures.py
 
 clean:

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from PIL import Image
 
+from calib.loading import module_of
 from calib.report.figures import Figures
 from calib.report.style import DPI, add_heading, style, take_dollars_literally
 from calib.report.tables import read_table
@@ -58,7 +59,13 @@ FIGURES = {
     "vehicle_parameters": Shown("vehicle", "parameters"),
     "vehicle_sensitivity": Shown("vehicle", "sensitivity"),
     "hidden_effect_errors": Shown("hidden_effect", "added_errors"),
+    "solar_panel_reduction": Shown("solar_panel_article", "reduction"),
+    "solar_panel_convergence": Shown("solar_panel_article", "convergence"),
+    "solar_panel_factors": Shown("solar_panel_article", "factors"),
+    "solar_panel_functions": Shown("solar_panel_article", "functions"),
 }
+SCRIPTS = {"solar_panel_article": HERE.parent / "studies/solar_panel/article_figures.py"}
+"""Folders that a script of a study has written, and the script that draws them."""
 
 
 def main() -> None:
@@ -80,7 +87,9 @@ def main() -> None:
 
 
 def of_folder(folder: Path, name: str) -> Figure | None:
-    """A figure of a calibrated study's results, with its heading; None where there is none of that name."""
+    """A figure of a calibrated study or of a script, with its heading; None where there is none of that name."""
+    if folder.name in SCRIPTS:
+        return module_of(SCRIPTS[folder.name]).drawn(folder, name)
     if not (folder / "summary.json").is_file():
         return None
     record = _record(folder)

@@ -26,18 +26,18 @@ from calib.report.style import (
     style,
 )
 
-COLOURS = {"proposed": AFTER, "traditional": BEFORE}
+COLOURS = {"proposed": AFTER, "traditional": PURPLE}
 LEVELS = {0: "0 (Guyan)", 1: "1 (IRS)"}
-ROUNDING = 1e-6
-"""Error in % below which the eigensolver's rounding shows."""
+ROUNDING = 2e-7
+"""Error in % below which the eigensolver's rounding shows; such errors are not drawn."""
 
 
 def draw_reduction(ax: Axes | None, table: pd.DataFrame) -> Axes:
     """Frequency error of the reduced model by order, one line a level (`reduction`)."""
     ax = own_axes(ax, 2.9)
     for (level, own), colour in zip(table.groupby("level"), CASES, strict=False):
-        seen = own[own["error"] > ROUNDING]
-        ax.plot(seen["order"], seen["error"], "o-", color=colour, markersize=4, label=LEVELS.get(level, str(level)))
+        seen = own["error"].where(own["error"] > ROUNDING)
+        ax.plot(own["order"], seen, "o-", color=colour, markersize=4, label=LEVELS.get(level, str(level)))
     ax.set(yscale="log", xlabel="order of the natural frequency", ylabel="frequency error (%)", ylim=(ROUNDING, 10))
     ax.set_xticks(sorted(table["order"].unique()))
     ax.grid(axis="y")
@@ -46,22 +46,22 @@ def draw_reduction(ax: Axes | None, table: pd.DataFrame) -> Axes:
 
 
 def convergence_figure(table: pd.DataFrame) -> Figure:
-    """Frequency errors after each step, one panel an order: median and largest of the seeds (`convergence`)."""
+    """Frequency errors of six orders after each step: median and largest of the seeds (`convergence`)."""
     figure = new_figure(4.1)
     panels = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
-    for ax, (order, own) in zip(panels, table.groupby("order"), strict=True):
+    for ax, (order, own) in zip(panels, table.groupby("order"), strict=False):
         for iteration, colour in COLOURS.items():
             one = own[(own["iteration"] == iteration) & (own["step"] > 0)]
             ax.plot(one["step"], one["median"], "-", color=colour, label=f"{iteration}, median")
             ax.plot(one["step"], one["worst"], ":", color=colour, label=f"{iteration}, worst")
         before = own.loc[own["step"] == 0, "median"].iloc[0]
-        ax.set_title(f"{order}: {before:.1f} % before")
+        ax.set_title(f"order {order}: {before:.1f} % before")
         ax.set_xticks([1, 5, 10, 15])
         ax.grid(axis="y")
     panels[0].set_ylim(bottom=0)
     figure.supxlabel("step of the iteration", fontsize=9)
     figure.supylabel("frequency error (%)", fontsize=9)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    panels[0].legend(loc="upper left")
     return figure
 
 
@@ -100,7 +100,7 @@ def functions_figure(table: pd.DataFrame) -> Figure:
     lower.plot(table["freq"], table["experiment"], color=GREY, linewidth=2.2, label="experiment")
     for iteration, look in (("traditional", {"color": PURPLE, "linestyle": "--"}), ("proposed", {"color": AFTER})):
         if iteration in table:
-            lower.plot(table["freq"], table[iteration], linewidth=1, label=f"updated, {iteration}", **look)
+            lower.plot(table["freq"], table[iteration], linewidth=1, label=f"updated model, {iteration}", **look)
     for ax in (upper, lower):
         ax.set(yscale="log", ylabel="|H(1, 12)| (m/N)", xlim=(0, table["freq"].max()))
         ax.grid(axis="y")
@@ -119,9 +119,14 @@ FIGURES: dict[str, tuple[str, Callable[[Path], Figure]]] = {
     "reduction": ("error of the reduction by its level", lambda f: draw_reduction(None, _read(f, "reduction")).figure),
     "convergence": ("frequency errors under noise", lambda f: convergence_figure(_read(f, "convergence"))),
     "factors": ("factors under noise", _factors_of),
-    "functions": ("a function before and after", lambda f: functions_figure(_read(f, "functions"))),
+    "functions": (
+        "H(1, 12) before and after, median draws",
+        lambda f: functions_figure(_read(f, "functions")),
+    ),
 }
 """Caption and drawing of each figure, from a folder of tables."""
+UNMEASURED = ("reduction",)
+"""Figures of the model alone."""
 
 
 def drawn(folder: Path, name: str) -> Figure | None:
@@ -131,7 +136,7 @@ def drawn(folder: Path, name: str) -> Figure | None:
     caption, draw = FIGURES[name]
     with style():
         figure = draw(folder)
-        add_heading(figure, f"Example of Li and Hong (2012): {caption}", True)
+        add_heading(figure, f"Example of Li and Hong (2012): {caption}", name not in UNMEASURED)
     return figure
 
 

@@ -127,7 +127,7 @@ def test_a_fit_finds_the_truth_within_its_standard_deviations(chain):
 def test_assurances_are_one_at_the_truth_and_less_elsewhere(chain):
     residual = FRFResidual(FRFProblem(chain, replace(measured(), std=np.full((60, 3, 2), 1e-3))))
     right = residual.responses(residual.solve(TRUE))
-    assert set(right) == {f"frac {r}x/{q}x" for r in (1, 3, 4) for q in (1, 4)}
+    assert set(right) == {f"{kind} {r}x/{q}x" for kind in ("frac", "amplitude") for r in (1, 3, 4) for q in (1, 4)}
     np.testing.assert_allclose(list(right.values()), 1.0, rtol=1e-9)
     assert max(residual.responses(residual.solve({})).values()) < 0.99
     np.testing.assert_allclose(residual.residual(TRUE), 0.0, atol=1e-9)
@@ -139,7 +139,7 @@ def test_entries_that_were_not_measured_have_no_row(chain):
     values[:, 1, 0] = np.nan
     residual = FRFResidual(FRFProblem(chain, replace(data, values=values)))
     assert len(residual.rows) == len(residual.residual(TRUE)) == 2 * 60 * 5
-    assert "3x/1x" not in {row.sensor for row in residual.rows} and len(residual.responses(residual.solve(TRUE))) == 5
+    assert "3x/1x" not in {row.sensor for row in residual.rows} and len(residual.responses(residual.solve(TRUE))) == 10
     assert residual.std_dof["frf"] == 2 * 3 * 300 - 10
 
 
