@@ -26,6 +26,7 @@ from calib.analyses.fit_statistics import (
     refined,
     statistics_at,
 )
+from calib.analyses.frf_start import linear_starts
 from calib.analyses.places import QUICK_GENERATIONS, QUICK_POPULATION, QUICK_STARTS, Workers, open_evaluator
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.analyses.stored import confirm
@@ -170,8 +171,9 @@ class CaseFinder:
 
     @cached_property
     def known(self) -> tuple[dict[str, float], ...]:
-        """Further starting points: those of the study, and the fit of the same model by an explanation."""
-        return known_starts(self.study, explained_fit(self.study, self.home))
+        """Further starting points: linear ones, those of the study, the fit of the same model by an explanation."""
+        linear = linear_starts(self.exact, self.study.search_space.values)
+        return (*linear, *known_starts(self.study, explained_fit(self.study, self.home)))
 
     def by_search(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
         """Genetic search, refined where requested by least squares from its best point, `known` and the nominal values.

@@ -7,6 +7,7 @@ are linear in the matrices and have no such minima, so their solution comes near
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import scipy.linalg as la
@@ -15,7 +16,9 @@ import scipy.sparse as sp
 from calib.correlation.frf_residual import FRFResidual
 from calib.errors import EvaluationError, InputError
 from calib.inference.cmcf import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance, cmcf
+from calib.joint import JointProblem
 from calib.measurement.frf import MeasuredFRFs
+from calib.problem import Problem
 from calib.space import ParameterSpace
 from calib.structure.frf import motion_factor
 from calib.structure.model import StructuralModel
@@ -77,6 +80,17 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     return point
 
 
+def linear_starts(problem: Problem[Any] | JointProblem, values: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+    """Further starts of a least-squares fit: the linear one of all tests of FRFs together; none for other tests."""
+    parts = problem.parts.values() if isinstance(problem, JointProblem) else (problem,)
+    found: dict[str, float] = {}
+    for part in parts:
+        if isinstance(part.pair, FRFResidual):
+            own = {name: value for name, value in values.items() if name in part.pair.space}
+            found |= linear_start(part.pair, part.space, part.pair.space.complete(own)) or {}
+    return ({name: found.get(name, value) for name, value in values.items()},) if found else ()
+
+
 def _near_resonances(measured: MeasuredFRFs) -> MeasuredFRFs:
     """The lines near resonances, where few modes make up the FRFs; all where there is no resonance."""
     try:
@@ -118,10 +132,10 @@ def _at_sensors(rows: np.ndarray) -> tuple[sp.csc_array, np.ndarray] | None:
     inverse = np.linalg.inv(rows[:, chosen])
     turn = sp.lil_array(sp.diags_array(kept.astype(float)))
     rest = -inverse @ np.where(kept, rows, 0.0)
-    for i, dof in enumerate(chosen):
-        for j in np.flatnonzero(np.abs(rest[i]) > 0):
+    for i, dof in enumerate(chosen.tolist()):
+        for j in np.flatnonzero(np.abs(rest[i]) > 0).tolist():
             turn[dof, j] = rest[i, j]
-        for j, master in enumerate(chosen):
+        for j, master in enumerate(chosen.tolist()):
             turn[dof, master] = inverse[i, j]
     return sp.csc_array(turn), chosen
 

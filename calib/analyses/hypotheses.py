@@ -9,6 +9,7 @@ from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 
+from calib.analyses.frf_start import linear_starts
 from calib.differences import STEP
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
@@ -241,6 +242,12 @@ class ModelHypotheses(Generic[P]):
         """Measured modes for which that model has no partner at named values."""
         fit_problem = self.fit_problem(names)
         return fit_problem.pair.unpaired(fit_problem.at(values))
+
+    def linear_start(self, names: tuple[str, ...], values: Mapping[str, float]) -> dict[str, float] | None:
+        """Values from a linear solution about named ones, from which that model can be fitted; None where none is."""
+        fit_problem = self.fit_problem(names)
+        found = linear_starts(fit_problem, fit_problem.pair.space.complete(dict(values)))
+        return {**values, **found[0]} if found else None
 
     @cached_property
     def _known(self) -> dict[str, Effect]:

@@ -25,6 +25,7 @@ from calib.analyses.calibrate import (
 from calib.analyses.case import Starts, known_starts, least_squares, reduction_noted, reported
 from calib.analyses.compare import before_and_after, compare
 from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
+from calib.analyses.frf_start import linear_starts
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.recorded import recorded
 from calib.analyses.stored import confirmed
@@ -120,10 +121,12 @@ def calibrate_jointly(
         one.test: reduction_noted(one, homes[one.test], notes[one.test], progress) for one in behind_ledger.studies
     }
     reduced = {test: basis.problem for test, basis in bases.items() if basis is not None}
-    terms, known = Terms.of(study), known_starts(study)
+    terms = Terms.of(study)
 
     def problem(instead: Mapping[str, ForwardProblem], counts: Counts) -> JointProblem:
         return JointProblem({s.test: posed(s, ledger, instead.get(s.test), counts) for s in behind_ledger.studies})
+
+    known = (*linear_starts(problem({}, Counts()), study.search_space.values), *known_starts(study))
 
     def fit(told: Progress, starts: Starts, refits: int, steps: FitProgress, counts: Counts) -> FitStatistics:
         near = problem(reduced, counts) if reduced else None

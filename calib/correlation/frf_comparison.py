@@ -38,7 +38,7 @@ class FRFComparison:
     std: np.ndarray
 
     def functions_table(self) -> pd.DataFrame:
-        """One row per function: ``response, reference, lines, frac, amplitude, error, in_std``.
+        """One row per function: ``response, reference, unit, lines, frac, amplitude, error, in_std``.
 
         ``frac`` is their `assurance` over the lines; ``amplitude`` the norm of the model's function over that of the
         measured one; ``error`` the norm of their difference over that of the measured one; ``in_std`` the root mean
@@ -50,8 +50,11 @@ class FRFComparison:
             size = np.linalg.norm(test)
             in_std = _rms((test - model) / self.std[known, i, j])
             amplitude, error = float(np.linalg.norm(model) / size), float(np.linalg.norm(test - model) / size)
-            rows.append((response, reference, len(test), assurance(test, model), amplitude, error, in_std))
-        return pd.DataFrame(rows, columns=["response", "reference", "lines", "frac", "amplitude", "error", "in_std"])
+            unit = self.measured.unit(self.measured.responses[i], self.measured.references[j])
+            rows.append((response, reference, unit, len(test), assurance(test, model), amplitude, error, in_std))
+        return pd.DataFrame(
+            rows, columns=["response", "reference", "unit", "lines", "frac", "amplitude", "error", "in_std"]
+        )
 
     def lines_table(self) -> pd.DataFrame:
         """One row per line: ``freq`` (Hz), ``assurance``, ``amplitude``, ``in_std``, over all functions of the line.

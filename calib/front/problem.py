@@ -11,6 +11,7 @@ from typing import Any
 
 from calib.analyses.compare import comparison_of
 from calib.analyses.fit_statistics import Terms, fitted, statistics_at
+from calib.analyses.frf_start import linear_starts
 from calib.analyses.uncertainty import in_words
 from calib.errors import EvaluationError, InputError
 from calib.excerpt import excerpt
@@ -142,10 +143,7 @@ class Problem:
     def posed(self) -> Posed[Any] | JointProblem:
         """Rows, responses, residual and Jacobian, as fits use them."""
         counts = Counts()
-        made = {
-            test.name: Posed(test.pair(model), model.space.without(dict(test.condition)), counts=counts)
-            for model, test in self.pairs
-        }
+        made = {test.name: _posed(test, model, counts) for model, test in self.pairs}
         return next(iter(made.values())) if len(made) == 1 else JointProblem(made)
 
     def __repr__(self) -> str:
@@ -201,7 +199,8 @@ class Problem:
         parameters : sequence of str
             Parameters to fit; all free ones by default.
         starts : int
-            Number of starting points: the nominal values, then Latin hypercube points.
+            Number of starting points: the nominal values, then Latin hypercube points. FRFs add the solution of the
+            linear cross-model equations.
         seed : int
             Seed of these points.
         progress : bool
@@ -218,7 +217,8 @@ class Problem:
         problem = self._of(parameters)
         space = problem.space
         sampled = sample(space, starts - 1, seed).points if starts > 1 else ()
-        points = [space.values, *(space.complete(point) for point in sampled)]
+        linear = linear_starts(problem.posed, space.values)
+        points = [*linear, space.values, *(space.complete(point) for point in sampled)]
         with _told("calibrate", progress) as told:
             return Fit(problem, fitted(problem.posed, problem.terms, points, REFITS, told=told))
 
@@ -387,6 +387,12 @@ class Problem:
     def terms(self) -> Terms:
         """Inputs of the fit statistics besides the rows."""
         return Terms(assumed=in_words(a for _, test in self.pairs for a in test.assumed))
+
+
+def _posed(test: Test, model: Model, counts: Counts) -> Posed[Any]:
+    """One test; its space has the parameters of the model, and those of the test itself."""
+    pair = test.pair(model)
+    return Posed(pair, pair.space.without(dict(test.condition)), counts=counts)
 
 
 @contextmanager

@@ -151,8 +151,13 @@ class _Decision:
         fits = self.fits
         fits.tell("calibrating the base model")
         fit_problem = fits.fit_problem(())
-        start = start or nearest_whole(fit_problem, fit_problem.space.values)
-        return fits.candidate_fit((), start, whole=0 if fits.spent(EARLY) else 1)
+        begin = start or nearest_whole(fit_problem, fit_problem.space.values)
+        linear = None if start else fits.hypotheses.linear_start((), begin)
+        whole = 0 if fits.spent(EARLY) else 1
+        found = fits.candidate_fit((), linear or begin, whole)
+        if linear is not None:
+            found = min(found, fits.candidate_fit((), begin, whole), key=lambda one: one.fit.misfit)
+        return found
 
     def candidates(self, base: CandidateFit) -> tuple[list[Effect], Scores]:
         """The effects with which the model can be solved, sorted by name, and their scores.

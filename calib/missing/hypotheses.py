@@ -53,6 +53,10 @@ class Hypotheses(Labelled, Protocol):
         """The model with the named effects or perturbations added."""
         ...
 
+    def linear_start(self, names: tuple[str, ...], values: Mapping[str, float]) -> dict[str, float] | None:
+        """Values from a linear solution about named ones, from which that model can be fitted; None where none is."""
+        ...
+
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
         """Measured modes that the model leaves unpaired at the given values; empty where nothing is paired."""
         ...

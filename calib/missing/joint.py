@@ -48,6 +48,14 @@ class JointHypotheses(JointRows):
             self._fit_problems[key] = JointProblem(problems, {test: self._possible(test) for test in self.parts})
         return self._fit_problems[key]
 
+    def linear_start(self, names: tuple[str, ...], values: Mapping[str, float]) -> dict[str, float] | None:
+        """Values from linear solutions of all tests that have one; None where none has."""
+        fit_problem = self.fit_problem(names)
+        found: dict[str, float] = {}
+        for test, part in self.parts.items():
+            found |= part.linear_start(self._of(test, names), fit_problem.own(test, values)) or {}
+        return {**values, **found} if found else None
+
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
         """Measured modes of all tests that the models leave unpaired at the given values."""
         fit_problem = self.fit_problem(names)

@@ -243,7 +243,8 @@ class Refits:
             step = fit.update(-found.raw[:, k] * size)
             moved = {n: fit.values[n] + d for n, d in zip(fit.names, step, strict=True)}
             out.append({**fit.values, **moved, **point, name: size})
-        return out
+        linear = self.hypotheses.linear_start((*fit.effects, name), out[0])
+        return out if linear is None else [*out, linear]
 
     def best_perturbation(
         self, base: CandidateFit, found: Scores, named: Scores, best: CandidateFit

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpecFromSubplotSpec
 
 from calib.report.numbers import fixed
 from calib.report.style import AFTER, BEFORE, BLACK, GREY, WITH, legend_above, new_figure, own_axes, stage_words
@@ -20,6 +19,9 @@ OVERLAID = 6
 _STAGES = {"before": ("s", BEFORE, "--"), "after": ("o", AFTER, "-"), "added": ("D", WITH, "-")}
 _LINEAR_BELOW = 1.0
 """Standard deviations up to which an axis of errors is linear: below, they are noise."""
+
+_GAP = 3.0
+"""Distance of two lines, over the usual one, from which no curve joins them."""
 
 Tables = Mapping[str, pd.DataFrame]
 """Tables by stage: ``before`` and ``after`` calibration, ``added`` with added effects."""
@@ -33,7 +35,7 @@ def overlay_figure(overlays: Tables, functions: Tables, *, effects: str = "") ->
     overlays : mapping from stage to DataFrame
         Columns ``response, reference, freq`` (Hz) and ``measured_re, measured_im, model_re, model_im``.
     functions : mapping from stage to DataFrame
-        Columns ``response, reference, frac``.
+        Columns ``response, reference, frac`` and, for the axis, ``unit``.
     effects : str
         Names of added effects, for the legend.
 
@@ -43,34 +45,44 @@ def overlay_figure(overlays: Tables, functions: Tables, *, effects: str = "") ->
         Amplitudes on a logarithmic axis, phases in degrees below them; the smallest FRAC of the latest stage first.
     """
     latest = list(functions.values())[-1]
-    chosen = latest.sort_values("frac", kind="stable").head(OVERLAID)[["response", "reference"]]
+    shown = [name for name in ("response", "reference", "unit") if name in latest]
+    chosen = latest.sort_values("frac", kind="stable").head(OVERLAID)[shown].to_dict("records")
     columns = 2 if len(chosen) > 1 else 1
     rows = -(-len(chosen) // columns)
-    figure = new_figure(0.4 + 2.3 * rows)
-    grid = figure.add_gridspec(rows, columns)
-    first: Axes | None = None
-    for k, (response, reference) in enumerate(chosen.itertuples(index=False)):
-        cell = GridSpecFromSubplotSpec(2, 1, grid[k // columns, k % columns], height_ratios=(3, 1), hspace=0.08)
-        amplitude = figure.add_subplot(cell[0])
-        phase = figure.add_subplot(cell[1], sharex=amplitude)
-        own = {stage: _of(table, response, reference) for stage, table in overlays.items()}
+    figure = new_figure(0.6 + 2.0 * rows)
+    grid = figure.add_gridspec(2 * rows, columns, height_ratios=(3, 1) * rows)
+    for k, one in enumerate(chosen):
+        amplitude = figure.add_subplot(grid[2 * (k // columns), k % columns])
+        phase = figure.add_subplot(grid[2 * (k // columns) + 1, k % columns], sharex=amplitude)
+        own = {stage: _of(table, one["response"], one["reference"]) for stage, table in overlays.items()}
         _overlay(amplitude, phase, own, effects)
-        amplitude.set_title(f"{response}/{reference}")
+        name = f"{one['response']}/{one['reference']}"
+        amplitude.text(0.98, 0.04, name, transform=amplitude.transAxes, ha="right", va="bottom", fontweight="bold")
         amplitude.tick_params(labelbottom=False)
         if k % columns == 0:
-            amplitude.set_ylabel("amplitude")
+            amplitude.set_ylabel(f"amplitude ({one['unit']})" if "unit" in one else "amplitude")
             phase.set_ylabel("phase (°)")
         if k >= len(chosen) - columns:
             phase.set_xlabel("frequency (Hz)")
-        first = first or amplitude
-    if first is not None:
-        handles, labels = first.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper left", ncols=4)
+        if k == 0:
+            legend_above(amplitude)
     return figure
 
 
+def _gaps(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with an empty row wherever lines are missing, so that no curve bridges a band that is left out."""
+    freq = table["freq"].to_numpy(float)
+    if len(freq) < 3:
+        return table
+    step = np.diff(freq)
+    after = np.flatnonzero(step > _GAP * np.median(step))
+    empty = pd.DataFrame(np.nan, index=table.index[after] + 0.5, columns=["freq"])
+    return pd.concat([table, empty]).sort_index(kind="stable")
+
+
 def _of(table: pd.DataFrame, response: str, reference: str) -> pd.DataFrame:
-    return table[(table["response"] == response) & (table["reference"] == reference)].sort_values("freq")
+    own = table[(table["response"] == response) & (table["reference"] == reference)].sort_values("freq")
+    return _gaps(own.reset_index(drop=True))
 
 
 def _overlay(amplitude: Axes, phase: Axes, own: Tables, effects: str) -> None:
@@ -146,6 +158,7 @@ def draw_frf_lines(lines: Tables, ax: Axes | None = None, *, effects: str = "") 
     ax = own_axes(ax, 3.0)
     for stage, table in lines.items():
         marker, colour, _ = _STAGES[stage]
+        table = _gaps(table)
         ax.plot(
             table["freq"], table["in_std"], marker + "-", color=colour, markersize=2.5, linewidth=0.8,
             label=stage_words(stage, effects), rasterized=len(table) > 200,

@@ -13,7 +13,7 @@ from calib.report.tables import read_table
 
 Kind = Literal["modes", "responses", "frf"]
 
-_TEXT = ["response", "reference"]
+_TEXT = {"frf": ["response", "reference"], "comparison": ["response", "reference", "unit"], "frf_lines": []}
 _NUMBERS = {
     "frf": ["freq", "measured_re", "measured_im", "model_re", "model_im", "std"],
     "comparison": ["lines", "frac", "amplitude", "error", "in_std"],
@@ -40,5 +40,5 @@ def read_stages(folder: Folder, name: str, stages: Iterable[str]) -> dict[str, p
     for stage in stages:
         path = folder / f"{name}_{stage}.csv"
         if path.exists() and (name != "comparison" or kind_of(path) == "frf"):
-            found[stage] = read_table(path, [] if name == "frf_lines" else _TEXT, _NUMBERS[name])
+            found[stage] = read_table(path, _TEXT[name], _NUMBERS[name])
     return found

@@ -95,6 +95,9 @@ class Toy:
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
         return frozenset()
 
+    def linear_start(self, names: tuple[str, ...], values: Mapping[str, float]) -> None:
+        return None
+
     def _straight(self, values: Mapping[str, float]) -> np.ndarray:
         total = np.zeros(len(self.rows))
         for name, column in self.columns.items():
