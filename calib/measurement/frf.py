@@ -93,10 +93,16 @@ class MeasuredFRFs:
             )
         if not len(self.freq):
             raise InputError("it has no line", place=place, remedy="give at least one frequency in Hz")
-        if np.any(np.diff(self.freq) <= 0) or not 0 <= self.freq[0] <= self.freq[-1] < np.inf:
+        if not np.all(np.diff(self.freq) > 0) or not 0 <= self.freq[0] <= self.freq[-1] < np.inf:
             raise InputError("its frequencies do not ascend from 0 or more", place=place, remedy="give them in Hz")
         if not np.iscomplexobj(self.values):
             raise InputError("its values are real", place=place, remedy=NO_PHASE)
+        if np.any(self.std < 0):
+            raise InputError("std has a negative value", place=place, remedy="give NaN where it is unknown")
+        for kind, sensors in (("response", self.responses), ("reference", self.references)):
+            names = [sensor.name for sensor in sensors]
+            if twice := next((name for name in names if names.count(name) > 1), None):
+                raise InputError(f"the {kind} {twice} is there twice", place=place, remedy="average it or leave one")
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:

@@ -76,6 +76,12 @@ def read_uff_frfs(path: Path, quantity: Quantity | None = None, unit: str | None
         if int(data["abscissa_spec_data_type"]) not in _FREQUENCY:
             raise InputError("its abscissa is no frequency", place=where, remedy="export it over frequency in Hz")
         freq = np.asarray(data["x"], dtype=float)
+        # pyuff reads what is there, however many values the header announces
+        if not len(freq) == np.size(data["data"]) == int(data["num_pts"]):
+            raise InputError(
+                f"it has {np.size(data['data'])} values, but announces {int(data['num_pts'])}", place=where,
+                remedy="export it again",
+            )  # fmt: skip
         if axis is None:
             axis = freq
         if freq.shape != axis.shape or not np.allclose(freq, axis, rtol=AXIS, atol=AXIS * float(np.abs(axis).max())):

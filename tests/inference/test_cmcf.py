@@ -352,6 +352,31 @@ def test_real_data_update_a_damped_model():
     np.testing.assert_allclose(found.changes[-1], truth[:5], atol=1e-9)
 
 
+def test_real_and_imaginary_parts_are_equations_of_their_own():
+    """With damping in the model, among its changes or in the receptance, of which real data may need none."""
+    model, measured, _ = damped("structural")
+    stiff = tuple(c for c in model.changes if c.kind == "stiffness")
+    real = replace(measured, receptance=np.abs(measured.receptance))
+    lossy = sp.csc_array(0.02 * stiff[0].matrix)
+    rows = {}
+    for name, changes, loss, data in (
+        ("none", stiff, None, real), ("model", stiff, lossy, real), ("change", model.changes, None, real),
+        ("data", stiff, None, measured),
+    ):  # fmt: skip
+        reduced = Reduced.of(replace(model, changes=changes, structural=loss), np.zeros(len(changes)))
+        rows[name] = Equations.at(reduced, data, CmcfSettings(orders=4)).inverse.shape[1]
+    assert rows == {"none": 400, "model": 800, "change": 800, "data": 800}
+
+
+def test_the_loss_of_a_model_is_removed_by_undamped_data():
+    model, _, _ = damped("structural")
+    omega = 2 * np.pi * np.array([3.0, 9.0])
+    receptance = np.array([la.inv(model.stiffness.toarray() - w**2 * model.mass.toarray()) for w in omega])
+    lossy = replace(model, structural=sp.csc_array(0.02 * model.changes[5].matrix))
+    found = cmcf(lossy, MeasuredReceptance(omega / (2 * np.pi), receptance, np.arange(5)), CmcfSettings(orders=4))
+    np.testing.assert_allclose(found.changes[-1], [0, 0, 0, 0, 0, -0.02, 0], atol=1e-9)
+
+
 def test_damping_of_the_array_is_recovered_in_one_step_at_its_resonances(array):
     """All degrees of freedom, loss factors of 1 to 3 %, real unknowns from complex equations, 12 references."""
     loss = np.array([0.01, 0.02, 0.03, 0.01, 0.02, 0.03])

@@ -1,10 +1,13 @@
 """Frequency response functions from universal files, their units and signs, and their standard deviations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import pyuff
 
 from calib.errors import InputError
+from calib.measurement.accuracy import Claim
 from calib.measurement.frf import FRFRepeat, MeasuredFRFs, combine_frfs, scatter
 from calib.measurement.modal import Sensor
 from calib.measurement.uff_frf import read_uff_frfs
@@ -185,6 +188,23 @@ def test_units_follow_the_directions():
     assert (frfs.unit(rz, z), frfs.unit(z, rz)) == ("rad/(N s2)", "m/(Nm s2)")
 
 
+def shaped(lines, responses):
+    ones = np.ones((lines, responses, 1))
+    return {"values": ones + 0j, "std": ones}
+
+
+def test_a_fingerprint_covers_all_that_an_evaluation_may_depend_on():
+    ones = np.ones((2, 1, 1))
+    one = MeasuredFRFs(np.array([1.0, 2.0]), (Sensor(1, "z"),), (Sensor(1, "z"),), "receptance", ones + 0j, ones)
+    others = [
+        replace(one, freq=np.array([1.0, 3.0])), replace(one, responses=(Sensor(2, "z"),)),
+        replace(one, references=(Sensor(2, "z"),)), replace(one, quantity="mobility"), replace(one, values=ones + 1j),
+        replace(one, std=2 * ones), replace(one, n_repeats=2), replace(one, accuracy=Claim(0.01)),
+    ]  # fmt: skip
+    assert len({each.fingerprint for each in (one, *others)}) == 9
+    assert replace(one, source="elsewhere").fingerprint == one.fingerprint
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
@@ -192,6 +212,11 @@ def test_units_follow_the_directions():
         ({"std": np.zeros((1, 1, 1))}, "lines, responses, references"),
         ({"quantity": "compliance"}, "receptance"),
         ({"freq": np.array([2.0, 1.0])}, "ascend"),
+        ({"freq": np.array([1.0, np.nan])}, "ascend"),
+        ({"freq": np.array([-1.0, 1.0])}, "ascend"),
+        ({"std": -np.ones((2, 1, 1))}, "negative"),
+        ({**shaped(2, 2), "responses": (Sensor(1, "z"),) * 2}, "1z is there twice"),
+        ({**shaped(0, 1), "freq": np.zeros(0)}, "no line"),
     ],
 )
 def test_wrong_arrays_are_refused(changed, words):

@@ -271,3 +271,41 @@ def test_an_abscissa_in_seconds_and_a_coherence_given_twice_are_refused(tmp_path
         pyuff.UFF(str(twice)).write_sets([one], "add")
     with pytest.raises(InputError, match="coherence is there twice"):
         read_uff_frfs(twice)
+
+
+def test_a_function_with_a_value_too_few_is_refused(tmp_path):
+    path = universal(tmp_path / "a.uff", {((2, 3), (1, 3)): accelerance(3e4)})
+    lines = path.read_text().splitlines()
+    last = max(k for k, line in enumerate(lines) if line.strip() == "-1")
+    lines[last - 1] = lines[last - 1][:40]  # without its last number
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="it has 19 values, but announces 20"):
+        read_uff_frfs(path)
+
+
+@pytest.mark.parametrize("kind", ["csv", "uff"])
+def test_damaged_bytes_are_read_or_refused_and_nothing_else(tmp_path, kind):
+    """Bytes changed, cut out and put in at random; no exception but InputError, and only numbers."""
+    if kind == "csv":
+        whole = table(ONE, columns="freq,response,reference,re,im,coherence", extra=",0.8").encode()
+    else:
+        whole = universal(tmp_path / "whole.uff", TWO, (1e3, 1.0), {1: (0.0, 0, 0), 2: (1.0, 0, 0), 3: (2.0, 0, 0)})
+        whole = whole.read_bytes()
+    rng, path, outcomes = np.random.default_rng(7), tmp_path / f"damaged.{kind}", {"read": 0, "refused": 0}
+    for _ in range(60):
+        damaged = bytearray(whole)
+        for _ in range(rng.integers(1, 3)):
+            at = int(rng.integers(len(damaged)))
+            if rng.integers(2):
+                damaged[at : at + int(rng.integers(1, 20))] = b""
+            else:
+                damaged[at : at + 1] = rng.choice(list(b"0123456789-+.eE,\nna\x00\xff "), 2).astype(np.uint8).tobytes()
+        path.write_bytes(bytes(damaged))
+        try:
+            frfs = read_frfs(path)
+        except InputError:
+            outcomes["refused"] += 1
+        else:
+            outcomes["read"] += 1
+            assert np.isfinite(frfs.freq).all() and np.isfinite(frfs.values).any(axis=(1, 2)).all()
+    assert min(outcomes.values()) > 0
