@@ -60,12 +60,15 @@ def overlay_figure(overlays: Tables, functions: Tables, *, effects: str = "") ->
         amplitude.text(0.98, 0.04, name, transform=amplitude.transAxes, ha="right", va="bottom", fontweight="bold")
         amplitude.tick_params(labelbottom=False)
         if k % columns == 0:
-            amplitude.set_ylabel(f"amplitude ({one['unit']})" if "unit" in one else "amplitude")
+            amplitude.set_ylabel(f"|H|, {one['unit']}" if "unit" in one else "|H|")
             phase.set_ylabel("phase (°)")
         if k >= len(chosen) - columns:
             phase.set_xlabel("frequency (Hz)")
+        if k < columns:
+            amplitude.set_title(" ")  # room for the legend, which would widen its column
         if k == 0:
             legend_above(amplitude)
+            amplitude.get_legend().set_in_layout(False)  # type: ignore[union-attr]
     return figure
 
 
