@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
+from calib.correlation.frf_nuisance import of_every_channel
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
@@ -126,9 +127,10 @@ def used_modes(study: StudyFile, whole: MeasuredModes) -> MeasuredModes:
 
 
 def frf_problem(study: StudyFile, model: StructuralModel, measured: MeasuredFRFs) -> FRFProblem:
-    """The problem over the FRFs in use."""
+    """The problem over the FRFs in use, with the nuisances that the study names."""
     try:
-        return FRFProblem(model, measured)
+        nuisances = of_every_channel(measured, **study.settings.measurement.nuisances.model_dump())
+        return FRFProblem(model, measured, nuisances)
     except InputError as fault:
         raise misfit(study, model, fault) from None
 

@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from calib.errors import InputError
-from calib.measurement.accuracy import Accuracy, Claim
+from calib.measurement.accuracy import Accuracy, Claim, frf_claim
 
 Pair = tuple[float, float]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
@@ -55,6 +55,21 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
 
+class NuisanceSettings(_Section):
+    """``nuisances``: errors of a test of FRFs that a fit may find, each with its prior; none by default."""
+
+    gain: float | None = Field(default=None, gt=0, le=100)
+    """Standard deviation of the gain of every channel, %."""
+    phase: float | None = Field(default=None, gt=0, le=180)
+    """Standard deviation of the phase of every channel, degrees."""
+    delay: float | None = Field(default=None, gt=0, le=1)
+    """Standard deviation of the delay of every channel, s."""
+    accelerometer: float | None = Field(default=None, gt=0, le=1e3)
+    """Mass of the accelerometer at every node with a response, kg; its standard deviation is a tenth of it."""
+    stinger: float | None = Field(default=None, gt=0, le=1e12)
+    """Standard deviation of the stiffness of the exciter's stinger at every reference, N/m."""
+
+
 class MeasurementSettings(_Section):
     """``[measurement]``: files, relative to the study's folder."""
 
@@ -71,6 +86,12 @@ class MeasurementSettings(_Section):
     unit: str | None = None
     """Unit of FRFs of translations under forces, such as ``"(m/s2)/N"`` or ``"g/N"``, where their files do not
     state it."""
+    band: Pair | None = None
+    """Lines of FRFs that are used, from and to, Hz; by default all."""
+    lines: Literal["all", "resonances"] = "all"
+    """Whether all lines of FRFs are used, or those near resonances, which carry most of what they tell."""
+    nuisances: NuisanceSettings = NuisanceSettings()
+    """Errors of a test of FRFs that a fit may find."""
     averages: int | None = Field(default=None, ge=1, le=1_000_000)
     """Averages behind each FRF of a single file, whose coherence then gives the standard deviations."""
     responses: PathText | None = None
@@ -97,7 +118,9 @@ class MeasurementSettings(_Section):
         claims = given.values() if isinstance(given, dict) else () if given is None else (given,)
         for claim in claims:
             Claim.of(claim)
-        if info.data.get("files"):
+        if info.data.get("kind") == "frf":
+            frf_claim(given)
+        elif info.data.get("files"):
             Accuracy.of(given)
         elif given is not None and not isinstance(given, dict | str):
             raise ValueError("one accuracy for all responses is a share such as '1 %'; give numbers by response")

@@ -180,6 +180,7 @@ class Study(StudyFile):
         """The same study with the named parameters selected, for a selection left to the sensitivity analysis."""
         elsewhere = names if self.test else ()
         space = search_space(self.sensitivity_space, self.settings, self.place, names, elsewhere)
+        space = with_nuisances(space, self.problem)
         return replace(self, search_space=space)
 
     @staticmethod
@@ -241,7 +242,7 @@ def _study(
             assert isinstance(base, ModalFunctionModel)
             model = replace(model, identity=_fingerprint(file, fingerprint_of(base, included, model)))
         problem = modal_problem(file, model, measured, model.n_modes - base.n_modes)
-    selected = search_space(space, file.settings, file.place, elsewhere=elsewhere)
+    selected = with_nuisances(search_space(space, file.settings, file.place, elsewhere=elsewhere), problem)
     if not file.settings.calibration.weight_freq + file.settings.calibration.weight_mac > 0:
         place = file.place("calibration", "weight_freq")
         raise InputError("both weights are zero", place=place, remedy="give one of them weight")
@@ -254,6 +255,12 @@ def _study(
         {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial, hints, responses, frfs, unseen, read, digest,
         part=file.part,
     )  # fmt: skip
+
+
+def with_nuisances(space: ParameterSpace, problem: ForwardProblem) -> ParameterSpace:
+    """Parameters of a search and those of a test's nuisances, which are always fitted."""
+    own = tuple(p for p in problem.space.parameters if p.name not in space)
+    return ParameterSpace(space.parameters + own, space.constraints) if own else space
 
 
 def _fingerprint(file: StudyFile, function: str) -> str:

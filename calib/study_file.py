@@ -11,7 +11,7 @@ from pathlib import Path
 
 from calib.errors import InputError
 from calib.fingerprint import code_files
-from calib.measurement.accuracy import Accuracy
+from calib.measurement.accuracy import Accuracy, frf_claim
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_modes
@@ -122,7 +122,7 @@ class StudyFile:
         files = [self.path(f, "measurement", "files", k) for k, f in enumerate(given.files)]
         sensors = self.path(given.sensors, "measurement", "sensors") if given.sensors else None
         if given.kind == "frf":
-            return read_frfs(
+            read = read_frfs(
                 files,
                 quantity=given.quantity,
                 unit=given.unit,
@@ -130,6 +130,7 @@ class StudyFile:
                 averages=given.averages,
                 synthetic=given.synthetic,
             )
+            return replace(self._lines_of(read), accuracy=frf_claim(given.accuracy))
         measured = read_modes(
             files,
             shapes=[self.path(f, "measurement", "shapes", k) for k, f in enumerate(given.shapes)],
@@ -141,6 +142,17 @@ class StudyFile:
             synthetic=given.synthetic,
         )
         return replace(measured, accuracy=Accuracy.of(given.accuracy))
+
+    def _lines_of(self, frfs: MeasuredFRFs) -> MeasuredFRFs:
+        """The lines of FRFs that the study uses."""
+        given, key = self.settings.measurement, "band"
+        try:
+            if given.band is not None:
+                frfs = frfs.in_band(*given.band)
+            key = "lines"
+            return frfs.lines_near_resonances() if given.lines == "resonances" else frfs
+        except InputError as fault:
+            raise InputError(fault.problem, place=self.place("measurement", key), remedy=fault.remedy) from None
 
     def place(self, *keys: int | str, mark: Mark = "value") -> Place:
         """Place of a key or of its value in the file, of one test in the table of that test."""

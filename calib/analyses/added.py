@@ -173,7 +173,7 @@ def _parameters(study: Study, effects: Sequence[Effect], before: Calibration, af
         for stage, c in (("before", before), ("after", after))
     )
     table = now.join(was)
-    space = study.model.space
+    space = study.problem.space
     table = table[[name in space for name in table.index]]
     table["unit"] = [space[name].unit for name in table.index]
     table["added"] = [name in own for name in table.index]

@@ -284,7 +284,7 @@ def keep(
                 write_model_modes(results, comparison, stage)
     results.remove("data_errors.csv", "responses.csv", *ADDED)
     errors = responses = None
-    values = {name: value for name, value in best.statistics.values.items() if name in study.model.space}
+    values = {name: value for name, value in best.statistics.values.items() if name in study.problem.space}
     with suppress(EvaluationError):  # errors are unknown where the model fails near the optimum
         errors = errors_at(study, values)
         results.write_table("data_errors", errors.assign(std_from=best.statistics.rests_on))

@@ -268,7 +268,7 @@ def reported(
 
     ``before`` holds the objective and the sums of squares of data and priors at the end of a search.
     """
-    values = {name: value for name, value in statistics.values.items() if name in study.model.space}
+    values = {name: value for name, value in statistics.values.items() if name in study.problem.space}
     responses = answered(study.problem.evaluate, values)
     final = replace(result, values=statistics.values, misfit=objective_of(study)(responses), responses=responses)
     points = [] if search is None else [(final.name, SEARCH, *before)]

@@ -102,7 +102,7 @@ def write_record(
     for name, own in tables.items():
         if own:
             results.write_table(name, stacked(own) if len(tests) > 1 else own[study.test])
-    space = study.search_space if isinstance(study, JointStudy) else study.model.space
+    space = study.search_space if isinstance(study, JointStudy) else study.problem.space
     results.write_table("parameter_space", space.frame())
     given, measured = study.settings, [one.settings.measurement for one in tests]
     notes = said({one.test: (*one.measurement_notes, *std_notes(one)) for one in tests})

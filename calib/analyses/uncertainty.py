@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 
 from calib.correlation.frf_residual import UNKNOWN_STD as UNKNOWN_FRF
+from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.response_residual import UNKNOWN_STD
 from calib.correlation.standard_deviations import assumptions
 from calib.joint import said
@@ -21,6 +22,9 @@ _LISTED = 4
 
 def assumed_std(study: Study) -> tuple[Assumption, ...]:
     """Standard deviations that calibration and explanation assume; empty when all are stated."""
+    problem = study.problem
+    if isinstance(problem, FRFProblem):
+        return assumed_frfs(problem.measured)
     return assumed_responses(study.targets) if study.measured is None else assumptions(study.measured)
 
 
@@ -37,10 +41,15 @@ def assumed_responses(targets: Mapping[str, tuple[float, float | None]]) -> tupl
 
 def assumed_frfs(frfs: MeasuredFRFs) -> tuple[Assumption, ...]:
     """The same for FRFs."""
-    if not (np.isfinite(frfs.values) & ~np.isfinite(frfs.std)).any():
+    if not (np.isfinite(frfs.values) & ~np.isfinite(frfs.total_std)).any():
         return ()
     reason = "neither repeats nor coherence are given"
     return (Assumption("standard deviation of FRFs", f"{100 * UNKNOWN_FRF:g}", "% of each modulus", reason),)
+
+
+def claimed_frf(frfs: MeasuredFRFs) -> str:
+    """The claimed accuracy of FRFs in words; empty without."""
+    return f"{frfs.accuracy.words('SI')} of FRFs" if frfs.accuracy.given else ""
 
 
 def assumed_words(study: Study) -> str:
@@ -75,6 +84,8 @@ def accuracy_words(study: Study) -> str:
     """The claimed accuracy of a study in words; empty without."""
     if study.whole is not None:
         return study.whole.accuracy.words
+    if study.frfs is not None:
+        return claimed_frf(study.frfs)
     return claimed_words(study.settings.measurement.accuracy)
 
 

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
+from calib.correlation.frf_nuisance import concerned
 from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.held_out import group_table, held_out_errors
 from calib.correlation.problem import FunctionProblem, ModalProblem
@@ -18,6 +19,7 @@ from calib.degrees_of_freedom import KNOWN, behind, chance, effective_dof
 from calib.forward import ForwardProblem, Targets, Unseen, pair_of
 from calib.inference.identify import posterior, with_held
 from calib.inference.leave_one_out import leave_one_out
+from calib.joint import spread
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem import Pair
 from calib.space import ParameterSpace
@@ -77,7 +79,7 @@ def measuring(problem: FunctionProblem | FRFProblem, own: Targets | MeasuredFRFs
     """The pair of a problem's model and other measured data of the same kind."""
     if isinstance(own, MeasuredFRFs):
         assert isinstance(problem, FRFProblem)
-        return pair_of(replace(problem, measured=own))
+        return pair_of(replace(problem, measured=own, nuisances=concerned(problem.nuisances, own)))
     assert isinstance(problem, FunctionProblem)
     return pair_of(replace(problem, targets=own))
 
@@ -87,10 +89,14 @@ def whitened(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Whitened residual (n_rows,) of a pair, and its derivative (n_rows, n_params + n_held).
 
-    The last columns are its changes by one standard deviation of each held parameter.
+    The last columns are its changes by one standard deviation of each held parameter. Parameters that the pair lacks,
+    such as the gain of a channel that is not in its data, change nothing.
     """
+    wanted = (*names, *held_sd)
+    own = [name for name in wanted if name in pair.space]
+    point = {name: value for name, value in values.items() if name in pair.space}
     unit = np.array([*np.ones(len(names)), *held_sd.values()])
-    return pair.of(pair.solve(values)), pair.slope(values, (*names, *held_sd), pair.solve) * unit
+    return pair.of(pair.solve(point)), spread(pair.slope(point, own, pair.solve), own, wanted) * unit
 
 
 def std_behind(pair: Pair) -> float:

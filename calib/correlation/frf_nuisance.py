@@ -32,6 +32,8 @@ _WEAKEST = -90.0
 """Lower limit of a gain, %: at -100 the channel is dead."""
 _UNITS = {"gain": "%", "phase": "deg", "delay": "s"}
 
+ChannelKind = Literal["gain", "phase", "delay"]
+
 
 @dataclass(frozen=True)
 class ChannelError:
@@ -54,7 +56,7 @@ class ChannelError:
         For an unknown kind or side, or a standard deviation that is missing or not positive.
     """
 
-    kind: Literal["gain", "phase", "delay"]
+    kind: ChannelKind
     sensor: str
     side: Literal["response", "reference"] = "response"
     prior_sd: float | None = None
@@ -192,6 +194,40 @@ class Stinger:
 
 
 Nuisance = ChannelError | AddedMass | Stinger
+
+
+def of_every_channel(
+    measured: MeasuredFRFs,
+    gain: float | None = None,
+    phase: float | None = None,
+    delay: float | None = None,
+    accelerometer: float | None = None,
+    stinger: float | None = None,
+) -> tuple[Nuisance, ...]:
+    """The same nuisances for all channels of a test; without a number there is none of that kind.
+
+    Parameters
+    ----------
+    measured : MeasuredFRFs
+    gain, phase, delay : float, optional
+        Prior standard deviations, in %, degrees and s, of the channels of all responses and references.
+    accelerometer : float, optional
+        Mass at every node with a response, kg.
+    stinger : float, optional
+        Prior standard deviation of the stiffness at every reference, N/m.
+    """
+    out: list[Nuisance] = []
+    sds: dict[ChannelKind, float | None] = {"gain": gain, "phase": phase, "delay": delay}
+    for kind, sd in sds.items():
+        if sd is not None:
+            out += [ChannelError(kind, s.name, "response", sd) for s in measured.responses]
+            out += [ChannelError(kind, s.name, "reference", sd) for s in measured.references]
+    if accelerometer is not None:
+        nodes = {s.node: s for s in reversed(measured.responses)}
+        out += [AddedMass(sensor, accelerometer) for sensor in reversed(nodes.values())]
+    if stinger is not None:
+        out += [Stinger(sensor, stinger) for sensor in measured.references]
+    return tuple(out)
 
 
 def require_positive(prior_sd: float | None, place: str) -> None:

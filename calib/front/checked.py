@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from calib.errors import InputError
 from calib.given import names, number, values
+
+Claimed = str | float | Mapping[str, str | float] | None
 
 
 def named(test: Any) -> str:

@@ -168,8 +168,9 @@ def _adapter(
         return ScalarAdapter(scalar, tested, facts, test.unseen)
     if isinstance(test, FRFTest):
         assert isinstance(held, StructuralModel)
-        changed = Variants(held, effects, tuple(a.effect for a in local), None)
-        return FRFAdapter(ModelHypotheses(test.pair(held), changed, space), local, facts, test.unseen)
+        changed, frfs = Variants(held, effects, tuple(a.effect for a in local), None), test.pair(held)
+        space = frfs.space.without(dict(test.condition))
+        return FRFAdapter(ModelHypotheses(frfs, changed, space), local, facts, test.unseen)
     pair, whole = test.pair(held), test.whole_problem(held)
     if isinstance(held, ModalFunctionModel):
         modal, tested = function_hypotheses(held, pair, effects, space, name)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import pandas as pd
 
-from calib.analyses.uncertainty import assumed_frfs
+from calib.analyses.uncertainty import assumed_frfs, claimed_frf
 from calib.analyses.verify import errors_of
+from calib.correlation.frf_nuisance import AddedMass, ChannelError, Nuisance, Stinger, concerned
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.errors import InputError
-from calib.front.checked import band, named
+from calib.front.checked import Claimed, band, named
 from calib.given import names, objects
+from calib.measurement.accuracy import frf_claim
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
@@ -35,28 +37,42 @@ class FRFTest:
         Likewise references: places and directions of the force.
     held_out_bands : sequence of (float, float)
         Likewise bands of lines, Hz.
+    nuisances : sequence of Nuisance
+        Errors of the test itself that a fit may find, each with its prior; see `calib.correlation.frf_nuisance`.
     name, condition
         As in `calib.ModalTest`.
+    accuracy : str, float or mapping, optional
+        Claimed accuracy beside the repeatability: a share of the modulus such as ``"2 %"``, a floor in the unit of the
+        FRFs, or both, ``{"share": "2 %", "floor": 1e-7}``.
     """
 
     frfs: MeasuredFRFs
     held_out: tuple[str, ...] = ()
     held_out_references: tuple[str, ...] = ()
     held_out_bands: Sequence[tuple[float, float]] = ()
+    nuisances: Sequence[Nuisance] = ()
     name: str = "test"
     condition: Mapping[str, float] = field(default_factory=dict)
+    accuracy: Claimed = None
 
     def __post_init__(self) -> None:
         place = named(self)
-        objects([self.frfs], MeasuredFRFs, f"{place}, frfs")
+        (frfs,) = objects([self.frfs], MeasuredFRFs, f"{place}, frfs")
+        kinds = (ChannelError, AddedMass, Stinger)
+        object.__setattr__(self, "nuisances", objects(self.nuisances, kinds, f"{place}, nuisances"))
+        try:
+            claimed = frfs.accuracy if self.accuracy is None else frf_claim(self.accuracy)
+        except (TypeError, ValueError) as fault:
+            raise InputError(str(fault), place=f"{place}, accuracy") from None
+        object.__setattr__(self, "frfs", replace(frfs, accuracy=claimed))
         references = names(self.held_out_references, f"{place}, held_out_references")
         bands = tuple(band(one, f"{place}, held_out_bands") for one in self.held_out_bands)
         object.__setattr__(self, "held_out_references", references)
         object.__setattr__(self, "held_out_bands", bands)
         unknown = self._held_out.unknown(self.frfs)
         if unknown is not None:
-            fault = unknown[1]
-            raise InputError(fault.problem, place=place, remedy=fault.remedy)
+            lacking = unknown[1]
+            raise InputError(lacking.problem, place=place, remedy=lacking.remedy)
 
     @property
     def _held_out(self) -> HeldOutFRFs:
@@ -83,7 +99,7 @@ class FRFTest:
                 f"the model {model.name} has no matrices", place=f"test {self.name}",
                 remedy="give a StructuralModel, such as one of StructuralModel.from_matrices",
             )  # fmt: skip
-        return FRFProblem(model, self.used)
+        return FRFProblem(model, self.used, concerned(self.nuisances, self.used))
 
     def pair(self, model: Any) -> FRFResidual:
         """The whitened residual of a model, without held-out FRFs."""
@@ -91,7 +107,7 @@ class FRFTest:
 
     def errors(self, model: Any, values: Mapping[str, float]) -> pd.DataFrame:
         """Errors on fitted, left-one-out and held-out FRFs; see `calib.analyses.verify.errors_of`."""
-        return errors_of(self.problem(model), None, self.unseen, model.space, values)
+        return errors_of(self.problem(model), None, self.unseen, self.problem(model).space, values)
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
@@ -101,7 +117,7 @@ class FRFTest:
     @property
     def claimed(self) -> str:
         """The claimed accuracy, in words; empty without."""
-        return ""
+        return claimed_frf(self.frfs)
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:

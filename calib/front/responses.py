@@ -13,15 +13,16 @@ from calib.evaluate import Evaluator
 from calib.executor import ExecutorEvaluator, Injected
 from calib.forward import ForwardProblem
 from calib.front.posed import PosedProblem
-from calib.front.test import Model, Test
+from calib.front.test import Model, Test, space_of
 from calib.inference.objective import JointObjective, Objective
 from calib.joint import of_test
 from calib.outcome import Function
 
 
 def own(model: Model, test: Test, values: Mapping[str, float]) -> dict[str, float]:
-    """The values that belong to a model, except those that the test's condition sets."""
-    return {name: v for name, v in values.items() if name in model.space and name not in test.condition}
+    """The values that belong to a model and a test, except those that the test's condition sets."""
+    space = space_of(model, test)
+    return {name: v for name, v in values.items() if name in space and name not in test.condition}
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class Responses:
     @classmethod
     def of(cls, problem: PosedProblem) -> Responses:
         """Responses of a problem."""
-        names = {test.name: frozenset(own(model, test, model.space.values)) for model, test in problem.pairs}
+        names = {test.name: frozenset(own(model, test, space_of(model, test).values)) for model, test in problem.pairs}
         return cls({test.name: test.problem(model) for model, test in problem.pairs}, names)
 
     def __call__(self) -> Function:

@@ -17,7 +17,7 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.standard_deviations import assumptions
 from calib.errors import InputError
 from calib.forward import HELD_OUT_RESPONSES
-from calib.front.checked import band, named
+from calib.front.checked import Claimed, band, named
 from calib.front.frf_test import FRFTest
 from calib.function import FunctionModel
 from calib.given import by_name, integer, names, number, objects
@@ -25,12 +25,12 @@ from calib.measurement.accuracy import Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
+from calib.space import ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption, StructuralModel
 from calib.study import Study
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
-Claimed = str | float | Mapping[str, str | float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,6 +265,11 @@ def test_of(study: Study) -> Test:
     data = given.measurement
     read = read_responses(study.folder / str(data.responses), data.pooling)
     return ResponseTest(read, given.held_out.responses, name, condition, data.accuracy)
+
+
+def space_of(model: Model, test: Test) -> ParameterSpace:
+    """Parameters of a model, and those of the test itself."""
+    return test.problem(model).space if isinstance(test, FRFTest) else model.space
 
 
 def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
