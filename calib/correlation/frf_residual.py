@@ -17,6 +17,7 @@ from calib.fingerprint import digest_of
 from calib.measurement.frf import MeasuredFRFs
 from calib.outcome import answered
 from calib.space import ParameterSpace
+from calib.structure.derivatives import beside_roots
 from calib.structure.frf import frf, frf_derivatives
 from calib.structure.loaded import loaded
 from calib.structure.model import StructuralModel
@@ -144,6 +145,7 @@ class FRFProblem:
     def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Their derivatives, (n_params, n_freq, n_responses, n_references), complex, per unit of each parameter."""
         measured, own = self.measured, [name for name in names if name in self.loaded_model.space]
+        values = beside_roots(self.space, self.loaded_model.roots, values, names)
         functions, found = frf_derivatives(
             self.loaded_model, self._of_model(values), measured.freq, self._responses, self._references, own,
             measured.quantity,

@@ -16,15 +16,9 @@ from calib.correlation.standard_deviations import USUAL, Floors, StandardDeviati
 from calib.fingerprint import digest_of
 from calib.mac import is_real
 from calib.space import ParameterSpace
-from calib.structure.derivatives import ModeDerivatives
+from calib.structure.derivatives import ModeDerivatives, beside_roots
 from calib.structure.modal_model import ModalModel
 
-_BESIDE = 1e-6
-"""Offset from 0, over the limit, at which derivatives by a parameter under a square root are taken.
-
-Modes depend smoothly on the parameter: so close to 0 their derivative equals that at 0 to about 1e-6. It is a
-difference of terms that grow with the inverse square root, here a thousandfold, which leaves twelve digits.
-"""
 _LEAST_RATIO = 1e-6
 """Lower bound of model damping ratios, which keeps their logarithm finite."""
 
@@ -262,16 +256,8 @@ class ModalResidual:
         return labels, freq, (slopes.natural_freq / freq).T
 
     def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
-        """Point at which derivatives by the named parameters are taken: offset from 0 for one under a square root.
-
-        At 0 the modes have a derivative, but the matrices do not.
-        """
-        model, out = self.problem.model, self.problem.space.complete(values)
-        for name in names:
-            if name in model.roots and out[name] == 0:
-                p = model.space[name]
-                out[name] = _BESIDE * (p.upper if p.upper > 0 else p.lower)
-        return out
+        """Point at which derivatives by the named parameters are taken; see `beside_roots`."""
+        return beside_roots(self.problem.space, self.problem.model.roots, values, names)
 
     def derivatives(
         self,

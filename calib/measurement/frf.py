@@ -102,7 +102,7 @@ class MeasuredFRFs:
         for kind, sensors in (("response", self.responses), ("reference", self.references)):
             names = [sensor.name for sensor in sensors]
             if twice := next((name for name in names if names.count(name) > 1), None):
-                raise InputError(f"the {kind} {twice} is there twice", place=place, remedy="average it or leave one")
+                raise InputError(f"a {kind} is given twice ({twice})", place=place, remedy="average it or keep one")
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:

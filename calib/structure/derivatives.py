@@ -26,6 +26,13 @@ NEIGHBOUR = 0.1
 REPEATED = 1e-7
 """Eigenvalues closer than this fraction of their modulus count as repeated; single shapes have no derivative."""
 
+_BESIDE = 1e-6
+"""Offset from 0, over the limit, at which derivatives by a parameter under a square root are taken.
+
+Modes and FRFs depend smoothly on the parameter: so close to 0 their derivative equals that at 0 to about 1e-6. It is a
+difference of terms that grow with the inverse square root, here a thousandfold, which leaves twelve digits.
+"""
+
 _RESIDUAL = 1e-6
 """Largest relative residual of a bordered solve; beyond it an unsolved close mode makes the matrix singular."""
 
@@ -103,6 +110,21 @@ class Analytic:
     def weighted(self: DifferentiableModel, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
         """Shapes times the mass matrix, (n_dof, n_modes), the weight of their orthogonality."""
         return np.asarray(self.matrices(values)[2] @ shapes)
+
+
+def beside_roots(
+    space: ParameterSpace, roots: frozenset[str], values: Mapping[str, float], names: Sequence[str]
+) -> dict[str, float]:
+    """Point at which derivatives by the named parameters are taken: offset from 0 for one under a square root.
+
+    At 0 modes and FRFs have a derivative, but the matrices do not.
+    """
+    out = space.complete(values)
+    for name in names:
+        if name in roots and out[name] == 0:
+            p = space[name]
+            out[name] = _BESIDE * (p.upper if p.upper > 0 else p.lower)
+    return out
 
 
 def eigenvalues(modes: Modes) -> np.ndarray:

@@ -8,12 +8,15 @@ import pytest
 
 from calib.correlation.frf_nuisance import AddedMass, ChannelError, Stinger, concerned
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.effect import Effect
 from calib.errors import InputError
 from calib.inference.gauss_newton import fit
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.problem import Problem
 from calib.space import Parameter
+from calib.structure.attach import hung_masses, motion
+from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 from calib.structure.training import train_basis
@@ -187,6 +190,35 @@ def test_a_reduced_model_bears_loads_and_another_model_keeps_the_nuisances():
     np.testing.assert_allclose(small.solve(values), exact, rtol=0.02, atol=1e-3 * np.abs(exact).max())
     bare = FRFResidual(FRFProblem(panel, data)).solve({GROUPS[0]: 200.0})
     assert np.abs(exact / bare - 1.02).max() > 0.1
+
+
+def test_an_effect_with_its_own_motion_goes_with_nuisances_of_the_test():
+    """A hung mass adds a degree of freedom and has a root of its mass: at mass 0 too its derivative is that nearby."""
+    panel = solar_panel()
+    effect = Effect(
+        "hung", "Hung mass", "No mass hangs there.", "A unit on springs.",
+        Parameter("hung", 0.0, 0.0, 3.0, "kg", prior_sd=0.5),
+        lambda model: hung_masses([motion(model, (None, (0.4, 0.0, 0.0)), 2)], "hung", "f_hung", 0.02),
+        (Parameter("f_hung", 8.0, 2.0, 20.0, "Hz"),), ({"hung": 0.5, "f_hung": 8.0},),
+    )  # fmt: skip
+    reduced = ReducedModel(panel, train_basis(panel, panel.space.keep(GROUPS[:2]), 8, seed=1))
+    sensor = Sensor(1, "z", (0.0, -0.2, 0.0))
+    ones = np.ones((8, 1, 1))
+    data = MeasuredFRFs(np.linspace(1.0, 11.0, 8), (sensor,), (sensor,), "receptance", ones + 0j, ones)
+    nuisances, names = (AddedMass(sensor, 0.2), ChannelError("gain", "1z")), ("hung", "mass_1", "gain_1z")
+    found = []
+    for model in (extend(panel, [effect]), reduced.extended([effect])):
+        residual = FRFResidual(FRFProblem(model, data, nuisances))
+        assert residual.space.names[-4:] == ("hung", "f_hung", "mass_1", "gain_1z")
+        values = {"hung": 0.7, "f_hung": 9.0, "mass_1": 0.3, "gain_1z": 2.0}
+        found.append(residual.solve(values))
+        for at in (values, {**values, "hung": 0.0}):
+            for column, name in zip(residual.jacobian(at, names).T, names, strict=True):
+                low = {**at, name: at[name] * (1 - 1e-5)}
+                high = {**at, name: at[name] * (1 + 1e-5) if at[name] else 1e-4}
+                slope = (residual.residual(high) - residual.residual(low)) / (high[name] - low[name])
+                np.testing.assert_allclose(column, slope, rtol=2e-3, atol=1e-3 * np.abs(slope).max())
+    np.testing.assert_allclose(found[1], found[0], atol=5e-3 * np.abs(found[0]).max())
 
 
 def test_nuisances_of_data_in_use(chain):

@@ -215,7 +215,7 @@ def test_a_fingerprint_covers_all_that_an_evaluation_may_depend_on():
         ({"freq": np.array([1.0, np.nan])}, "ascend"),
         ({"freq": np.array([-1.0, 1.0])}, "ascend"),
         ({"std": -np.ones((2, 1, 1))}, "negative"),
-        ({**shaped(2, 2), "responses": (Sensor(1, "z"),) * 2}, "1z is there twice"),
+        ({**shaped(2, 2), "responses": (Sensor(1, "z"),) * 2}, "a response is given twice"),
         ({**shaped(0, 1), "freq": np.zeros(0)}, "no line"),
     ],
 )
