@@ -71,7 +71,7 @@ def parameter_verdicts(
         Factor by which the measurement uncertainty is scaled for the misfit; mentioned where it is not 1.
     differing : mapping, optional
         Parameters by which equally good solutions differ, and their largest differences over the range, see
-        `calib.inference.cases.Agreement`: none of them is identified, however small its standard deviation at one.
+        `calib.inference.agreement.Agreement`: none of them is identified, however small its standard deviation at one.
 
     Returns
     -------

@@ -40,7 +40,7 @@ def less_accurate(found: Explanation, labelled: Labelled, relative_std: np.ndarr
     Returns
     -------
     DataFrame
-        `COLUMNS`; ``p_smaller`` is the probability of a sum of squares no larger than ``misfit`` if the values were that
+        `COLUMNS`; ``p_smaller`` is the probability of a sum of squares no larger than ``misfit`` if values were that
         inaccurate, ``missing`` whether the tests still reject the base model. Empty for the verdicts
         ``nothing_detectable`` and ``noise_underestimated``.
     """
@@ -81,9 +81,9 @@ def sentence(table: pd.DataFrame, level: float) -> str:
     """Accuracy at which the verdict would change, in words; empty for an empty table.
 
     Where none of the table changes it, the largest accuracy that the data do not contradict is stated: with a larger
-    one they would scatter more than they do. They contradict an accuracy whose ``p_smaller`` is at most ``level`` (lower
-    tail of chi-square, of F where the standard deviations are estimates). What is missing adds to the sum of squares,
-    so that an accuracy that is contradicted would be without it all the more.
+    one they would scatter more than they do. They contradict an accuracy whose ``p_smaller`` is at most ``level``: the
+    lower tail of chi-square, or of F where the standard deviations are estimates. What is missing adds to the sum of
+    squares, so that without it an accuracy that is contradicted would be so all the more.
     """
     if table.empty:
         return ""
