@@ -183,7 +183,7 @@ def _sentence(
         part = f"{std:.3g}{scale} ({100 * std / span:.1f} % of its range{wider})"
         words.append(f"Identified, standard deviation {part}.")
     elif math.isinf(std):
-        words.append("Not determined at all.")
+        words.append("Not identified: neither data nor prior say anything on it.")
     else:
         words.append(f"Not identified: {'; '.join(_reasons(why, std, share, span, scale, wider, apart))}.")
     if others:
