@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from calib.report.explanation import COLLINEAR, ranked, threshold
+from calib.report.explanation import COLLINEAR, ranked
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
@@ -98,9 +98,8 @@ def _why(results: StudyResults) -> list[Picture]:
 def _effect_picture(results: StudyResults, table: pd.DataFrame) -> list[Picture]:
     best = "; ".join(f"{r['title']} {fixed(r['ln_bayes'], 1)}" for r in table.head(3).to_dict("records"))
     caption = (
-        f"Left: evidence for each effect, with the threshold for one of {len(table)} effects, "
-        f"{fixed(threshold(len(table)), 1)}, dashed. Right: smallest visible magnitude; beyond the line at 1 only an "
-        "implausibly large effect is visible."
+        "Left: evidence for each effect; its limit is dashed. Right: smallest visible magnitude; beyond the line at 1 "
+        "only an implausibly large effect is visible."
     )
     if table["implausible"].astype(bool).any():
         caption += " A cross is a fit with implausible values; the remark in the table says which."
@@ -183,12 +182,7 @@ def _local_perturbations(results: StudyResults) -> list[Block]:
     )
     first = ", ".join(f"{r[0]} {r[2]}" for r in rows[:3])
     caption = f"Local perturbations with the largest scores, of {len(table)}: places to inspect, not causes"
-    limit = float(table["limit"].iloc[0])
-    note = (
-        "Scores of local perturbations at their locations: places to inspect, not causes. "
-        f"{int((table['score'].abs() > limit).sum())} of {len(table)} exceed ±{fixed(limit, 1)}, the limit for noise "
-        f"alone. {AXES_NOTE}"
-    )
+    note = f"Scores of local perturbations at their locations: places to inspect, not causes. {AXES_NOTE}"
     alt = f"Scores of {counted(len(table), 'local perturbation')}. The largest: {first}."
     return [
         *results.picture("perturbation_map", note, alt),
