@@ -42,7 +42,7 @@ EXPLANATION = {
     "evaluations": float, "errors": {ANY: {"before": float, "after": float}},
 }  # fmt: skip
 ADDED = {
-    "sentence": str, "conclusion": str, "effects": [{"name": str}], "study": str, "mean_freq_error": float,
+    "sentence": str, "conclusion": str, "own": str, "effects": [{"name": str}], "study": str, "mean_freq_error": float,
     "mean_mac": float,
 }  # fmt: skip
 """Types of the named values that the page reads, by file."""
