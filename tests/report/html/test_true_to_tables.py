@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.html.page import Picture, Table
+from calib.report.html.page import Picture, Table, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.html.write import sections
 from calib.report.numbers import fixed, percent
 from calib.report.verification import GROUPS
 
@@ -180,3 +181,19 @@ def test_one_matrix_of_the_sensitivity_is_open_and_the_others_tell_where_they_di
         assert f"{parameter} on " in pictures[name].folded and pictures[name].folded.endswith(told)
         inside = text[text.rindex("<details>", 0, text.index(f'<figure id="{name}"')) :]
         assert inside.index(f'<figure id="{name}"') < inside.index("</details>")
+
+
+def test_a_mode_of_an_added_effect_is_told_in_the_section_of_that_model(folder):
+    def told():
+        return [
+            (section.name, block.text)
+            for section in sections(StudyResults(folder, "", True))
+            for block in section.blocks
+            if isinstance(block, Words) and "of its own" in block.text
+        ]
+
+    found = json.loads((folder / "added.json").read_text())
+    assert found["own_modes"] == [] and found["own"] == "" and told() == []  # a guy rope has no mass
+    own = "guy brings a mode of its own at 3 Hz."
+    (folder / "added.json").write_text(json.dumps({**found, "own": own}))
+    assert told() == [("added", own)]
