@@ -303,7 +303,7 @@ def execute(arguments: list[str]) -> int:
     except InputError as fault:
         terminal.complain_of_input(fault, arguments)
         return 2
-    except Exception as fault:
+    except Exception as fault:  # the last resort: a sentence and the log instead of a bare traceback
         terminal.complain_of_unexpected(fault, arguments)
         return 1
     return 0

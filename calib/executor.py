@@ -143,7 +143,7 @@ class ExecutorEvaluator:
                 for k, values in enumerate(points):
                     try:
                         future: _Task = self._injected.executor.submit(worker.work_anywhere, self._sent, dict(values))
-                    except Exception as fault:
+                    except Exception as fault:  # a given executor raises what it likes: the point is a failed row
                         known(k, self._lost(values, fault))
                         continue
                     numbers[future] = k
@@ -153,7 +153,7 @@ class ExecutorEvaluator:
                     k = numbers[future := ended.get()]
                     try:
                         answer = future.result()
-                    except Exception as fault:
+                    except Exception as fault:  # whatever ended the task, of the executor's own classes too
                         known(k, self._lost(points[k], fault))
                     else:
                         known(k, opened(answer))
@@ -184,6 +184,6 @@ def _cannot_be_sent(sent: worker.Sent) -> str:
     """Why the source cannot be pickled; empty where it can."""
     try:
         pickle.dumps(sent)
-    except Exception as fault:
+    except Exception as fault:  # a class may raise anything from its own `__reduce__` or `__getstate__`
         return told(fault)
     return ""

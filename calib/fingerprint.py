@@ -129,7 +129,7 @@ class _Walk:
         if state is None:
             try:
                 state = thing.__reduce_ex__(2)[1:3]
-            except Exception:  # an open file, a lock, a library's own
+            except Exception:  # an open file or a lock; a library's own `__reduce__` may raise anything
                 state = getattr(thing, "__qualname__", None)
         yield from self.parts(state)
 

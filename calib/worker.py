@@ -81,7 +81,7 @@ def built(source: Source) -> Function:
     except InputError:
         raise
     except Exception as fault:
-        # An exception of the user's own class may not survive the way back.
+        # A user's set-up may raise anything, and an exception of a class of its own may not survive the way back.
         failure = RuntimeError(f"the model cannot be built in a worker: {type(fault).__name__}: {fault}")
         failure.add_note(traceback.format_exc())
         raise failure from None

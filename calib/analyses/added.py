@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +12,13 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.calibrate import Calibration
+from calib.analyses.every_mode import with_held_out
+from calib.analyses.own_modes import COLUMNS as OWN_COLUMNS
+from calib.analyses.own_modes import own_modes
+from calib.analyses.own_modes import sentence as own_sentence
 from calib.analyses.record import begin_analysis, write_record
 from calib.effect import Effect
+from calib.errors import EvaluationError
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE
@@ -47,6 +53,8 @@ class Added:
     parameters : DataFrame
         ``added_parameters.csv``: ``parameter, unit, added, nominal`` and, of the stages ``before`` and ``after``, the
         value and its ``_std`` and ``_identified``.
+    own : str
+        Modes of the effects' own that no measured mode pairs with, in words; empty without any.
     modes : DataFrame
         ``added_modes.csv``: ``mode, held_out, damped_freq_measured`` and ``damped_freq_, error_, mac_`` of the stages
         ``initial`` (nominal values), ``before`` (calibrated) and ``after`` (calibrated with the added effects).
@@ -55,6 +63,7 @@ class Added:
     effects: tuple[Effect, ...]
     sentence: str
     conclusion: str
+    own: str
     errors: pd.DataFrame
     parameters: pd.DataFrame
     modes: pd.DataFrame
@@ -94,7 +103,7 @@ def write_nothing_added(study: Study, found: Explanation, results: Results, quic
     """Report why no effect is added, and write ``added.json``."""
     nothing = pd.DataFrame()
     begin_analysis(results, "extend")
-    answer = _written(Added((), nothing_added(found), "", nothing, nothing, nothing), results, effects=[])
+    answer = _written(Added((), nothing_added(found), "", "", nothing, nothing, nothing), results, effects=[])
     write_record(study, results, "extend", {}, (answer.sentence,), quick)
     return answer
 
@@ -133,7 +142,9 @@ def write_added(
     benefit = "" if errors.empty else f"With {'it' if len(effects) == 1 else 'them'} {conclusion(errors)}."
     words = [_sentence(magnitudes, errors, benefit), *_unsettled(magnitudes, found)]
     words += ["Both are quick runs: confirm them with full ones."] if quick else []
-    answer = Added(effects, " ".join(words), benefit, errors, parameters, _modes(before, after))
+    own = _own_modes(study, effects, extended, after)
+    told = own_sentence(own)
+    answer = Added(effects, " ".join(words), benefit, told, errors, parameters, _modes(before, after))
     begin_analysis(results, "extend")
     results.write_table("added_errors", errors)
     results.write_table("added_parameters", parameters)
@@ -146,8 +157,9 @@ def write_added(
     given = extended.settings
     seeds = {**{case.name: case.seed for case in given.calibration.cases}, "reduction": given.reduction.seed}
     reached = {"mean_freq_error": end.mean_freq_error, "mean_mac": end.mean_mac}
-    _written(answer, results, effects=magnitudes, study=str(extended.file.parent), quick=quick, **reached)
-    write_record(study, results, "extend", seeds, (answer.sentence,), quick)
+    brought = {"own_modes": own.to_dict("records"), "own": told}
+    _written(answer, results, effects=magnitudes, study=str(extended.file.parent), quick=quick, **brought, **reached)
+    write_record(study, results, "extend", seeds, (answer.sentence, told) if told else (answer.sentence,), quick)
     return answer
 
 
@@ -193,6 +205,18 @@ def _modes(before: Calibration, after: Calibration) -> pd.DataFrame:
         for kind in ("damped_freq", "error", "mac"):
             table[f"{kind}_{stage}"] = modes[f"{kind}_{own}"]
     return table
+
+
+def _own_modes(study: Study, effects: Sequence[Effect], extended: Study, after: Calibration) -> pd.DataFrame:
+    """Modes of the effects' own in the calibrated extended model; empty where it has none or cannot be solved."""
+    used = after.best.answer.comparison
+    if used is None:
+        return pd.DataFrame(columns=list(OWN_COLUMNS))
+    order = extended.settings.with_effects
+    placed = sorted(effects, key=lambda effect: order.index(effect.name))
+    with suppress(EvaluationError):
+        return own_modes(study.model, placed, with_held_out(extended, used))
+    return pd.DataFrame(columns=list(OWN_COLUMNS))
 
 
 def _magnitude(effect: Effect, study: Study, after: Calibration) -> dict[str, object]:

@@ -139,7 +139,7 @@ def of_fit(
     contradictions : sequence of str
         On held-out data.
     agreement : str
-        See `calib.inference.cases.Agreement`.
+        See `calib.inference.agreement.Agreement`.
     """
     fits = {
         True: "The calibrated model fits the data within their standard deviation",

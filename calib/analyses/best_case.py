@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from calib.analyses.case import CaseFound
 from calib.analyses.fit_statistics import EQUAL
-from calib.inference.cases import Agreement, CaseResult
+from calib.inference.agreement import Agreement
+from calib.inference.cases import CaseResult
 from calib.space import ParameterSpace
 
 
@@ -42,26 +43,3 @@ def summed(tests: Sequence[Sequence[CaseFound]]) -> list[CaseResult]:
     """The cases with the misfits of all tests added up: together the tests discriminate where one does not."""
     every = zip(*tests, strict=True)
     return [replace(each[0].result, misfit=sum(one.result.misfit for one in each)) for each in every]
-
-
-def agreement_sentences(own: Agreement, searched: Agreement | None) -> tuple[str, ...]:
-    """Whether the cases agree, in words; ``searched`` is the agreement of the searches before least squares."""
-    out = [own.sentence]
-    if searched is not None:
-        out = [f"After least squares, which also weighs the priors, {_going_on(own.sentence)}", _before(searched, own)]
-    return (*out, own.remedy) if own.remedy else tuple(out)
-
-
-def _before(searched: Agreement, own: Agreement) -> str:
-    if (searched.verdict, own.verdict) != ("several solutions", "one solution"):
-        return f"In the searches alone, {_going_on(searched.sentence)}"
-    name, width = next(iter(searched.differing.items()))
-    return (
-        f"The searches alone had ended in {len(searched.solutions)} places, up to {100 * width:.0f} % of the range "
-        f"apart ({name}); least squares led from all of them to that solution."
-    )
-
-
-def _going_on(sentence: str) -> str:
-    """A sentence behind the beginning of another."""
-    return f"{sentence[:1].lower()}{sentence[1:]}"

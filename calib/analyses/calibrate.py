@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.answers import UNTRIED, of_fit
-from calib.analyses.best_case import agreement_sentences, best_of, with_starts
+from calib.analyses.best_case import best_of, with_starts
 from calib.analyses.calibration_tables import tables_of
 from calib.analyses.case import CaseFinder, CaseFound
 from calib.analyses.compare import ComparisonResult, before_and_after, compare, write_comparison, write_model_modes
@@ -35,7 +35,8 @@ from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.standard_deviations import known_std
 from calib.errors import EvaluationError, InputError
-from calib.inference.cases import Agreement, Case, agreement, convergence_table
+from calib.inference.agreement import Agreement, agreement, agreement_sentences
+from calib.inference.cases import Case, convergence_table
 from calib.inference.verdicts import identified_sentence
 from calib.ledger import Ledger
 from calib.missing.suspect import sentence as suspect_sentence

@@ -21,7 +21,7 @@ def tables_of(
 ) -> dict[str, pd.DataFrame]:
     """Tables on the parameters and their identifiability after some cases, by file name.
 
-    ``differing`` are the parameters by which equally good solutions differ; see `calib.inference.cases.Agreement`.
+    ``differing`` are the parameters by which equally good solutions differ; see `calib.inference.agreement.Agreement`.
     """
     parameters = _parameters(space, found, searched, differing)
     spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))

@@ -39,7 +39,7 @@ def all_stages(study: Study, before: Comparison, after: Comparison) -> dict[str,
     if study.settings.adopted is not None:
         assert isinstance(study.problem, ModalProblem)
         stages = {"initial": study.problem.compare(study.initial), **stages}
-    return {stage: _whole(study, used) for stage, used in stages.items()}
+    return {stage: with_held_out(study, used) for stage, used in stages.items()}
 
 
 def every_mode(study: Study, stages: Mapping[str, Comparison]) -> pd.DataFrame:
@@ -71,7 +71,8 @@ def every_mode(study: Study, stages: Mapping[str, Comparison]) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _whole(study: Study, used: Comparison) -> Comparison:
+def with_held_out(study: Study, used: Comparison) -> Comparison:
+    """A comparison of the used data, with held-out modes paired with the remaining model modes; see `all_stages`."""
     whole = study.whole_problem()
     if whole is None or not study.settings.held_out.modes:
         return used

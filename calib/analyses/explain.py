@@ -236,7 +236,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
     named = " and ".join(found.credible) if found.verdict == "effect" else ""
-    more = (suspect_sentence(found.suspects, named), accuracy_sentence(accuracy))
+    more = (suspect_sentence(found.suspects, named), accuracy_sentence(accuracy, found.alpha))
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
     words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")

@@ -125,6 +125,7 @@ def summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
         "sentence": answer.sentence,
         "sentences": list(answer.sentences),
         "notes": list(answer.notes),
+        "alpha": found.alpha,
         "p_family": check.p_family,
         "p_fit": check.p_fit,
         "credible_set": list(found.credible),

@@ -16,7 +16,8 @@ from calib.analyses.uncertainty import assumed_words, in_one
 from calib.degrees_of_freedom import effective_dof
 from calib.errors import EvaluationError
 from calib.forward import ForwardProblem, pair_of
-from calib.inference.cases import Agreement, CaseResult, agreement
+from calib.inference.agreement import Agreement, agreement
+from calib.inference.cases import CaseResult
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed

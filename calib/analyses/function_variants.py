@@ -48,7 +48,7 @@ class Kept:
         if key not in self._found:
             try:
                 self._found[key] = self.function(dict(values))
-            except Exception as fault:
+            except Exception as fault:  # the user's function may raise anything; it is raised again below
                 self._found[key] = _Raised(fault, fault.__traceback__)
         found = self._found[key]
         if isinstance(found, _Raised):

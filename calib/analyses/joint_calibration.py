@@ -32,7 +32,7 @@ from calib.analyses.stored import confirmed
 from calib.answer import Answer
 from calib.errors import InputError
 from calib.forward import ForwardProblem
-from calib.inference.cases import agreement
+from calib.inference.agreement import agreement
 from calib.joint import JointProblem, of_test, stacked
 from calib.ledger import Ledger
 from calib.problem import Counts

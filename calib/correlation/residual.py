@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from calib.correlation.compare import Comparison
+from calib.correlation.fitted_shape import FittedShape
 from calib.correlation.problem import ModalProblem
 from calib.correlation.standard_deviations import USUAL, Floors, StandardDeviations, dof_behind, std_for
 from calib.fingerprint import digest_of
@@ -300,7 +301,7 @@ class ModalResidual:
                 np.nan_to_num(np.log(measured.natural_freq / freq), nan=1.0) / std.freq,
                 np.nan_to_num(np.log(measured.damping_ratio[damped] / ratio[damped]), nan=1.0) / std.damping[damped],
             ]
-        fitted: dict[int, _FittedShape] = {}
+        fitted: dict[int, FittedShape] = {}
         for i, part in self._parts:
             if i not in fitted:
                 fitted[i] = self._fit(found, i)
@@ -354,7 +355,7 @@ class ModalResidual:
     def _partner(found: Comparison, i: int) -> int:
         return int(found.pairing.model_index[i])
 
-    def _fit(self, found: Comparison, i: int) -> _FittedShape:
+    def _fit(self, found: Comparison, i: int) -> FittedShape:
         measured, j = self.problem.measured, self._partner(found, i)
         known = np.isfinite(measured.shapes[:, i])
         target, std = measured.shapes[known, i], self.std.shape[known, i]
@@ -362,50 +363,4 @@ class ModalResidual:
         on = np.ones(len(target), dtype=bool)
         if self.factor_sensors is not None:
             on = np.array([s.name in self.factor_sensors for s in measured.sensors])[known]
-        return _FittedShape.of(target, shape.astype(complex), std, known, on, (i, "im") not in self._parts)
-
-
-@dataclass(frozen=True, eq=False)
-class _FittedShape:
-    """One model shape fitted to a measured one.
-
-    ``on`` marks the entries used to fit factor and phase, ``power`` is the square of the whitened shape there, ``turn``
-    the phase factor of a real comparison.
-    """
-
-    residual: np.ndarray
-    shape: np.ndarray
-    factor: complex
-    power: float
-    std: np.ndarray
-    known: np.ndarray
-    on: np.ndarray
-    turn: complex | None
-    raw: np.ndarray
-
-    @classmethod
-    def of(
-        cls, target: np.ndarray, raw: np.ndarray, std: np.ndarray, known: np.ndarray, on: np.ndarray, as_real: bool
-    ) -> _FittedShape:
-        turn, shape = None, raw
-        size = float(np.max(np.abs(raw[on]), initial=0.0))
-        if as_real:
-            target = np.real(target * np.exp(-0.5j * np.angle(np.sum(target**2)))).astype(complex)
-            turn = np.exp(-0.5j * np.angle(np.sum((raw[on] / (size or 1.0)) ** 2)))
-            shape = np.real(raw * turn).astype(complex)
-        u, v = target / std, shape / std
-        power = float(np.vdot(v[on], v[on]).real)
-        factor = complex(np.vdot(v[on], u[on]) / power) if size > 0 and power > 0 else 0j
-        return cls(u - factor * v, v, factor, power, std, known, on, turn, raw)
-
-    def slope(self, shapes: np.ndarray) -> np.ndarray:
-        """Projected derivative of the residual, (n_known, n_params), from that of the shapes at all sensors."""
-        if not self.power > 0:
-            return np.zeros((len(self.residual), shapes.shape[1]))
-        change, on = shapes[self.known], self.on
-        if self.turn is not None:
-            phase = np.imag(self.raw[on] @ change[on] / (self.raw[on] @ self.raw[on]))
-            change = np.real(self.turn * (change - 1j * np.outer(self.raw, phase))).astype(complex)
-        change = change / self.std[:, None]
-        along = np.outer(self.shape, self.shape[on].conj() @ change[on]) / self.power
-        return -self.factor * (change - along)
+        return FittedShape.of(target, shape.astype(complex), std, known, on, (i, "im") not in self._parts)

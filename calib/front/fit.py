@@ -15,7 +15,7 @@ from calib.front.responses import own
 from calib.front.search import Searched
 from calib.front.shown import Compared, Shown
 from calib.given import path as path_of
-from calib.inference.cases import Agreement
+from calib.inference.agreement import Agreement, agreement_sentences
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,8 +67,9 @@ class Fit(Shown, Generic[P]):
     def sentences(self) -> tuple[str, ...]:
         """Goodness of fit, identifiability of each parameter, and whether starts and searches agree."""
         each = (f"{name}: {sentence}" for name, sentence in self.parameters["sentence"].items())
-        ends = [f"After least squares: {self.agreement.sentence}"] if self.agreement else []
-        return (self.statistics.sentence, *each, *ends, *(self.search.sentences if self.search else ()))
+        ends = agreement_sentences(self.agreement, self.search.agreement if self.search else None)
+        failed = (self.search.why_failed,) if self.search and self.search.why_failed else ()
+        return (self.statistics.sentence, *each, *ends, *failed)
 
     def __repr__(self) -> str:
         known = int(self.parameters["identified"].fillna(False).astype(bool).sum())

@@ -11,7 +11,7 @@ from calib.analyses.fit_statistics import FitStatistics, Terms
 from calib.effect import Effect
 from calib.front.shown import Compared
 from calib.front.test import Model, Test
-from calib.inference.cases import Agreement
+from calib.inference.agreement import Agreement
 from calib.joint import JointProblem
 from calib.problem import Problem as Posed
 from calib.space import ParameterSpace

@@ -15,15 +15,8 @@ from calib.analyses.fit_statistics import FitStatistics, Shared, ended, fitted
 from calib.executor import Injected
 from calib.front.posed import PosedProblem
 from calib.front.responses import Responses
-from calib.inference.cases import (
-    Agreement,
-    Case,
-    CaseResult,
-    agreement,
-    convergence_table,
-    parameters_table,
-    run_case,
-)
+from calib.inference.agreement import Agreement, agreement, agreement_sentences
+from calib.inference.cases import Case, CaseResult, convergence_table, parameters_table, run_case
 from calib.inference.genetic import GeneticSettings
 from calib.ledger import Ledger
 from calib.sampling import sample
@@ -79,8 +72,7 @@ class Searched:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Whether the cases agree, and why points failed."""
-        told = f"{self.agreement.sentence} {self.agreement.remedy}".strip()
-        return (told, *([self.why_failed] if self.why_failed else []))
+        return (*agreement_sentences(self.agreement, None), *([self.why_failed] if self.why_failed else []))
 
 
 def searched(

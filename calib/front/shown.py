@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
@@ -15,18 +16,18 @@ from calib.answer import LABEL
 from calib.joint import said, stacked
 
 
-class Shown:
+class Shown(ABC):
     """A result that prints as its answer in four lines, else as sentences and a table; in a notebook with its table."""
 
     @property
+    @abstractmethod
     def sentences(self) -> tuple[str, ...]:
         """Findings, the most important first."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def table(self) -> pd.DataFrame:
         """Table shown below the sentences."""
-        raise NotImplementedError
 
     @property
     def lines(self) -> Mapping[str, str]:

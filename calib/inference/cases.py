@@ -1,11 +1,11 @@
-"""Independent runs (cases) of the genetic search, and whether they agree on one solution."""
+"""Independent runs (cases) of the genetic search, and their tables."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -238,7 +238,7 @@ def scaled_violation(space: ParameterSpace, points: np.ndarray) -> np.ndarray:
 # -- tables ------------------------------------------------------------------------------------------------------------
 
 
-def _ratios(results: Sequence[CaseResult], space: ParameterSpace) -> np.ndarray:
+def ratios(results: Sequence[CaseResult], space: ParameterSpace) -> np.ndarray:
     """Position between the limits, 0 to 1, shape (n_cases, n_free)."""
     values = np.array([[r.values[name] for name in space.free_names] for r in results]).reshape(len(results), -1)
     return (values - space.lower) / (space.upper - space.lower)
@@ -254,10 +254,10 @@ def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd
         (within 1 % of a limit); ``spread`` (largest minus smallest ratio over the cases) and ``stable`` (spread of at
         most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
     """
-    ratios = _ratios(results, space)
-    spread = np.ptp(ratios, axis=0) if len(results) > 1 else np.full(len(space.free), np.nan)
+    position = ratios(results, space)
+    spread = np.ptp(position, axis=0) if len(results) > 1 else np.full(len(space.free), np.nan)
     rows = []
-    for result, row in zip(results, ratios.tolist(), strict=True):
+    for result, row in zip(results, position.tolist(), strict=True):
         for parameter, ratio, width in zip(space.free, row, spread.tolist(), strict=True):
             rows.append(
                 {
@@ -282,106 +282,3 @@ def convergence_table(results: Sequence[CaseResult]) -> pd.DataFrame:
     columns = ["case", "generation", "best", "mean", "feasible"]
     tables = [r.convergence.assign(case=r.name)[columns] for r in results]
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=columns)
-
-
-_NAMED = 3
-"""Parameters that a sentence names as differing; the table has all."""
-
-
-# -- agreement ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """Whether the cases found one solution.
-
-    Attributes
-    ----------
-    verdict : {"one case", "one solution", "several solutions", "not settled"}
-    solutions : tuple of tuple of str
-        Cases that fit as well as the best one, grouped by solution, best first.
-    worse : tuple of str
-        Cases that fit less well and therefore say nothing about uniqueness.
-    differing : mapping from str to float
-        Parameters by which the solutions differ, and their largest differences over the range, largest first.
-    sentence : str
-    """
-
-    verdict: Literal["one case", "one solution", "several solutions", "not settled"]
-    solutions: tuple[tuple[str, ...], ...]
-    worse: tuple[str, ...]
-    differing: Mapping[str, float]
-    sentence: str
-
-    @property
-    def remedy(self) -> str:
-        """What to do where a better solution may be left; empty otherwise."""
-        return "Give the search more generations or more cases." if self.verdict == "not settled" else ""
-
-
-def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float = 0.0) -> Agreement:
-    """Compare the parameters of cases that fit equally well; where they differ, the data do not determine them.
-
-    Two cases fit equally well when both misfits are below the level that the measurement uncertainty allows, or within
-    5 % of the best one. They are different solutions when a parameter differs by more than 10 % of its range.
-
-    Parameters
-    ----------
-    results : sequence of CaseResult
-        At least one.
-    space : ParameterSpace
-    level : float
-        Misfit that the measurement uncertainty alone would allow; 0 where unknown.
-    """
-    order = sorted(range(len(results)), key=lambda k: results[k].misfit)
-    limit = max(level, results[order[0]].misfit * (1 + RULES.nearly_equal))
-    good = [k for k in order if results[k].misfit <= limit]
-    worse = tuple(results[k].name for k in order if k not in good)
-    ratios = _ratios(results, space)
-    groups: list[list[int]] = []
-    for k in good:
-        for group in groups:
-            if np.all(np.abs(ratios[group] - ratios[k]) <= RULES.stable):
-                group.append(k)
-                break
-        else:
-            groups.append([k])
-    solutions = tuple(tuple(results[k].name for k in group) for group in groups)
-    spread = np.ptp(ratios[good], axis=0)
-    apart = sorted(np.flatnonzero(spread > RULES.stable).tolist(), key=lambda j: -spread[j])
-    differing = {space.free_names[j]: float(spread[j]) for j in apart} if len(groups) > 1 else {}
-
-    def described(group: Sequence[int]) -> str:
-        names = ", ".join(results[k].name for k in group)
-        misfits = [results[k].misfit for k in group]
-        low, high = f"{min(misfits):.4g}", f"{max(misfits):.4g}"
-        return f"{names} (misfit {low if low == high else f'{low} to {high}'})"
-
-    verdict: Literal["one case", "one solution", "several solutions", "not settled"]
-    left = f" {described([k for k in order if k not in good])} ended at a higher misfit." if worse else ""
-    if len(results) == 1:
-        verdict = "one case"
-        sentence = "Only one case was run, so whether its solution is unique was not tested."
-    elif len(groups) > 1:
-        verdict = "several solutions"
-        ways = " and ".join(described(group) for group in groups)
-        widths = [f"{name} by {100 * width:.0f} %" for name, width in differing.items()]
-        more = f" and {len(widths) - _NAMED} more by at least {100 * RULES.stable:.0f} %" * (len(widths) > _NAMED)
-        sentence = (
-            f"The solution is not unique: {len(groups)} sets of parameters fit equally well, {ways}. These data do not "
-            f"determine what differs between them: {', '.join(widths[:_NAMED])}{more} of the range.{left}"
-        )
-    elif len(good) > 1:
-        verdict = "one solution"
-        sentence = (
-            f"The cases {described(good)} agree on one solution: their parameters differ by "
-            f"{_at_most(float(spread.max()))} of the range.{left}"
-        )
-    else:
-        verdict = "not settled"
-        sentence = f"Only {described(good)} reaches the lowest misfit.{left}"
-    return Agreement(verdict, solutions, worse, differing, sentence)
-
-
-def _at_most(share: float) -> str:
-    return "less than 0.1 %" if share < 0.001 else f"at most {100 * share:.1f} %"

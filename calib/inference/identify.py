@@ -136,7 +136,8 @@ class Identification:
     directions : DataFrame
         ``direction, signal, data_share, seen, parameters, words``; orthogonal combinations of parameters in units of
         their prior standard deviations, least visible first. ``signal`` is the change of the whitened residual by one
-        such unit, for the measurement uncertainty as stated (not scaled where the model does not fit).
+        such unit, for the measurement uncertainty as stated (not scaled where the model does not fit); ``seen`` where
+        it is at least `Rules.seen`. What the data see is not identified by that alone: see `faults`.
     common_scale : float
         Change of the whitened residual when all parameters change by 10 % together, for the measurement uncertainty as
         stated; NaN without values or with fewer than two parameters. Near 0, the data see ratios only, such as those of
@@ -299,7 +300,7 @@ def _directions(names: tuple[str, ...], scaled: np.ndarray) -> pd.DataFrame:
         ways = ", ".join(f"{name} {'up' if p > 0 else 'down'}" for name, p in named)
         signal, text = float(singular[k]), named[0][0] if len(named) == 1 else ways
         seen = signal >= RULES.seen
-        words = f"The data {'determine' if seen else 'hardly determine'} {text}"
+        words = f"The data {'see' if seen else 'hardly see'} {text}"
         words += f": one prior standard deviation changes them by {signal:.2g} measurement standard deviations."
         share = signal**2 / (1 + signal**2)
         rows.append((len(rows) + 1, signal, share, seen, ", ".join(name for name, _ in named), words))

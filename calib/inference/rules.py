@@ -21,8 +21,7 @@ class Rules:
     trades : float
         Absolute posterior correlation from which a parameter that is not identified is reported to trade with another.
     seen : float
-        Change of the whitened residual by one prior standard deviation below which the data hardly determine a
-        direction.
+        Change of the whitened residual by one prior standard deviation below which the data hardly see a direction.
     takes_part : float
         Smallest component (of a unit vector) of a parameter that is named as part of a direction.
     stable : float

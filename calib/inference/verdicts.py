@@ -71,7 +71,7 @@ def parameter_verdicts(
         Factor by which the measurement uncertainty is scaled for the misfit; mentioned where it is not 1.
     differing : mapping, optional
         Parameters by which equally good solutions differ, and their largest differences over the range, see
-        `calib.inference.cases.Agreement`: none of them is identified, however small its standard deviation at one.
+        `calib.inference.agreement.Agreement`: none of them is identified, however small its standard deviation at one.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def _sentence(
         part = f"{std:.3g}{scale} ({100 * std / span:.1f} % of its range{wider})"
         words.append(f"Identified, standard deviation {part}.")
     elif math.isinf(std):
-        words.append("Not determined at all.")
+        words.append("Not identified: neither data nor prior say anything on it.")
     else:
         words.append(f"Not identified: {'; '.join(_reasons(why, std, share, span, scale, wider, apart))}.")
     if others:

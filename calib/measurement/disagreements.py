@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from calib.mac import mac
+from calib.measurement.alignment import aligned_repeats, middle
 from calib.measurement.average import mean_and_std, scaled
 from calib.measurement.outliers import (
     NAMED_LEVEL,
@@ -18,7 +19,6 @@ from calib.measurement.outliers import (
     emptied,
     far_values,
     find_outlying,
-    median_of_known,
 )
 
 Pooling = Literal["robust", "plain"]
@@ -237,15 +237,15 @@ def _shape_disagreements(
     cleaned = given.copy()
     found: list[_Block] = []
     while len(found) < FOUND_MOST:
-        worst = _worst(_aligned(cleaned))
+        worst = _worst(aligned_repeats(cleaned))
         if worst is None:
             break
         cleaned[worst.place] = complex(np.nan, np.nan)
         found.append(worst)
     if not found:
         return []
-    aligned = _aligned(given, np.isfinite(cleaned))
-    (_, before), (_, after) = (mean_and_std(np.abs(a - _middle(aligned))) for a in (aligned, _keep(aligned, cleaned)))
+    aligned = aligned_repeats(given, np.isfinite(cleaned))
+    (_, before), (_, after) = (mean_and_std(np.abs(a - middle(aligned))) for a in (aligned, _keep(aligned, cleaned)))
     return [_reported(one, repeats, modes, sensors, aligned, cleaned, before, after, robust) for one in found]
 
 
@@ -283,7 +283,7 @@ def _reported(
     after: np.ndarray,
     robust: bool,
 ) -> Disagreement:
-    others = _middle(_keep(aligned, cleaned))
+    others = middle(_keep(aligned, cleaned))
     mine, rest = aligned[one.place], others[one.place[1:]]
     both = np.isfinite(mine) & np.isfinite(rest)
     a, b = np.atleast_1d(mine)[np.atleast_1d(both)], np.atleast_1d(rest)[np.atleast_1d(both)]
@@ -320,7 +320,7 @@ def _reported(
 def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarray) -> list[Disagreement]:
     """Channels that are turned round or dead in one of two repeats; which one is turned round is unknown."""
     held = np.flatnonzero(np.isfinite(stack).any(axis=(1, 2)))
-    one, two = _aligned(np.stack([scaled(stack[k])[0] for k in held]))
+    one, two = aligned_repeats(np.stack([scaled(stack[k])[0] for k in held]))
     both = np.isfinite(one) & np.isfinite(two)
     one, two = np.where(both, one, 0.0), np.where(both, two, 0.0)
     modes = np.maximum(both.sum(axis=1), 1)
@@ -354,55 +354,3 @@ def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarr
 
 def _keep(aligned: np.ndarray, cleaned: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(cleaned), aligned, complex(np.nan, np.nan))
-
-
-def _middle(stack: np.ndarray) -> np.ndarray:
-    """Median over the repeats of real and imaginary parts separately; NaN where no repeat has a value."""
-    known = np.isfinite(stack).any(axis=0)
-    filled = np.where(known, stack, 0.0)
-    return np.where(known, median_of_known(filled.real) + 1j * median_of_known(filled.imag), np.nan)
-
-
-def _aligned(stack: np.ndarray, trusted: np.ndarray | None = None) -> np.ndarray:
-    """Shapes (n_repeats, n_sensors, n_modes) of every mode in a common scale and phase, largest entry of the median 1.
-
-    The factor of a repeat minimises the sum of absolute differences from the median of all, so that a wrong channel
-    does not rotate the others; it is fitted to the ``trusted`` entries only.
-    """
-    fitted = np.isfinite(stack) if trusted is None else trusted & np.isfinite(stack)
-    out = stack.copy()
-    for m in range(stack.shape[2]):
-        held = np.flatnonzero(fitted[:, :, m].any(axis=1))
-        if len(held) < 2:
-            continue
-        x, seen = stack[held, :, m], fitted[held, :, m]
-        visible = np.where(seen, x, complex(np.nan, np.nan))
-        target = visible[int(np.argmax(mac(visible.T, visible.T).sum(axis=1)))]
-        factors = np.ones(len(held), dtype=complex)
-        for _ in range(3):
-            factors = _factors(target, visible)
-            target = _middle(factors[:, None] * visible)
-            peak = np.nanmax(np.abs(target), initial=0.0)
-            if not peak > 0:
-                break
-            target, factors = target / peak, factors / peak
-        out[held, :, m] = factors[:, None] * x
-    return out
-
-
-def _factors(target: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Factor of every shape (n_repeats, n_sensors) with the least sum of absolute differences from the target.
-
-    By iteratively reweighted least squares; 1 for a shape of zeros.
-    """
-    both = np.isfinite(target) & np.isfinite(shapes)
-    t, x = np.where(both, target, 0.0), np.where(both, shapes, 0.0)
-    least = 1e-3 * max(float(np.abs(t).max()), 1e-300)
-    weight = both.astype(float)
-    factors = np.ones(len(x), dtype=complex)
-    for _ in range(20):
-        size = (weight * np.abs(x) ** 2).sum(axis=1)
-        found = (weight * x.conj() * t).sum(axis=1)
-        factors = np.where(size > 0, found / np.where(size > 0, size, 1.0), 1.0)
-        weight = both / np.maximum(np.abs(t - factors[:, None] * x), least)
-    return factors

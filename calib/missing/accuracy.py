@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from calib.degrees_of_freedom import beside_known
+from calib.degrees_of_freedom import behind, beside_known, chance
 from calib.missing.explanation import Explanation
 from calib.missing.goodness import goodness, overall
 from calib.missing.linearised_fit import LinearisedFit
@@ -16,9 +16,7 @@ from calib.problem import Labelled, Rows
 
 GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 """Accuracies tried, ascending, relative to each value; for shapes, to the largest entry."""
-SCATTER = 0.5
-"""Sum of squares over the degrees of freedom below which an accuracy contradicts the data, which scatter less."""
-COLUMNS = ("accuracy", "p_family", "p_fit", "misfit", "dof", "missing")
+COLUMNS = ("accuracy", "p_family", "p_fit", "misfit", "dof", "p_smaller", "missing")
 
 
 def less_accurate(found: Explanation, labelled: Labelled, relative_std: np.ndarray, seed: int) -> pd.DataFrame:
@@ -42,10 +40,11 @@ def less_accurate(found: Explanation, labelled: Labelled, relative_std: np.ndarr
     Returns
     -------
     DataFrame
-        `COLUMNS`; ``missing`` says whether the tests still reject the base model. Empty for the verdicts
+        `COLUMNS`; ``p_smaller`` is the probability of a sum of squares no larger than ``misfit`` if values were that
+        inaccurate, ``missing`` whether the tests still reject the base model. Empty for the verdicts
         ``nothing_detectable`` and ``noise_underestimated``.
     """
-    lines: list[tuple[float, float, float, float, float, bool]] = []
+    lines: list[tuple[float, float, float, float, float, float, bool]] = []
     rows, std = labelled.rows, np.asarray(relative_std, dtype=float) * found.noise_scale
     for accuracy in GRID if found.verdict not in ("nothing_detectable", "noise_underestimated") else ():
         with np.errstate(invalid="ignore"):
@@ -63,8 +62,10 @@ def less_accurate(found: Explanation, labelled: Labelled, relative_std: np.ndarr
         ]
         p_family, p_fit = min(1.0, 2 * min(p_values)), overall(kinds, modes)
         missing = not (p_family > found.alpha and p_fit > found.alpha)
-        dof = float(kinds["dof"].sum())
-        lines.append((accuracy, p_family, p_fit, float(fit.residual @ fit.residual), dof, missing))
+        misfit, dof = float(fit.residual @ fit.residual), float(kinds["dof"].sum())
+        behind_std = behind(dict(zip(kinds["kind"], kinds["dof"], strict=True)), std_dof)
+        p_smaller = 1.0 - float(chance(misfit, dof, behind_std))
+        lines.append((accuracy, p_family, p_fit, misfit, dof, p_smaller, missing))
         if not missing:
             break
     return pd.DataFrame(lines, columns=list(COLUMNS))
@@ -76,14 +77,20 @@ def changing(table: pd.DataFrame) -> float:
     return float(gone.iloc[0]) if len(gone) else float("nan")
 
 
-def sentence(table: pd.DataFrame) -> str:
-    """Accuracy at which the verdict would change, in words; empty for an empty table."""
+def sentence(table: pd.DataFrame, level: float) -> str:
+    """Accuracy at which the verdict would change, in words; empty for an empty table.
+
+    Where none of the table changes it, the largest accuracy that the data do not contradict is stated: with a larger
+    one they would scatter more than they do. They contradict an accuracy whose ``p_smaller`` is at most ``level``: the
+    lower tail of chi-square, or of F where the standard deviations are estimates. What is missing adds to the sum of
+    squares, so that without it an accuracy that is contradicted would be so all the more.
+    """
     if table.empty:
         return ""
     at, basis = changing(table), "estimated on the linearised fit"
     if np.isnan(at):
-        scatter = table["misfit"] >= SCATTER * table["dof"]  # data that scatter less are not that inaccurate
-        at = float(table.loc[scatter, "accuracy"].max()) if scatter.any() else float(table["accuracy"].min())
+        possible = table["p_smaller"] > level
+        at = float(table.loc[possible, "accuracy"].max()) if possible.any() else float(table["accuracy"].min())
         return f"Even if every value were accurate to only {100 * at:g} %, something would be missing ({basis})."
     return f"If every value were accurate to only {100 * at:g} %, nothing would be detectable ({basis})."
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,8 @@ from calib.missing.rules import RULES
 
 WORTHWHILE = 1.2
 """Smallest factor on the expected score for which a measurement is recommended."""
+MOST = 3
+"""Invisible effects for which a measurement is recommended: more do not fit into a sentence."""
 _MEASURED = "measured and held out so far"
 HELD_OUT = ", held-out so far"
 """End of the name of a measured mode that is held out for verification."""
@@ -183,10 +186,11 @@ class Recommendation:
 
 
 def recommendation(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Sequence[str]) -> Recommendation | None:
-    """The best next measurement in words; None when none is worthwhile.
+    """The best next measurements in words, by gain; None when none is worthwhile.
 
-    A held-out mode needs no new measurement, but no longer verifies the result once it is used: the sentence says so
-    and also names the best new measurement.
+    Without a pair, each invisible effect has its own best measurement; those of the `MOST` largest gains are told, the
+    largest first. A held-out mode needs no new measurement, but no longer verifies the result once it is used: the
+    sentence says so and also names the best new measurement.
 
     Parameters
     ----------
@@ -209,22 +213,27 @@ def recommendation(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Se
         purpose = "To tell them apart"
     else:
         wanted = [table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)] for name in unseen]
-        advised = [own for own in wanted if len(own)][:3]
-        purpose = "To see more"
+        advised = sorted((own for own in wanted if len(own)), key=lambda own: -float(own["gain"].iloc[0]))[:MOST]
+        purpose = "To see further effects"
     if not advised:
         return None
     names = list(dict.fromkeys(str(own["measurement"].iloc[0]) for own in advised))
-    new = [name for name in names if not _is_held_out(name)]
-    held = [name.removesuffix(HELD_OUT) for name in names if _is_held_out(name)]
-    if not held:
+    if not any(map(_is_held_out, names)):
         told = "; ".join(str(own["words"].iloc[0]) for own in advised)
-        short = f"{purpose}, measure next: {'; or '.join(new)}."
+        short = f"{purpose}, measure next: {'; or '.join(names)}."
         return Recommendation(f"{purpose}, measure next: {told}. {AVERAGED}", short)
-    use = f"let the fit use {' or '.join(held)}, {_MEASURED}"
-    short = f"{purpose}, measure next: {'; or '.join([*new, use])}." if new else f"{purpose}, {use}."
     told = "; ".join(map(_used_or_measured, advised))
     used = "A held-out mode that is used no longer verifies the result."
-    return Recommendation(f"{purpose}, {told}. {AVERAGED} {used}", short)
+    return Recommendation(f"{purpose}, {told}. {AVERAGED} {used}", f"{purpose}, {_in_short(names)}.")
+
+
+def _in_short(names: Sequence[str]) -> str:
+    """What to use and what to measure, in the order given; neighbours of one kind share their verb."""
+    steps = []
+    for held, group in groupby(names, key=_is_held_out):
+        told = " or ".join(name.removesuffix(HELD_OUT) for name in group)
+        steps.append(f"let the fit use {told}, {_MEASURED}" if held else f"measure {told}")
+    return "; or ".join(steps)
 
 
 def _is_held_out(measurement: str) -> bool:

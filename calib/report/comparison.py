@@ -105,13 +105,10 @@ def draw_mac(
 
     Parameters
     ----------
-    before, after, added : DataFrame or None
+    before, after, added, ax, effects
         As for `draw_frequency_error`; columns ``mode`` and ``mac`` (0 to 1, NaN for an unpaired mode).
-    ax : Axes, optional
     noise_mac : float
         Mean MAC of a perfect model with this noise, drawn as a dashed line; NaN where unknown.
-    effects : str
-        Names of the added effects, for the legend.
     """
     ax = own_axes(ax, 2.6)
     series = _series({"before": before, "after": after, "added": added})
@@ -224,18 +221,18 @@ def draw_comac(
     heights = {name: v[shown].to_numpy(dtype=float) for name, v in values.items()}
     if len(heights) == 2:
         ax.vlines(x, heights["before"], heights["after"], color="#B5B5B5", linewidth=1.2, zorder=1)
-    dots = {"before": {"marker": "o", "markerfacecolor": "white"}, "after": {"marker": "o"}}
     for name, height in heights.items():
         colour = BEFORE if name == "before" else AFTER
         ax.plot(
             x,
             height,
             linestyle="none",
+            marker="o",
             markersize=5.5,
+            markerfacecolor="white" if name == "before" else colour,
             markeredgewidth=1.4,
             color=colour,
             label=f"{stage_words(name, effects)}: mean CoMAC {_mean(values[name], '{:.3f}')}",
-            **dots[name],  # type: ignore[arg-type]
         )
         told = stage_words(name, effects)
         hover_points(ax, x, height, [f"{s}, {told}: {fixed(v, 3)}" for s, v in zip(shown, height, strict=True)])

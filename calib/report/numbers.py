@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 UNKNOWN = "–"
@@ -72,3 +73,19 @@ def yes(value: Any, words: tuple[str, str] = ("yes", "no")) -> str:
     if value is None or value != value:
         return UNKNOWN
     return words[0] if value else words[1]
+
+
+def place(coordinates: Sequence[float]) -> str:
+    """Format x, y, z in m as ``(+1.11, +0.62, −0.43)``; a dash where one is unknown.
+
+    Signs stand in any case: beside words such as left and front they say which way these point.
+    """
+    if not all(map(math.isfinite, coordinates)):
+        return UNKNOWN
+    return f"({', '.join(fixed(x, 2, sign=True) for x in coordinates)})"
+
+
+def places(several: Sequence[Sequence[float]], most: int, between: str = " and ") -> str:
+    """Format the first places, and tell how many more there are."""
+    more = f" and {len(several) - most} more" if len(several) > most else ""
+    return between.join(map(place, several[:most])) + more

@@ -256,3 +256,10 @@ def _lacks_glyphs(figure: Figure, draft: Path, kind: str) -> bool:
         if other not in missing:
             warnings.warn_explicit(other.message, other.category, other.filename, other.lineno)
     return bool(missing)
+
+
+def owner_of(ax: Axes) -> Figure:
+    """Return the figure that Axes were created in."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None  # these Axes were created in one
+    return figure

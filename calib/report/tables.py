@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from calib import table
+from calib.errors import InputError
 
 KEYS = {
     "added_errors": ("group", "stage"),
@@ -62,3 +63,15 @@ def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **m
         name = name.removesuffix(stage)
     more.setdefault("unique", KEYS.get(name, ()))
     return table.read_table(path, text, numbers, **more)
+
+
+def read_square(path: Path, key: str = "parameter", may_be_empty: bool = False) -> pd.DataFrame:
+    """Read a table whose rows and columns name the same things; InputError where they do not."""
+    table = read_table(path, [key], others_are_numbers=True, unique=key, may_be_empty=may_be_empty)
+    if len(table) and table[key].tolist() != [c for c in table.columns if c != key]:
+        raise InputError(
+            f"rows and columns do not name the same {key}s",
+            place=path,
+            remedy="run the study again to write it anew",
+        )
+    return table

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calib.report.numbers import fixed
+from calib.report.numbers import place as place_of
 from calib.report.scene import (
     FOOT,
     HEADING,
@@ -288,9 +289,8 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     panel = WIDTH / columns
     best = best_perturbations(table)
     named = [_in_words(n, row) for n, row in enumerate(best.to_dict("records"), start=1)]
-    words = "\n".join(
-        ["largest scores (γ: unabsorbed fraction):", *named] if named else ["no local perturbation has a score"]
-    )
+    heading = "largest scores (γ: unabsorbed fraction):"
+    words = "\n".join([heading, *named]) if named else "no local perturbation has a score"
     words += "\n×  absorbed by the parameters" if table["score"].isna().any() else ""
     # The list stands above the colour bar, in the place of a panel where one is free.
     foot = FOOT + (0.0 if count * columns > len(kinds) else 0.1 + 0.15 * (words.count("\n") + 1))
@@ -315,10 +315,11 @@ def _everything(rest: np.ndarray, placed: pd.DataFrame) -> np.ndarray:
 
 
 def _in_words(number: int, row: dict[Hashable, Any]) -> str:
-    """Name, kind, score and unabsorbed fraction of a perturbation, on as many lines as needed."""
+    """Name, kind, score, unabsorbed fraction and place of a perturbation, on as many lines as needed."""
     name = textwrap.fill(f"{number}  {row['perturbation']}", 46, subsequent_indent="     ")
     facts = f"{row['kind']}, z = {row['score']:+.1f}, γ = {row.get('unabsorbed', math.nan):.2f}"
-    return f"{name}\n     {facts.replace('-', '−')}"
+    at = place_of([float(row[axis]) for axis in PLACE])
+    return f"{name}\n     {facts.replace('-', '−')}\n     x, y, z = {at} m"
 
 
 def _rms(table: pd.DataFrame) -> float:

@@ -19,6 +19,7 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calib.report.numbers import fixed, percent, with_unit
+from calib.report.numbers import places as listed
 from calib.report.scene import (
     FOOT,
     PLACE,
@@ -366,9 +367,7 @@ def _heading(
     told = [words, *further_parameters(parameters, name)]
     told.append(f"{which} {percent(share(own), 0)} % of the {squares(own)}, to first order.")
     if len(stars):
-        at = " and ".join(f"({', '.join(fixed(x, 2) for x in place)})" for place in stars[:_NAMED].tolist())
-        more = f" and {len(stars) - _NAMED} more" if len(stars) > _NAMED else ""
-        told.append(f"In the library it acts at {at}{more} m, marked by a star.")
+        told.append(f"In the library it acts at {listed(stars.tolist(), _NAMED)} m, marked by a star.")
     if places is not None and (where := place_words(places, name)):
         told.append(
             f"Most alike among the local perturbations, marked 1: {where}"

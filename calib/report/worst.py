@@ -26,13 +26,9 @@ def draw_worst(
 
     Parameters
     ----------
-    before, after, added : DataFrame, optional
-        Of the model before and after calibration, and calibrated with added effects. Columns ``kind, what`` and
-        ``in_std``, the difference of model and measurement in standard deviations, positive; NaN where no standard
-        deviation is known.
-    ax : Axes, optional
-    effects : str
-        Names of the added effects, for the legend.
+    before, after, added, ax, effects
+        As for `calib.report.comparison.draw_frequency_error`. Columns ``kind, what`` and ``in_std``, the difference of
+        model and measurement in standard deviations, positive; NaN where no standard deviation is known.
 
     Returns
     -------

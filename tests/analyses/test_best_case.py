@@ -5,9 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from calib.analyses.best_case import agreement_sentences, best_of, summed
+from calib.analyses.best_case import best_of, summed
 from calib.analyses.fit_statistics import EQUAL
-from calib.inference.cases import CaseResult, agreement
+from calib.inference.agreement import agreement, agreement_sentences
+from calib.inference.cases import CaseResult
 from calib.problem import Counts
 from calib.space import Parameter, ParameterSpace
 
@@ -66,3 +67,6 @@ def test_searches_that_least_squares_leads_to_one_solution_are_no_second_solutio
     assert agreement_sentences(one, None) == (one.sentence,)
     lonely = agreed(0.5)
     assert agreement_sentences(lonely, None) == (lonely.sentence, *([lonely.remedy] if lonely.remedy else []))
+    assert agreement_sentences(None, None) == ()
+    (told,) = agreement_sentences(None, apart)  # one start alone met the data as well as the reported fit
+    assert apart.sentence[1:] in told and told != apart.sentence

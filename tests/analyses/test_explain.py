@@ -20,8 +20,8 @@ from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = {
-    "study", "synthetic", "verdict", "sentence", "sentences", "notes", "p_family", "p_fit", "credible_set", "effects",
-    "chosen", "chosen_values", "adequacy_p", "adequacy_p_family", "adequacy_p_fit", "noise_scale",
+    "study", "synthetic", "verdict", "sentence", "sentences", "notes", "alpha", "p_family", "p_fit", "credible_set",
+    "effects", "chosen", "chosen_values", "adequacy_p", "adequacy_p_family", "adequacy_p_fit", "noise_scale",
     "measured_noise_scale", "local_perturbations", "local_perturbation", "evaluations", "begun_anew",
     "accuracy", "std_assumed", "accuracy_that_explains", "misfit_at", "measurement_fault", "wrong_datum", "refused",
     "evaluations_intervals", "evaluations_recommendation", "errors", "seconds",

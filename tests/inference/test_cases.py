@@ -10,7 +10,8 @@ import pytest
 
 from calib.errors import EvaluationError, InputError
 from calib.evaluate import Evaluator
-from calib.inference.cases import Case, agreement, parameters_table, scaled_violation
+from calib.inference.agreement import agreement
+from calib.inference.cases import Case, parameters_table, scaled_violation
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import ResponseObjective
 from calib.ledger import Ledger

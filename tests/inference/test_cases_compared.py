@@ -3,7 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from calib.inference.cases import CaseResult, agreement, convergence_table, parameters_table
+from calib.inference.agreement import agreement
+from calib.inference.cases import CaseResult, convergence_table, parameters_table
 
 
 def result(name, misfit=0.1, **values):

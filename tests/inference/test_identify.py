@@ -196,6 +196,8 @@ def test_a_bad_fit_hides_nothing_from_the_data():
     wider = posterior(names, g / 1e4, np.array([p.prior_sd for p in space.parameters]), held / 1e4)
     np.testing.assert_allclose(bad.posterior.std, wider.std)
     assert not bad.parameters["identified"].any()
+    for told in bad.directions["words"]:  # what is seen but not identified is nowhere called determined
+        assert "determine" not in told and "identif" not in told
 
 
 def test_one_parameter_alone_has_no_common_factor():

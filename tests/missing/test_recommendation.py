@@ -300,14 +300,26 @@ def table_of(*rows):
 def test_the_best_measurement_is_named_for_every_invisible_effect():
     table = table_of(("A", "E0", 1.5), ("B", "E0", 4.0), ("A", "E1", 3.0), ("B", "E1", 2.0), ("A", "E2", 9.0))
     sentence = _sentence(table, None, ["E1", "E0"])
-    assert sentence == f"To see more, measure next: A: 3 times the score of E1; B: 4 times the score of E0. {AVERAGED}"
+    words = "B: 4 times the score of E0; A: 3 times the score of E1"
+    assert sentence == f"To see further effects, measure next: {words}. {AVERAGED}"
+
+
+def test_measurements_are_told_by_gain_whatever_the_order_of_effects_and_kinds():
+    held = f"mode 9BT{HELD_OUT}"
+    table = table_of(("twice the repeats", "E0", 1.4), (held, "E1", 7.9), ("A", "E2", 3.0), ("A", "E3", 1.3))
+    found = recommendation(table, None, ["E0", "E3", "E2", "E1"])
+    in_order = (held.removesuffix(HELD_OUT), "A", "twice the repeats")
+    for words in (found.short, found.sentence):
+        places = [words.index(name) for name in in_order]
+        assert places == sorted(places) and "E3" not in words  # three are told: the largest
+    assert found.short.count("measure ") == 1  # neighbours of one kind share their verb
 
 
 def test_a_measurement_of_little_gain_is_not_recommended():
     table = table_of(("A", "E0", WORTHWHILE - 0.01), ("A", "E1", WORTHWHILE), ("A", "E2", math.nan))
     assert (
         _sentence(table, None, ["E0", "E1", "E2"])
-        == f"To see more, measure next: A: 1.2 times the score of E1. {AVERAGED}"
+        == f"To see further effects, measure next: A: 1.2 times the score of E1. {AVERAGED}"
     )
     assert _sentence(table, None, ["E0", "E2"]) == ""
     assert _sentence(table, None, []) == ""
@@ -328,24 +340,24 @@ def test_a_held_out_mode_is_recommended_with_the_best_new_measurement():
     table = table_of((held, "E0", 5.0), ("mode 9BT, held-out so far", "E0", 4.0), ("A", "E0", 2.0), ("B", "E0", 1.9))
     sentence = _sentence(table, None, ["E0"])
     assert sentence == (
-        f"To see more, {USE}: 5 times the score of E0, or measure A: 2 times the score of E0.{VERIFIES}"
+        f"To see further effects, {USE}: 5 times the score of E0, or measure A: 2 times the score of E0.{VERIFIES}"
     )
     alone = _sentence(table_of((held, "E0", 5.0), ("A", "E0", WORTHWHILE - 0.01)), None, ["E0"])
-    assert alone == f"To see more, {USE}: 5 times the score of E0.{VERIFIES}"
+    assert alone == f"To see further effects, {USE}: 5 times the score of E0.{VERIFIES}"
     new = _sentence(table_of((held, "E0", 2.0), ("A", "E0", 5.0)), None, ["E0"])
-    assert new == f"To see more, measure next: A: 5 times the score of E0. {AVERAGED}"
+    assert new == f"To see further effects, measure next: A: 5 times the score of E0. {AVERAGED}"
     both = _sentence(table_of((held, "E0", 5.0), ("A", "E1", 2.0)), None, ["E0", "E1"])
     told = f"{USE}: 5 times the score of E0; measure A: 2 times the score of E1"
-    assert both == f"To see more, {told}.{VERIFIES}"
+    assert both == f"To see further effects, {told}.{VERIFIES}"
 
 
 def test_in_short_a_held_out_mode_is_not_to_be_measured_but_used():
     held = f"mode 4BT{HELD_OUT}"
     table = table_of((held, "E0", 5.0), ("A", "E1", 2.0), ("B", "E2", 1.9))
     short = recommendation(table, None, ["E0", "E1", "E2"]).short
-    assert short == "To see more, measure next: A; or B; or let the fit use mode 4BT, measured and held out so far."
+    assert short == f"To see further effects, {USE}; or measure A or B."
     alone = recommendation(table, None, ["E0"]).short
-    assert alone == "To see more, let the fit use mode 4BT, measured and held out so far."
+    assert alone == "To see further effects, let the fit use mode 4BT, measured and held out so far."
 
 
 def test_a_held_out_mode_for_a_pair_is_recommended_with_the_best_new_measurement():

@@ -97,7 +97,7 @@ def sized(row):
 
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_every_verdict_is_a_text_of_whole_sentences(cases, verdict):
-    text = text_of(cases[verdict], recommendation="To see more, measure next: mode 9.")
+    text = text_of(cases[verdict], recommendation="To see further effects, measure next: mode 9.")
     assert text[0].isupper() and text.endswith(".") and "\n" not in text
     assert "nan" not in text.lower() and "None" not in text and "inf " not in text
     assert "..." not in text and ".." not in text
@@ -165,7 +165,7 @@ def test_p_values_are_stated_down_to_the_resolution_of_the_samples(cases):
 
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_the_recommendation_is_stated_where_it_applies(cases, verdict):
-    recommendation = "To see more, measure next: mode 9."
+    recommendation = "To see further effects, measure next: mode 9."
     assert (recommendation in text_of(cases[verdict], recommendation=recommendation)) == (
         verdict != "noise_underestimated"
     )

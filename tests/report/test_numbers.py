@@ -2,7 +2,19 @@ import math
 
 import pytest
 
-from calib.report.numbers import chance, counted, fixed, flag, percent, short, significant, with_unit, yes
+from calib.report.numbers import (
+    chance,
+    counted,
+    fixed,
+    flag,
+    percent,
+    place,
+    places,
+    short,
+    significant,
+    with_unit,
+    yes,
+)
 
 
 @pytest.mark.parametrize(
@@ -65,3 +77,11 @@ def test_unknown_flags_are_no_and_are_shown_as_unknown():
 )
 def test_a_number_in_a_figure_has_neither_zeros_at_its_end_nor_an_exponent(value, words):
     assert short(value) == words
+
+
+def test_places_have_signs_and_their_number():
+    assert place((1.114, -0.625, -0.001)) == "(+1.11, −0.62, +0.00)"
+    assert place((1.0, math.nan, 0.0)) == "–"
+    corners = [(1.0, 0.0, 2.0), (-1.0, 0.0, 2.0), (1.0, 0.0, -2.0)]
+    assert places(corners, 3, "; ") == "; ".join(map(place, corners))
+    assert places(corners, 1) == f"{place(corners[0])} and 2 more" and places([], 3) == ""

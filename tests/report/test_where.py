@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.report.numbers import place
 from calib.report.where import (
     best_perturbations,
     draw_mode_misfit,
@@ -148,7 +149,8 @@ def test_the_best_three_are_numbered_at_their_places_and_named(perturbations, st
     panels = {ax.texts[0].get_text().split(",")[0]: [t.get_text() for t in ax.texts[1:]] for ax in figure.axes[:3]}
     assert panels == {"stiffness": ["1", "3"], "damping": ["2"], "mass": []}
     (words,) = [t.get_text() for t in figure.texts if "largest scores" in t.get_text()]
-    assert "1  spring 1\n     stiffness, z = −8.0, γ = 0.50" in words and "absorbed" in words
+    at = place(perturbations.loc[perturbations["perturbation"] == "spring 1", ["x", "y", "z"]].to_numpy()[0])
+    assert f"1  spring 1\n     stiffness, z = −8.0, γ = 0.50\n     x, y, z = {at} m" in words and "absorbed" in words
     first = next(t for t in figure.axes[0].texts if t.get_text() == "1")
     figure.savefig(os.devnull, format="png")
     at = figure.axes[0].transData.transform(first.xy)

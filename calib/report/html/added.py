@@ -18,7 +18,9 @@ def section(results: StudyResults) -> Section | None:
         f"The model with {name}, calibrated like the model without it. The verdict quotes magnitudes and errors of the "
         f"explanation's own fits, by least squares alone. The extended study is in {results.added['study']}."
     )
-    blocks = [Words(note), *_modes(results, name), *_parameters(results, name), *_every_mode(results, name)]
+    own = str(results.added.get("own", ""))
+    told = [Words(own, "reported")] if own else []
+    blocks = [Words(note), *_modes(results, name), *told, *_parameters(results, name), *_every_mode(results, name)]
     return Section("added", f"The model with {name}, calibrated", tuple(blocks))
 
 

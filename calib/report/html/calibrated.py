@@ -26,6 +26,12 @@ TERMS = (
         "the data give at least half of the information, std is at most 2.5 % of the range, no limit is active, and "
         "solutions that fit equally well do not differ in it",
     ),
+    (
+        "seen",
+        "one prior standard deviation of a combination of parameters changes the data by at least one of their stated "
+        "standard deviations; a parameter can be seen and yet not be identified, with a wide std or a model that does "
+        "not fit",
+    ),
     ("spread", "largest difference of a parameter between the searches, before least squares, over its range"),
 )
 
@@ -196,8 +202,8 @@ def _directions(results: StudyResults) -> list[Block]:
     if table is None:
         return []
     rows = tuple((str(r["words"]), yes(r["seen"])) for r in table.to_dict("records"))
-    caption = "Combinations of parameters, the least determined by the data first"
-    return [Table(caption, ("combination", "determined"), rows, (1,))]
+    caption = "Combinations of parameters, the least visible in the data first"
+    return [Table(caption, ("combination", "seen"), rows, (1,))]
 
 
 def _predictions(results: StudyResults) -> list[Block]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from calib.report.explanation import COLLINEAR, ranked, threshold
+from calib.report.explanation import COLLINEAR, ranked
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import counted, fixed, flag, percent, significant, with_unit
+from calib.report.numbers import counted, fixed, flag, percent, place, places, significant, with_unit
+from calib.report.scene import PLACE
 from calib.report.why import PRIOR, further_parameters, place_words, share, squares
 
 NUMBERS = (
@@ -29,6 +30,8 @@ TERMS = (
     ("credible set", "the effects that remain possible explanations"),
 )
 _SHOWN_PERTURBATIONS = 12
+_SHOWN_PLACES = 4
+"""Places of an effect: one at each corner of a structure."""
 
 
 def effects_table(results: StudyResults) -> pd.DataFrame | None:
@@ -59,7 +62,7 @@ def section(results: StudyResults) -> Section | None:
         *_why(results),
         *_effect_picture(results, table),
         _effect_rows(table),
-        *_physics(table),
+        *_physics(results, table),
         *_confounding(results),
         *_local_perturbations(results),
     ]
@@ -98,9 +101,8 @@ def _why(results: StudyResults) -> list[Picture]:
 def _effect_picture(results: StudyResults, table: pd.DataFrame) -> list[Picture]:
     best = "; ".join(f"{r['title']} {fixed(r['ln_bayes'], 1)}" for r in table.head(3).to_dict("records"))
     caption = (
-        f"Left: evidence for each effect, with the threshold for one of {len(table)} effects, "
-        f"{fixed(threshold(len(table)), 1)}, dashed. Right: smallest visible magnitude; beyond the line at 1 only an "
-        "implausibly large effect is visible."
+        "Left: evidence for each effect; its limit is dashed. Right: smallest visible magnitude; beyond the line at 1 "
+        "only an implausibly large effect is visible."
     )
     if table["implausible"].astype(bool).any():
         caption += " A cross is a fit with implausible values; the remark in the table says which."
@@ -142,14 +144,27 @@ def _effect_rows(table: pd.DataFrame) -> Table:
     return Table("Every effect of the library, ranked", heads, tuple(rows), (1, 8), tuple(grey))
 
 
-def _physics(table: pd.DataFrame) -> list[Table]:
-    """What the model lacks without each effect, and what to inspect on the structure; nothing where no row has it."""
+def _physics(results: StudyResults, table: pd.DataFrame) -> list[Table]:
+    """What the model lacks without each effect, what to inspect on the structure, and where each effect acts.
+
+    Nothing where no effect tells what to inspect; no places where the model has none.
+    """
     if not (table["lacks"] + table["look_for"]).astype(bool).any():
         return []
-    rows = tuple((str(r["title"]), str(r["lacks"]), str(r["look_for"])) for r in table.to_dict("records"))
+    acts = results.table("effect_places", ["effect"], PLACE, complete=PLACE)
+    at = {} if acts is None else {name: own[[*PLACE]].to_numpy().tolist() for name, own in acts.groupby("effect")}
+    rows = tuple(
+        (
+            str(r["title"]),
+            str(r["lacks"]),
+            str(r["look_for"]),
+            *([places(at.get(str(r["name"]), []), _SHOWN_PLACES, ", ")] if at else []),
+        )
+        for r in table.to_dict("records")
+    )
     grey = tuple(k for k, visible in enumerate(table["visible"]) if not flag(visible))
-    heads = ("effect", "the model without it", "what to look for")
-    return [Table("Description of the effects", heads, rows, (1, 2), grey)]
+    heads = ("effect", "the model without it", "what to look for", *(["acts at (x, y, z), m"] if at else []))
+    return [Table("Description of the effects", heads, rows, (1, 2, 3), grey)]
 
 
 def _confounding(results: StudyResults) -> list[Picture]:
@@ -178,19 +193,20 @@ def _local_perturbations(results: StudyResults) -> list[Block]:
     order = table["score"].abs().sort_values(ascending=False, kind="stable").index
     table = table.loc[order].reset_index(drop=True)
     rows = tuple(
-        (str(r["perturbation"]), str(r["kind"]), fixed(r["score"], 1, sign=True), fixed(r["unabsorbed"], 2))
+        (
+            str(r["perturbation"]),
+            str(r["kind"]),
+            fixed(r["score"], 1, sign=True),
+            fixed(r["unabsorbed"], 2),
+            place([r[axis] for axis in PLACE]),
+        )
         for r in table.head(_SHOWN_PERTURBATIONS).to_dict("records")
     )
     first = ", ".join(f"{r[0]} {r[2]}" for r in rows[:3])
     caption = f"Local perturbations with the largest scores, of {len(table)}: places to inspect, not causes"
-    limit = float(table["limit"].iloc[0])
-    note = (
-        "Scores of local perturbations at their locations: places to inspect, not causes. "
-        f"{int((table['score'].abs() > limit).sum())} of {len(table)} exceed ±{fixed(limit, 1)}, the limit for noise "
-        f"alone. {AXES_NOTE}"
-    )
+    note = f"Scores of local perturbations at their locations: places to inspect, not causes. {AXES_NOTE}"
     alt = f"Scores of {counted(len(table), 'local perturbation')}. The largest: {first}."
     return [
         *results.picture("perturbation_map", note, alt),
-        Table(caption, ("local perturbation", "kind", "score z", "γ"), rows, (1,)),
+        Table(caption, ("local perturbation", "kind", "score z", "γ", "place (x, y, z), m"), rows, (1, 4)),
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from calib.report.html.limits import TESTS
 from calib.report.html.page import Block, Section, Table, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import chance, fixed, flag, with_unit, yes
@@ -35,8 +36,8 @@ def pulls(results: StudyResults) -> Section | None:
     intro = (
         "A parameter that is pulled far from its nominal value may compensate for missing physics. The pull is its "
         "shift over the standard deviation that the shift has in a correctly specified model, so that there it is "
-        "standard normal; the dashed limits hold for all parameters jointly. A parameter that the data hardly "
-        "determine should stay at its nominal value: one that moves all the same is pulled strongly, by a misfit that "
+        "standard normal. A parameter that the data hardly "
+        "see should stay at its nominal value: one that moves all the same is pulled strongly, by a misfit that "
         "has its pattern."
     )
     caption = f"Shift of every parameter from its nominal value. {note}"
@@ -57,19 +58,13 @@ def verdict(results: StudyResults) -> Section | None:
     explanation = results.explanation
     if not explanation:
         return None
-    facts = [
-        ("all effects and local perturbations, jointly", explanation.get("p_family")),
-        ("overall fit of the base model", explanation.get("p_fit")),
-        ("all others jointly, after adding the named or attempted effects", explanation.get("adequacy_p_family")),
-        ("overall fit after adding them", explanation.get("adequacy_p_fit")),
-    ]
-    rows = tuple((what, chance(float(p))) for what, p in facts if p is not None)
+    facts = [(words, explanation.get(name)) for name, words in TESTS.items()]
+    rows = tuple((words, chance(float(p))) for words, p in facts if p is not None)
     notes = [Words(str(note), "reported") for note in explanation.get("notes", [])]
     sentences = explanation.get("sentences", [explanation.get("sentence", "")])
     parts = [str(words).replace(" -> ", " → ") for words in sentences]
     supports = [Words(words, "reported") for words in parts[_OF_VERDICT:]]
-    caption = "p-values: probability of data at least as extreme under a correctly specified model"
-    table = Table(caption, ("test", "p"), rows)
+    table = Table("Tests of the explanation", ("test", "p"), rows)
     blocks: list[Block] = [Words(" ".join(parts[:_OF_VERDICT]), "verdict"), *supports, *notes, table]
     return Section("verdict", "Verdict", tuple(blocks))
 

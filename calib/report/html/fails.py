@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from calib.report.html import limits
 from calib.report.html.page import Block, Picture, Section, Table, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
@@ -13,7 +14,14 @@ from calib.report.where import sensor_rms
 
 def section(results: StudyResults) -> Section | None:
     """Comparisons over their standard deviations, worst first, and residuals of the fit by mode, kind and sensor."""
-    blocks = [*_worst(results), *_kinds(results), *_sensors(results), *_responses(results), *_suspects(results)]
+    blocks = [
+        *limits.key(results),
+        *_worst(results),
+        *_kinds(results),
+        *_sensors(results),
+        *_responses(results),
+        *_suspects(results),
+    ]
     return Section("fails", "Where the model fails", tuple(blocks)) if blocks else None
 
 

@@ -69,7 +69,7 @@ def _modes(results: StudyResults) -> list[Block] | None:
         "std used, %",
         "damped frequency, Hz",
         "damping ratio, %",
-        "std, points",
+        "std, % points",
         "repeats",
         "",
     )

@@ -38,11 +38,11 @@ _FIGURES = {
 SUMMARY = {"best_case": str, "method": str, **_FIGURES, "cases": {ANY: _FIGURES}}
 EXPLANATION = {
     "verdict": str, "sentence": str, "sentences": [str], "notes": [str], "chosen": [str], "credible_set": [str],
-    "p_family": float, "p_fit": float, "adequacy_p_family": float, "adequacy_p_fit": float, "evaluations": float,
-    "errors": {ANY: {"before": float, "after": float}},
+    "alpha": float, "p_family": float, "p_fit": float, "adequacy_p_family": float, "adequacy_p_fit": float,
+    "evaluations": float, "errors": {ANY: {"before": float, "after": float}},
 }  # fmt: skip
 ADDED = {
-    "sentence": str, "conclusion": str, "effects": [{"name": str}], "study": str, "mean_freq_error": float,
+    "sentence": str, "conclusion": str, "own": str, "effects": [{"name": str}], "study": str, "mean_freq_error": float,
     "mean_mac": float,
 }  # fmt: skip
 """Types of the named values that the page reads, by file."""

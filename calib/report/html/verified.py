@@ -18,8 +18,9 @@ TERMS = (
         "expected",
         "rms of a correctly specified model on these data; larger where the left-out data alone determine a parameter",
     ),
-    ("p", "probability that a correctly specified model has at least this error"),
 )
+CHANCE = ("p", "probability that a correctly specified model has at least this error")
+"""Told here where the page has no explanation, whose key tells it."""
 
 
 def errors(results: StudyResults) -> Section | None:
@@ -39,7 +40,9 @@ def errors(results: StudyResults) -> Section | None:
         "An explanation or a calibration is assessed by its predictions: errors in fitted data, in data left out in "
         "turn, and in data held out from every fit."
     )
-    return Section("errors", title, (intro, *sentence, Terms(TERMS), *blocks))
+    return Section(
+        "errors", title, (intro, *sentence, Terms(TERMS if results.explanation else (*TERMS, CHANCE)), *blocks)
+    )
 
 
 def _added(results: StudyResults) -> list[Block]:

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.html.page import Picture, Table
+from calib.report.html.page import Picture, Table, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.html.write import sections
 from calib.report.numbers import fixed, percent
 from calib.report.verification import GROUPS
 
@@ -41,6 +42,20 @@ def test_compared_modes_are_those_of_the_table(everything, read, stage, reader):
         np.testing.assert_allclose(cells, factor * table[name], atol=tolerance, err_msg=column)
 
 
+def points(words):
+    """Points of a cell such as ``(+1.00, +0.50, −2.00), (+1.00, +0.50, +2.00)``; every number has its sign."""
+    numbers = re.findall(r"[+−]\d+\.\d\d", words)
+    return np.array([float(n.replace("−", "-")) for n in numbers]).reshape(-1, 3)
+
+
+def test_the_place_of_every_local_perturbation_stands_beside_it(everything, read):
+    known = pd.read_csv(everything / "perturbations.csv").set_index("perturbation")
+    (table,) = [rows for caption, rows in read.tables.items() if caption.startswith("Local perturbations")]
+    assert len(table) > 3
+    for row in table[1:]:
+        np.testing.assert_allclose(points(row[4]), [known.loc[row[0], ["x", "y", "z"]].astype(float)], atol=0.00501)
+
+
 def test_effects_errors_and_candidate_fits_are_those_of_the_tables(everything, read, reader):
     effects = pd.read_csv(everything / "effects.csv").set_index("name")
     head, *rows = read.tables["Every effect of the library, ranked"]
@@ -49,7 +64,12 @@ def test_effects_errors_and_candidate_fits_are_those_of_the_tables(everything, r
         assert reader.number(row[head.index("z")]) == pytest.approx(effects["z"][row[1]], abs=0.0501)
         assert reader.number(row[head.index("ln Bayes")]) == pytest.approx(effects["ln_bayes"][row[1]], abs=0.0501)
     about = {r[0]: tuple(r[1:]) for r in read.tables["Description of the effects"][1:]}
-    assert about == {r["title"]: (r["lacks"], r["look_for"]) for r in effects.to_dict("records")}
+    acts = pd.read_csv(everything / "effect_places.csv").set_index("effect")
+    for name, row in effects.iterrows():
+        lacks, look_for, at = about.pop(row["title"])
+        assert (lacks, look_for) == (row["lacks"], row["look_for"])
+        np.testing.assert_allclose(points(at), acts.loc[[name]], atol=0.00501)
+    assert not about
     errors = pd.read_csv(everything / "added_errors.csv")
     rows = read.tables["Errors before and after adding guy, both models calibrated"][1:]
     for k, stage in enumerate(("before", "after")):
@@ -161,3 +181,19 @@ def test_one_matrix_of_the_sensitivity_is_open_and_the_others_tell_where_they_di
         assert f"{parameter} on " in pictures[name].folded and pictures[name].folded.endswith(told)
         inside = text[text.rindex("<details>", 0, text.index(f'<figure id="{name}"')) :]
         assert inside.index(f'<figure id="{name}"') < inside.index("</details>")
+
+
+def test_a_mode_of_an_added_effect_is_told_in_the_section_of_that_model(folder):
+    def told():
+        return [
+            (section.name, block.text)
+            for section in sections(StudyResults(folder, "", True))
+            for block in section.blocks
+            if isinstance(block, Words) and "of its own" in block.text
+        ]
+
+    found = json.loads((folder / "added.json").read_text())
+    assert found["own_modes"] == [] and found["own"] == "" and told() == []  # a guy rope has no mass
+    own = "guy brings a mode of its own at 3 Hz."
+    (folder / "added.json").write_text(json.dumps({**found, "own": own}))
+    assert told() == [("added", own)]

@@ -1,0 +1,73 @@
+"""Modes of an added effect's own: the degrees of freedom that it adds hold most of their kinetic energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from calib.correlation.compare import Comparison
+from calib.effect import Effect
+from calib.structure.extend import addition_of
+from calib.structure.model import StructuralModel
+
+OWN = 0.5
+"""Share of the kinetic energy above which a mode is an effect's own.
+
+The shares of one degree of freedom in all modes of an undamped model add up to 1, ``(Phi Phi^T M)_aa`` with
+mass-normalised shapes, so that it has at most one such mode; a massless one has none.
+"""
+COLUMNS = ("effect", "model_mode", "natural_freq", "share", "paired")
+
+
+def own_modes(base: object, effects: Sequence[Effect], found: Comparison) -> pd.DataFrame:
+    """Modes of the extended model that are the effects' own.
+
+    Parameters
+    ----------
+    base : StructuralModel or other
+        Without the effects.
+    effects : sequence of Effect
+        In the order in which the extended model has them, after all others.
+    found : Comparison
+        Of the extended model with all measured modes.
+
+    Returns
+    -------
+    DataFrame
+        ``effect, model_mode`` (number, from 1), ``natural_freq`` (Hz), ``share`` of the mode's kinetic energy in the
+        degrees of freedom that the effect adds, and ``paired``: name of the measured mode, empty without one. Empty for
+        models without matrices.
+    """
+    model, rows = found.model, []
+    if not isinstance(base, StructuralModel) or not isinstance(model, StructuralModel):
+        return pd.DataFrame(columns=list(COLUMNS))
+    shapes = found.modes.shapes
+    energy = np.real(np.conj(shapes) * (model.matrices(found.values)[2] @ shapes))
+    paired = {int(found.pairing.model_index[i]): found.measured.names[i] for i in found.pairing.paired}
+    first = base.n_dof
+    for effect in effects:
+        last = first + addition_of(base, effect).n_added
+        share = energy[first:last].sum(axis=0) / energy.sum(axis=0)
+        rows += [
+            (effect.name, j + 1, float(found.modes.natural_freq[j]), float(share[j]), paired.get(j, ""))
+            for j in np.flatnonzero(share > OWN).tolist()
+        ]
+        first = last
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def sentence(table: pd.DataFrame) -> str:
+    """The own modes that no measured mode pairs with, in words, a sentence an effect; empty without any."""
+    out = []
+    for name, rows in table[table["paired"] == ""].groupby("effect", sort=False):
+        one = len(rows) == 1
+        shares = sorted({f"{100 * share:.0f}" for share in (rows["share"].min(), rows["share"].max())})
+        out.append(
+            f"{name} brings {'a mode' if one else f'{len(rows)} modes'} of its own at "
+            f"{' and '.join(f'{freq:.3g}' for freq in rows['natural_freq'])} Hz: the degrees of freedom that it adds "
+            f"hold {' to '.join(shares)} % of the kinetic energy there, and no measured mode pairs with "
+            f"{'it' if one else 'them'}."
+        )
+    return " ".join(out)

@@ -1,0 +1,60 @@
+"""Shapes of several repeats in a common scale and phase, whatever single channels do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.mac import mac
+from calib.measurement.outliers import median_of_known
+
+
+def middle(stack: np.ndarray) -> np.ndarray:
+    """Median over the repeats of real and imaginary parts separately; NaN where no repeat has a value."""
+    known = np.isfinite(stack).any(axis=0)
+    filled = np.where(known, stack, 0.0)
+    return np.where(known, median_of_known(filled.real) + 1j * median_of_known(filled.imag), np.nan)
+
+
+def aligned_repeats(stack: np.ndarray, trusted: np.ndarray | None = None) -> np.ndarray:
+    """Shapes (n_repeats, n_sensors, n_modes) of every mode in a common scale and phase, largest entry of the median 1.
+
+    The factor of a repeat minimises the sum of absolute differences from the median of all, so that a wrong channel
+    does not rotate the others; it is fitted to the ``trusted`` entries only.
+    """
+    fitted = np.isfinite(stack) if trusted is None else trusted & np.isfinite(stack)
+    out = stack.copy()
+    for m in range(stack.shape[2]):
+        held = np.flatnonzero(fitted[:, :, m].any(axis=1))
+        if len(held) < 2:
+            continue
+        x, seen = stack[held, :, m], fitted[held, :, m]
+        visible = np.where(seen, x, complex(np.nan, np.nan))
+        target = visible[int(np.argmax(mac(visible.T, visible.T).sum(axis=1)))]
+        factors = np.ones(len(held), dtype=complex)
+        for _ in range(3):
+            factors = _factors(target, visible)
+            target = middle(factors[:, None] * visible)
+            peak = np.nanmax(np.abs(target), initial=0.0)
+            if not peak > 0:
+                break
+            target, factors = target / peak, factors / peak
+        out[held, :, m] = factors[:, None] * x
+    return out
+
+
+def _factors(target: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Factor of every shape (n_repeats, n_sensors) with the least sum of absolute differences from the target.
+
+    By iteratively reweighted least squares; 1 for a shape of zeros.
+    """
+    both = np.isfinite(target) & np.isfinite(shapes)
+    t, x = np.where(both, target, 0.0), np.where(both, shapes, 0.0)
+    least = 1e-3 * max(float(np.abs(t).max()), 1e-300)
+    weight = both.astype(float)
+    factors = np.ones(len(x), dtype=complex)
+    for _ in range(20):
+        size = (weight * np.abs(x) ** 2).sum(axis=1)
+        found = (weight * x.conj() * t).sum(axis=1)
+        factors = np.where(size > 0, found / np.where(size > 0, size, 1.0), 1.0)
+        weight = both / np.maximum(np.abs(t - factors[:, None] * x), least)
+    return factors

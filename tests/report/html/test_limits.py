@@ -1,0 +1,95 @@
+"""The key to p-values and limits: once, before their first table, with the numbers of the tables."""
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import norm
+
+from calib.correlation import compare
+from calib.missing.rules import RULES
+from calib.missing.score import NOISE_LEVEL
+from calib.report.explanation import COLLINEAR, LEAST_BAYES_FACTOR
+from calib.report.html.limits import BEYOND, BY_CHANCE, CONTRADICTED, NONE, TESTS, WITHIN
+from calib.report.html.page import Picture, Table, Terms
+from calib.report.html.study_results import StudyResults
+from calib.report.html.write import sections
+from calib.report.numbers import fixed
+
+KEY = "Key to p-values and limits"
+
+
+def key(folder, blocks):
+    """Rows of the key by their number."""
+    return {row[0].split()[0]: row for row in blocks(folder, Table)[KEY].rows}
+
+
+def test_the_key_stands_once_before_every_table_and_figure_of_p_values_and_limits(results):
+    every = [block for section in sections(results) for block in section.blocks]
+    (place,) = [k for k, block in enumerate(every) if isinstance(block, Table) and block.caption == KEY]
+    later = [b.name for b in every[place:] if isinstance(b, Picture)]
+    assert {"where_it_fails", "where_it_fails_sigma", "pulls", "ranked_effects", "perturbation_map"} <= set(later)
+    first = [b for b in every[:place] if isinstance(b, Table)]
+    assert not {head.split(" ")[0] for table in first for head in table.heads} & {"p", "pull", "ln", "verdict"}
+    terms = [term for b in every if isinstance(b, Terms) for term, _ in b.pairs]
+    assert "p" not in terms  # told by the key
+
+
+def test_the_limits_are_those_of_the_tests(everything, blocks):
+    rows = key(everything, blocks)
+    pulls, effects = pd.read_csv(everything / "pulls.csv"), pd.read_csv(everything / "effects.csv")
+    scores = pd.read_csv(everything / "perturbations.csv")["score"]
+    of_base = int((pulls["model"] == "base").sum())
+    assert rows["p-value"][1] == f"{json.loads((everything / 'explanation.json').read_text())['alpha']:g}" == "0.01"
+    assert rows["pull"][1] == f"± {fixed(norm.isf(0.01 / 2 / of_base), 1)}" and f" {of_base} " in rows["pull"][2]
+    assert rows["ln"][1] == fixed(3 + math.log(len(effects)), 1)
+    assert rows["score"][1] == f"± {fixed(norm.isf(0.01 / 2 / scores.notna().sum()), 1)}"
+
+
+def test_what_lies_beyond_a_limit_is_named_or_counted(everything, blocks):
+    rows = key(everything, blocks)
+    effects, found = pd.read_csv(everything / "effects.csv"), json.loads((everything / "explanation.json").read_text())
+    known = effects.sort_values("ln_bayes", ascending=False)
+    assert rows["ln"][3] == ", ".join(known["name"][known["ln_bayes"] > 3 + math.log(len(effects))]) != ""
+    below = [words for name, words in TESTS.items() if found[name] <= 0.01]
+    assert below and rows["p-value"][3] == "; ".join(below) and len(below) < len(TESTS)
+    tables = [pd.read_csv(everything / f"where_it_fails_{stage}.csv") for stage in ("before", "after", "added")]
+    counts = [f"{t['verdict'].str.startswith('beyond').sum()} of {len(t)}" for t in tables]
+    assert [words.split(",")[0] for words in rows["comparison,"][3].split("; ")] == counts
+    scores = pd.read_csv(everything / "perturbations.csv")
+    count = int((scores["score"].abs() > scores["limit"]).sum())
+    assert rows["score"][3] == f"{count} of {len(scores)}" and count
+
+
+def test_an_effect_below_the_limit_of_the_evidence_is_not_beyond_it(folder, blocks):
+    table = pd.read_csv(folder / "effects.csv")
+    limit = 3 + math.log(len(table))
+    values = [limit + 0.1, limit - 0.1, 0.5]
+    table["ln_bayes"] = [*values, *[-1.0] * (len(table) - 3)]
+    table.to_csv(folder / "effects.csv", index=False)
+    assert key(folder, blocks)["ln"][3] == table["name"][0]
+
+
+def test_the_levels_are_those_of_the_analyses():
+    """The report reads tables only, so it holds these numbers itself."""
+    assert (BEYOND, WITHIN) == (compare.BEYOND, compare.LEVEL)
+    assert RULES.pull == NOISE_LEVEL == BY_CHANCE and RULES.contradicted == CONTRADICTED
+    assert (RULES.credible, RULES.confounded) == (LEAST_BAYES_FACTOR, COLLINEAR)
+
+
+@pytest.mark.parametrize("pulled", [(), (0,), (0, 2)])
+def test_pulled_parameters_are_named_with_their_model(folder, blocks, pulled):
+    table = pd.read_csv(folder / "pulls.csv")
+    table["pulled"] = np.isin(np.arange(len(table)), pulled)
+    table.to_csv(folder / "pulls.csv", index=False)
+    names = [f"{table['parameter'][k]} ({table['model'][k]})" for k in pulled]
+    assert key(folder, blocks)["pull"][3] == (", ".join(names) or NONE)
+
+
+def test_without_an_explanation_p_is_told_with_the_errors(folder, blocks):
+    (folder / "explanation.json").unlink()
+    assert KEY not in blocks(folder, Table)
+    every = [b for s in sections(StudyResults(folder, "", True)) for b in s.blocks]
+    assert [t for b in every if isinstance(b, Terms) for t, _ in b.pairs].count("p") == 1
