@@ -61,8 +61,8 @@ def goodness(fit: Fit, labelled: Labelled) -> tuple[pd.DataFrame, pd.DataFrame]:
     kept = np.ones((1, len(layout.which)), dtype=bool)
     found = layout.sums(fit.residual[None] ** 2, row_dof(fit.slope, fit.prior_sd)[None], kept)
     kinds = pd.DataFrame({"kind": list(layout.kinds), **{name: a[0] for name, a in found.kinds.items()}})
-    modes = pd.DataFrame(list(layout.blocks), columns=["mode", "kind"])
-    return kinds, modes.assign(**{name: a[0] for name, a in found.modes.items()})
+    names = {"mode": [mode for mode, _ in layout.blocks], "kind": [kind for _, kind in layout.blocks]}
+    return kinds, pd.DataFrame(names | {name: a[0] for name, a in found.modes.items()})
 
 
 class Sums(NamedTuple):
@@ -170,8 +170,8 @@ def _sensors(fit: Fit, labelled: Labelled) -> pd.DataFrame:
     share = np.array([fitted_factors.get(block, 0) for block in blocks]) / np.bincount(which)
     dof = row_dof(fit.slope, fit.prior_sd) - share[which]
     names, of = _numbered([(row.sensor, row.kind) for row in rows])
-    table = pd.DataFrame(names, columns=["sensor", "kind"])
-    return table.assign(chi2=np.bincount(of, fit.residual**2), dof=np.bincount(of, dof))
+    sums = {"chi2": np.bincount(of, fit.residual**2), "dof": np.bincount(of, dof)}
+    return pd.DataFrame({"sensor": [sensor for sensor, _ in names], "kind": [kind for _, kind in names]} | sums)
 
 
 def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
