@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from pandas.api.extensions import ExtensionArray
 
 from calib.csv_entries import SEPARATORS, place_of_entry, separator_of
 from calib.errors import InputError
@@ -179,7 +179,7 @@ def read_table(
     if others_are_numbers and not others and sheet.cells:
         raise InputError(f"there is no column beside {', '.join(text)}", place=path)
     columns = dict(zip(header, map(list, zip(*sheet.cells, strict=True)), strict=True)) if sheet.cells else {}
-    out: dict[str, ArrayLike] = {}
+    out: dict[str, np.ndarray | ExtensionArray] = {}
     for column in [*blank, *wanted, *others]:
         cells = columns.get(column, [""] * len(sheet.cells))
         if column in blank:

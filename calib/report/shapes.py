@@ -165,7 +165,7 @@ def measured_motions(shapes: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
     """
     values = shapes[[*PLACE, "measured_re"]].to_numpy(dtype=float)
     known = shapes["direction"].isin(_AXES).to_numpy() & ~np.isnan(values).any(axis=1)
-    axis = [_AXES.index(direction) for direction in shapes["direction"][known]]
+    axis = np.array([_AXES.index(direction) for direction in shapes["direction"][known]], dtype=int)
     rows: dict[tuple[float, ...], int] = {}
     row = np.array([rows.setdefault(tuple(place), len(rows)) for place in values[known, :3].tolist()], dtype=int)
     total, count = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
