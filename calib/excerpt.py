@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import unicodedata
 from collections.abc import Sequence
+from itertools import accumulate
 from pathlib import Path
 
 from calib.place import Place
@@ -79,17 +80,18 @@ def _columns(c: str) -> int:
 
 def _window(cells: Sequence[str], begin: int, end: int, widest: int) -> tuple[int, int]:
     """First character shown, and the one behind the last, so that the beginning of the mark is visible."""
-    if _width(cells) <= widest:
+    reach = [0, *accumulate(_width(cell) for cell in cells)]  # columns before each character
+    if reach[-1] <= widest:
         return 0, len(cells)
     room = widest - 2 * len(_CUT)
     first = 0
-    if _width(cells[:end]) > room:
+    if reach[end] > room:
         first = begin
-        while first > 0 and _width(cells[first - 1 : begin]) <= room // 2:
+        while first > 0 and reach[begin] - reach[first - 1] <= room // 2:
             first -= 1
     last = first
-    while last < len(cells) and _width(cells[first : last + 1]) <= room:
+    while last < len(cells) and reach[last + 1] - reach[first] <= room:
         last += 1
-    while last == len(cells) and first > 0 and _width(cells[first - 1 :]) <= room:
+    while last == len(cells) and first > 0 and reach[-1] - reach[first - 1] <= room:
         first -= 1
     return first, last

@@ -72,7 +72,7 @@ class Results:
 
     def claim(self) -> None:
         """Record the study as the owner of the folder, where it is known; InputError when it cannot be written."""
-        if self.of is not None and not owner(self.of[0]):
+        if self.of is not None and _recorded(self.of[0]) is None:
             home, own = self.of[0].resolve(), self.of[1].resolve()
             leading = Path(os.path.relpath(own, home)).as_posix() if own.drive == home.drive else ""
             Results(self.of[0]).write_json("owner", {"study": own.as_posix(), "from_here": leading})
@@ -156,16 +156,23 @@ def owner(folder: Path) -> tuple[Path, ...]:
 
     The second finds a study that was moved together with its results. Empty where the folder has no owner.
     """
+    if (recorded := _recorded(folder)) is None:
+        return ()
+    study, leading = recorded
+    return (Path(study), *([(folder.resolve() / leading).resolve()] if leading else []))
+
+
+def _recorded(folder: Path) -> tuple[str, str] | None:
+    """The two paths of a study that `OWNER` holds; None without that file."""
     try:
         stored = json.loads((folder / OWNER).read_text("utf-8"))
-        study, leading = str(stored["study"]), str(stored["from_here"])
+        return str(stored["study"]), str(stored["from_here"])
     except (FileNotFoundError, NotADirectoryError):
-        return ()
+        return None
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(
             "it does not name the study of these results", place=folder / OWNER, remedy="move the folder away"
         ) from None
-    return (Path(study), *([(folder.resolve() / leading).resolve()] if leading else []))
 
 
 def _one_place(study_file: Path) -> Path:

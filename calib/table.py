@@ -11,11 +11,13 @@ import csv
 import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+from pandas.api.extensions import ExtensionArray
 
 from calib.csv_entries import SEPARATORS, place_of_entry, separator_of
 from calib.errors import InputError
@@ -177,21 +179,21 @@ def read_table(
     if others_are_numbers and not others and sheet.cells:
         raise InputError(f"there is no column beside {', '.join(text)}", place=path)
     columns = dict(zip(header, map(list, zip(*sheet.cells, strict=True)), strict=True)) if sheet.cells else {}
-    out: dict[str, pd.Series] = {}
+    out: dict[str, np.ndarray | ExtensionArray] = {}
     for column in [*blank, *wanted, *others]:
         cells = columns.get(column, [""] * len(sheet.cells))
         if column in blank:
-            out[column] = pd.Series(["" if cell == "nan" else cell for cell in cells], dtype=str)
+            out[column] = pd.Series(["" if cell == "nan" else cell for cell in cells], dtype=str).array
         elif column in text:
             _require(sheet, column, [bool(cell) for cell in cells], cells, "a name")
-            out[column] = pd.Series(cells, dtype=str)
+            out[column] = pd.Series(cells, dtype=str).array
         elif column in flags:
             known = [None if _unknown(cell) else FLAGS.get(cell.lower()) for cell in cells]
             fine = [
                 k is not None or (_unknown(c) and column not in complete) for k, c in zip(known, cells, strict=True)
             ]
             _require(sheet, column, fine, cells, "True or False")
-            out[column] = pd.Series(known, dtype=object)
+            out[column] = np.array(known, dtype=object)
         else:
             found = [math.nan if _unknown(cell) else number_of(cell, sheet.comma) for cell in cells]
             fine = [
@@ -201,7 +203,7 @@ def read_table(
                 for v in found
             ]
             _require(sheet, column, fine, cells, "a number")
-            out[column] = pd.Series(found, dtype=float)
+            out[column] = np.array(found, dtype=float)
     _require_unique(sheet, key)
     return pd.DataFrame(out)
 
@@ -240,9 +242,13 @@ def guarded_table(table: pd.DataFrame) -> pd.DataFrame:
     def cell(value: object) -> object:
         return guarded(value) if isinstance(value, str) else value
 
-    words = [c for c, kind in table.dtypes.items() if not pd.api.types.is_numeric_dtype(kind)]
+    def runs(values: Iterable[object]) -> bool:
+        return any(isinstance(value, str) and guarded(value) != value for value in values)
+
+    # Hardly any table holds such a text: the others are not copied.
+    words = [c for c, kind in table.dtypes.items() if not pd.api.types.is_numeric_dtype(kind) and runs(table[c].array)]
     out = table.assign(**{str(c): table[c].astype(object).map(cell) for c in words}) if words else table
-    return out.rename(columns=cell, index=cell)
+    return out.rename(columns=cell, index=cell) if runs(table.columns) or runs(table.index) else out
 
 
 # -- lines and cells ---------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import re
 from collections.abc import Iterator
 from contextvars import ContextVar
 from itertools import count
@@ -21,7 +20,6 @@ DRAFT = ".part"
 KEPT = "_kept"
 """Added to the stem of a file that was in the way and that calib did not write."""
 
-_LINE = re.compile(r"^([0-9a-f]{64})  (.+)$")
 _noting: ContextVar[list[Path] | None] = ContextVar("noting", default=None)
 
 
@@ -63,7 +61,7 @@ def remove(path: Path) -> None:
 
 def is_own(path: Path) -> bool:
     """Whether calib has written that file as it is now."""
-    return path.is_file() and not path.is_symlink() and (_digest(path), path.name) in _noted(path.parent)
+    return path.is_file() and not path.is_symlink() and _line(_digest(path), path.name) in _logged(path.parent)
 
 
 @contextlib.contextmanager
@@ -84,7 +82,7 @@ def note_folder(path: Path, name: str) -> None:
 
 def is_own_folder(path: Path) -> bool:
     """Whether calib has written that folder with its present content, and logged it under its name."""
-    return not path.is_symlink() and (_digest_of_folder(path), f"{path.name}/") in _noted(path.parent)
+    return not path.is_symlink() and _line(_digest_of_folder(path), f"{path.name}/") in _logged(path.parent)
 
 
 def free_name(path: Path, end: str) -> Path:
@@ -103,21 +101,29 @@ def _keep(path: Path) -> None:
 
 def _add(folder: Path, digest: str, name: str) -> None:
     """Add a line to the log, after completing one that an earlier stop left unfinished."""
-    if (digest, name) in _noted(folder):
+    so_far, line = _log(folder), _line(digest, name)
+    if line in so_far.splitlines():
         return
-    log = folder / LOG
-    so_far = log.read_bytes() if log.exists() else b""
     torn = so_far and not so_far.endswith(b"\n")
-    with log.open("ab") as stream:
-        stream.write(("\n" * bool(torn) + f"{digest}  {name}\n").encode())
+    with (folder / LOG).open("ab") as stream:
+        stream.write(b"\n" * bool(torn) + line + b"\n")
 
 
-def _noted(folder: Path) -> set[tuple[str, str]]:
+def _line(digest: str, name: str) -> bytes:
+    """The line of the log about a file or folder."""
+    return f"{digest}  {name}".encode(errors="surrogateescape")
+
+
+def _logged(folder: Path) -> list[bytes]:
+    """The lines of the log; none without it."""
+    return _log(folder).splitlines()
+
+
+def _log(folder: Path) -> bytes:
     try:
-        text = (folder / LOG).read_text("utf-8", errors="replace")
+        return (folder / LOG).read_bytes()
     except FileNotFoundError:
-        return set()
-    return {(found[1], found[2]) for line in text.splitlines() if (found := _LINE.match(line))}
+        return b""
 
 
 def _digest(path: Path) -> str:

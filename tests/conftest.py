@@ -1,5 +1,6 @@
 """What every test needs before numerical libraries are imported, and the independent codes some compare with."""
 
+import contextlib
 import gc
 import os
 from collections.abc import Callable, Iterator
@@ -106,8 +107,22 @@ def _unwritten(results: Any, *given: Any) -> Page:
     return Page(results.folder / "report.html", summary(results))
 
 
+@contextlib.contextmanager
+def _no_drawing() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
+        patch.setattr("calib.front.drawn.write_report", _unwritten)
+        yield
+
+
+@pytest.fixture(scope="session")
+def no_drawing() -> Callable[[], contextlib.AbstractContextManager[None]]:
+    """Context in which no figures are drawn and no report is written, for fixtures of a module or session."""
+    return _no_drawing
+
+
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def undrawn() -> Iterator[None]:
     """No figures are drawn and no report is written, which take longest of all in a test of something else."""
-    monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-    monkeypatch.setattr("calib.front.drawn.write_report", _unwritten)
+    with _no_drawing():
+        yield

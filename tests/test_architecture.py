@@ -49,10 +49,15 @@ FORBIDDEN = {
 
 
 @cache  # every file is looked at by each test
+def tree_of(file: Path) -> ast.Module:
+    return ast.parse(file.read_text("utf-8"))
+
+
+@cache
 def imports(file: Path, run_only: bool = False) -> set[str]:
     """What a file imports; where asked for without what it imports for types only."""
     found = set()
-    tree = ast.parse(file.read_text("utf-8"))
+    tree = tree_of(file)
     typed = [n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING" and run_only]
     for node in (node for part in tree.body if part not in typed for node in ast.walk(part)):
         if isinstance(node, ast.Import):

@@ -1,5 +1,7 @@
 """The results folder: failures are reported in one sentence."""
 
+import hashlib
+
 import pytest
 
 from calib.errors import InputError
@@ -77,3 +79,10 @@ def test_whose_results_they_are(tmp_path):
         (moved.path / OWNER).write_text(damaged)
         with pytest.raises(InputError, match=OWNER):
             moved.check_owner(first)
+
+
+def test_a_file_written_again_unchanged_stands_in_the_log_once(tmp_path):
+    for _ in range(3):
+        Results(tmp_path).write_json("same", {"a": 1})
+    (line,) = (tmp_path / LOG).read_text("utf-8").splitlines()
+    assert line == f"{hashlib.sha256((tmp_path / 'same.json').read_bytes()).hexdigest()}  same.json"

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from calib.errors import InputError
 from calib.results import Results
-from calib.table import FLAGS, guarded, number_of, read_table, unguarded
+from calib.table import FLAGS, guarded, guarded_table, number_of, read_table, unguarded
 
 
 def write(folder, text, name="table.csv"):
@@ -78,6 +78,21 @@ def test_a_text_that_a_spreadsheet_would_run_is_guarded_and_read_back(tmp_path, 
     cell = guarded(text)
     assert cell[:1] not in tuple("=+-@\t\r") or len(cell) < 2 or number_of(cell) is not None
     assert unguarded(cell) == text
+
+
+@pytest.mark.parametrize("where", ["cell", "column", "row"])
+def test_a_text_that_would_run_is_guarded_wherever_it_stands(where):
+    words = {place: "=1+1" if place == where else "plain" for place in ("cell", "column", "row")}
+    table = pd.DataFrame({words["column"]: [None, words["cell"]], "number": [-1.0, 2.0]}, index=["first", words["row"]])
+    safe = guarded_table(table)
+    told = {"cell": safe.iloc[1, 0], "column": safe.columns[0], "row": safe.index[1]}
+    assert told == {**words, where: "'=1+1"}
+    assert pd.isna(safe.iloc[0, 0]) and list(safe["number"]) == [-1.0, 2.0]
+
+
+def test_a_table_without_such_texts_is_not_copied():
+    table = pd.DataFrame({"name": ["a", "-1.5"], "flag": [True, False], "value": [1.0, -2.0]})
+    assert guarded_table(table) is table
 
 
 @given(st.text(alphabet=st.sampled_from("=+-@'ab1. ,;\"\u00e9\u6865"), max_size=8).map(str.strip))

@@ -61,8 +61,8 @@ def goodness(fit: Fit, labelled: Labelled) -> tuple[pd.DataFrame, pd.DataFrame]:
     kept = np.ones((1, len(layout.which)), dtype=bool)
     found = layout.sums(fit.residual[None] ** 2, row_dof(fit.slope, fit.prior_sd)[None], kept)
     kinds = pd.DataFrame({"kind": list(layout.kinds), **{name: a[0] for name, a in found.kinds.items()}})
-    modes = pd.DataFrame(list(layout.blocks), columns=["mode", "kind"])
-    return kinds, modes.assign(**{name: a[0] for name, a in found.modes.items()})
+    names = {"mode": [mode for mode, _ in layout.blocks], "kind": [kind for _, kind in layout.blocks]}
+    return kinds, pd.DataFrame(names | {name: a[0] for name, a in found.modes.items()})
 
 
 class Sums(NamedTuple):
@@ -159,8 +159,9 @@ def by_sensor(fit: Fit, labelled: Labelled) -> pd.DataFrame:
     table, std_dof = _sensors(fit, labelled), labelled.std_dof
     std = np.array([std_dof.get(kind, np.inf) for kind in table["kind"]])
     table["p"] = chance(table["chi2"].to_numpy(), table["dof"].to_numpy(), std)
-    table = table[table["sensor"] != ""].drop(columns="kind")
-    return table.sort_values(["p", "chi2"], ascending=[True, False], ignore_index=True, kind="stable")
+    order = np.lexsort((-table["chi2"].to_numpy(), table["p"].to_numpy()))
+    named = order[[bool(sensor) for sensor in table["sensor"].iloc[order]]]
+    return table.drop(columns="kind").take(named).reset_index(drop=True)
 
 
 def _sensors(fit: Fit, labelled: Labelled) -> pd.DataFrame:
@@ -170,14 +171,14 @@ def _sensors(fit: Fit, labelled: Labelled) -> pd.DataFrame:
     share = np.array([fitted_factors.get(block, 0) for block in blocks]) / np.bincount(which)
     dof = row_dof(fit.slope, fit.prior_sd) - share[which]
     names, of = _numbered([(row.sensor, row.kind) for row in rows])
-    table = pd.DataFrame(names, columns=["sensor", "kind"])
-    return table.assign(chi2=np.bincount(of, fit.residual**2), dof=np.bincount(of, dof))
+    sums = {"chi2": np.bincount(of, fit.residual**2), "dof": np.bincount(of, dof)}
+    return pd.DataFrame({"sensor": [sensor for sensor, _ in names], "kind": [kind for _, kind in names]} | sums)
 
 
 def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
     """p-value of the worst kind or the worst shape of one mode (Bonferroni)."""
-    shapes = modes.loc[modes["kind"] == "shape", "p"]
-    worst = np.array([table.min() if len(table) else 1.0 for table in (kinds["p"], shapes)])
+    shapes = modes["p"].to_numpy()[_of_shapes(modes)]
+    worst = np.array([p.min(initial=1.0) for p in (kinds["p"].to_numpy(), shapes)])
     return float(_overall(worst[:1], np.array([len(kinds)]), worst[1:], np.array([len(shapes)]))[0])
 
 
@@ -203,14 +204,15 @@ def noise_scale(modes: pd.DataFrame) -> float:
     mean of 2/pi times as many (Cramer 1946), so that the ratio of a mode to it is approximately an F variate; modes
     that share a factor then test as different in 0.4 to 0.7 % of the cases, at a level of 1 %.
     """
-    shapes = modes[(modes["kind"] == "shape") & (modes["dof"] >= 5)]
-    if len(shapes) < 4:
+    chi2, dof = modes["chi2"].to_numpy(dtype=float), modes["dof"].to_numpy(dtype=float)
+    used = _of_shapes(modes) & (dof >= 5)
+    chi2, dof = chi2[used], dof[used]
+    if len(dof) < 4:
         return float("nan")
-    chi2, dof = shapes["chi2"].to_numpy(dtype=float), shapes["dof"].to_numpy(dtype=float)
     square = float(np.median(chi2 / dof) / 0.985)
     variate = (dof, 2 / np.pi * dof.sum(), chi2 / dof / square)
     tail = 2 * np.minimum(special.fdtrc(*variate), special.fdtr(*variate))
-    homogeneous = float(tail.min()) * len(shapes) > RULES.alike_std
+    homogeneous = float(tail.min()) * len(dof) > RULES.alike_std
     return float(np.sqrt(square)) if homogeneous or square < 1 else 1.0
 
 
@@ -221,16 +223,21 @@ def lone_sensor(fit: Fit, labelled: Labelled, level: float) -> str | None:
     deviation; the worst of n sensors has n times its p-value (Bonferroni).
     """
     table = _sensors(fit, labelled)
-    table = table[table["kind"] == "shape"]
-    chi2, dof = table["chi2"].to_numpy(), table["dof"].to_numpy()
+    shapes = _of_shapes(table)
+    names, chi2, dof = (table[column].to_numpy()[shapes] for column in ("sensor", "chi2", "dof"))
     rest, others = chi2.sum() - chi2, dof.sum() - dof
     usable = (dof >= 1) & (others >= 1)
     if not usable.any():
         return None
-    p = np.ones(len(table))
+    p = np.ones(len(names))
     p[usable] = chance((chi2 * others)[usable] / rest[usable], dof[usable], others[usable])
     worst = int(np.argmin(p))
-    return str(table["sensor"].iloc[worst]) if p[worst] * len(table) <= level else None
+    return str(names[worst]) if p[worst] * len(names) <= level else None
+
+
+def _of_shapes(table: pd.DataFrame) -> np.ndarray:
+    """Whether each row of a table is about a shape, (n,)."""
+    return np.array([kind == "shape" for kind in table["kind"]], dtype=bool)
 
 
 def common_scale(fit: Fit, labelled: Labelled, level: float) -> float:

@@ -127,9 +127,13 @@ def suspects(
         b = datum.rows
         here = root[b]
         inverse = np.eye(len(b)) - here @ here.T
-        if np.linalg.eigvalsh(inverse)[0] < (RULES.followed if len(b) == 1 else _SINGULAR):
+        if len(b) == 1:  # most data are: without calls for a matrix of one entry
+            left_over, least = inverse[0, 0], RULES.followed
+        else:
+            left_over, least = np.linalg.eigvalsh(inverse)[0], _SINGULAR
+        if left_over < least:
             continue  # only these data determine a parameter
-        predicted = np.linalg.solve(inverse, e[b])
+        predicted = e[b] / left_over if len(b) == 1 else np.linalg.solve(inverse, e[b])
         whole = np.bincount(layout.which[b], minlength=len(size)) == size  # their fitted factors are left out with them
         dof = max(len(b) - float(layout.factors[whole].sum()), 1.0)
         tried.append(LeaveOneOut(datum, inverse, predicted, float(e[b] @ predicted), dof, float(behind[b].min())))

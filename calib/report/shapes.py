@@ -163,12 +163,15 @@ def measured_motions(shapes: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
     shapes : DataFrame
         Columns ``direction, x, y, z, measured_re``.
     """
-    known = shapes["direction"].isin(_AXES) & shapes[["x", "y", "z", "measured_re"]].notna().all(axis=1)
-    vectors = shapes[known].pivot_table(
-        index=["x", "y", "z"], columns="direction", values="measured_re", aggfunc="mean", sort=False
-    )
-    places = np.array(list(vectors.index), dtype=float).reshape(-1, 3)
-    return places, vectors.reindex(columns=_AXES).fillna(0.0).to_numpy(dtype=float)
+    values = shapes[[*PLACE, "measured_re"]].to_numpy(dtype=float)
+    known = shapes["direction"].isin(_AXES).to_numpy() & ~np.isnan(values).any(axis=1)
+    axis = np.array([_AXES.index(direction) for direction in shapes["direction"][known]], dtype=int)
+    rows: dict[tuple[float, ...], int] = {}
+    row = np.array([rows.setdefault(tuple(place), len(rows)) for place in values[known, :3].tolist()], dtype=int)
+    total, count = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
+    np.add.at(total, (row, axis), values[known, 3])
+    np.add.at(count, (row, axis), 1.0)
+    return np.array(list(rows), dtype=float).reshape(-1, 3), total / np.maximum(count, 1.0)
 
 
 def _panel_titles(mode: str, facts: dict[str, dict[Hashable, Any]]) -> tuple[str, str]:

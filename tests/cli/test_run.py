@@ -11,8 +11,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from calib import cli
 from calib.analyses import calibrate as calibration
-from calib.report.html.summary import summary
-from calib.report.html.write import Page
 from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,18 +30,11 @@ def quick(folder: Path, write_study, asked, edit, hidden) -> str:
     return asked(folder, *RUN)
 
 
-def _unwritten(results, *given):
-    """Stands in for the writing of a report."""
-    return Page(results.folder / "report.html", summary(results))
-
-
 @pytest.fixture(scope="module")
-def lacking(write_study, asked, edit, tmp_path_factory):
+def lacking(write_study, asked, edit, no_drawing, tmp_path_factory):
     """A folder with the run of a mast with a guy rope that its model lacks, without figures, and its output."""
     folder = tmp_path_factory.mktemp("lacking")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-        patch.setattr("calib.front.drawn.write_report", _unwritten)
+    with no_drawing():
         return folder, quick(folder, write_study, asked, edit, {"guy": 12000.0})
 
 

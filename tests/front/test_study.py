@@ -14,13 +14,12 @@ STUDIES = Path(__file__).resolve().parents[2] / "studies"
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory):
+def rig(no_drawing, tmp_path_factory):
     """The four-storey rig: run here, and by the command, each into its own folder; no figures are drawn."""
     root = tmp_path_factory.mktemp("rig")
     study = calib.Study.load(STUDIES / "four_storey_rig", root / "here", workers=1, quick=True)
     there = ["--results", str(root / "there"), "--workers", "1"]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
+    with no_drawing():
         answers = study.compare(), study.sensitivity(), study.calibrate()
         for verb, *more in (("compare",), ("sensitivity", "--quick"), ("calibrate", "--quick")):
             assert cli.execute([verb, str(STUDIES / "four_storey_rig"), *there[: 4 if more else 2], *more]) == 0

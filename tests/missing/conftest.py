@@ -103,8 +103,8 @@ class Toy:
         for name, column in self.columns.items():
             if column.ndim == 2:
                 total = total + column[:, round(values[name])]
-            else:
-                total = total + column * values.get(name, 0.0)
+            elif value := values.get(name, 0.0):  # most effects and perturbations have none
+                total = total + column * value
         for name, bump in self.bumps.items():
             if values.get(name, 0.0):
                 total = total + bump.at(values) * values[name]

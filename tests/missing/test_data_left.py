@@ -11,6 +11,8 @@ from calib.missing.explain import DEFAULT, _Decision, explain
 from calib.missing.refits import Refits
 from calib.stage import unheard
 
+pytestmark = pytest.mark.usefixtures("fewer_draws")
+
 
 def error(toy, candidate_fit):
     groups = [row.mode or row.sensor for row in toy.rows]

@@ -10,6 +10,8 @@ from calib.missing.explain import Settings, explain
 from calib.missing.linearised_fit import fitted
 from calib.missing.pairs import fit_pairs
 
+pytestmark = pytest.mark.usefixtures("fewer_draws")
+
 
 def test_integers_move_back_once_the_effect_is_added(toy):
     """An integer that absorbed part of an effect moves back to its neighbour once the effect is added."""

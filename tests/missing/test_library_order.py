@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from calib.missing.explain import Settings, explain
 
+pytestmark = pytest.mark.usefixtures("fewer_draws")
+
 
 def masses(toy, share, truth, seed=1, size=8.0):
     """Two distributed masses E0 and E3 of either sign, whose signatures correlate."""

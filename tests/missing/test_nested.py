@@ -10,6 +10,8 @@ from calib.missing.linearised_fit import fitted
 from calib.missing.refits import DEFAULT, Refits
 from calib.stage import unheard
 
+pytestmark = pytest.mark.usefixtures("fewer_draws")
+
 
 def crossing(toy, edge, lure=""):
     """Beyond some magnitude of an effect a mode has left the band, and every mode is paired with the next one."""

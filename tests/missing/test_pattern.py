@@ -10,6 +10,8 @@ from calib.missing.explain import explain
 from calib.missing.pattern import PLACE_COLUMNS, PRIOR, explaining, parameter_table, pattern_table, place_table
 from calib.missing.tables import effects_table
 
+pytestmark = pytest.mark.usefixtures("fewer_draws")
+
 
 def found_in(toy, truth, seed=1):
     toy = toy.drawn(np.random.default_rng(seed), truth)

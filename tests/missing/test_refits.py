@@ -13,6 +13,8 @@ from calib.missing.rules import RULES
 from calib.missing.score import scores
 from calib.stage import unheard
 
+pytestmark = pytest.mark.usefixtures("fewer_draws")
+
 VERDICTS = {
     "nothing_detectable",
     "effect",

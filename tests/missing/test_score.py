@@ -173,7 +173,7 @@ def test_the_family_keeps_its_level(toy, bump):
         assert share == pytest.approx(level, abs=4 * np.sqrt(level * (1 / 8000 + 1 / 20000)))
 
 
-def test_p_values_of_simulated_data_are_uniform(toy):
+def test_p_values_of_simulated_data_are_uniform(toy, fewer_draws):
     """The whole chain: simulate, calibrate, score, test."""
     toy = toy(effects=3, perturbations=0, modes=4, sensors=4, parameters=2)
     rng = np.random.default_rng(11)

@@ -13,6 +13,8 @@ from calib.missing.tables import effects_table
 from calib.missing.verdict import verdict
 from calib.missing.worst_misfit import misfit_at
 
+pytestmark = pytest.mark.usefixtures("fewer_draws")
+
 
 @pytest.fixture(scope="module")
 def spoiled(toy):

@@ -15,6 +15,8 @@ from calib.missing.tables import effects_table
 from calib.missing.verdict import MOST
 from calib.missing.verdict import verdict as verdict_of
 
+pytestmark = pytest.mark.usefixtures("fewer_draws")
+
 UNITS = {"E0": "kg", "E1": "-", "E2": "kN/m", "E3": "-", "E4": "kg"}
 VERDICTS = (
     "nothing_detectable", "effect", "indistinguishable", "two_effects", "partial", "none_explains",

@@ -144,3 +144,11 @@ def test_a_metre_is_equally_long_in_every_direction_of_the_picture(shapes, defle
         metres = (pixels[1:] - pixels[0]).T
         scale = metres[1, 2] / view_directions()[1, 2]
         np.testing.assert_allclose(metres, scale * view_directions(), atol=1e-6 * scale)
+
+
+def test_sensors_of_one_direction_at_one_place_count_by_their_mean():
+    rows = [("x", 0.0, 0.4), ("x", 0.0, 0.6), ("y", 0.0, -1.0), ("x", 2.0, 0.3), ("rx", 2.0, 9.0), ("z", 2.0, np.nan)]
+    table = pd.DataFrame(rows, columns=["direction", "x", "measured_re"]).assign(y=1.0, z=2.0)
+    place, motion = measured_motions(table)
+    np.testing.assert_array_equal(place, [[0.0, 1.0, 2.0], [2.0, 1.0, 2.0]])
+    np.testing.assert_allclose(motion, [[0.5, -1.0, 0.0], [0.3, 0.0, 0.0]], rtol=1e-15)

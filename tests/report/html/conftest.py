@@ -10,12 +10,13 @@ import pytest
 
 from calib import cli
 from calib.loading import module_of
+from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
-from calib.report.html.summary import summary
-from calib.report.html.write import Page, page, sections
+from calib.report.html.write import page, sections
 
 ROOT = Path(__file__).resolve().parents[3]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
+FEW = ("[calibration]", "[sensitivity]\nsamples = 60\n\n[calibration]")  # the study names its selection itself
 TITLE = "A mast that may lack something"
 
 
@@ -71,35 +72,33 @@ class Reader(HTMLParser):
         return " ".join(" ".join(self.words).split())
 
 
-def _unwritten(results, *given):
-    """Stands in for the writing of a report."""
-    return Page(results.folder / "report.html", summary(results))
+@pytest.fixture(scope="session")
+def run(no_drawing):
+    """Function that runs analyses without drawing; results go beside the study."""
 
+    def folder_of_results(folder, *analyses):
+        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()), no_drawing():
+            patch.setattr("calib.front.study.isolated", lambda study: study)
+            for analysis, *more in analyses:
+                assert cli.execute([analysis, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
+        return folder.parent / "results" / folder.name
 
-def run(folder, *analyses):
-    """Run analyses without drawing figures, which would take longest; results go beside the study."""
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()):
-        patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-        patch.setattr("calib.front.study.isolated", lambda study: study)
-        patch.setattr("calib.front.drawn.write_report", _unwritten)
-        for analysis, *more in analyses:
-            assert cli.execute([analysis, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
-    return folder.parent / "results" / folder.name
+    return folder_of_results
 
 
 @pytest.fixture(scope="session")
-def everything(tmp_path_factory):
+def everything(run, tmp_path_factory):
     """Results of a mast with a guy rope that its model lacks; one mode and two sensors are held out."""
     folder = module_of(ROOT / "tests/template/mast_effects.py").write_study(
         tmp_path_factory.mktemp("page") / "mast", {"guy": 12000.0}
     )
     file = folder / "study.toml"
-    file.write_text(file.read_text().replace(*HELD))
+    file.write_text(file.read_text().replace(*HELD).replace(*FEW))
     return run(folder, ["run", "--workers", "1"])
 
 
 @pytest.fixture(scope="session")
-def scalar(tmp_path_factory):
+def scalar(run, tmp_path_factory):
     """Results of the five-mass chain, a function with scalar responses."""
     folder = tmp_path_factory.mktemp("scalar") / "chain"
     shutil.copytree(ROOT / "studies/five_mass_chain", folder)
@@ -117,12 +116,19 @@ def results(everything):
     return StudyResults(everything, TITLE, True)
 
 
+PAINTED = ("comparison", "mac_before", "sensor_misfit", "mode_shapes_after")
+"""Figures of the page that are painted: bars, cells, dots over lines, and pictures within the drawing."""
+
+
+def outline(figures, name, identifier=""):
+    """A figure without content, which takes longest."""
+    return f"<svg><!-- {figures.plan[name].name} --></svg>"
+
+
 @pytest.fixture
 def unpainted(monkeypatch):
-    """Figures have no content, which takes longest: for tests of the page around them."""
-    monkeypatch.setattr(
-        "calib.report.figures.Figures.svg", lambda figures, name: f"<svg><!-- {figures.plan[name].name} --></svg>"
-    )
+    """Figures have no content: for tests of the page around them."""
+    monkeypatch.setattr("calib.report.figures.Figures.svg", outline)
 
 
 @pytest.fixture(scope="session")
@@ -133,7 +139,15 @@ def reader():
 
 @pytest.fixture(scope="session")
 def text(everything):
-    return page(StudyResults(everything, TITLE, True))
+    """The page; of its figures only `PAINTED` have content."""
+    painted = Figures.svg
+
+    def svg(figures, name, identifier=""):
+        return (painted if name in PAINTED else outline)(figures, name, identifier)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.report.figures.Figures.svg", svg)
+        return page(StudyResults(everything, TITLE, True))
 
 
 @pytest.fixture(scope="session")
@@ -142,11 +156,18 @@ def read(text):
 
 
 @pytest.fixture(scope="session")
-def blocks():
+def blocks(everything):
     """Function that returns tables of a page by caption, or figures by name."""
+    known = {}
+
+    def blocks_of(folder):
+        if folder != everything:  # a copy of it, which the test may have changed
+            return [b for s in sections(StudyResults(folder, TITLE, True)) for b in s.blocks]
+        if folder not in known:
+            known[folder] = [b for s in sections(StudyResults(folder, TITLE, True)) for b in s.blocks]
+        return known[folder]
 
     def of_kind(folder, kind):
-        found = [b for s in sections(StudyResults(folder, TITLE, True)) for b in s.blocks if isinstance(b, kind)]
-        return {getattr(b, "name", getattr(b, "caption", "")): b for b in found}
+        return {getattr(b, "name", getattr(b, "caption", "")): b for b in blocks_of(folder) if isinstance(b, kind)}
 
     return of_kind

@@ -140,7 +140,11 @@ def test_the_reason_for_adding_no_effect_is_shown(folder, reader, unpainted):
 # -- one file, nothing beside it ---------------------------------------------------------------------------------------
 
 
-def test_nothing_is_loaded_from_anywhere(text, read):
+@pytest.mark.parametrize("painted", ["some", pytest.param("all", marks=pytest.mark.slow)])
+def test_nothing_is_loaded_from_anywhere(everything, read, reader, painted):
+    if painted == "all":
+        read = reader(page(StudyResults(everything, TITLE, True)))
+    assert {"path", "use", "image"} <= {name for name, _ in read.elements}  # there are figures to look into
     assert not read.named("link") and not read.named("iframe") and not read.named("object")
     for _, attributes in read.elements:
         assert "src" not in attributes and attributes.get("href", "#").startswith(("#", "data:text/csv;charset=utf-8,"))
