@@ -65,19 +65,19 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     at_sensors, receptance = posed
     sd = np.array([space[name].prior_width for name in names])
     lower, upper = (np.array([getattr(space[name], end) for name in names]) for end in ("lower", "upper"))
-    point, centre = dict(values), np.array([space[name].value for name in names])
+    point = {name: value for name, value in values.items() if name in model.space}
+    centre = np.array([space[name].value for name in names])
     for _ in range(ROUNDS):
         here = np.array([point[name] for name in names])
+        initial = _initial(model, point, names, sd, at_sensors, receptance)
+        settings = CmcfSettings(orders=min(len(receptance.freq), len(initial.masters) // 2 + 1))
         try:
-            initial = _initial(model, point, names, sd, at_sensors, receptance)
-            orders = min(len(receptance.freq), len(initial.masters) // 2 + 1)
-            settings = CmcfSettings(orders=orders)
             found = cmcf(initial, receptance, settings, np.full(len(names), 1 / EQUATION_ERROR), (centre - here) / sd)
         except (EvaluationError, InputError):
             break
         moved = np.clip(here + found.changes[-1] * sd, lower, upper)
         point.update(zip(names, moved.tolist(), strict=True))
-    return point
+    return {**values, **point}
 
 
 def linear_starts(problem: Problem[Any] | JointProblem, values: Mapping[str, float]) -> tuple[dict[str, float], ...]:
